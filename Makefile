@@ -1,0 +1,63 @@
+# Every verb works in a fresh clone. It needs Python 3.10 or newer, and installs into .venv only.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable
+ARGS =
+
+export PIP_DISABLE_PIP_VERSION_CHECK = 1
+
+.DEFAULT_GOAL := help
+.NOTPARALLEL:
+.PHONY: help demo test lint typecheck format bench clean
+
+help: ## list the verbs
+	@echo 'make VERB [ARGS="more options"] [PYTHON=python3.12]'
+	@sed -n 's/^\([a-z]*\):.*## /  \1            /p' $(MAKEFILE_LIST) | sed 's/^\(.\{13\}\) */\1/'
+
+demo: $(VENV)/eval.stamp ## score the controllers and agents, and write runs/demo/report.html (no torch)
+	$(BIN)/python evaluate.py --out runs/demo $(ARGS)
+
+# One thread a worker and no window: the workers share the machine.
+test: export OMP_NUM_THREADS = 1
+test: export OPENBLAS_NUM_THREADS = 1
+test: export MKL_NUM_THREADS = 1
+test: export MPLBACKEND = Agg
+test: export SDL_AUDIODRIVER = dummy
+test: export SDL_VIDEODRIVER = dummy
+test: lint typecheck ## lint, typecheck and run the tests
+	$(BIN)/python -m pytest -n 2 $(ARGS)
+
+lint: $(VENV)/dev.stamp ## check the style, the format and the set-up of the project
+	$(BIN)/python -m ruff check
+	$(BIN)/python -m ruff format --check
+	$(BIN)/python -m repo_review --show err
+
+typecheck: $(VENV)/dev.stamp ## check the types
+	$(BIN)/python -m mypy
+
+format: $(VENV)/dev.stamp ## mend the style and the format
+	$(BIN)/python -m ruff check --fix
+	$(BIN)/python -m ruff format
+
+bench: $(VENV)/dev.stamp ## measure the speed of the environments
+	$(BIN)/python benchmarks/bench.py $(ARGS)
+
+clean: ## remove what was built, the environment included; runs/ stays
+	rm -rf $(VENV) build dist .coverage .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# A stamp is newer than what it was made from: nothing is installed twice.
+$(VENV)/venv.stamp:
+	@command -v $(PYTHON) >/dev/null || { echo 'error: $(PYTHON) is not found: make PYTHON=/path/to/python3' >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || { \
+	  echo 'error: $(PYTHON) is older than Python 3.10: make PYTHON=/path/to/python3.10-or-newer' >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
+	  echo 'error: $(PYTHON) cannot make environments (on Debian and Ubuntu: apt install python3-venv)' >&2; exit 1; }
+	$(PYTHON) -m venv --clear $(VENV)
+	@touch $@
+
+$(VENV)/%.stamp: $(VENV)/venv.stamp pyproject.toml constraints.txt
+	@echo 'Installing auv_gym[$*] into $(VENV). The first time takes minutes.'
+	$(INSTALL) '.[$*]'
+	@touch $@

@@ -1,0 +1,46 @@
+"""Trajectory tracking for an underactuated AUV: environments, planner and scenarios. Importing registers the ids."""
+
+from typing import Any
+
+import gymnasium as gym
+
+__version__ = "0.1.0"
+__all__ = [
+    "PRESETS",
+    "Scenario",
+    "Vehicle",
+    "decode_observation",
+    "list_scenarios",
+    "plan",
+]
+
+_HOMES = {
+    "PRESETS": "scenario",
+    "Scenario": "scenario",
+    "Vehicle": "vehicle",
+    "decode_observation": "task",
+    "list_scenarios": "scenario",
+    "plan": "planner",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import the public names when first used, so that `import auv_gym` costs no more than Gymnasium."""
+    if name in _HOMES:
+        import importlib
+
+        return getattr(importlib.import_module(f"auv_gym.{_HOMES[name]}"), name)
+    raise AttributeError(f"module 'auv_gym' has no attribute {name!r}")
+
+
+def _register() -> None:
+    for name, entry_point in (
+        ("UnderactuatedAUVTrack-v0", "auv_gym.envs.track_env:UnderactuatedAUVTrackEnv"),
+        ("UnderactuatedAUVTrackResidual-v0", "baselines:make_residual_env"),
+    ):
+        if name not in gym.registry:
+            # The environment itself refuses bad actions and steps without reset, so no wrapper need watch it.
+            gym.register(name, entry_point, order_enforce=False, disable_env_checker=True)
+
+
+_register()

@@ -1,0 +1,58 @@
+"""Thruster and rudder: limits, first-order lag and rate limit of the surge force and the yaw torque."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from auv_gym.dynamics import Force
+from auv_gym.intervals import Interval, check_interval, check_number
+from auv_gym.namespaces import Namespace, Number
+
+
+@dataclass(frozen=True)
+class Actuators:
+    """Limits and speed of the two actuators; an action of +-1 commands the limit."""
+
+    F_u_max: float = 400.0  # [N]
+    F_r_max: float = 200.0  # [N m]
+    lag: Interval = 0.0  # [s] time constant of the first-order response of both
+    F_u_rate: float = math.inf  # [N/s]
+    F_r_rate: float = math.inf  # [N m/s]
+
+    def __post_init__(self) -> None:
+        check_number("actuators F_u_max", self.F_u_max, 1e-3, 8192)
+        check_number("actuators F_r_max", self.F_r_max, 1e-3, 4096)
+        check_interval("actuators lag", self.lag, 0)
+        check_number("actuators F_u_rate", self.F_u_rate, 1e-3)
+        check_number("actuators F_r_rate", self.F_r_rate, 1e-3)
+
+
+class Response(NamedTuple):
+    """One control step of the actuators: floats, or rows of shape (N,)."""
+
+    gain: Number  # share of the way to the command made in one step, 1 - exp(-dt/lag)
+    mean: Number  # mean of the change over the step, as a share of the change at its end
+    slew_u: Number  # [N] largest change in one step
+    slew_r: Number  # [N m]
+
+    @staticmethod
+    def of(lag: float, F_u_rate: float, F_r_rate: float, dt: float) -> Response:
+        """Return the exact discrete response for a command held over dt [s]; without lag a step acts at once."""
+        if lag == 0:
+            return Response(1.0, 1.0, F_u_rate * dt, F_r_rate * dt)
+        gain = -math.expm1(-dt / lag)
+        return Response(gain, (1 - lag / dt * gain) / gain, F_u_rate * dt, F_r_rate * dt)
+
+
+def respond(force: Force, command: Force, response: Response, ns: Namespace) -> tuple[Force, Force]:
+    """Return the mean force over one control step and the force at its end.
+
+    The mean keeps the impulse of the exponential response exact although the integrator holds the force.
+    """
+    F_u, F_r = force
+    gain, mean, slew_u, slew_r = response
+    change_u = ns.clip(gain * (command[0] - F_u), -slew_u, slew_u)
+    change_r = ns.clip(gain * (command[1] - F_r), -slew_r, slew_r)
+    return (F_u + mean * change_u, F_r + mean * change_r), (F_u + change_u, F_r + change_r)

@@ -1,0 +1,160 @@
+"""What the sea and a wrong model do: ocean current, waves as body forces, vehicle mismatch.
+
+Each disturbance has a `Random...` class, the distribution that a scenario names, whose `draw` gives the plain object
+that one episode meets.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from auv_gym.intervals import Interval, Uniform, check_interval, check_number, draw
+from auv_gym.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Current:
+    """An irrotational current, uniform in space: a mean plus a first-order Gauss-Markov gust on each axis.
+
+    The gust is an Ornstein-Uhlenbeck process smoothed by a first-order filter, as Fossen (2021, section 10.3) models
+    slowly varying currents.
+    """
+
+    V_x: float = 0.0  # [m/s] mean, in the world
+    V_y: float = 0.0  # [m/s]
+    gust: float = 0.0  # [m/s] standard deviation of the process on each axis, before smoothing
+    gust_time: float = 20.0  # [s] its correlation time
+    smoothing: float = 2.0  # [s] time constant of the filter behind it
+    cap: float = math.inf  # largest speed of mean plus gust, as a fraction of the path's slowest speed
+
+
+@dataclass(frozen=True)
+class RandomCurrent:
+    """Distribution of the current; speeds are fractions of the path's nominal speed, or [m/s] if not `relative`."""
+
+    speed: Interval = 0.0  # mean speed
+    direction: Interval = (-math.pi, math.pi)  # [rad] where the mean flows to
+    gust: float = 0.0  # standard deviation of the gust on each axis
+    gust_time: float = 20.0  # [s]
+    smoothing: float = 2.0  # [s]
+    cap: float = math.inf  # largest speed of mean plus gust, always as a fraction of the path's slowest speed
+    relative: bool = True
+
+    def __post_init__(self) -> None:
+        check_interval("current speed", self.speed, 0)
+        check_interval("current direction", self.direction)
+        check_number("current gust", self.gust, 0, 1e3)
+        check_number("current gust_time", self.gust_time, 1e-3, 1e6)
+        check_number("current smoothing", self.smoothing, 0, 1e6)
+        check_number("current cap", self.cap, 0)
+        if not isinstance(self.relative, bool):
+            raise ValueError(f"current relative is {self.relative!r}; it must be true or false")
+
+    def draw(self, uniform: Uniform, speed: float) -> Current:
+        """Return one current for a path of this nominal speed [m/s]."""
+        unit = speed if self.relative else 1.0
+        V, direction = draw(self.speed, uniform) * unit, draw(self.direction, uniform)
+        return Current(
+            V * math.cos(direction),
+            V * math.sin(direction),
+            self.gust * unit,
+            self.gust_time,
+            self.smoothing,
+            self.cap,
+        )
+
+
+@dataclass(frozen=True)
+class Waves:
+    """First-order wave forces on the hull: a sum of sines of equal amplitude on each axis."""
+
+    surge: float  # [N] root mean square
+    sway: float  # [N]
+    yaw: float  # [N m]
+    frequencies: tuple[float, ...]  # [rad/s]
+    phases: tuple[tuple[float, ...], ...]  # [rad], shape (3, number of frequencies)
+
+
+@dataclass(frozen=True)
+class RandomWaves:
+    """Distribution of the waves. The RMS forces are fractions of d11 U, d22 U and d33 U / (1 m) at path speed U."""
+
+    surge: float = 0.0
+    sway: float = 0.0
+    yaw: float = 0.0
+    band: tuple[float, float] = (0.5, 1.1)  # [rad/s]; one frequency is drawn in each of `components` equal parts
+    components: int = 6
+
+    def __post_init__(self) -> None:
+        for name in ("surge", "sway", "yaw"):
+            check_number(f"waves {name}", getattr(self, name), 0, 1e3)
+        if not isinstance(self.band, tuple):
+            raise ValueError(f"waves band is {self.band!r}; it must be a pair (low, high)")
+        check_interval("waves band", self.band, 1e-3, 1e2)
+        if isinstance(self.components, bool) or not isinstance(self.components, int) or not 1 <= self.components <= 12:
+            raise ValueError(f"waves components is {self.components!r}; it must be an integer in [1, 12]")
+
+    def draw(self, uniform: Uniform, speed: float, vehicle: Vehicle) -> Waves:
+        """Return one sea state for a path of this nominal speed [m/s] and the vehicle whose drag scales it."""
+        low, high = self.band
+        n = self.components
+        frequencies = tuple(low + (high - low) * (j + uniform()) / n for j in range(n))
+        phases = tuple(tuple(2 * math.pi * uniform() for _ in range(n)) for _ in range(3))
+        return Waves(
+            self.surge * vehicle.d11 * speed,
+            self.sway * vehicle.d22 * speed,
+            self.yaw * vehicle.d33 * speed,
+            frequencies,
+            phases,
+        )
+
+
+@dataclass(frozen=True)
+class RandomMismatch:
+    """Distribution of the true vehicle about the known one, as factors; m22 stays above m11."""
+
+    mass: Interval = 1.0  # on m11 and m22 together
+    ratio: Interval = 1.0  # on m22/m11
+    m33: Interval = 1.0
+    d11: Interval = 1.0
+    d22: Interval = 1.0
+    d33: Interval = 1.0
+    quadratic: Interval = 0.0  # adds this multiple of `quadratic_drag`
+    quadratic_drag: tuple[float, float, float] = (100.0, 200.0, 100.0)  # [kg/m], [kg/m], [kg m^2]
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "ratio", "m33", "d11", "d22", "d33"):
+            check_interval(f"mismatch {name}", getattr(self, name), 1e-3, 1e3)
+        check_interval("mismatch quadratic", self.quadratic, 0)
+        if len(self.quadratic_drag) != 3:
+            raise ValueError(f"mismatch quadratic_drag is {self.quadratic_drag!r}; it must be three numbers")
+        for value in self.quadratic_drag:
+            check_number("mismatch quadratic_drag", value, 0, 1e9)
+
+    def check(self, vehicle: Vehicle) -> None:
+        """Raise ValueError if some draw about this vehicle would have m22 <= m11."""
+        lowest = self.ratio[0] if isinstance(self.ratio, tuple) else self.ratio
+        if vehicle.m22 * lowest <= vehicle.m11:
+            raise ValueError(
+                f"mismatch ratio may fall to {lowest:g}, where m22/m11 = {vehicle.m22 / vehicle.m11 * lowest:.4g}; "
+                f"it must stay above {vehicle.m11 / vehicle.m22:.4g} for m22 > m11"
+            )
+
+    def draw(self, uniform: Uniform, vehicle: Vehicle) -> Vehicle:
+        """Return one true vehicle."""
+        mass, ratio, m33, d11, d22, d33, q = (
+            draw(x, uniform) for x in (self.mass, self.ratio, self.m33, self.d11, self.d22, self.d33, self.quadratic)
+        )
+        X_uu, Y_vv, N_rr = self.quadratic_drag
+        return Vehicle(
+            vehicle.m11 * mass,
+            vehicle.m22 * mass * ratio,
+            vehicle.m33 * m33,
+            vehicle.d11 * d11,
+            vehicle.d22 * d22,
+            vehicle.d33 * d33,
+            vehicle.X_uu + q * X_uu,
+            vehicle.Y_vv + q * Y_vv,
+            vehicle.N_rr + q * N_rr,
+        )

@@ -1,0 +1,280 @@
+"""The scalar environment: one vehicle, stepped on plain Python floats."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.error import ResetNeeded
+from numpy.typing import NDArray
+
+from auv_gym.episode import checked_options, with_options
+from auv_gym.namespaces import FLOATS
+from auv_gym.paths import Path
+from auv_gym.planner import Reference, plan
+from auv_gym.rendering import Renderer, View
+from auv_gym.scenario import Scenario, as_scenario
+from auv_gym.simulation import Parameters, ground_state, start, step
+from auv_gym.tape import Tape
+from auv_gym.task import BOUNDS, check_reference, encode_observation
+from auv_gym.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+BLOCK = 128  # control steps of tape read at once
+TRAIL = 1000  # past positions drawn at most
+
+
+class ReferencePoint(NamedTuple):
+    """The reference at one time."""
+
+    x: float  # [m]
+    y: float  # [m]
+    psi: float  # [rad]
+    u: float  # [m/s]
+    v: float  # [m/s]
+    r: float  # [rad/s]
+    F_u: float  # [N]
+    F_r: float  # [N m]
+
+
+class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]):
+    """A torpedo-shaped AUV without a side thruster follows a trajectory in the plane, on time.
+
+    ## Description
+    The vehicle of (1)-(2) in F. Repoulias and E. Papadopoulos, "Trajectory planning and tracking control of
+    underactuated AUVs", ICRA 2005. At every reset the planner of their section III makes a dynamically feasible
+    reference for the scenario's path, so that in calm water zero error is possible; current, waves, a vehicle other
+    than the known one, sensor errors and slow actuators stand against that as the scenario says.
+
+    ## Action Space
+    `Box(-1, 1, (2,), float32)`: commands as fractions of the actuators' limits. Values beyond are clipped.
+
+    | Num | Action        | Min | Max | Unit at 1 |
+    |-----|---------------|-----|-----|-----------|
+    | 0   | surge force F_u | -1 | 1  | `actuators.F_u_max` [N] |
+    | 1   | yaw torque F_r  | -1 | 1  | `actuators.F_r_max` [N m] |
+
+    ## Observation Space
+    `Box(-bound, bound, (17,), float64)`: the measured tracking errors in the body frame, the reference, and what the
+    controller knows of itself. Each term is divided by a fixed scale; `auv_gym.decode_observation` gives SI units back.
+
+    | Num | Term    | Unit  | Scale | Min    | Max   | Meaning |
+    |-----|---------|-------|-------|--------|-------|---------|
+    | 0   | e_x     | m     | 1     | -64    | 64    | position error along the surge axis |
+    | 1   | e_y     | m     | 1     | -64    | 64    | position error along the sway axis |
+    | 2   | psi_e   | rad   | 0.5   | -2 pi  | 2 pi  | heading error, wrapped to [-pi, pi) |
+    | 3   | u_e     | m/s   | 0.5   | -32    | 32    | surge velocity error over ground |
+    | 4   | v_e     | m/s   | 0.5   | -32    | 32    | sway velocity error over ground |
+    | 5   | r_e     | rad/s | 0.125 | -64    | 64    | yaw rate error |
+    | 6   | u_R     | m/s   | 0.5   | -32    | 32    | reference surge velocity |
+    | 7   | v_R     | m/s   | 0.5   | -32    | 32    | reference sway velocity |
+    | 8   | r_R     | rad/s | 0.125 | -64    | 64    | reference yaw rate |
+    | 9   | F_uR    | N     | 128   | -64    | 64    | reference surge force |
+    | 10  | F_rR    | N m   | 64    | -64    | 64    | reference yaw torque |
+    | 11  | cos_psi | 1     | 1     | -1     | 1     | cosine of the measured heading |
+    | 12  | sin_psi | 1     | 1     | -1     | 1     | sine of the measured heading |
+    | 13  | F_u_max | N     | 128   | -64    | 64    | surge force that action 1 commands |
+    | 14  | F_r_max | N m   | 64    | -64    | 64    | yaw torque that action 1 commands |
+    | 15  | a_u     | 1     | 1     | -1     | 1     | previous action, surge |
+    | 16  | a_r     | 1     | 1     | -1     | 1     | previous action, yaw |
+
+    ## Rewards
+    `1 / sqrt(1 + (e / error_scale)^2) - rate_weight |a_k - a_(k-1)|^2` with the true position error e: 1 for a perfect
+    step, positive everywhere at a steady action. The heading is not judged: under a current the crab angle is part of
+    the solution.
+
+    ## Starting State
+    On the reference at t = 0 plus the scenario's `start`: position and heading errors, and a surge velocity.
+
+    ## Episode End
+    - Termination: the vehicle is lost, farther than `lost_distance` from the reference.
+    - Truncation: `steps` control steps are over. It is counted inside; no `TimeLimit` wrapper is needed.
+
+    ## Information
+    `reset` and `step` return `position_error` [m] (true, of the centre of mass), `saturated` (an actuator was
+    commanded to its limit) and `time` [s]. Whoever measures reads `env.unwrapped`: `state`, `reference`, `force`,
+    `current`, `time`.
+
+    ## Arguments
+    - `scenario`: a `Scenario`, a dict of one, or a preset's name (`auv_gym.list_scenarios()`); default `paper-circle`.
+    - `vehicle`: a `Vehicle`, a dict, or a name, in place of the scenario's known vehicle.
+    - `control_dt`: control period [s] in place of the scenario's; the episode's duration stays.
+    - `render_mode`: `"human"`, `"rgb_array"` or None.
+
+    `reset(options=...)` takes `initial_error` (x_e, y_e [m], psi_e [rad]), `initial_velocity` (u, v [m/s], r [rad/s])
+    and `episode` (an `Episode` to run as it is).
+
+    ## Version History
+    - v0: initial version.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's own declaration is no ClassVar
+        "render_modes": ["human", "rgb_array"],
+        "render_fps": 10,
+    }
+
+    def __init__(
+        self,
+        scenario: Scenario | str | Mapping[str, Any] = "paper-circle",
+        vehicle: Vehicle | str | Mapping[str, Any] | None = None,
+        control_dt: float | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        """See the class; raises ValueError for whatever it does not know or cannot plan."""
+        self.scenario = as_scenario(scenario).changed(vehicle, control_dt)
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ValueError(
+                f"unknown render_mode {render_mode!r}; allowed are {self.metadata['render_modes']} and None"
+            )
+        self.render_mode: Any = render_mode
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1 / self.scenario.control_dt))}
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self.observation_space = gym.spaces.Box(-BOUNDS, BOUNDS, dtype=np.float64)
+        self._times: Array = self.scenario.control_dt * np.arange(self.scenario.steps + 1, dtype=np.float64)
+        self._planned: tuple[Path, Reference] | None = None
+        if isinstance(self.scenario.path, Path):
+            self._plan(self.scenario.path)
+        self._tape = Tape(1, BLOCK)
+        self._k = self.scenario.steps  # no episode yet
+        self._over = True
+        self._renderer: Renderer | None = None
+        self._trail: list[tuple[float, float]] = []
+
+    def _plan(self, path: Path) -> Reference:
+        """Return the reference for a path, remembering the last one: scenarios with a fixed path plan once."""
+        if self._planned is None or self._planned[0] != path:
+            act = self.scenario.actuators
+            reference = plan(path, self.scenario.vehicle, self._times, (act.F_u_max, act.F_r_max))
+            check_reference(reference.table)
+            self._planned = path, reference
+        return self._planned[1]
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+        """Start a new episode; see the class for the options, `gymnasium.Env.reset` for the seed."""
+        checked = checked_options(options)
+        super().reset(seed=seed)
+        episode = with_options(
+            checked["episode"] if "episode" in checked else self.scenario.draw(self.np_random), checked
+        )
+        reference = self._plan(episode.path)
+        self._tape.load(0, self.scenario, episode, reference.table)
+        self._read()
+        self._parameters = Parameters.of(
+            self.scenario.parameters(episode), self.scenario.sensors.low_pass is not None, self.scenario.substeps
+        )
+        sample = self._rows[0]
+        self._plant, terms = start(episode.initial_state(sample), sample, self._parameters, FLOATS)
+        self._k, self._row, self._over = 0, 0, False
+        error = math.hypot(episode.initial_error[0], episode.initial_error[1])
+        self._info = {"position_error": error, "saturated": False, "time": 0.0}
+        self._trail = [self._plant[:2]]
+        if self.render_mode == "human":
+            self.render()
+        return encode_observation(terms), self._info
+
+    def _read(self) -> None:
+        self._rows = self._tape.read((0,), BLOCK)[:, :, 0].tolist()
+        self._row = 0
+
+    def step(self, action: NDArray[np.floating[Any]]) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """Advance one control period; see `gymnasium.Env.step`.
+
+        Raises:
+            ValueError: the action is not two finite numbers; nothing has changed then.
+            ResetNeeded: the episode is over, or none has begun.
+        """
+        command = checked_action(action)
+        if self._over:
+            raise ResetNeeded("the episode is over, or none has begun: call reset() before step()")
+        self._k += 1
+        self._row += 1
+        if self._row == BLOCK:
+            self._read()
+        self._plant, terms, (reward, lost, squared_error, saturated) = step(
+            self._plant, command, self._rows[self._row], self._parameters, FLOATS
+        )
+        truncated = self._k == self.scenario.steps
+        self._over = truncated or lost
+        self._info = {
+            "position_error": math.sqrt(squared_error),
+            "saturated": saturated,
+            "time": self._k * self.scenario.control_dt,
+        }
+        if self.render_mode is not None:
+            self._trail.append(self._plant[:2])
+            if self.render_mode == "human":
+                self.render()
+        return encode_observation(terms), reward, lost, truncated, self._info
+
+    @property
+    def state(self) -> Array:
+        """x, y [m], psi [rad], u, v [m/s] over ground, r [rad/s]; shape (6,)."""
+        return np.array(ground_state(self._plant, self._rows[self._row], FLOATS))
+
+    @property
+    def reference(self) -> ReferencePoint:
+        """The reference at this time, SI units."""
+        return ReferencePoint(*self._rows[self._row][:8])
+
+    @property
+    def force(self) -> Array:
+        """F_u [N], F_r [N m] that the actuators apply at this time; shape (2,)."""
+        return np.array(self._plant[6:8])
+
+    @property
+    def current(self) -> Array:
+        """V_x, V_y [m/s] of the water in the world; shape (2,)."""
+        return np.array(self._rows[self._row][8:10])
+
+    @property
+    def time(self) -> float:
+        """Time since the reset [s]."""
+        return self._k * self.scenario.control_dt
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Draw the vehicle, its plan and the sea: an array (H, W, 3) of uint8, or None for a window."""
+        if self.render_mode is None:
+            gym.logger.warn('render() needs render_mode="human" or "rgb_array" in gym.make')
+            return None
+        if self._planned is None or not self._trail:
+            raise ResetNeeded("nothing to draw yet: call reset() before render()")
+        if self._renderer is None:
+            self._renderer = Renderer(self.render_mode, self.metadata["render_fps"])
+        plan_, act = self._planned[1], self.scenario.actuators
+        view = View(
+            time=self.time,
+            state=tuple(self.state.tolist()),
+            reference=self.reference[:3],
+            path=np.stack((plan_.x, plan_.y), axis=1),
+            trail=np.array(self._trail[-TRAIL:]),
+            current=tuple(self.current.tolist()),
+            force=tuple(self.force.tolist()),
+            force_limits=(act.F_u_max, act.F_r_max),
+            position_error=self._info["position_error"],
+            title=self.scenario.name,
+        )
+        return self._renderer.draw(view)
+
+    def close(self) -> None:
+        """Close the window, if any."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+
+def checked_action(action: Any) -> list[float]:
+    """Return an action as two Python floats.
+
+    Raises:
+        ValueError: it is not a numeric array or sequence of shape (2,), or not finite.
+    """
+    array = action if isinstance(action, np.ndarray) else np.asarray(action)
+    if array.dtype.kind in "fiu" and array.shape == (2,):
+        command: list[float] = array.tolist()
+        if math.isfinite(command[0]) and math.isfinite(command[1]):
+            return command
+    raise ValueError(f"action is {action!r}; it must be two finite numbers in [-1, 1], shape (2,)")

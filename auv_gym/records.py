@@ -1,0 +1,71 @@
+"""Frozen dataclasses to and from plain records of dicts, lists, numbers and strings, refusing what they do not know."""
+
+from __future__ import annotations
+
+import types
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+
+def to_record(instance: Any) -> dict[str, Any]:
+    """Return a dataclass as a dict, nested dataclasses and tuples included; fields at their default are left out."""
+    return {f.name: _plain(value) for f in fields(instance) if (value := getattr(instance, f.name)) != _default(f)}
+
+
+def _default(field: Any) -> Any:
+    return field.default_factory() if field.default_factory is not MISSING else field.default
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value):
+        return to_record(value)
+    return [_plain(v) for v in value] if isinstance(value, tuple) else value
+
+
+def from_record(cls: type[T], record: Any, where: str, special: Mapping[str, Callable[[Any], Any]] | None = None) -> T:
+    """Return the dataclass of a record; `special` converts fields whose type alone does not tell how.
+
+    Raises:
+        ValueError: the record is no mapping, has an unknown entry, lacks a required one, or an entry is refused by the
+            dataclass itself.
+    """
+    if not isinstance(record, Mapping):
+        raise ValueError(f"{where} is {record!r}; it must be a table of named values")
+    known = {f.name: f for f in fields(cls)}  # type: ignore[arg-type]
+    if unknown := [key for key in record if key not in known]:
+        raise ValueError(f"{where} has no entry {unknown[0]!r}; allowed are {', '.join(known)}")
+    required = [n for n, f in known.items() if f.default is MISSING and f.default_factory is MISSING]
+    if missing := [name for name in required if name not in record]:
+        raise ValueError(f"{where} lacks the entry {missing[0]!r}; required are {', '.join(required)}")
+    nested = _nested(cls)
+    values = {}
+    for name, value in record.items():
+        if special and name in special:
+            values[name] = special[name](value)
+        elif name in nested and not isinstance(value, nested[name]):
+            values[name] = None if value is None else from_record(nested[name], value, name)
+        else:
+            values[name] = _tupled(value)
+    try:
+        return cls(**values)
+    except TypeError as error:  # a comparison with a value of the wrong kind
+        raise ValueError(f"{where}: {error}") from error
+
+
+def _nested(cls: Any) -> dict[str, type]:
+    """Return the fields that hold another dataclass, perhaps optionally."""
+    found = {}
+    for name, hint in typing.get_type_hints(cls).items():
+        options = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
+        for option in options:
+            if is_dataclass(option) and isinstance(option, type):
+                found[name] = option
+    return found
+
+
+def _tupled(value: Any) -> Any:
+    return tuple(_tupled(v) for v in value) if isinstance(value, (list, tuple)) else value

@@ -1,0 +1,341 @@
+"""Scenario: a task as a distribution of episodes, composed of small frozen objects; presets; JSON and TOML files."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+
+from auv_gym.actuators import Actuators, Response
+from auv_gym.disturbances import Current, RandomCurrent, RandomMismatch, RandomWaves
+from auv_gym.episode import Episode
+from auv_gym.intervals import Interval, check_interval, check_number, draw
+from auv_gym.paths import PAPER_CIRCLE, PATHS, Path
+from auv_gym.records import from_record, to_record
+from auv_gym.sensors import Sensors
+from auv_gym.vehicle import PAPER_VEHICLE, VEHICLES, Vehicle
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+DRAWS = 96
+"""Uniform numbers reserved for one episode's parameters."""
+
+
+@dataclass(frozen=True)
+class RandomPath:
+    """Distribution of the path: a family, a nominal speed, and a member that turns no faster than `turn_rate`."""
+
+    speed: Interval  # [m/s]
+    turn_rate: float  # [rad/s]
+    families: tuple[str, ...] = ("line", "circle", "sine", "figure_eight", "random_smooth")
+
+    def __post_init__(self) -> None:
+        check_interval("path speed", self.speed, 1e-2)
+        check_number("path turn_rate", self.turn_rate, 1e-6, 1e2)
+        allowed = [name for name, cls in PATHS.items() if hasattr(cls, "drawn")]
+        for name in self.families:
+            if name not in allowed:
+                raise ValueError(f"unknown path family {name!r}; random members exist of {', '.join(allowed)}")
+        if not self.families:
+            raise ValueError(f"path families is empty; name at least one of {', '.join(allowed)}")
+
+
+@dataclass(frozen=True)
+class Start:
+    """Distribution of the initial state about the reference; errors take random signs if `random_signs`."""
+
+    x_e: Interval = 0.0  # [m] in the world
+    y_e: Interval = 0.0  # [m]
+    psi_e: Interval = 0.0  # [rad]
+    surge: Interval = 1.0  # surge velocity relative to the water, as a fraction of u_R; sway and yaw rate start at 0
+    random_signs: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("x_e", "y_e"):
+            check_interval(f"start {name}", getattr(self, name), -1e3, 1e3)
+        check_interval("start psi_e", self.psi_e, -math.pi, math.pi)
+        check_interval("start surge", self.surge, -10, 10)
+        if not isinstance(self.random_signs, bool):
+            raise ValueError(f"start random_signs is {self.random_signs!r}; it must be true or false")
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A task: path, vehicle, sea, sensors, actuators, start, clock and reward. Numbers may be intervals to draw from."""
+
+    name: str = "custom"
+    path: Path | RandomPath = PAPER_CIRCLE
+    vehicle: Vehicle = PAPER_VEHICLE  # the known one, which the plan is made for
+    mismatch: RandomMismatch | None = None  # None: the true vehicle is the known one
+    current: RandomCurrent | None = None
+    waves: RandomWaves | None = None
+    sensors: Sensors = field(default_factory=Sensors)
+    actuators: Actuators = field(default_factory=Actuators)
+    start: Start = field(default_factory=Start)
+    control_dt: float = 0.1  # [s] control period
+    steps: int = 1000  # control steps until truncation
+    substeps: int = 1  # Runge-Kutta steps in a control period
+    error_scale: float = 0.5  # [m] position error that halves the reward, about
+    rate_weight: float = 0.05  # reward lost per squared change of the action
+    lost_distance: float = 30.0  # [m] position error that terminates
+
+    def __post_init__(self) -> None:
+        if not self.name or not isinstance(self.name, str):
+            raise ValueError(f"scenario name is {self.name!r}; it must be a non-empty string")
+        check_number("control_dt", self.control_dt, 1e-3, 10)
+        for name, high in (("steps", 10**7), ("substeps", 1000)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= high:
+                raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")
+        check_number("error_scale", self.error_scale, 1e-6, 1e6)
+        check_number("rate_weight", self.rate_weight, 0, 1e6)
+        check_number("lost_distance", self.lost_distance, 1e-3, 64)
+        if self.mismatch is not None:
+            self.mismatch.check(self.vehicle)
+        if isinstance(self.path, Path) and self.path.end < self.duration:
+            raise ValueError(
+                f"the path ends at {self.path.end:.6g} s, before the episode does at {self.duration:.6g} s; "
+                "lower steps or control_dt, or make the path longer"
+            )
+
+    @property
+    def duration(self) -> float:
+        """Length of an episode [s]."""
+        return self.steps * self.control_dt
+
+    def draw(self, rng: np.random.Generator) -> Episode:
+        """Return one episode; the generator advances by the same amount for every episode."""
+        uniform = iter(rng.random(DRAWS).tolist()).__next__
+        noise_seed = int(rng.integers(2**63))
+        path = self.path
+        if isinstance(path, RandomPath):
+            family = PATHS[path.families[int(uniform() * len(path.families))]]
+            path = family.drawn(draw(path.speed, uniform), path.turn_rate, uniform)  # type: ignore[attr-defined]
+        vehicle = self.mismatch.draw(uniform, self.vehicle) if self.mismatch else self.vehicle
+        start = self.start
+        error = [draw(x, uniform) for x in (start.x_e, start.y_e, start.psi_e)]
+        if start.random_signs:
+            error = [e if uniform() < 0.5 else -e for e in error]
+        return Episode(
+            path=path,
+            vehicle=vehicle,
+            current=self.current.draw(uniform, path.speed) if self.current else Current(),
+            waves=self.waves.draw(uniform, path.speed, self.vehicle) if self.waves else None,
+            bias=self.sensors.draw_bias(uniform),
+            lag=draw(self.actuators.lag, uniform),
+            initial_error=(error[0], error[1], error[2]),
+            surge=draw(start.surge, uniform),
+            noise_seed=noise_seed,
+        )
+
+    def changed(
+        self, vehicle: Vehicle | str | Mapping[str, Any] | None = None, control_dt: float | None = None
+    ) -> Scenario:
+        """Return the scenario with another known vehicle or control period; the duration stays the same.
+
+        Raises:
+            ValueError: the vehicle is unknown, or the period is no number or longer than the episode.
+        """
+        scenario = self
+        if vehicle is not None:
+            scenario = replace(scenario, vehicle=as_vehicle(vehicle))
+        if control_dt is not None:
+            check_number("control_dt", control_dt, 1e-3, min(10.0, self.duration))
+            scenario = replace(scenario, control_dt=float(control_dt), steps=round(self.duration / control_dt))
+        return scenario
+
+    def parameters(self, episode: Episode) -> tuple[float, ...]:
+        """Return the constants of an episode in the order of `simulation.Parameters`, its numbers only."""
+        act = self.actuators
+        return (
+            self.control_dt,
+            *episode.vehicle.coefficients,
+            act.F_u_max,
+            act.F_r_max,
+            *Response.of(episode.lag, act.F_u_rate, act.F_r_rate, self.control_dt),
+            self.sensors.filter_gain(self.control_dt),
+            self.error_scale,
+            self.rate_weight,
+            self.lost_distance,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the scenario as plain dicts, lists, numbers and strings; fields at their default are left out."""
+        record = to_record(self)
+        if not isinstance(self.path, RandomPath):
+            family = next((name for name, cls in PATHS.items() if type(self.path) is cls), None)
+            if family is None:
+                raise ValueError(f"{type(self.path).__name__} is not in auv_gym.paths.PATHS, so it cannot be written")
+            record["path"] = {"family": family, **to_record(self.path)}
+        return {"name": self.name, **record}
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any]) -> Scenario:
+        """Return the scenario of a dict as `to_dict` gives it; `vehicle` may also be a name.
+
+        Raises:
+            ValueError: an unknown or wrong entry, named together with what is allowed.
+        """
+        return from_record(cls, record, "scenario", {"path": _path_of, "vehicle": as_vehicle})
+
+    def save(self, file: str | FilePath) -> None:
+        """Write the scenario to a .json or .toml file."""
+        file = FilePath(file)
+        if _suffix(file) == ".json":
+            text = json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
+        else:
+            import tomli_w
+
+            text = tomli_w.dumps(self.to_dict())
+        file.write_text(text, encoding="utf-8")
+
+    @classmethod
+    def load(cls, file: str | FilePath) -> Scenario:
+        """Return the scenario of a .json or .toml file.
+
+        Raises:
+            ValueError: the file is of another kind, is not valid JSON or TOML, or has an unknown or wrong entry.
+            OSError: the file cannot be read.
+        """
+        file = FilePath(file)
+        suffix = _suffix(file)
+        text = file.read_text(encoding="utf-8")
+        try:
+            record = json.loads(text) if suffix == ".json" else tomllib.loads(text)
+        except ValueError as error:  # both decoders' errors are ValueErrors
+            raise ValueError(f"{file} is not valid {suffix[1:].upper()}: {error}") from error
+        try:
+            return cls.from_dict(record)
+        except ValueError as error:
+            raise ValueError(f"{file}: {error}") from error
+
+
+def _suffix(file: FilePath) -> str:
+    if file.suffix not in (".json", ".toml"):
+        raise ValueError(f"scenario file {file} ends in {file.suffix!r}; it must end in .json or .toml")
+    return file.suffix
+
+
+def _path_of(record: Any) -> Path | RandomPath:
+    if not isinstance(record, Mapping):
+        raise ValueError(f"scenario path is {record!r}; it must be a table with a family, or with speed and turn_rate")
+    if "family" not in record:
+        return from_record(RandomPath, record, "path")
+    rest = dict(record)
+    family = rest.pop("family")
+    if family not in PATHS:
+        raise ValueError(f"unknown path family {family!r}; allowed are {', '.join(PATHS)}")
+    return from_record(PATHS[family], rest, f"path {family}")
+
+
+def as_vehicle(vehicle: Vehicle | str | Mapping[str, Any]) -> Vehicle:
+    """Return a vehicle given as an object, by a name in `VEHICLES`, or as a dict of its parameters."""
+    if isinstance(vehicle, Vehicle):
+        return vehicle
+    if isinstance(vehicle, Mapping):
+        return from_record(Vehicle, vehicle, "vehicle")
+    if isinstance(vehicle, str) and vehicle in VEHICLES:
+        return VEHICLES[vehicle]
+    raise ValueError(f"unknown vehicle {vehicle!r}; allowed are a Vehicle, a dict, or one of {', '.join(VEHICLES)}")
+
+
+def as_scenario(scenario: Scenario | str | Mapping[str, Any]) -> Scenario:
+    """Return a scenario given as an object, by a preset's name, or as a dict."""
+    if isinstance(scenario, Scenario):
+        return scenario
+    if isinstance(scenario, Mapping):
+        return Scenario.from_dict(scenario)
+    if isinstance(scenario, str) and scenario in PRESETS:
+        return PRESETS[scenario]
+    raise ValueError(f"unknown scenario {scenario!r}; allowed are a Scenario, a dict, or one of {', '.join(PRESETS)}")
+
+
+@dataclass(frozen=True)
+class _Regime:
+    """What distinguishes the paper's slow speeds from an AUV's cruise."""
+
+    path: RandomPath
+    control_dt: float
+    limits: tuple[float, float]  # [N], [N m]
+    tight_limits: tuple[float, float]
+    start: float  # [m] position offset on each axis
+    noise: Sensors
+    yaw_waves: float
+    quadratic: float
+    error_scale: float
+    lost_distance: float
+
+
+_REGIMES = {
+    "slow": _Regime(
+        RandomPath(speed=(0.1, 0.3), turn_rate=0.04), 0.2, (100.0, 50.0), (40.0, 20.0), 0.3,
+        Sensors(position=0.03, heading=0.015, velocity=0.01, yaw_rate=0.004), 0.04, 1.0, 0.2, 10.0,
+    ),
+    "cruise": _Regime(
+        RandomPath(speed=(0.5, 1.5), turn_rate=0.12), 0.1, (400.0, 200.0), (250.0, 100.0), 1.0,
+        Sensors(position=0.05, heading=0.015, velocity=0.02, yaw_rate=0.005), 0.12, 0.4, 0.5, 30.0,
+    ),
+}  # fmt: skip
+CASES = ("calm", "noise", "current", "gauss-markov", "waves", "mismatch", "actuator", "storm")
+
+
+def _preset(regime: str, case: str) -> Scenario:
+    g = _REGIMES[regime]
+    limits = g.limits
+    lag: Interval = 0.0
+    changes: dict[str, Any] = {}
+    if case in ("noise", "storm"):
+        changes["sensors"] = g.noise
+    if case == "current":
+        changes["current"] = RandomCurrent(speed=(0.15, 0.4))
+    if case in ("gauss-markov", "storm"):
+        changes["current"] = RandomCurrent(speed=(0.105, 0.28), gust=0.12, cap=0.75)
+    if case in ("waves", "storm"):
+        share = 0.6 if case == "storm" else 1.0
+        changes["waves"] = RandomWaves(surge=0.35 * share, sway=0.2 * share, yaw=g.yaw_waves * share)
+    if case in ("mismatch", "storm"):
+        changes["mismatch"] = RandomMismatch(
+            (0.8, 1.2), (0.94, 1.06), (0.8, 1.2), (0.8, 1.2), (0.8, 1.2), (0.8, 1.2), (0.0, g.quadratic)
+        )
+    if case == "actuator":
+        limits, lag = g.tight_limits, (0.2, 0.6)
+    if case == "storm":
+        lag = (0.12, 0.36)
+    s = (-g.start, g.start)
+    return Scenario(
+        name=f"{regime}-{case}",
+        path=g.path,
+        actuators=Actuators(*limits, lag=lag),
+        start=Start(x_e=s, y_e=s, psi_e=(-0.35, 0.35), surge=(0.3, 1.0)),
+        control_dt=g.control_dt,
+        steps=600,
+        error_scale=g.error_scale,
+        lost_distance=g.lost_distance,
+        **changes,
+    )
+
+
+PAPER_SCENARIO = Scenario(
+    name="paper-circle",
+    start=Start(x_e=0.5, y_e=1.0, psi_e=math.radians(20.0), surge=0.0, random_signs=True),
+    error_scale=0.2,
+    lost_distance=10.0,
+)
+"""Section V: the 10 m circle at 0.1 m/s, from rest and 0.5 m, 1 m, 20 deg off, in any of the eight signs."""
+
+PRESETS = {s.name: s for s in (PAPER_SCENARIO, *(_preset(regime, case) for regime in _REGIMES for case in CASES))}
+"""Scenarios by name: add an entry here to use it as `gym.make(..., scenario=NAME)`."""
+
+
+def list_scenarios() -> list[str]:
+    """Return the names of the presets."""
+    return list(PRESETS)

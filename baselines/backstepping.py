@@ -1,0 +1,219 @@
+"""The paper's tracking law, section IV, as a pure function of the observation; its speed-normalised form; V1..V4.
+
+The law is (21), (22), (34), (40) and (47) as printed. What is known of its stability is local: eigenvalues of the loop
+linearised about steady motion, and simulations. The paper's proof has a gap after (48), where the conditions on the
+gains contradict each other, so no form of the law is claimed to be globally stable; docs/theory.md says more.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_gym.intervals import check_number
+from auv_gym.namespaces import ARRAYS, FLOATS, Namespace, Number
+from auv_gym.scenario import as_vehicle
+from auv_gym.task import decoded_terms
+from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+
+
+class StabilityWarning(UserWarning):
+    """The law is asked to run at a speed for which its gains are not known to be stable."""
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Gains of the law, named as in the paper, and the forward speeds for which they are stable.
+
+    Stable: every steady circle with |turn rate| <= 0.3 rad/s, straight lines included, is exponentially stable for the
+    paper's vehicle at all speeds from 0.05 m/s to `max_speed`.
+    """
+
+    k: float  # [1/s] position
+    k1: float  # [1/s] position, nonlinear damping
+    cu: float  # [1/s] surge
+    ku: float  # [s] surge, nonlinear damping
+    c: float  # [1/s] yaw
+    kc: float  # [s/m^2] yaw, nonlinear damping
+    cr: float  # [1/s] heading
+    max_speed: float = math.inf  # [m/s]
+    reference_speed: float | None = None  # [m/s] U0 of the speed-normalised form; None: as printed
+
+    def __post_init__(self) -> None:
+        for field in fields(self)[:7]:
+            check_number(f"gain {field.name}", getattr(self, field.name), 0, 1e6)
+        if self.reference_speed is not None:
+            check_number("gain reference_speed", self.reference_speed, 1e-6, 1e6)
+
+
+GAINS = {
+    # Section V. Straight lines are stable up to 0.4970 m/s.
+    "paper": Gains(k=0.5, k1=0.7, cu=0.5, ku=0.7, c=0.6, kc=0.6, cr=0.1, max_speed=0.49),
+    # Tuned for the smallest tail error over the cruise scenarios.
+    "cruise": Gains(k=0.918, k1=0.335, cu=0.028, ku=1.016, c=1.189, kc=0.102, cr=0.478, max_speed=2.0),
+    # Tuned for the largest decay rate over speeds of 0.1 ... 2 m/s and turn rates up to 0.3 rad/s.
+    "robust": Gains(k=0.1408, k1=1.1192, cu=0.0059, ku=0.0731, c=1.1634, kc=0.0032, cr=0.5062, max_speed=2.0),
+    # The paper's gains at the paper's speed of 0.1 m/s, and the same scaled error dynamics at every other speed.
+    "normalised-paper": Gains(k=0.5, k1=0.7, cu=0.5, ku=0.7, c=0.6, kc=0.6, cr=0.1, reference_speed=0.1),
+    # Sway-yaw loop stable at every speed, so that an error cannot spin the vehicle up: (c + cr) d22/m22 > 1/(4 c cr).
+    "normalised": Gains(k=0.4, k1=0.7, cu=0.23, ku=0.0, c=2.0, kc=0.0, cr=0.155, reference_speed=0.1),
+}
+"""Gain sets by name, each with its origin."""
+
+CRUISE_SPEED = 0.4
+"""Reference speed [m/s] from which the expert uses the cruise gains."""
+MIN_SPEED = 0.02
+"""Floor [m/s] under the reference speed that the normalised form and the bounded error divide by."""
+
+
+class BacksteppingErrors(NamedTuple):
+    """What backstepping drives to zero, and the factor g that multiplies the yaw rate in (28c)."""
+
+    z_u: Number  # [m/s] (28b)
+    z_v: Number  # [m/s] (28c), times U0/U in the normalised form
+    z_r: Number  # [rad/s] (44c)
+    g: Number  # [m/s] m11 u / m22, times U0/U in the normalised form
+
+
+def backstepping_errors(o: Sequence[Number], mass_ratio: float, gains: Gains, ns: Namespace) -> BacksteppingErrors:
+    """Return z_u, z_v, z_r and g from an observation in SI units and m11/m22."""
+    e_x, e_y, psi_e, u_e, v_e, r_e, u_R, v_R = o[:8]
+    kap = gains.k + gains.k1
+    z_v, g = v_e + kap * e_y, mass_ratio * (u_R + u_e)  # (26): alpha = -R^T (K + K_1) x_e
+    if gains.reference_speed is not None:
+        scale = gains.reference_speed / ns.sqrt(ns.clip(u_R * u_R + v_R * v_R, MIN_SPEED * MIN_SPEED, math.inf))
+        z_v, g = scale * z_v, scale * g
+    return BacksteppingErrors(u_e + kap * e_x, z_v, r_e - gains.cr * (g * z_v - psi_e), g)  # (40)
+
+
+def tracking_forces(
+    o: Sequence[Number], vehicle: Vehicle, gains: Gains, ns: Namespace = FLOATS
+) -> tuple[Number, Number]:
+    """Return F_u [N], F_r [N m] of the tracking law from an `Observation` in SI units, or its terms in that order."""
+    m11, m22, m33, cr = vehicle.m11, vehicle.m22, vehicle.m33, gains.cr
+    z_u, z_v, z_r, g = backstepping_errors(o, m11 / m22, gains, ns)
+    _, _, psi_e, u_e, v_e, r_e, u_R, v_R, r_R, F_uR, F_rR = o[:11]
+    kap = gains.k + gains.k1
+    tau_u = -kap * u_e - (gains.cu + gains.ku * kap * kap) * z_u  # (34)
+    tau_r = -z_v - psi_e - cr * (g * g + 1) * r_e - (gains.c + gains.kc * cr * cr * g * g) * z_r  # (47)
+    u, v, r = u_R + u_e, v_R + v_e, r_R + r_e
+    return (
+        F_uR + vehicle.d11 * u_e - m22 * (v * r - v_R * r_R) + m11 * tau_u,  # (21)
+        F_rR + vehicle.d33 * r_e + (m22 - m11) * (u * v - u_R * v_R) + m33 * tau_r,  # (22)
+    )
+
+
+def lyapunov_terms(
+    o: Sequence[Number], vehicle: Vehicle, gains: Gains, ns: Namespace = FLOATS
+) -> tuple[Number, Number, Number, Number]:
+    """Return V1 (25), V2 (29), V3 (38), V4 (45). They are diagnostics: V4 may grow even where the loop is stable."""
+    z_u, z_v, z_r, _ = backstepping_errors(o, vehicle.m11 / vehicle.m22, gains, ns)
+    e_x, e_y, psi_e = o[:3]
+    V1 = 0.5 * (e_x * e_x + e_y * e_y)
+    V2 = V1 + 0.5 * z_u * z_u
+    V3 = V2 + 0.5 * (z_v * z_v + psi_e * psi_e)
+    return V1, V2, V3, V3 + 0.5 * z_r * z_r
+
+
+def bounded_error(o: Sequence[Number], horizon: float, ns: Namespace = FLOATS) -> Sequence[Number]:
+    """Return the observation with its position error e replaced by e / sqrt(1 + |e|^2 / (horizon U)^2).
+
+    U is the reference speed and `horizon` [s] the time in which the vehicle would travel the largest error that the law
+    still sees; that bounds the heading it asks for and its forces.
+    """
+    e_x, e_y, *rest = o
+    u_R, v_R = o[6], o[7]
+    U2 = ns.clip(u_R * u_R + v_R * v_R, MIN_SPEED * MIN_SPEED, math.inf)
+    shrink = 1 / ns.sqrt(1 + (e_x * e_x + e_y * e_y) / (horizon * horizon * U2))
+    return shrink * e_x, shrink * e_y, *rest
+
+
+class Backstepping:
+    """The tracking law as a policy with Stable-Baselines3's `predict`, for one observation or a batch.
+
+    Args:
+        gains: a `Gains`, a name in `GAINS`, or "auto": the paper's gains where the reference is slower than
+            `CRUISE_SPEED`, the cruise gains elsewhere.
+        vehicle: the vehicle that the law believes in; an object, a name or a dict.
+        horizon: bound on the position error as a travel time [s], see `bounded_error`; None: no bound.
+
+    Raises:
+        ValueError: unknown gains or vehicle, or a horizon that is not positive.
+    """
+
+    def __init__(
+        self,
+        gains: Gains | str = "auto",
+        vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE,
+        horizon: float | None = None,
+    ) -> None:
+        if isinstance(gains, str):
+            if gains not in GAINS and gains != "auto":
+                raise ValueError(f"unknown gains {gains!r}; allowed are a Gains, auto, {', '.join(GAINS)}")
+            self._slow, self._fast = (GAINS["paper"], GAINS["cruise"]) if gains == "auto" else (GAINS[gains],) * 2
+        else:
+            self._slow = self._fast = gains
+        self.vehicle = as_vehicle(vehicle)
+        if horizon is not None:
+            check_number("horizon", horizon, 1e-3, 1e6)
+        self.horizon = horizon
+        self._max_speed = self._fast.max_speed
+        self._warned = False
+
+    def forces(self, o: Sequence[Number], ns: Namespace = FLOATS) -> tuple[Number, Number]:
+        """Return F_u [N], F_r [N m] for an `Observation` in SI units, or its terms in that order."""
+        if self.horizon is not None:
+            o = bounded_error(o, self.horizon, ns)
+        if self._slow is self._fast:
+            return tracking_forces(o, self.vehicle, self._fast, ns)
+        fast = o[6] * o[6] + o[7] * o[7] > CRUISE_SPEED * CRUISE_SPEED
+        if isinstance(fast, bool):
+            return tracking_forces(o, self.vehicle, self._fast if fast else self._slow, ns)
+        slow_forces, fast_forces = (tracking_forces(o, self.vehicle, g, ns) for g in (self._slow, self._fast))
+        return ns.where(fast, fast_forces[0], slow_forces[0]), ns.where(fast, fast_forces[1], slow_forces[1])
+
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
+        """Return the action for an observation of shape (17,), or actions (N, 2) for (N, 17), and `state` untouched.
+
+        The law has no memory; the arguments behind the first are those of every policy. Wider observations, as the
+        residual environment's, are fine.
+
+        Raises:
+            ValueError: the observation has another shape.
+        """
+        o = decoded_terms(observation)
+        if observation.ndim == 1:
+            if o[6] > self._max_speed:
+                self._warn(o[6])
+            F_u, F_r = self.forces(o)
+            return np.array((_clip(F_u / o[13]), _clip(F_r / o[14])), dtype=np.float32), state
+        if (u_R := float(o[6].max(initial=0.0))) > self._max_speed:
+            self._warn(u_R)
+        F_u, F_r = self.forces(o, ARRAYS)
+        return np.clip(np.stack((F_u / o[13], F_r / o[14]), axis=1), -1.0, 1.0).astype(np.float32), state
+
+    def _warn(self, u_R: float) -> None:
+        if not self._warned:
+            self._warned = True
+            warnings.warn(
+                f"these gains are stable up to {self._max_speed:g} m/s, the reference runs at {u_R:.3g} m/s: "
+                "expect growing oscillations; gains 'auto', 'robust' or 'normalised' go further",
+                StabilityWarning,
+                stacklevel=3,
+            )
+
+
+def _clip(action: float) -> float:
+    return -1.0 if action < -1.0 else 1.0 if action > 1.0 else action

@@ -1,0 +1,117 @@
+"""An evaluation from request to report: runs, progress, tables, files."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from baselines.command_line import DONE, FAILED
+from baselines.evaluation.paper import Reproduction, reproduce
+from baselines.evaluation.report import (
+    Result,
+    compare,
+    console,
+    reproduction_tables,
+    results_csv,
+    results_json,
+    results_table,
+    write_atomically,
+)
+from baselines.evaluation.request import Request
+from baselines.evaluation.runner import Run, run_all
+
+__all__ = ["Request", "evaluate"]
+
+
+def evaluate(request: Request) -> int:
+    """Run an evaluation, print its tables, write its files and return the exit status.
+
+    Progress goes to stderr: a bar on a terminal, else a line for each policy and scenario.
+    """
+    reproduction = None
+    with _progress(request) as report:
+        if request.suite == "paper":
+            reproduction = reproduce(report.message)
+        runs = run_all(
+            request.policies,
+            request.scenarios,
+            request.episodes,
+            request.seed,
+            request.jobs,
+            report.run,
+            report.episodes,
+        )
+        report.message("plots")
+        results = compare(runs)
+        try:
+            _write(request, results, reproduction)
+        except OSError as error:
+            print(f"cannot write to {request.out}: {error.strerror}", file=sys.stderr)
+            return FAILED
+    _print(request, results, reproduction)
+    return FAILED if any(run.error for run in runs) else DONE
+
+
+def _write(request: Request, results: list[Result], reproduction: Reproduction | None) -> None:
+    from baselines.evaluation.plots import evaluation_figures
+
+    write_atomically(request.out / "results.json", results_json(request, results, reproduction))
+    write_atomically(request.out / "results.csv", results_csv(results))
+    figures = evaluation_figures(results)
+    if reproduction is not None:
+        from baselines.evaluation.paper_figures import paper_figures
+
+        figures |= paper_figures(reproduction)
+    for name, png in figures.items():
+        write_atomically(request.out / f"{name}.png", png)
+
+
+def _print(request: Request, results: list[Result], reproduction: Reproduction | None) -> None:
+    out, err = console(), Console(stderr=True, highlight=False, soft_wrap=True)
+    for table in reproduction_tables(reproduction) if reproduction else []:
+        out.print(table)
+    out.print(results_table(results))
+    out.print(f"Wrote results.json, results.csv and plots to {request.out}", soft_wrap=True)
+    notes = dict.fromkeys((result.run.policy, message) for result in results for message in result.run.warnings)
+    for policy, message in notes:
+        err.print(f"note: {policy}: {message}", markup=False)
+    for result in results:
+        if result.run.error:
+            err.print(f"failed: {result.run.policy} in {result.run.scenario.name}, {result.run.error}", markup=False)
+
+
+@dataclass(frozen=True)
+class _Listener:
+    """Where progress is told."""
+
+    message: Callable[[str], None]
+    run: Callable[[Run], None]
+    episodes: Callable[[int], None]
+
+
+@contextmanager
+def _progress(request: Request) -> Iterator[_Listener]:
+    err = Console(stderr=True, highlight=False)
+    total = len(request.policies) * len(request.scenarios)
+    if not err.is_terminal:
+        done = iter(range(1, total + 1))
+
+        def line(run: Run) -> None:
+            state = "failed" if run.error else "done"
+            print(f"[{next(done)}/{total}] {run.policy} in {run.scenario.name}: {state}", file=sys.stderr, flush=True)
+
+        yield _Listener(lambda text: print(text, file=sys.stderr, flush=True), line, lambda _: None)
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=err, transient=True) as bar:
+        task = bar.add_task("episodes", total=total * request.episodes)
+        yield _Listener(
+            lambda text: bar.update(task, description=text),
+            lambda run: bar.update(task, description=f"{run.policy} in {run.scenario.name}"),
+            lambda n: bar.advance(task, n),
+        )

@@ -1,0 +1,56 @@
+"""Score controllers and agents: `python evaluate.py --help`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from baselines.command_line import parse, run
+
+PROGRAM = "evaluate.py"
+
+
+@dataclass(frozen=True)
+class Options:
+    """Run policies through scenarios with paired seeds; print the table, write results.json, results.csv and plots.
+
+    The expert, backstepping, always runs too: it is the yardstick of effort and smoothness. Exit status: 0 done, 1 a
+    policy failed or the results could not be written, 2 wrong usage.
+    """
+
+    policy: tuple[str, ...] = ()
+    """Policies by name; without any, the expert alone."""
+    suite: str | None = None
+    """A named set of scenarios: "presets" (the default, every preset), or "paper", which also recomputes the numbers and
+    figures of the paper."""
+    scenario: tuple[str, ...] = ()
+    """Scenarios in place of a suite: names of presets, or .toml and .json files."""
+    episodes: int = 20
+    """Episodes of each policy in each scenario."""
+    seed: int = 0
+    """Seed of the first episode; episode i has seed + i, whatever the policy."""
+    jobs: int | None = None
+    """Worker processes; the results are the same for any number. Default: 2, or 1 on a single processor."""
+    out: Path = Path("runs/evaluate")
+    """Folder for the results."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Evaluate as the arguments say and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    from baselines.evaluation.command import Request, evaluate
+
+    request = Request.of(
+        options.policy, options.suite, options.scenario, options.episodes, options.seed, options.jobs, options.out
+    )
+    return evaluate(request)
+
+
+if __name__ == "__main__":
+    sys.exit(run(main, PROGRAM))

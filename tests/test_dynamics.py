@@ -1,0 +1,120 @@
+"""Equations of motion: against the matrix form, the paper's symbols, other kinds of number and their own symmetries."""
+
+import math
+
+import numpy as np
+import pytest
+import sympy as sp
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from matrix_form import matrix_form
+from scipy.integrate import solve_ivp
+
+from auv_gym.dynamics import rates, rk4_step, state_rates
+from auv_gym.errors import to_body
+from auv_gym.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+
+ROUGH = Vehicle(215.0, 265.0, 80.0, 70.0, 100.0, 50.0, X_uu=40.0, Y_vv=150.0, N_rr=60.0)
+VEHICLES = pytest.mark.parametrize("vehicle", [PAPER_VEHICLE, ROUGH], ids=["linear", "quadratic"])
+START, LOAD, CURRENT = (1.0, -2.0, 0.5, 0.8, -0.2, 0.3), (120.0, -15.0, 20.0), (0.2, -0.1)
+
+unit = st.floats(-1.0, 1.0)
+states = st.tuples(*[unit.map(lambda q, top=top: top * q) for top in (50, 50, 4, 2, 2, 1)])
+loads = st.tuples(*[unit.map(lambda q, top=top: top * q) for top in (400, 100, 200)])
+
+
+def roll(state, load, vehicle, seconds, dt, current=(0.0, 0.0)):
+    for _ in range(round(seconds / dt)):
+        state = rk4_step(state, load, vehicle.coefficients, dt, current)
+    return np.array(state)
+
+
+@given(states, loads)
+@VEHICLES
+def test_rates_are_those_of_the_matrix_form(vehicle, state, load):
+    got = state_rates(state, load, vehicle.coefficients, CURRENT)
+    np.testing.assert_allclose(got, matrix_form(state, load, vehicle, CURRENT), rtol=1e-12, atol=1e-12)
+
+
+@VEHICLES
+def test_rollout_agrees_with_a_tight_integrator_of_the_matrix_form(vehicle):
+    exact = solve_ivp(
+        lambda t, state: matrix_form(state, LOAD, vehicle, CURRENT),
+        (0, 20),
+        START,
+        method="DOP853",
+        rtol=1e-12,
+        atol=1e-12,
+    )
+    np.testing.assert_allclose(roll(START, LOAD, vehicle, 20, 0.01, CURRENT), exact.y[:, -1], rtol=0, atol=1e-9)
+
+
+@VEHICLES
+def test_error_falls_with_the_fourth_power_of_the_step(vehicle):
+    exact = roll(START, LOAD, vehicle, 4, 0.005)
+    coarse, fine = (np.abs(roll(START, LOAD, vehicle, 4, dt) - exact).max() for dt in (0.1, 0.05))
+    assert math.log2(coarse / fine) == pytest.approx(4, abs=0.3)
+
+
+def test_rates_are_the_papers_equations():
+    psi, u, v, r, X, Y, N = sp.symbols("psi u v r F_u Y F_r", real=True)
+    m11, m22, m33, d11, d22, d33, *quadratic = c = Coefficients(*sp.symbols(Coefficients._fields, positive=True))
+    paper = (
+        u * sp.cos(psi) - v * sp.sin(psi),  # (1a)
+        u * sp.sin(psi) + v * sp.cos(psi),  # (1b)
+        m22 / m11 * v * r - d11 / m11 * u + X / m11,  # (2a)
+        -m11 / m22 * u * r - d22 / m22 * v,  # (2b)
+        (m11 - m22) / m33 * u * v - d33 / m33 * r + N / m33,  # (2c)
+    )
+    got = rates(psi, u, v, r, (X, Y, N), c, ns=sp)
+    as_in_the_paper = dict.fromkeys([Y, *quadratic], 0)
+    assert [sp.simplify(a.subs(as_in_the_paper) - b) for a, b in zip(got, paper, strict=True)] == [0] * 5
+    beyond = [0, 0, -c.X_uu * abs(u) * u / m11, (Y - c.Y_vv * abs(v) * v) / m22, -c.N_rr * abs(r) * r / m33]
+    assert [sp.simplify(a - b - e) for a, b, e in zip(got, paper, beyond, strict=True)] == [0] * 5
+
+
+def test_floats_arrays_and_tensors_agree():
+    rng = np.random.default_rng(0)
+    state, load = rng.normal(size=(6, 7)), 50 * rng.normal(size=(3, 7))
+    arguments = ROUGH.coefficients, 0.1, CURRENT
+    alone = [rk4_step(tuple(s), tuple(f), *arguments) for s, f in zip(state.T.tolist(), load.T.tolist(), strict=True)]
+    together = rk4_step(tuple(state), tuple(load), *arguments, ns=np)
+    tensors = rk4_step(tuple(torch.tensor(state)), tuple(torch.tensor(load)), *arguments, ns=torch)
+    np.testing.assert_allclose(np.array(together).T, alone, rtol=1e-14, atol=1e-15)
+    np.testing.assert_allclose(torch.stack(tensors).numpy().T, alone, rtol=1e-14, atol=1e-15)
+
+
+@given(states)
+@VEHICLES
+def test_kinetic_energy_falls_by_the_work_of_drag(vehicle, state):
+    m11, m22, m33, *drag = vehicle.coefficients
+    _, _, _, u, v, r = state
+    rate = state_rates(state, (0.0, 0.0, 0.0), vehicle.coefficients)
+    power = m11 * u * rate[3] + m22 * v * rate[4] + m33 * r * rate[5]
+    work = sum((d + q * abs(s)) * s * s for d, q, s in zip(drag[:3], drag[3:], (u, v, r), strict=True))
+    assert power == pytest.approx(-work, abs=1e-9)
+
+    def energy(state):
+        return 0.5 * (m11 * state[3] ** 2 + m22 * state[4] ** 2 + m33 * state[5] ** 2)
+
+    later = roll(state, (0.0, 0.0, 0.0), vehicle, 1, 0.1)
+    assert energy(later) <= energy(state)
+
+
+@given(states, loads, st.floats(-4, 4), st.floats(-9, 9), st.floats(-9, 9))
+def test_turning_and_shifting_the_world_changes_nothing(state, load, angle, x0, y0):
+    def moved(x, y, psi, *velocities):
+        return (*to_body(x - x0, y - y0, math.cos(angle), math.sin(angle)), psi - angle, *velocities)
+
+    current = to_body(*CURRENT, math.cos(angle), math.sin(angle))
+    here = roll(state, load, PAPER_VEHICLE, 1, 0.1, CURRENT)
+    there = roll(moved(*state), load, PAPER_VEHICLE, 1, 0.1, current)
+    np.testing.assert_allclose(moved(*here), there, rtol=0, atol=1e-11)
+
+
+@given(states, loads, unit, unit)
+def test_a_constant_current_carries_the_motion_along(state, load, V_x, V_y):
+    drifting = roll(state, load, ROUGH, 2, 0.1, (V_x, V_y))
+    carried = roll(state, load, ROUGH, 2, 0.1) + 2 * np.array([V_x, V_y, 0, 0, 0, 0])
+    np.testing.assert_allclose(drifting, carried, rtol=0, atol=1e-11)

@@ -1,0 +1,306 @@
+"""The scalar environment: the contract with Gymnasium and Stable-Baselines3, and the simulation behind it."""
+
+import math
+import subprocess
+import sys
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+from gymnasium.utils.env_checker import check_env
+from scipy.integrate import solve_ivp
+from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+import auv_gym
+from auv_gym.dynamics import state_rates
+from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
+from auv_gym.paths import PATHS
+from auv_gym.planner import InfeasibleReferenceError
+from auv_gym.scenario import PRESETS, RandomPath, Scenario
+from auv_gym.task import SIZE, decode_observation
+from baselines import make_policy
+
+TRACK = "auv_gym:UnderactuatedAUVTrack-v0"
+RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"
+ZERO = np.zeros(2, dtype=np.float32)
+
+
+def rollout(env, policy, steps, **reset):
+    """Return observations, rewards and infos of one run."""
+    observation, info = env.reset(**reset)
+    log = [(observation, 0.0, info)]
+    for _ in range(steps):
+        observation, reward, terminated, truncated, info = env.step(policy.predict(observation)[0])
+        log.append((observation, reward, info))
+        if terminated or truncated:
+            break
+    return log
+
+
+@pytest.mark.parametrize("scenario", PRESETS)
+@pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")  # the residual environment is a wrapper
+@pytest.mark.parametrize("env_id", [TRACK, RESIDUAL])
+def test_checkers_find_nothing(env_id, scenario):
+    env = gym.make(env_id, scenario=scenario)
+    check_env(env, skip_render_check=True)
+    sb3_check_env(env)
+
+
+def test_bare_id_after_import_and_registration_twice():
+    auv_gym._register()
+    assert gym.make("UnderactuatedAUVTrack-v0").unwrapped.scenario.name == "paper-circle"
+
+
+@pytest.mark.parametrize("scenario", PRESETS)
+def test_seed_controls_every_random_number(scenario):
+    env, policy = gym.make(TRACK, scenario=scenario), make_policy("backstepping")
+    first, again = (rollout(env, policy, 200, seed=5) for _ in range(2))
+    for (o1, r1, i1), (o2, r2, i2) in zip(first, again, strict=True):
+        assert (o1 == o2).all()
+        assert (r1, i1) == (r2, i2)
+
+
+def test_episodes_after_one_seed_differ():
+    env = gym.make(TRACK, scenario="cruise-storm")
+    assert (env.reset(seed=1)[0] != env.reset()[0]).any()
+
+
+@pytest.mark.parametrize("scenario", PRESETS)
+def test_info_keys_are_constant_and_observations_inside(scenario):
+    env = gym.make(TRACK, scenario=scenario)
+    for observation, _, info in rollout(env, make_policy("backstepping"), 2000, seed=0):
+        assert set(info) == {"position_error", "saturated", "time"}
+        assert env.observation_space.contains(observation)
+    assert info["time"] == pytest.approx(env.unwrapped.scenario.duration)
+
+
+def test_truncation_after_the_scenarios_steps_then_reset_is_needed():
+    env = gym.make(TRACK, scenario={"steps": 3, "lost_distance": 60.0})
+    with pytest.raises(ResetNeeded):
+        env.step(ZERO)
+    env.reset(seed=0)
+    assert [env.step(ZERO)[2:4] for _ in range(3)] == [(False, False), (False, False), (False, True)]
+    with pytest.raises(ResetNeeded):
+        env.step(ZERO)
+
+
+def test_termination_when_lost():
+    env = gym.make(TRACK)
+    env.reset(seed=0, options={"initial_error": (-9.99, 0.0, 0.0)})
+    log = [env.step(ZERO) for _ in range(1)]
+    while not log[-1][2]:
+        log.append(env.step(ZERO))
+    assert log[-1][4]["position_error"] > 10.0
+    assert all(step[4]["position_error"] <= 10.0 for step in log[:-1])
+
+
+def test_zero_error_is_possible_in_calm_water():
+    """The plan's own forces, held over each period, keep a vehicle that starts on the plan on it."""
+    env = gym.make(TRACK, control_dt=0.01)
+    log = rollout(env, make_policy("backstepping-paper"), 2000, seed=0, options=on_the_plan(env))
+    assert max(info["position_error"] for _, _, info in log) < 1e-5
+
+
+def on_the_plan(env):
+    env.reset(seed=0)
+    reference = env.unwrapped.reference
+    return {"initial_error": (0, 0, 0), "initial_velocity": (reference.u, reference.v, reference.r)}
+
+
+def test_a_run_agrees_with_a_tight_integrator():
+    """The whole chain of action, dynamics and clock against DOP853 with the forces held over each period."""
+    env = gym.make(TRACK, scenario="cruise-current", control_dt=0.05)
+    env.reset(seed=3)
+    raw = env.unwrapped
+    c, s = math.cos(raw.state[2]), math.sin(raw.state[2])
+    V_x, V_y = raw.current
+    relative = raw.state - np.array([0, 0, 0, c * V_x + s * V_y, c * V_y - s * V_x, 0])
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        action = rng.uniform(-0.3, 0.3, 2).astype(np.float32)
+        load = (400.0 * float(action[0]), 0.0, 200.0 * float(action[1]))
+        coefficients = raw.scenario.vehicle.coefficients
+        relative = solve_ivp(
+            lambda t, y, load=load, k=coefficients: state_rates(tuple(y), load, k, (V_x, V_y)),
+            (0, 0.05),
+            relative,
+            method="DOP853",
+            rtol=1e-12,
+            atol=1e-12,
+        ).y[:, -1]
+        env.step(action)
+    assert raw.state[[0, 1, 2, 5]] == pytest.approx(relative[[0, 1, 2, 5]], abs=2e-5)
+    assert raw.time == pytest.approx(5.0)
+
+
+def test_observation_is_the_tracking_error_in_calm_water():
+    env = gym.make(TRACK, scenario="cruise-calm")
+    env.reset(seed=1)
+    for _ in range(20):
+        o = decode_observation(env.step(np.array([0.5, 0.1], dtype=np.float32))[0])
+    state, reference = env.unwrapped.state, env.unwrapped.reference
+    c, s = math.cos(state[2]), math.sin(state[2])
+    x_e, y_e = state[:2] - np.array(reference[:2])
+    assert (o.e_x, o.e_y) == pytest.approx((c * x_e + s * y_e, c * y_e - s * x_e))
+    assert (o.u_e, o.v_e, o.r_e) == pytest.approx(tuple(state[3:] - np.array(reference[3:6])))
+    assert (o.u_R, o.v_R, o.r_R, o.F_uR, o.F_rR) == pytest.approx(reference[3:])
+    assert math.remainder(o.psi_e - (state[2] - reference.psi), 2 * math.pi) == pytest.approx(0, abs=1e-12)
+    assert (o.a_u, o.a_r, o.F_u_max, o.F_r_max) == pytest.approx((0.5, 0.1, 400.0, 200.0))
+
+
+def test_accessors_give_si_units():
+    env = gym.make(TRACK, scenario="cruise-current").unwrapped
+    env.reset(seed=0)
+    env.step(np.array([0.5, -0.25], dtype=np.float32))
+    assert env.state.shape == (6,)
+    assert env.force == pytest.approx([200.0, -50.0])
+    assert 0 < math.hypot(*env.current) < 1.5
+    assert env.reference._fields == ("x", "y", "psi", "u", "v", "r", "F_u", "F_r")
+    assert env.time == 0.1
+
+
+def test_actions_beyond_the_box_are_clipped_and_reported():
+    env = gym.make(TRACK)
+    env.reset(seed=0)
+    assert env.step(np.array([3.0, 0.0]))[4]["saturated"]
+    assert env.unwrapped.force == pytest.approx([400.0, 0.0])
+    assert not env.step(np.array([0.9, 0.0]))[4]["saturated"]
+
+
+@pytest.mark.parametrize(
+    "action",
+    [np.array([np.nan, 0]), np.array([0, np.inf]), np.zeros(3), np.zeros((1, 2)), None, "ab", [True, False], 1.0],
+)
+@pytest.mark.parametrize("env_id", [TRACK, RESIDUAL])
+def test_bad_actions_change_nothing(env_id, action):
+    env = gym.make(env_id, scenario="cruise-storm")
+    env.reset(seed=0)
+    before, time = env.unwrapped.state, env.unwrapped.time
+    with pytest.raises(ValueError, match="it must be two finite numbers"):
+        env.step(action)
+    assert (env.unwrapped.state == before).all()
+    assert env.unwrapped.time == time
+
+
+def test_bad_options_change_nothing():
+    env = gym.make(TRACK, scenario="cruise-storm")
+    env.reset(seed=0)
+    before, random = env.unwrapped.state, env.unwrapped.np_random.bit_generator.state
+    with pytest.raises(ValueError, match="unknown reset option"):
+        env.reset(seed=1, options={"wind": 3})
+    assert (env.unwrapped.state == before).all()
+    assert env.unwrapped.np_random.bit_generator.state == random
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"scenario": "hurricane"}, "unknown scenario 'hurricane'; allowed are"),
+        ({"scenario": {"path": {"family": "circle", "speed": 1.0, "turn_rate": 7.9}}}, "infeasible|reference"),
+        ({"vehicle": "ship"}, "unknown vehicle 'ship'"),
+        ({"control_dt": math.nan}, "control_dt is nan"),
+    ],
+)
+def test_bad_arguments_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        gym.make(TRACK, **arguments)
+
+
+def test_unknown_render_mode_is_refused():
+    with pytest.raises(ValueError, match="unknown render_mode 'ascii'"):
+        UnderactuatedAUVTrackEnv(render_mode="ascii")
+
+
+def test_frames_come_from_the_spec_and_without_a_display(tmp_path):
+    env = gym.make(TRACK, scenario="cruise-storm", render_mode="rgb_array")
+    video = gym.wrappers.RecordVideo(env, str(tmp_path / "video"), episode_trigger=lambda _: True, video_length=10)
+    rollout(video, make_policy("backstepping"), 12, seed=0)
+    video.close()
+    assert [file.suffix for file in (tmp_path / "video").iterdir()] == [".mp4"]
+
+
+def test_rendering_before_reset_or_without_a_mode_is_explained():
+    with pytest.raises(ResetNeeded, match=r"call reset\(\) before render"):
+        gym.make(TRACK, render_mode="rgb_array").render()
+    with pytest.warns(UserWarning, match="render_mode"):
+        assert gym.make(TRACK).render() is None
+
+
+def test_infeasible_force_is_named():
+    with pytest.raises(InfeasibleReferenceError, match=r"F_u = .* N is beyond its limit of 10 N"):
+        gym.make(TRACK, scenario={"path": {"family": "line", "speed": 1.0}, "actuators": {"F_u_max": 10.0}})
+
+
+def test_arguments_survive_the_specs_json():
+    env = gym.make(TRACK, scenario=PRESETS["slow-storm"].to_dict(), vehicle="paper", control_dt=0.1)
+    copy = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    assert copy.unwrapped.scenario == env.unwrapped.scenario
+
+
+def test_an_episode_can_be_run_again():
+    scenario = PRESETS["cruise-storm"]
+    episode = scenario.draw(np.random.default_rng(7))
+    env = gym.make(TRACK, scenario=scenario)
+    first, again = (env.reset(options={"episode": episode})[0] for _ in range(2))
+    assert (first == again).all()
+
+
+def test_user_paths_work():
+    class Wavy:
+        speed, start, end = 0.5, -math.inf, math.inf
+
+        def derivatives(self, t):
+            w = 0.1
+            s, c = np.sin(w * t), np.cos(w * t)
+            return np.array([[0.5 * t, s], [0.5 + 0 * t, w * c], [0 * t, -(w**2) * s], [0 * t, -(w**3) * c]])
+
+    env = gym.make(TRACK, scenario=Scenario(path=Wavy(), steps=300))
+    assert rollout(env, make_policy("backstepping"), 300, seed=0)[-1][2]["position_error"] < 0.05
+
+
+def test_every_random_family_is_feasible_over_many_draws():
+    families = tuple(name for name, cls in PATHS.items() if hasattr(cls, "drawn"))
+    scenario = Scenario(path=RandomPath((0.5, 1.5), 0.12, families), steps=600)
+    env = gym.make(TRACK, scenario=scenario)
+    for seed in range(60):
+        assert np.isfinite(env.reset(seed=seed)[0]).all()
+
+
+def test_import_is_light():
+    heavy = "torch", "stable_baselines3", "pygame", "matplotlib", "scipy"
+    code = f"import sys, auv_gym; print([m for m in {heavy} if m in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+@pytest.mark.parametrize("scenario", PRESETS)
+def test_zero_residual_reproduces_the_expert_bit_for_bit(scenario):
+    expert = make_policy("backstepping")
+    track, residual = gym.make(TRACK, scenario=scenario), gym.make(RESIDUAL, scenario=scenario)
+    o_track, _ = track.reset(seed=2)
+    o_residual, _ = residual.reset(seed=2)
+    for _ in range(200):
+        action = expert.predict(o_track)[0]
+        assert (o_residual[:SIZE] == o_track).all()
+        assert (o_residual[SIZE:] == action).all()
+        (o_track, *a), (o_residual, *b) = track.step(action), residual.step(ZERO)
+        assert a == b
+
+
+def test_residual_correction_is_bounded_by_its_authority():
+    env = gym.make(RESIDUAL, authority=(0.1, 0.2))
+    base = env.reset(seed=0)[0][SIZE:]
+    env.step(np.array([1.0, -1.0], dtype=np.float32))
+    expected = np.clip(base + np.array([0.1, -0.2]), -1, 1) * (400.0, 200.0)
+    assert env.unwrapped.force == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("authority", [0, -1, (1,), (1, 2, 3), "much", math.nan])
+def test_impossible_authority_is_refused(authority):
+    with pytest.raises(ValueError, match="authority is"):
+        gym.make(RESIDUAL, authority=authority)
+
+
+def test_unknown_expert_is_refused():
+    with pytest.raises(ValueError, match=r"unknown policy 'captain'; allowed are backstepping"):
+        gym.make(RESIDUAL, expert="captain")

@@ -1,0 +1,226 @@
+"""The pictures: shape, determinism, what shows where, no display needed, windows that may be closed."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from gymnasium.error import DependencyNotInstalled
+
+from auv_gym.rendering import ALERT, CURRENT, INK, PLAN, VEHICLE, Renderer, View, _elapsed
+
+pygame = pytest.importorskip("pygame")
+
+SIZE = (480, 360)
+VIEW = View(
+    time=3.0,
+    state=(-1.5, 0.5, 0.0, 0.1, 0.0, 0.0),
+    reference=(1.5, 0.5, 0.3),
+    path=np.column_stack((np.linspace(-20.0, 20.0, 200), np.full(200, 0.5))),
+    trail=np.column_stack((np.linspace(-4.0, -1.5, 30), np.full(30, 0.5))),
+    current=(0.0, 0.0),
+    force=(7.0, -0.5),
+    force_limits=(200.0, 50.0),
+    position_error=3.0,
+    title="paper-circle",
+)
+
+
+def picture(view: View = VIEW, size: tuple[int, int] = SIZE) -> np.ndarray:
+    """The first picture of a new renderer."""
+    array = Renderer("rgb_array", fps=20.0, size=size).draw(view)
+    assert array is not None
+    return array
+
+
+def count(array: np.ndarray, color: tuple[int, int, int], tolerance: int = 12) -> int:
+    """How many pixels have about this colour."""
+    return int((np.abs(array.astype(int) - color).max(axis=-1) <= tolerance).sum())
+
+
+@pytest.fixture
+def human(monkeypatch):
+    """A renderer with a window on SDL's dummy display."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    renderer = Renderer("human", fps=200.0, size=SIZE)
+    yield renderer
+    renderer.close()
+
+
+@pytest.mark.parametrize("size", [(480, 360), (301, 202), (960, 720)])
+def test_array_is_a_contiguous_picture_of_its_own(size):
+    renderer = Renderer("rgb_array", fps=20.0, size=size)
+    first = renderer.draw(VIEW)
+    assert first.shape == (size[1], size[0], 3)
+    assert first.dtype == np.uint8
+    assert first.flags.c_contiguous
+    assert first.flags.writeable
+    kept = first.copy()
+    renderer.draw(VIEW._replace(time=4.0, state=(0.0, 2.0, 1.0, 0.1, 0.0, 0.0)))
+    np.testing.assert_array_equal(first, kept)
+
+
+def test_same_history_gives_the_same_pictures():
+    views = [VIEW._replace(time=0.1 * k, state=(-1.5 + 0.3 * k, 0.5, 0.1 * k, 1.0, 0.1, 0.1)) for k in range(5)]
+    runs = [[renderer.draw(view) for view in views] for renderer in (Renderer("rgb_array", 20.0, SIZE) for _ in "ab")]
+    np.testing.assert_array_equal(runs[0], runs[1])
+    assert not np.array_equal(runs[0][0], runs[0][-1])
+
+
+def test_drawing_again_changes_nothing():
+    renderer = Renderer("rgb_array", 20.0, SIZE)
+    renderer.draw(VIEW)
+    away = VIEW._replace(time=3.1, reference=(15.0, 0.5, 0.0))
+    np.testing.assert_array_equal(renderer.draw(away), renderer.draw(away))
+
+
+@pytest.mark.parametrize("start", [0.0, 3.0])
+def test_a_new_episode_forgets_the_old_one(start):
+    renderer = Renderer("rgb_array", 20.0, SIZE)
+    renderer.draw(VIEW._replace(state=(40.0, 9.0, 1.0, 2.0, 0.0, 0.0)))
+    again = VIEW._replace(time=start)
+    np.testing.assert_array_equal(renderer.draw(again), picture(again))
+
+
+def test_elapsed_tells_histories_apart():
+    assert _elapsed(None, VIEW) == math.inf
+    assert _elapsed(VIEW, VIEW) == 0.0
+    assert _elapsed(VIEW, VIEW._replace(time=3.5, title="")) == 0.5
+    assert _elapsed(VIEW, VIEW._replace(time=2.9)) == math.inf
+
+
+def test_vehicle_is_where_the_camera_puts_it():
+    # Half the height shows 8 m, the middle is (0, 0.5): 22.5 px/m, x to the right.
+    array = picture(VIEW._replace(state=(-1.5, 0.5, 0.5 * math.pi, 0.0, 0.0, 0.0)))
+    row, column = 180, 240 - round(22.5 * 1.5)
+    assert count(array[row - 4 : row + 5, column - 4 : column - 1], VEHICLE, tolerance=40) > 0
+    mirrored = array[row - 4 : row + 5, 2 * 240 - column - 4 : 2 * 240 - column + 5]
+    assert count(mirrored, VEHICLE, tolerance=40) == 0
+
+
+def test_y_points_up_and_angles_turn_counter_clockwise():
+    up = picture(VIEW._replace(state=(0.0, 0.0, 0.5 * math.pi, 0.0, 0.0, 0.0), reference=(0.0, 3.0, 0.0)))
+    columns = slice(236, 245)
+    assert count(up[190:240, columns], VEHICLE) > count(up[120:170, columns], VEHICLE)  # vehicle below its reference
+    beside = slice(240 + 6, 240 + 9)  # only the dark fins reach that far from the axis
+    assert count(up[214 + 12 : 214 + 22, beside], INK, tolerance=30) > 0  # the stern is below the middle, row 214
+    assert count(up[214 - 22 : 214 - 12, beside], INK, tolerance=30) == 0
+
+
+def test_current_shows_as_arrows_and_only_then():
+    calm = picture()
+    flowing = picture(VIEW._replace(current=(0.03, 0.04)))
+    assert count(calm, CURRENT) == 0
+    assert count(flowing, CURRENT) > 0  # the legend's arrow
+    middle = slice(100, 260), slice(0, 480)
+    assert not np.array_equal(calm[middle], flowing[middle])  # and those in the water
+
+
+def test_saturated_bar_turns_red():
+    bars = slice(296, 354), slice(326, 474)
+    free = count(picture()[bars], ALERT)
+    assert count(picture(VIEW._replace(force=(-200.0, 50.0)))[bars], ALERT) > free + 200
+    assert count(picture(VIEW._replace(force_limits=(math.inf, math.inf)))[bars], ALERT) == 0
+
+
+def test_path_ahead_is_darker_than_the_path_done():
+    array = picture(VIEW._replace(state=(0.0, 3.0, 0.0, 0.0, 0.0, 0.0), reference=(0.0, 0.5, 0.0)))
+    row = slice(200, 216)
+    assert count(array[row, 300:470], PLAN, tolerance=60) > 100
+    assert count(array[row, 10:180], PLAN, tolerance=60) == 0
+
+
+def test_progress_tells_the_laps_of_a_crossing_path_apart():
+    s = np.linspace(0.0, 2.0 * math.pi, 400)
+    eight = np.column_stack((6.0 * np.sin(s), 3.0 * np.sin(2.0 * s)))
+    renderer = Renderer("rgb_array", 20.0, SIZE)
+    for k in range(0, 400, 4):
+        reference = (float(eight[k, 0]), float(eight[k, 1]), 0.0)
+        renderer.draw(VIEW._replace(time=0.1 * k, reference=reference, path=eight))
+        assert abs(renderer._progress._index - k) <= 1
+
+
+@pytest.mark.parametrize("error", [0.0, 1.0, 30.0, 1e5])
+def test_vehicle_and_reference_stay_in_the_picture(error):
+    renderer = Renderer("rgb_array", 20.0, SIZE)
+    renderer.draw(VIEW)
+    renderer.draw(VIEW._replace(time=3.05, reference=(-1.5 + error, 0.5, 0.0), position_error=error))
+    for point in ((-1.5, 0.5), (-1.5 + error, 0.5)):
+        place = renderer._camera.project(point)
+        assert ((place > 40.0) & (place < renderer._canvas.extent - 40.0)).all()
+
+
+def test_zoom_has_no_jerks():
+    renderer = Renderer("rgb_array", 20.0, SIZE)
+    scales = []
+    for k in range(40):
+        x = 9.0 if k >= 10 else 6.0  # the reference jumps once, within the picture
+        renderer.draw(VIEW._replace(time=0.05 * k, state=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), reference=(x, 0.0, 0.0)))
+        scales.append(renderer._camera.scale)
+    steps = np.abs(np.diff(np.log(scales)))
+    assert 0.0 < steps.max() < 0.02
+
+
+def test_empty_and_single_points_are_drawn():
+    picture(VIEW._replace(path=np.zeros((0, 2)), trail=np.zeros((0, 2)), current=(1e-9, 0.0)))
+    picture(VIEW._replace(path=np.zeros((1, 2)), trail=np.zeros((1, 2)), title="a rather long name of a scenario"))
+
+
+def test_import_is_lazy_and_arrays_need_no_display():
+    code = (
+        "import sys, numpy as np, auv_gym.rendering as r; assert 'pygame' not in sys.modules;"
+        "v = r.View(0.0, (0.0,) * 6, (0.0,) * 3, np.zeros((2, 2)), np.zeros((1, 2)), (0.0, 0.0), (0.0, 0.0),"
+        "(1.0, 1.0), 0.0, ''); assert r.Renderer('rgb_array', 20.0).draw(v).std() > 1;"
+        "import pygame; assert not pygame.display.get_init()"
+    )
+    clean = {key: value for key, value in os.environ.items() if key not in ("SDL_VIDEODRIVER", "DISPLAY")}
+    clean["PYTHONPATH"] = os.pathsep.join(sys.path)
+    subprocess.run([sys.executable, "-c", code], check=True, env=clean, timeout=60)
+
+
+def test_missing_pygame_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(DependencyNotInstalled, match=r'pip install "auv_gym\[render\]"'):
+        Renderer("rgb_array", 20.0)
+
+
+def test_wrong_arguments_are_refused():
+    with pytest.raises(ValueError, match=r"'ansi'.*human.*rgb_array"):
+        Renderer("ansi", 20.0)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="positive"):
+        Renderer("rgb_array", 0.0)
+    with pytest.raises(ValueError, match="positive"):
+        Renderer("rgb_array", 20.0, size=(0, 720))
+
+
+def test_close_is_idempotent(human):
+    for renderer in (human, Renderer("rgb_array", 20.0, SIZE)):
+        renderer.close()
+        renderer.draw(VIEW)
+        renderer.close()
+        renderer.close()
+    assert not pygame.display.get_init()
+
+
+def test_window_paces_to_fps(human):
+    human.draw(VIEW)
+    start = time.perf_counter()
+    human._fps = 10.0
+    for k in range(3):
+        assert human.draw(VIEW._replace(time=4.0 + k)) is None
+    assert time.perf_counter() - start > 0.2
+
+
+def test_user_may_close_the_window(human):
+    assert human.draw(VIEW) is None
+    assert pygame.display.get_init()
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    assert human.draw(VIEW) is None
+    assert not pygame.display.get_init()
+    assert human.draw(VIEW._replace(time=4.0)) is None
+    assert not pygame.display.get_init()

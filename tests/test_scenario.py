@@ -1,0 +1,149 @@
+"""Scenarios: presets, files, and refusal of what they do not know."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from auv_gym.actuators import Actuators
+from auv_gym.disturbances import RandomCurrent, RandomMismatch, RandomWaves
+from auv_gym.episode import checked_options
+from auv_gym.paths import PATHS, Circle, Spline
+from auv_gym.scenario import CASES, PRESETS, RandomPath, Scenario, Start, as_scenario, as_vehicle
+from auv_gym.sensors import Sensors
+from auv_gym.vehicle import PAPER_VEHICLE
+
+EVERYTHING = Scenario(
+    name="everything",
+    path=Spline(waypoints=((0.0, 0.0), (30.0, 5.0), (60.0, -5.0)), speed=0.5),
+    mismatch=RandomMismatch(mass=(0.9, 1.1), quadratic=(0.0, 0.5)),
+    current=RandomCurrent(speed=(0.0, 0.1), gust=0.02, cap=0.5, relative=False),
+    waves=RandomWaves(0.1, 0.05, 0.02, band=(0.4, 0.9), components=4),
+    sensors=Sensors(0.1, 0.01, 0.01, 0.01, position_bias=(-0.2, 0.2), low_pass=0.5),
+    actuators=Actuators(300.0, 100.0, lag=(0.1, 0.2), F_u_rate=50.0),
+    start=Start(x_e=(-1.0, 1.0), random_signs=True),
+    control_dt=0.2,
+    steps=100,
+)
+
+
+def test_presets_are_the_paper_and_every_case_in_both_regimes():
+    assert set(PRESETS) == {"paper-circle"} | {f"{r}-{c}" for r in ("slow", "cruise") for c in CASES}
+
+
+@pytest.mark.parametrize("suffix", ["json", "toml"])
+@pytest.mark.parametrize("scenario", [*PRESETS.values(), EVERYTHING], ids=lambda s: s.name)
+def test_file_round_trip(scenario, suffix, tmp_path):
+    file = tmp_path / f"scenario.{suffix}"
+    scenario.save(file)
+    assert Scenario.load(file) == scenario
+
+
+def test_dict_round_trip_is_strict_json():
+    assert Scenario.from_dict(json.loads(json.dumps(EVERYTHING.to_dict(), allow_nan=False))) == EVERYTHING
+
+
+def test_draws_are_reproducible_and_differ():
+    scenario = PRESETS["cruise-storm"]
+    first, again, other = (scenario.draw(np.random.default_rng(seed)) for seed in (1, 1, 2))
+    assert first == again != other
+
+
+@pytest.mark.parametrize("family", [name for name, cls in PATHS.items() if hasattr(cls, "drawn")])
+def test_every_family_can_be_drawn(family):
+    scenario = Scenario(path=RandomPath(speed=(0.5, 1.0), turn_rate=0.1, families=(family,)))
+    rng = np.random.default_rng(0)
+    assert all(type(scenario.draw(rng).path) is PATHS[family] for _ in range(3))
+
+
+def test_random_signs_reach_all_eight_combinations():
+    rng = np.random.default_rng(0)
+    errors = {PRESETS["paper-circle"].draw(rng).initial_error for _ in range(200)}
+    assert len(errors) == 8
+    assert {tuple(map(abs, e)) for e in errors} == {(0.5, 1.0, math.radians(20))}
+
+
+@pytest.mark.parametrize(
+    ("record", "message"),
+    [
+        ({"speeed": 1}, r"scenario has no entry 'speeed'; allowed are name, path"),
+        ({"path": {"family": "spiral"}}, r"unknown path family 'spiral'; allowed are line, circle"),
+        ({"path": {"family": "circle", "speed": 1.0}}, r"path circle lacks the entry 'turn_rate'"),
+        ({"path": {"speed": 1.0, "turn_rate": 0.1, "families": ["spiral"]}}, r"unknown path family 'spiral'"),
+        ({"path": 3}, r"scenario path is 3"),
+        ({"vehicle": "submarine"}, r"unknown vehicle 'submarine'; allowed are a Vehicle, a dict, or one of paper"),
+        ({"vehicle": {**vars(PAPER_VEHICLE), "m11": -1.0}}, r"vehicle parameter m11 is -1.0"),
+        ({"vehicle": {**vars(PAPER_VEHICLE), "m22": 200.0}}, r"m22 = 200.0 kg is not above m11"),
+        ({"current": {"speed": [0.4, 0.1]}}, r"current speed is \(0.4, 0.1\); low must not be above high"),
+        ({"current": {"speed": "fast"}}, r"current speed is 'fast'; it must be a number"),
+        ({"current": {"speed": math.nan}}, r"current speed is nan"),
+        ({"current": 1.0}, r"current is 1.0; it must be a table"),
+        ({"waves": {"components": 99}}, r"waves components is 99; it must be an integer in \[1, 12\]"),
+        ({"mismatch": {"ratio": [0.5, 1.0]}}, r"mismatch ratio may fall to 0.5"),
+        ({"sensors": {"position": -1.0}}, r"sensors position is -1.0"),
+        ({"sensors": {"low_pass": 0.0}}, r"sensors low_pass is 0.0"),
+        ({"actuators": {"lag": math.inf}}, r"actuators lag is inf; it must be finite"),
+        ({"actuators": {"F_u_max": 0.0}}, r"actuators F_u_max is 0.0"),
+        ({"start": {"random_signs": 1}}, r"start random_signs is 1; it must be true or false"),
+        ({"control_dt": 0.0}, r"control_dt is 0.0"),
+        ({"control_dt": True}, r"control_dt is True"),
+        ({"steps": 1.5}, r"steps is 1.5; it must be an integer"),
+        ({"lost_distance": 100.0}, r"lost_distance is 100.0; it must be a number in \[0.001, 64\]"),
+        ({"name": ""}, r"scenario name is ''"),
+        ({"steps": 10**6, "path": {"family": "spline", "waypoints": [[0, 0], [9, 0]], "speed": 1.0}}, r"the path ends"),
+    ],
+)  # fmt: skip
+def test_bad_records_are_refused(record, message):
+    with pytest.raises(ValueError, match=message):
+        Scenario.from_dict(record)
+
+
+def test_bad_files_are_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"must end in .json or .toml"):
+        Scenario.load(tmp_path / "scenario.yaml")
+    for suffix in ("json", "toml"):
+        file = tmp_path / f"broken.{suffix}"
+        file.write_text("{ name = ")
+        with pytest.raises(ValueError, match=rf"broken.{suffix} is not valid {suffix.upper()}"):
+            Scenario.load(file)
+    (tmp_path / "wrong.json").write_text('{"steps": 0}')
+    with pytest.raises(ValueError, match=r"wrong.json: steps is 0"):
+        Scenario.load(tmp_path / "wrong.json")
+
+
+def test_a_path_of_the_users_own_cannot_be_written(tmp_path):
+    class MyPath(Circle):
+        pass
+
+    with pytest.raises(ValueError, match="MyPath is not in"):
+        Scenario(path=MyPath(1.0, 0.1)).save(tmp_path / "s.json")
+
+
+def test_unknown_names_are_refused_with_the_known_ones():
+    with pytest.raises(ValueError, match=r"unknown scenario 'stormy'; .*cruise-storm"):
+        as_scenario("stormy")
+    with pytest.raises(ValueError, match="unknown vehicle 7"):
+        as_vehicle(7)
+
+
+def test_changed_keeps_the_duration():
+    scenario = PRESETS["cruise-calm"].changed(control_dt=0.05)
+    assert (scenario.steps, scenario.duration) == (1200, pytest.approx(60.0))
+    with pytest.raises(ValueError, match="control_dt is -1"):
+        scenario.changed(control_dt=-1)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"init": 1}, r"unknown reset option 'init'; allowed are episode, initial_error, initial_velocity"),
+        ({"initial_error": (1, 2)}, r"initial_error is \(1, 2\); it must be three finite numbers"),
+        ({"initial_error": "abc"}, r"initial_error is 'abc'"),
+        ({"initial_velocity": (1, math.nan, 0)}, r"initial_velocity is"),
+        ({"episode": 3}, r"episode is 3; it must be an Episode"),
+    ],
+)
+def test_bad_reset_options_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        checked_options(options)
