@@ -6,6 +6,9 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import arg
 
 from baselines.command_line import parse, run
 
@@ -20,18 +23,18 @@ class Options:
     policy failed or the results could not be written, 2 wrong usage.
     """
 
-    policy: tuple[str, ...] = ()
-    """Policies by name; without any, the expert alone."""
-    suite: str | None = None
-    """A named set of scenarios: "presets" (the default, every preset), or "paper", which also recomputes the numbers and
-    figures of the paper."""
-    scenario: tuple[str, ...] = ()
+    policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
+    """Policies by name, compared with the expert; without any, the expert alone."""
+    suite: Annotated[str | None, arg(metavar="S", help_behavior_hint="")] = None
+    """A named set of scenarios: "presets" (the default: every preset), or "paper" (the paper's, with its numbers and
+    figures recomputed)."""
+    scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ()
     """Scenarios in place of a suite: names of presets, or .toml and .json files."""
     episodes: int = 20
     """Episodes of each policy in each scenario."""
     seed: int = 0
     """Seed of the first episode; episode i has seed + i, whatever the policy."""
-    jobs: int | None = None
+    jobs: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Worker processes; the results are the same for any number. Default: 2, or 1 on a single processor."""
     out: Path = Path("runs/evaluate")
     """Folder for the results."""
@@ -44,7 +47,8 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    from baselines.evaluation.command import Request, evaluate
+    from baselines.evaluation.command import evaluate
+    from baselines.evaluation.request import Request
 
     request = Request.of(
         options.policy, options.suite, options.scenario, options.episodes, options.seed, options.jobs, options.out

@@ -34,13 +34,23 @@ def __getattr__(name: str) -> Any:
 
 
 def _register() -> None:
-    for name, entry_point in (
-        ("UnderactuatedAUVTrack-v0", "auv_gym.envs.track_env:UnderactuatedAUVTrackEnv"),
-        ("UnderactuatedAUVTrackResidual-v0", "baselines:make_residual_env"),
+    for name, entry_point, vector_entry_point in (
+        (
+            "UnderactuatedAUVTrack-v0",
+            "auv_gym.envs.track_env:UnderactuatedAUVTrackEnv",
+            "auv_gym.envs.track_vector_env:UnderactuatedAUVTrackVectorEnv",
+        ),
+        ("UnderactuatedAUVTrackResidual-v0", "baselines:make_residual_env", "baselines:make_residual_vector_env"),
     ):
         if name not in gym.registry:
             # The environment itself refuses bad actions and steps without reset, so no wrapper need watch it.
-            gym.register(name, entry_point, order_enforce=False, disable_env_checker=True)
+            gym.register(
+                name,
+                entry_point,
+                order_enforce=False,
+                disable_env_checker=True,
+                vector_entry_point=vector_entry_point,
+            )
 
 
 _register()

@@ -6,7 +6,7 @@ velocity. With w = sin(gamma) = v_R / v_p, the paper's (8)-(15) become one scala
 
     w' = -(d22/Dm) w - [(m22 v_p'/v_p + Y_vv v_p |w|) w + m11 omega sqrt(1 - w^2)] / Dm,     Dm = m22 - m11,
 
-whose first term fades within Dm/d22 (0.5 s for the paper's vehicle). That term is integrated exactly and the smooth rest
+whose first term fades within Dm/d22 (0.5 s for the paper's vehicle). That term is integrated exactly, the smooth rest
 by an Adams-Bashforth formula: exponential time differencing (S. M. Cox and P. C. Matthews, J. Comput. Phys.
 176:430-455, 2002).
 """
@@ -126,24 +126,28 @@ def plan(
     memory = (vehicle.m22 - vehicle.m11) / vehicle.d22
     spacing = float(times[-1] - times[0]) / (len(times) - 1)
     substeps = max(math.ceil(spacing / (MAX_STEP * memory)), math.ceil(ORDER / (len(times) - 1)))
+    run_in, *others = {min(RUN_IN * memory, float(times[0] - p.start)) for p in paths}
     for finest in (False, True):
         h = spacing / substeps
-        lead = int(min(RUN_IN * memory, times[0] - max(p.start for p in paths)) / h)
+        lead = int(run_in / h)
         fine = times[0] + h * np.arange(-lead, (len(times) - 1) * substeps + 1)
         fine[-1] = times[-1]  # not an ulp past the path's end
         derivatives = evaluate(path, fine) if isinstance(path, Sequence) else path.derivatives(fine)
         along = path_rates(derivatives)
-        check = partial(_check, times=fine, positions=derivatives[0])
-        _check_rates(along, vehicle, check)
+        _check_rates(along, vehicle, partial(_check, times=fine, positions=derivatives[0]))
         refinement = min(math.ceil(h * _response(along, vehicle) / MAX_RESPONSE), MAX_REFINEMENT)
+        if len(paths) > 1 and (others or refinement > 1):  # each as it would be alone
+            return _side_by_side([plan(p, vehicle, times, force_limits) for p in paths])
         if finest or refinement <= 1:
             break
         substeps *= refinement
     w = _sine_of_sideslip(along, vehicle, h)
     limit = math.degrees(MAX_SIDESLIP)
-    check(
-        np.abs(w) < math.sin(MAX_SIDESLIP),
+    _check(
+        np.abs(w[lead:]) < math.sin(MAX_SIDESLIP),
         lambda _: f"the sideslip exceeds {limit:.0f} degrees, the path turns too fast for the sway drag",
+        fine[lead:],
+        derivatives[0][:, lead:],
     )
     rows = slice(lead, None, substeps)
     kept = PathRates(*(getattr(along, field.name)[rows] for field in fields(PathRates)))
@@ -151,6 +155,11 @@ def plan(
     if force_limits is not None:
         _check_forces(reference, force_limits)
     return reference
+
+
+def _side_by_side(references: Sequence[Reference]) -> Reference:
+    columns = (np.stack([getattr(R, field.name) for R in references], axis=1) for field in fields(Reference)[1:])
+    return Reference(references[0].t, *columns)
 
 
 def _checked_times(times: Array, paths: Sequence[Path]) -> Array:

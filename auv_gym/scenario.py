@@ -157,7 +157,7 @@ class Scenario:
         """Return the constants of an episode in the order of `simulation.Parameters`, its numbers only."""
         act = self.actuators
         return (
-            self.control_dt,
+            self.control_dt / self.substeps,
             *episode.vehicle.coefficients,
             act.F_u_max,
             act.F_r_max,

@@ -32,7 +32,7 @@ PARAMETERS = 20
 class Parameters(NamedTuple):
     """The constants of an episode: floats, or rows of shape (N,)."""
 
-    dt: Number  # [s] control period
+    h: Number  # [s] integration step
     coefficients: Coefficients  # of the true vehicle
     F_u_max: Number  # [N]
     F_r_max: Number  # [N m]
@@ -42,7 +42,7 @@ class Parameters(NamedTuple):
     rate_weight: Number
     lost_distance: Number  # [m]
     filtered: bool  # whether a low-pass is in use anywhere
-    substeps: int  # Runge-Kutta steps in a control period
+    substeps: int  # integration steps in a control period
 
     @classmethod
     def of(cls, rows: Sequence[Number], filtered: bool, substeps: int) -> Parameters:
@@ -90,14 +90,14 @@ def step(
         ns: the namespace of the numbers.
     """
     x, y, psi, u, v, r, F_u, F_r, a_u0, a_r0, filtered = plant
-    dt, coefficients, F_u_max, F_r_max, response, _, error_scale, rate_weight, lost_distance, _, substeps = p
+    h, coefficients, F_u_max, F_r_max, response, _, error_scale, rate_weight, lost_distance, _, substeps = p
     V_x, V_y, X, Y, N = sample[8:13]
     a_u, a_r = ns.clip(action[0], -1.0, 1.0), ns.clip(action[1], -1.0, 1.0)
     (mean_u, mean_r), (F_u, F_r) = respond((F_u, F_r), (a_u * F_u_max, a_r * F_r_max), response, ns)
     load, current = (mean_u + X, Y, mean_r + N), (V_x, V_y)
-    state = (x, y, psi, u, v, r)
-    for _ in range(substeps):
-        state = rk4_step(state, load, coefficients, dt / substeps, current, ns)
+    state = rk4_step((x, y, psi, u, v, r), load, coefficients, h, current, ns)
+    for _ in range(substeps - 1):
+        state = rk4_step(state, load, coefficients, h, current, ns)
     filtered, terms = _observe(state, (a_u, a_r), filtered, sample, p, ns)
     x, y, psi, u, v, r = state
     e_x, e_y, d_u, d_r = x - sample[0], y - sample[1], a_u - a_u0, a_r - a_r0

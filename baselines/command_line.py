@@ -43,10 +43,15 @@ def parse(options: type[Options], arguments: Sequence[str], program: str) -> Opt
 
 
 def _first_paragraph(box: str) -> str:
-    """Return what stands above the first rule of a message that tyro has drawn as a box, on one line."""
-    rows = [line.strip(" │|") for line in box.splitlines()[1:]]
-    end = next((i for i, row in enumerate(rows) if not row.strip("─-╰╯+")), len(rows))
-    return " ".join(rows[:end]).strip(" .") or "the arguments are not understood"
+    """Return what stands between title and first rule of a message that tyro has drawn as a box, on one line."""
+    words: list[str] = []
+    for row in box.splitlines()[1:]:
+        text = row.strip(" │─╰╯-")
+        if text:
+            words.append(text)
+        elif words:
+            break
+    return " ".join(words).strip(" .") or "the arguments are not understood"
 
 
 def run(command: Callable[[Sequence[str]], int], program: str) -> int:

@@ -134,12 +134,13 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self.metadata = {**self.metadata, "render_fps": max(1, round(1 / self.scenario.control_dt))}
         self.action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.observation_space = gym.spaces.Box(-BOUNDS, BOUNDS, dtype=np.float64)
-        self._times: Array = self.scenario.control_dt * np.arange(self.scenario.steps + 1, dtype=np.float64)
+        self._dt, self._steps = self.scenario.control_dt, self.scenario.steps
+        self._times: Array = self._dt * np.arange(self._steps + 1, dtype=np.float64)
         self._planned: tuple[Path, Reference] | None = None
         if isinstance(self.scenario.path, Path):
             self._plan(self.scenario.path)
         self._tape = Tape(1, BLOCK)
-        self._k = self.scenario.steps  # no episode yet
+        self._k = self._steps  # no episode yet
         self._over = True
         self._renderer: Renderer | None = None
         self._trail: list[tuple[float, float]] = []
@@ -197,12 +198,12 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self._plant, terms, (reward, lost, squared_error, saturated) = step(
             self._plant, command, self._rows[self._row], self._parameters, FLOATS
         )
-        truncated = self._k == self.scenario.steps
+        truncated = self._k == self._steps
         self._over = truncated or lost
         self._info = {
             "position_error": math.sqrt(squared_error),
             "saturated": saturated,
-            "time": self._k * self.scenario.control_dt,
+            "time": self._k * self._dt,
         }
         if self.render_mode is not None:
             self._trail.append(self._plant[:2])
@@ -233,7 +234,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     @property
     def time(self) -> float:
         """Time since the reset [s]."""
-        return self._k * self.scenario.control_dt
+        return self._k * self._dt
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the vehicle, its plan and the sea: an array (H, W, 3) of uint8, or None for a window."""

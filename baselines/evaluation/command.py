@@ -25,8 +25,6 @@ from baselines.evaluation.report import (
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Run, run_all
 
-__all__ = ["Request", "evaluate"]
-
 
 def evaluate(request: Request) -> int:
     """Run an evaluation, print its tables, write its files and return the exit status.
@@ -77,9 +75,13 @@ def _print(request: Request, results: list[Result], reproduction: Reproduction |
         out.print(table)
     out.print(results_table(results))
     out.print(f"Wrote results.json, results.csv and plots to {request.out}", soft_wrap=True)
-    notes = dict.fromkeys((result.run.policy, message) for result in results for message in result.run.warnings)
-    for policy, message in notes:
-        err.print(f"note: {policy}: {message}", markup=False)
+    notes: dict[str, list[str]] = {}
+    for result in results:
+        notes.setdefault(result.run.policy, []).extend(result.run.warnings)
+    for policy, messages in notes.items():
+        if messages:
+            more = f" ({len(messages)} warnings, see results.json)" if len(messages) > 1 else ""
+            err.print(f"note: {policy}: {messages[0]}{more}", markup=False)
     for result in results:
         if result.run.error:
             err.print(f"failed: {result.run.policy} in {result.run.scenario.name}, {result.run.error}", markup=False)

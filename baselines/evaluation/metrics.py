@@ -44,7 +44,7 @@ class EpisodeRecord:
 
 
 @dataclass(frozen=True)
-class Interval:
+class Spread:
     """The distribution of one quantity over episodes."""
 
     mean: float
@@ -58,7 +58,7 @@ class Summary:
 
     episodes: int
     rmse_m: float  # [m]
-    tail_rmse_m: Interval  # [m]
+    tail_rmse_m: Spread  # [m]
     effort: float
     smoothness: float
     failures: int  # episodes that were lost
@@ -108,9 +108,9 @@ def bootstrap_interval(values: Sequence[float]) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def distribution(values: Sequence[float]) -> Interval:
+def distribution(values: Sequence[float]) -> Spread:
     """Return mean, interval of the mean and 95th percentile of one value per episode."""
-    return Interval(float(np.mean(values)), bootstrap_interval(values), float(np.quantile(values, 0.95)))
+    return Spread(float(np.mean(values)), bootstrap_interval(values), float(np.quantile(values, 0.95)))
 
 
 def summarise(records: Sequence[EpisodeRecord], steps: int) -> Summary:

@@ -56,7 +56,7 @@ def compare(runs: Sequence[Run]) -> list[Result]:
 
 
 def to_record(result: Result) -> dict[str, Any]:
-    """Return a result as it stands in results.json; a failed one has its reason in `error` and null for every number."""
+    """Return a result as it stands in results.json; a failed one has its reason in `error` and no numbers."""
     s = result.summary
     tail = s.tail_rmse_m if s else None
     return {
@@ -146,8 +146,8 @@ def results_table(results: Sequence[Result]) -> Table:
     """Return the table of results, scenario by scenario."""
     table = Table(
         title="Position error of the centre of mass",
-        caption="tail: after the first third of an episode; [ ]: 95 % confidence interval of the mean; p95: 95th percentile "
-        "over episodes;\neffort, smoothness: relative to the expert; lost: episodes beyond the scenario's lost distance",
+        caption="tail: after the first third of an episode; interval: confidence of the mean; p95: over episodes\n"
+        "effort, smoothness: relative to the expert's; lost: episodes that went beyond the lost distance",
     )
     for name in ("scenario", "policy"):
         table.add_column(name, no_wrap=True)

@@ -6,15 +6,18 @@ import hashlib
 import json
 import os
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 from auv_gym.scenario import PRESETS, Scenario
 from baselines import make_policy
 from baselines.command_line import UsageError
 from baselines.evaluation.runner import make_env
+
+T = TypeVar("T")
 
 EXPERT = "backstepping"
 """The policy that every other one is compared with."""
@@ -58,7 +61,7 @@ class Request:
                 raise UsageError(f"{name} is {value}; it must be {least} or more")
         names = (EXPERT, *policies)
         for name in names:
-            _checked(lambda name=name: make_policy(name))
+            _checked(partial(make_policy, name))
         if not scenarios:
             suite = suite or "presets"
             if suite not in SUITES:
@@ -76,7 +79,7 @@ class Request:
         return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _checked(make: Any) -> Any:
+def _checked(make: Callable[[], T]) -> T:
     """Return what `make` returns, its complaints about the user's input as a UsageError."""
     try:
         return make()
@@ -94,8 +97,8 @@ def _scenario(name: str) -> Scenario:
         raise UsageError(
             f"unknown scenario {name!r}; allowed are a .toml or .json file, or one of {', '.join(PRESETS)}"
         )
-    scenario: Scenario = _checked(lambda: Scenario.load(name))
-    _checked(lambda: make_env(scenario))
+    scenario = _checked(partial(Scenario.load, name))
+    _checked(partial(make_env, scenario))
     return scenario
 
 

@@ -1,0 +1,240 @@
+"""Current, waves, mismatch and the tape: statistics over many episodes, independence of blocks and lanes, refusals."""
+
+import math
+import random
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from auv_gym.disturbances import Current, RandomCurrent, RandomMismatch, RandomWaves
+from auv_gym.intervals import draw
+from auv_gym.paths import Line
+from auv_gym.planner import plan
+from auv_gym.scenario import PRESETS, Scenario
+from auv_gym.sensors import Sensors
+from auv_gym.tape import Tape
+from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+
+LANES, BLOCK, DT = 400, 64, 0.1
+NOISE, BIAS = (0.05, 0.05, 0.02, 0.01, 0.01, 0.004), (0.5, 0.5, -0.1, 0.2, 0.2, 0.03)
+SENSORS = Sensors(*(NOISE[k] for k in (0, 2, 3, 5)), *(BIAS[k] for k in (0, 2, 3, 5)), low_pass=None)
+SEA = Scenario(
+    path=Line(0.8, heading=1.0),
+    current=RandomCurrent(speed=0.2, direction=0.5, gust=0.15, gust_time=4.0, smoothing=1.0, relative=False),
+    waves=RandomWaves(0.35, 0.2, 0.12),
+    sensors=SENSORS,
+    control_dt=DT,
+)
+TABLE = plan(SEA.path, SEA.vehicle, DT * np.arange(1001)).table
+units = st.floats(0, 1, exclude_max=True)
+
+
+def episodes(scenario, count, seed=0):
+    rng = np.random.default_rng(seed)
+    return [scenario.draw(rng) for _ in range(count)]
+
+
+def wound(scenario, drawn):
+    tape = Tape(len(drawn), BLOCK)
+    for lane, episode in enumerate(drawn):
+        tape.load(lane, scenario, episode, TABLE)
+    return tape
+
+
+def played(scenario, drawn, blocks):
+    """Return the samples of all lanes, shape (T, SAMPLE, lanes), read in blocks of these sizes."""
+    tape = wound(scenario, drawn)
+    return np.concatenate([tape.read(range(len(drawn)), n) for n in blocks])
+
+
+@pytest.fixture(scope="module")
+def sea():
+    return played(SEA, episodes(SEA, LANES), [BLOCK] * 15)
+
+
+def test_reference_is_the_plan_and_stays_at_its_end(sea):
+    np.testing.assert_array_equal(sea[:, :8, 0], TABLE[: len(sea)])
+    tape = wound(SEA, episodes(SEA, 1))
+    rows = np.concatenate([tape.read([0], BLOCK)[:, :8, 0] for _ in range(17)])
+    np.testing.assert_array_equal(rows[len(TABLE) :], np.tile(TABLE[-1], (len(rows) - len(TABLE), 1)))
+
+
+def test_noise_is_white_with_its_deviation_and_bias(sea):
+    noise = sea[:, 13:]
+    np.testing.assert_allclose(noise.mean(axis=(0, 2)), BIAS, rtol=0, atol=0.01 * max(NOISE))
+    np.testing.assert_allclose(noise.std(axis=(0, 2)), NOISE, rtol=0.01)
+    white = (noise - noise.mean(axis=(0, 2), keepdims=True)) / np.reshape(NOISE, (6, 1))
+    assert np.abs((white[1:] * white[:-1]).mean(axis=(0, 2))).max() < 0.01
+    assert np.abs(np.corrcoef(white.transpose(1, 0, 2).reshape(6, -1)) - np.eye(6)).max() < 0.01
+
+
+def test_gust_has_its_mean_deviation_and_correlation_time(sea):
+    """A process of time constant T behind a filter of s: covariance (T e^(-t/T) - s e^(-t/s)) T / (T^2 - s^2)."""
+    T, s, sigma = 4.0, 1.0, 0.15
+    gust = sea[100:, 8:10] - np.reshape([0.2 * math.cos(0.5), 0.2 * math.sin(0.5)], (2, 1))
+    assert np.abs(gust.mean(axis=(0, 2))).max() < 0.01
+    for lag in (0, 10, 40, 80):
+        t = lag * DT
+        expected = sigma**2 * T * (T * math.exp(-t / T) - s * math.exp(-t / s)) / (T**2 - s**2)
+        got = (gust[lag:] * gust[: len(gust) - lag]).mean(axis=(0, 2))
+        np.testing.assert_allclose(got, expected, rtol=0, atol=0.04 * sigma**2)
+    assert abs((gust[:, 0] * gust[:, 1]).mean()) < 0.04 * sigma**2
+    starts = sea[0, 8:10] - np.reshape([0.2 * math.cos(0.5), 0.2 * math.sin(0.5)], (2, 1))
+    assert starts.std() == pytest.approx(sigma, rel=0.1)
+
+
+def test_gust_obeys_its_recursion():
+    """With the normals that the lane's generator gives, columns 6 and 7 of 8 in each step."""
+    (episode,) = episodes(SEA, 1)
+    gust = played(SEA, [episode], [BLOCK])[:, 8:10, 0] - [episode.current.V_x, episode.current.V_y]
+    w = np.random.Generator(np.random.PCG64(episode.noise_seed)).standard_normal((BLOCK, 8))[:, 6:]
+    a, b = math.exp(-DT / 4.0), math.exp(-DT / 1.0)
+    process = smooth = 0.15 * w[0]
+    for k in range(BLOCK):
+        if k:
+            process = a * process + math.sqrt(1 - a * a) * 0.15 * w[k]
+            smooth = b * smooth + (1 - b) * process
+        np.testing.assert_allclose(gust[k], smooth, rtol=0, atol=1e-13)
+
+
+def test_waves_are_sums_of_sines_with_their_root_mean_square(sea):
+    expected = np.array([0.35 * 70, 0.2 * 100, 0.12 * 50]) * 0.8
+    np.testing.assert_allclose(np.sqrt((sea[:, 10:13] ** 2).mean(axis=(0, 2))), expected, rtol=0.02)
+    (episode,) = episodes(SEA, 1)
+    waves, t = episode.waves, DT * np.arange(len(sea))
+    edges = np.linspace(0.5, 1.1, 7)
+    assert all(low <= f < high for low, f, high in zip(edges, waves.frequencies, edges[1:], strict=False))
+    for axis, (rms, phases) in enumerate(zip((waves.surge, waves.sway, waves.yaw), waves.phases, strict=True)):
+        force = sum(math.sqrt(2 / 6) * rms * np.sin(f * t + p) for f, p in zip(waves.frequencies, phases, strict=True))
+        np.testing.assert_allclose(sea[:, 10 + axis, 0], force, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("cap", [0.0, 0.3, 0.75])
+def test_current_never_exceeds_its_cap(cap):
+    capped = replace(SEA, current=replace(SEA.current, cap=cap))
+    drawn = episodes(capped, 50)
+    speed = np.hypot(*played(capped, drawn, [BLOCK] * 3)[:, 8:10].transpose(1, 0, 2))
+    free = np.hypot(*played(SEA, drawn_without_cap(drawn), [BLOCK] * 3)[:, 8:10].transpose(1, 0, 2))
+    np.testing.assert_allclose(speed, np.minimum(free, cap * 0.8), rtol=1e-12, atol=1e-15)
+
+
+def drawn_without_cap(drawn):
+    return [replace(episode, current=replace(episode.current, cap=math.inf)) for episode in drawn]
+
+
+@pytest.mark.parametrize("blocks", [[7, 57, 1, 63], [1] * 128, [20] * 6 + [8]], ids=["uneven", "single", "twenty"])
+@pytest.mark.parametrize("scenario", [SEA, PRESETS["cruise-storm"], PRESETS["slow-gauss-markov"]], ids=lambda s: s.name)
+def test_samples_do_not_depend_on_how_the_tape_is_cut(scenario, blocks):
+    drawn = episodes(scenario, 3)
+    whole = played(scenario, drawn, [BLOCK, BLOCK])
+    np.testing.assert_allclose(played(scenario, drawn, blocks), whole, rtol=0, atol=1e-12)
+
+
+def test_lanes_do_not_know_of_each_other():
+    """One alone, several in other lanes and another order, and one loaded while the others are under way."""
+    drawn = [*episodes(SEA, 3), *episodes(PRESETS["slow-storm"], 2, seed=7)]
+    together = played(SEA, drawn, [BLOCK, BLOCK])
+    for lane, episode in enumerate(drawn):
+        np.testing.assert_allclose(played(SEA, [episode], [BLOCK, BLOCK])[..., 0], together[..., lane], atol=1e-12)
+    tape = wound(SEA, drawn[::-1])
+    first = tape.read([4, 0], BLOCK)
+    tape.load(1, SEA, drawn[0], TABLE)
+    second = tape.read([1, 0], BLOCK)
+    np.testing.assert_allclose(first, together[:BLOCK, :, [0, 4]], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(second[..., 0], together[:BLOCK, :, 0], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(second[..., 1], together[BLOCK:, :, 4], rtol=0, atol=1e-12)
+
+
+def test_the_seed_fixes_every_number():
+    first, again, other = (played(SEA, episodes(SEA, 2, seed), [BLOCK]) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert (first[:, 10:] != other[:, 10:]).all()
+    assert (first[:, 10:, 0] != first[:, 10:, 1]).all()
+
+
+def test_a_calm_lane_is_all_zero_also_beside_and_after_a_rough_one():
+    calm, (rough,) = Scenario(path=SEA.path), episodes(SEA, 1)
+    (quiet,) = episodes(calm, 1)
+    tape = Tape(2, BLOCK)
+    tape.load(0, SEA, rough, TABLE)
+    tape.load(1, calm, quiet, TABLE)
+    assert not tape.read([0, 1], BLOCK)[:, 8:, 1].any()
+    tape.load(0, calm, quiet, TABLE)
+    assert not tape.read([0, 1], BLOCK)[:, 8:].any()
+
+
+@given(units, units, st.floats(0.1, 2.0))
+def test_current_scales_with_the_paths_speed_unless_told_otherwise(first, second, speed):
+    for relative, unit in ((True, speed), (False, 1.0)):
+        current = RandomCurrent((0.1, 0.5), gust=0.2, relative=relative).draw(iter((first, second)).__next__, speed)
+        assert math.hypot(current.V_x, current.V_y) == pytest.approx(unit * (0.1 + 0.4 * first))
+        assert math.remainder(math.atan2(current.V_y, current.V_x) - math.tau * second + math.pi, math.tau) == (
+            pytest.approx(0, abs=1e-9)
+        )
+        assert current == replace(Current(gust=0.2 * unit), V_x=current.V_x, V_y=current.V_y)
+
+
+@given(
+    st.lists(units, min_size=7, max_size=7),
+    st.tuples(st.floats(1, 300), st.floats(1.05, 4)),
+    st.floats(0.1, 1.0),
+    st.floats(0, 3),
+)
+def test_mismatch_is_a_vehicle_with_more_mass_in_sway(numbers, masses, spread, quadratic):
+    vehicle = Vehicle(masses[0], masses[0] * masses[1], 80.0, 70.0, 100.0, 50.0, Y_vv=5.0)
+    low = 1.01 / masses[1]
+    mismatch = RandomMismatch((spread, 1.5), (low, low + 1), *[(spread, 1.5)] * 4, (0.0, quadratic), (1.0, 2.0, 3.0))
+    mismatch.check(vehicle)
+    true = mismatch.draw(iter(numbers).__next__, vehicle)
+    assert true.m22 > true.m11
+    factors = [low + (high - low) * u for (low, high), u in zip([(spread, 1.5)] * 7, numbers, strict=True)]
+    assert true.m11 == pytest.approx(vehicle.m11 * factors[0])
+    assert true.m22 / true.m11 == pytest.approx(masses[1] * (low + numbers[1]))
+    assert (true.m33, true.d11, true.d22, true.d33) == pytest.approx(
+        [x * f for x, f in zip((80.0, 70.0, 100.0, 50.0), factors[2:6], strict=True)]
+    )
+    q = quadratic * numbers[6]
+    assert (true.X_uu, true.Y_vv, true.N_rr) == pytest.approx((q, 5 + 2 * q, 3 * q))
+
+
+def test_no_mismatch_is_the_vehicle_itself():
+    assert RandomMismatch().draw(random.Random(0).random, PAPER_VEHICLE) == PAPER_VEHICLE
+
+
+@given(st.floats(-5, 5), st.floats(0, 5), units)
+def test_a_draw_takes_one_number_and_stays_in_its_interval(low, width, number):
+    numbers = iter((number, 0.5))
+    assert low <= draw((low, low + width), numbers.__next__) <= low + width
+    assert draw(low, numbers.__next__) == low
+    assert next(numbers, None) is None
+
+
+@pytest.mark.parametrize(
+    ("make", "arguments", "message"),
+    [
+        (RandomCurrent, {"speed": -0.1}, r"current speed is -0.1; it must be a number in \[0, inf\]"),
+        (RandomCurrent, {"direction": (1.0,)}, r"current direction is \(1.0,\); it must be a number or a pair"),
+        (RandomCurrent, {"gust": math.nan}, "current gust is nan"),
+        (RandomCurrent, {"gust_time": 0.0}, "current gust_time is 0.0"),
+        (RandomCurrent, {"relative": 1}, "current relative is 1; it must be true or false"),
+        (RandomWaves, {"yaw": "0.1"}, "waves yaw is '0.1'"),
+        (RandomWaves, {"band": 0.8}, r"waves band is 0.8; it must be a pair \(low, high\)"),
+        (RandomWaves, {"band": (1.1, 0.5)}, "waves band is .* low must not be above high"),
+        (RandomWaves, {"components": 13}, r"waves components is 13; it must be an integer in \[1, 12\]"),
+        (RandomWaves, {"components": True}, "waves components is True"),
+        (RandomMismatch, {"d22": 0.0}, "mismatch d22 is 0.0"),
+        (RandomMismatch, {"quadratic": (0.0, math.inf)}, "mismatch quadratic is .* it must be finite"),
+        (RandomMismatch, {"quadratic_drag": (1.0, 2.0)}, "mismatch quadratic_drag is .* three numbers"),
+    ],
+)
+def test_bad_parameters_are_refused(make, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        make(**arguments)
+
+
+def test_mismatch_that_could_leave_less_mass_in_sway_is_refused():
+    with pytest.raises(ValueError, match=r"mismatch ratio may fall to 0.8, .* must stay above 0.8113"):
+        Scenario(mismatch=RandomMismatch(ratio=(0.8, 1.2)))

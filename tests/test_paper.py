@@ -1,0 +1,173 @@
+"""The paper, recomputed: every number that the report prints, against values derived independently."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from auv_gym.vehicle import PAPER_VEHICLE
+from baselines.backstepping import GAINS
+from baselines.evaluation.command import evaluate
+from baselines.evaluation.request import Request
+from baselines.evaluation.stability import (
+    closed_loop_eigenvalues,
+    derived_sign_forces,
+    first_instability,
+    spectral_abscissa,
+)
+
+STARTS = {
+    # signs: to 5 cm [s], to 1 deg [s], peak |F_u| [N], peak |F_r| [N m]
+    "+ + +": (16.9, 23.1, 251.2, 105.4),
+    "+ + -": (23.2, 29.1, 86.8, 77.7),
+    "+ - +": (23.4, 29.5, 85.8, 76.4),
+    "+ - -": (16.2, 22.5, 264.0, 101.3),
+    "- + +": (27.3, 33.1, 158.4, 136.3),
+    "- + -": (21.3, 27.1, 380.4, 42.9),
+    "- - +": (21.8, 27.9, 367.6, 45.5),
+    "- - -": (27.3, 33.4, 159.1, 136.1),
+}
+TURN_RATES = (0.0, 0.1, 0.2, 0.3)
+SPEEDS = (0.1, 0.3, 0.5, 1.0, 2.0)
+ABSCISSAS = {
+    "paper": [
+        (-0.213, -0.168, -0.098, -0.051),
+        (-0.222, -0.238, -0.279, -0.323),
+        (+0.002, -0.010, -0.047, -0.096),
+        (+0.230, +0.221, +0.195, +0.160),
+        (+0.422, +0.414, +0.392, +0.362),
+    ],
+    "robust": [
+        (-0.111, -0.114, -0.111, -0.111),
+        (-0.122, -0.147, -0.168, -0.154),
+        (-0.122, -0.133, -0.170, -0.197),
+        (-0.117, -0.126, -0.144, -0.185),
+        (-0.111, -0.130, -0.131, -0.154),
+    ],
+}
+NAMES = ("fig3_trajectory", "fig4_forces", "fig5_velocity_errors", "fig6_tracking_errors", "noise_study")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    out = tmp_path_factory.mktemp("paper")
+    assert evaluate(Request.of((), "paper", (), 2, 0, 1, out)) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def reproduction(folder):
+    return json.loads((folder / "results.json").read_text())["reproduction"]
+
+
+@pytest.fixture(scope="module")
+def measured(reproduction):
+    return {row["quantity"]: row["measured"] for row in reproduction["rows"] + reproduction["remarks"]}
+
+
+@pytest.mark.parametrize(
+    ("quantity", "value", "tolerance"),
+    [
+        ("path speed v_p", 0.1, 1e-9),
+        ("path turn rate omega", -0.01, 1e-9),
+        ("sideslip gamma", 1.2317, 5e-5),
+        ("surge velocity u_R", 0.0999769, 5e-8),
+        ("sway velocity v_R", 0.0021495, 5e-8),
+        ("yaw rate r_R", -0.01, 1e-9),
+        ("surge force F_uR", 7.00408, 5e-6),
+        ("yaw torque F_rR", -0.48925, 1e-5),
+        ("factor 10 / (m22 - m11)", 0.2, 1e-12),
+        ("coefficient d22 / 10", 10.0, 1e-12),
+        ("coefficient d22 v_p^2 / 10", 0.1, 1e-12),
+        ("coefficient m11 |omega| / 10", 0.215, 1e-12),
+        ("u_R integrated from 1e-3 m/s", 0.0999769, 5e-8),
+        ("floor of the position error", 6.8e-6, 1e-6),
+        ("floor of the velocity error", 1.2e-5, 1e-6),
+        ("largest real part on the circle", -0.213, 5e-4),
+        ("speed at which straight lines turn unstable", 0.4970, 5e-5),
+        ("std of F_u under noise", 41.0, 2.0),
+        ("std of F_r under noise", 10.0, 0.5),
+        ("rms position error under noise", 0.022, 0.002),
+        ("std of F_u, low-pass at 1 Hz", 22.0, 1.5),
+        ("std of F_u, low-pass at 0.5 Hz", 16.0, 1.5),
+        ("std of F_u, low-pass at 0.3 Hz", 13.0, 1.5),
+        ("rms position error, low-pass at 1 Hz", 0.023, 0.002),
+        ("rms position error, low-pass at 0.5 Hz", 0.024, 0.002),
+        ("rms position error, low-pass at 0.3 Hz", 0.026, 0.002),
+    ],
+)
+def test_number(measured, quantity, value, tolerance):
+    assert measured[quantity] == pytest.approx(value, abs=tolerance)
+
+
+def test_only_what_is_known_to_be_off_disagrees(reproduction):
+    off = [row["quantity"] for row in reproduction["rows"] if row["agrees"] is False]
+    assert off == ["yaw torque F_rR", "floor of the heading error"]
+    torque = next(row for row in reproduction["rows"] if row["quantity"] == "yaw torque F_rR")
+    assert torque["paper"] == -0.488
+    assert "0.3 %" in torque["note"]
+
+
+@pytest.mark.parametrize("signs", STARTS)
+def test_section_v_from_every_start(reproduction, signs):
+    row = next(row for row in reproduction["starts"] if row["signs"] == signs)
+    found = [row[key] for key in ("settling_5cm_s", "settling_1deg_s", "peak_F_u_N", "peak_F_r_Nm")]
+    np.testing.assert_allclose(found, STARTS[signs], rtol=0.01)
+    assert row["error_100s_m"] < 1e-7
+
+
+def test_remarks_on_the_printed_equations(measured):
+    assert measured["u_R on the circle run counter-clockwise"] == pytest.approx(0.0999769, abs=5e-8)
+    assert measured["factor of z_v in the bracket"] == pytest.approx(-215 / 265 * 0.0999769)
+    assert measured["largest real part with the derived sign"] > 0
+    assert measured["gains that meet both conditions"] == 0
+    assert measured["width of the interval for k_2"] == 0
+
+
+def test_figures_are_pictures(folder):
+    for name in NAMES:
+        assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_eigenvalues_on_the_circle(reproduction):
+    expected = [-0.213 - 0.061j, -0.213 + 0.061j, -0.326 - 0.900j, -0.326 + 0.900j, -1.199, -1.509]
+    found = closed_loop_eigenvalues(PAPER_VEHICLE, GAINS["paper"], 0.1, -0.01)
+    np.testing.assert_allclose(found, expected, atol=6e-4)
+    np.testing.assert_array_equal(np.array(reproduction["eigenvalues"]) @ (1, 1j), found)
+
+
+@pytest.mark.parametrize("gains", ABSCISSAS)
+def test_stability_over_speed_and_turn_rate(gains):
+    found = [[spectral_abscissa(PAPER_VEHICLE, GAINS[gains], U, w) for w in TURN_RATES] for U in SPEEDS]
+    np.testing.assert_allclose(found, ABSCISSAS[gains], atol=6e-4)
+
+
+def test_stability_does_not_depend_on_the_side_of_the_turn():
+    one, other = (closed_loop_eigenvalues(PAPER_VEHICLE, GAINS["paper"], 0.3, w) for w in (0.1, -0.1))
+    np.testing.assert_allclose(one, other, atol=1e-8)
+
+
+def test_lateral_eigenvalues_are_roots_of_the_characteristic_polynomial():
+    """On a straight line the surge part decouples and the lateral one has the closed form of a quartic."""
+    gains, v, U = GAINS["paper"], PAPER_VEHICLE, 0.2
+    g, d, kap = v.m11 * U / v.m22, v.d22 / v.m22, gains.k + gains.k1
+    C = gains.c + gains.kc * (gains.cr * g) ** 2
+    P, Q, N = 1 - C * gains.cr * g, 1 + C * gains.cr, C + gains.cr * (1 + g * g)
+    slip = (v.m22 - v.m11) / v.m22
+    lateral = np.roots([1, N + d, Q + N * d - P * g, Q * d + P * kap * U * slip, P * kap * U * d])
+    surge = np.roots([1, kap + gains.cu + gains.ku * kap**2, (gains.cu + gains.ku * kap**2) * kap])
+    expected = np.concatenate((lateral, surge))
+    found = closed_loop_eigenvalues(v, gains, U, 0.0)
+    assert max(np.abs(found - root).min() for root in expected) < 1e-6
+
+
+def test_derived_sign_is_a_saddle_wherever_it_is_tried():
+    for U in np.geomspace(0.02, 2.0, 15):
+        assert spectral_abscissa(PAPER_VEHICLE, GAINS["paper"], U, 0.0, derived_sign_forces) > 0
+
+
+def test_first_instability_needs_a_sign_change():
+    with pytest.raises(ValueError, match="different signs"):
+        first_instability(PAPER_VEHICLE, GAINS["paper"], 0.1, 0.2)
+    assert math.isclose(first_instability(PAPER_VEHICLE, GAINS["paper"], 0.4, 0.6), 0.4970, abs_tol=5e-5)

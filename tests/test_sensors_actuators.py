@@ -1,0 +1,114 @@
+"""Actuators against their differential equation, the low-pass against SciPy, and what both refuse."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.signal import cont2discrete, lfilter
+
+from auv_gym.actuators import Actuators, Response, respond
+from auv_gym.namespaces import ARRAYS, FLOATS
+from auv_gym.sensors import Sensors, low_pass
+
+INF = math.inf
+forces = st.tuples(st.floats(-400, 400), st.floats(-200, 200))
+
+
+@pytest.mark.parametrize("lag", [0.01, 0.12, 0.6, 30.0])
+def test_response_is_the_first_order_lag(lag):
+    force, command, dt = (-120.0, 30.0), (250.0, -80.0), 0.1
+
+    def rates(t, z):  # of the force and of its integral over time
+        return np.concatenate(((np.array(command) - z[:2]) / lag, z[:2]))
+
+    exact = solve_ivp(rates, (0, dt), (*force, 0, 0), method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+    mean, end = respond(force, command, Response.of(lag, INF, INF, dt), FLOATS)
+    np.testing.assert_allclose((*end, *np.array(mean) * dt), exact, rtol=1e-9)
+
+
+@given(forces, forces)
+def test_without_lag_a_command_acts_at_once(force, command):
+    mean, end = respond(force, command, Response.of(0.0, INF, INF, 0.1), FLOATS)
+    assert mean == end == pytest.approx(command, abs=1e-12)
+
+
+@given(forces, forces, st.floats(0, 2), st.floats(1, 1e4), st.floats(1, 1e4))
+def test_forces_stay_between_start_and_command_and_change_no_faster_than_their_rate(force, command, lag, fast, slow):
+    dt = 0.2
+    mean, end = respond(force, command, Response.of(lag, fast, slow, dt), FLOATS)
+    for before, wanted, middle, after, rate in zip(force, command, mean, end, (fast, slow), strict=True):
+        assert abs(after - before) <= rate * dt * (1 + 1e-9)
+        assert min(before, wanted) - 1e-9 <= min(middle, after) <= max(middle, after) <= max(before, wanted) + 1e-9
+
+
+def test_rate_limit_is_reached_in_as_many_steps_as_it_takes():
+    force, response = (0.0, 0.0), Response.of(0.0, 100.0, 50.0, 0.1)
+    for _ in range(7):
+        _, force = respond(force, (65.0, -40.0), response, FLOATS)
+    assert force == pytest.approx((65.0, -35.0))
+
+
+def test_actuators_of_arrays_are_those_of_floats():
+    rng = np.random.default_rng(0)
+    force, command = 100 * rng.normal(size=(2, 2, 5))
+    lags, rates = [0.0, 0.1, 0.2, 0.5, 1.0], [200.0, INF, 50.0, 300.0, INF]
+    each = [Response.of(lag, rate, rate, 0.1) for lag, rate in zip(lags, rates, strict=True)]
+    together = respond(tuple(force), tuple(command), Response(*np.array(each).T), ARRAYS)
+    alone = [respond(f, c, response, FLOATS) for f, c, response in zip(force.T, command.T, each, strict=True)]
+    np.testing.assert_array_equal(np.array(together).transpose(2, 0, 1), alone)
+
+
+@pytest.mark.parametrize("cut_off", [0.05, 0.5, 4.0])
+def test_low_pass_is_the_held_first_order_filter(cut_off):
+    dt, rng = 0.1, np.random.default_rng(1)
+    gain = Sensors(low_pass=cut_off).filter_gain(dt)
+    w = 2 * math.pi * cut_off
+    numerator, denominator, _ = cont2discrete(([w], [1.0, w]), dt, method="zoh")
+    measured = rng.normal(scale=0.3, size=(200, 6))
+    measured[0] = 0.0
+    expected = lfilter(numerator[0, 1:], denominator, measured, axis=0)  # without the hold's delay of one step
+    filtered = [(0.0,) * 6]
+    for row in measured[1:].tolist():
+        filtered.append(low_pass(filtered[-1], row, gain, FLOATS))
+    np.testing.assert_allclose(filtered, expected, rtol=0, atol=1e-12)
+
+
+def test_no_low_pass_takes_every_measurement_as_it_is():
+    assert Sensors().filter_gain(0.1) == 1.0
+    assert low_pass((1.0,) * 6, (2.0,) * 6, 1.0, FLOATS) == (2.0,) * 6
+
+
+@pytest.mark.parametrize("ns", [FLOATS, ARRAYS], ids=["floats", "arrays"])
+@pytest.mark.parametrize(
+    ("before", "measured", "after"), [(3.0, -3.0, 3.0707963), (-3.1, 3.1, -3.1207963), (0.2, 0.6, 0.3)]
+)
+def test_heading_is_filtered_the_short_way_round(before, measured, after, ns):
+    heading = low_pass((0, 0, before, 0, 0, 0), (0, 0, measured, 0, 0, 0), 0.25, ns)[2]
+    assert heading == pytest.approx(after, abs=1e-7)
+    assert -math.pi <= heading < math.pi
+
+
+@pytest.mark.parametrize(
+    ("make", "arguments", "message"),
+    [
+        (Actuators, {"F_u_max": 0}, r"actuators F_u_max is 0; it must be a number in \[0.001, 8192\]"),
+        (Actuators, {"F_r_max": "5"}, "actuators F_r_max is '5'; it must be a number"),
+        (Actuators, {"F_r_max": True}, "actuators F_r_max is True; it must be a number"),
+        (Actuators, {"lag": -0.1}, "actuators lag is -0.1"),
+        (Actuators, {"lag": (0.5, 0.2)}, r"actuators lag is \(0.5, 0.2\); low must not be above high"),
+        (Actuators, {"lag": (0.5,)}, r"actuators lag is \(0.5,\); it must be a number or a pair"),
+        (Actuators, {"lag": INF}, "actuators lag is inf; it must be finite"),
+        (Actuators, {"F_u_rate": 0.0}, "actuators F_u_rate is 0.0"),
+        (Actuators, {"F_r_rate": math.nan}, "actuators F_r_rate is nan"),
+        (Sensors, {"position": -1.0}, r"sensors position is -1.0; it must be a number in \[0, 1000\]"),
+        (Sensors, {"yaw_rate": math.nan}, "sensors yaw_rate is nan"),
+        (Sensors, {"heading_bias": (0.0, 0.1, 0.2)}, "sensors heading_bias is .* a number or a pair"),
+        (Sensors, {"low_pass": 0.0}, "sensors low_pass is 0.0"),
+    ],
+)
+def test_bad_parameters_are_refused(make, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        make(**arguments)
