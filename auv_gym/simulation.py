@@ -128,7 +128,7 @@ def _observe(
     e_x, e_y = to_body(x_e, y_e, c, s)
     return filtered, (
         e_x, e_y, psi_e, u_e, v_e, r_e, u_R, v_R, r_R, F_uR, F_rR,
-        c, s, p.F_u_max, p.F_r_max, action[0], action[1],
+        c, s, p.F_u_max, p.F_r_max, action[0], action[1], p.h * p.substeps,
     )  # fmt: skip
 
 

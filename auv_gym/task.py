@@ -46,6 +46,7 @@ TERMS = (
     Term("F_r_max", "N m", 64.0, 64.0, "yaw torque that action 1 commands"),
     Term("a_u", "1", 1.0, 1.0, "previous action, surge"),
     Term("a_r", "1", 1.0, 1.0, "previous action, yaw"),
+    Term("dt", "s", 0.125, 80.0, "control period"),
 )
 SIZE = len(TERMS)
 SCALES = np.array([term.scale for term in TERMS])
@@ -73,6 +74,7 @@ class Observation(NamedTuple):
     F_r_max: Number
     a_u: Number
     a_r: Number
+    dt: Number
 
 
 def encode_observation(terms: Sequence[float]) -> NDArray[np.float64]:

@@ -185,7 +185,7 @@ class Backstepping:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """Return the action for an observation of shape (17,), or actions (N, 2) for (N, 17), and `state` untouched.
+        """Return the action for an observation of shape (18,), or actions (N, 2) for (N, 18), and `state` untouched.
 
         The law has no memory; the arguments behind the first are those of every policy. Wider observations, as the
         residual environment's, are fine.

@@ -46,9 +46,8 @@ def _first_paragraph(box: str) -> str:
     """Return what stands between title and first rule of a message that tyro has drawn as a box, on one line."""
     words: list[str] = []
     for row in box.splitlines()[1:]:
-        text = row.strip(" │─╰╯-")
-        if text:
-            words.append(text)
+        if row.strip(" │─╰╯-"):
+            words.append(row.strip(" │"))
         elif words:
             break
     return " ".join(words).strip(" .") or "the arguments are not understood"

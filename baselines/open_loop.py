@@ -20,7 +20,7 @@ class OpenLoop:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """Return the action (2,) or actions (N, 2) for observations (17,) or (N, 17), and `state` untouched."""
+        """Return the action (2,) or actions (N, 2) for observations (18,) or (N, 18), and `state` untouched."""
         o = decode_observation(observation)
         action = np.array((o.F_uR / o.F_u_max, o.F_rR / o.F_r_max), dtype=np.float32).T
         return np.clip(action, -1.0, 1.0), state

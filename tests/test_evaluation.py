@@ -174,8 +174,9 @@ def strict_json(text):
     return json.loads(text, parse_constant=refuse)
 
 
-def test_results_files(call, small, tmp_path):
+def test_results_files(call, small, tmp_path, capsys):
     assert call("--scenario", small, "--policy", "backstepping", "open-loop", "--jobs", "1", "--episodes", "3") == 0
+    assert "tail RMSE [m]" in capsys.readouterr().out
     folder = tmp_path / "runs" / "evaluate"
     record = strict_json((folder / "results.json").read_text())
     assert (record["suite"], record["seed"]) == (None, 0)

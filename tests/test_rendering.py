@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 from gymnasium.error import DependencyNotInstalled
 
-from auv_gym.rendering import ALERT, CURRENT, INK, PLAN, VEHICLE, Renderer, View, _elapsed
+from auv_gym.rendering import Renderer, View
+from auv_gym.rendering.camera import elapsed_between
+from auv_gym.rendering.canvas import ALERT, CURRENT, INK, PLAN, VEHICLE
 
 pygame = pytest.importorskip("pygame")
 
@@ -88,10 +90,10 @@ def test_a_new_episode_forgets_the_old_one(start):
 
 
 def test_elapsed_tells_histories_apart():
-    assert _elapsed(None, VIEW) == math.inf
-    assert _elapsed(VIEW, VIEW) == 0.0
-    assert _elapsed(VIEW, VIEW._replace(time=3.5, title="")) == 0.5
-    assert _elapsed(VIEW, VIEW._replace(time=2.9)) == math.inf
+    assert elapsed_between(None, VIEW) == math.inf
+    assert elapsed_between(VIEW, VIEW) == 0.0
+    assert elapsed_between(VIEW, VIEW._replace(time=3.5, title="")) == 0.5
+    assert elapsed_between(VIEW, VIEW._replace(time=2.9)) == math.inf
 
 
 def test_vehicle_is_where_the_camera_puts_it():

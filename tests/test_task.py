@@ -20,7 +20,7 @@ def test_decoding_returns_the_encoded_numbers_exactly(terms):
 
 @given(st.tuples(*[st.floats(-1e6, 1e6)] * 6))
 def test_observation_stays_in_its_bounds(errors):
-    observation = task.encode_observation((*errors, *[0.0] * 11))
+    observation = task.encode_observation((*errors, *[0.0] * 12))
     assert (np.abs(observation[[0, 1, 3, 4, 5]]) <= task.BOUNDS[[0, 1, 3, 4, 5]]).all()
 
 
@@ -35,7 +35,7 @@ def test_batch_decodes_as_single_observations_do():
         assert tuple(column[i] for column in batch) == tuple(task.decode_observation(row))
 
 
-@pytest.mark.parametrize("shape", [(), (3,), (2, 3), (1, 2, 17)])
+@pytest.mark.parametrize("shape", [(), (3,), (2, 3), (1, 2, task.SIZE)])
 def test_wrong_shape_is_refused(shape):
     with pytest.raises(ValueError, match="it must be"):
         task.decode_observation(np.zeros(shape))

@@ -59,7 +59,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     | 1   | yaw torque F_r  | -1 | 1  | `actuators.F_r_max` [N m] |
 
     ## Observation Space
-    `Box(-bound, bound, (17,), float64)`: the measured tracking errors in the body frame, the reference, and what the
+    `Box(-bound, bound, (18,), float64)`: the measured tracking errors in the body frame, the reference, and what the
     controller knows of itself. Each term is divided by a fixed scale; `auv_gym.decode_observation` gives SI units back.
 
     | Num | Term    | Unit  | Scale | Min    | Max   | Meaning |
@@ -81,6 +81,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     | 14  | F_r_max | N m   | 64    | -64    | 64    | yaw torque that action 1 commands |
     | 15  | a_u     | 1     | 1     | -1     | 1     | previous action, surge |
     | 16  | a_r     | 1     | 1     | -1     | 1     | previous action, yaw |
+    | 17  | dt      | s     | 0.125 | -80    | 80    | control period |
 
     ## Rewards
     `1 / sqrt(1 + (e / error_scale)^2) - rate_weight |a_k - a_(k-1)|^2` with the true position error e: 1 for a perfect

@@ -17,6 +17,7 @@ import gymnasium
 import numpy as np
 import scipy
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 import auv_gym
@@ -25,7 +26,7 @@ from baselines.evaluation.paper import Reproduction, Row
 from baselines.evaluation.request import EXPERT, Request
 from baselines.evaluation.runner import Run
 
-WIDTH = 150
+WIDTH = 160
 """Columns of a table that does not go to a terminal."""
 
 
@@ -147,12 +148,12 @@ def results_table(results: Sequence[Result]) -> Table:
     table = Table(
         title="Position error of the centre of mass",
         caption="tail: after the first third of an episode; interval: confidence of the mean; p95: over episodes\n"
-        "effort, smoothness: relative to the expert's; lost: episodes that went beyond the lost distance",
+        "effort, smoothness: relative to the expert's; lost: beyond the lost distance, the last error kept",
     )
     for name in ("scenario", "policy"):
         table.add_column(name, no_wrap=True)
     for name in ("tail RMSE [m]", "95 % interval", "p95 [m]", "RMSE [m]", "effort", "smoothness", "saturated", "lost"):
-        table.add_column(name, justify="right", no_wrap=True)
+        table.add_column(escape(name), justify="right", no_wrap=True)
     for previous, result in zip([None, *results], results, strict=False):
         name = result.run.scenario.name
         first = previous is None or previous.run.scenario.name != name
@@ -182,7 +183,7 @@ def reproduction_tables(reproduction: Reproduction) -> list[Table]:
     starts = Table(title="Section V from all eight starts: |x_e| = 0.5 m, |y_e| = 1 m, |psi_e| = 20 deg, at rest")
     headings = ("signs", "to 5 cm [s]", "to 1 deg [s]", "peak |F_u| [N]", "peak |F_r| [N m]", "error at 100 s [m]")
     for heading in headings:
-        starts.add_column(heading, justify="right")
+        starts.add_column(escape(heading), justify="right")
     for s in reproduction.starts:
         peaks = (f"{s.peak_F_u_N:.1f}", f"{s.peak_F_r_Nm:.1f}")
         starts.add_row(s.signs, f"{s.settling_5cm_s:.1f}", f"{s.settling_1deg_s:.1f}", *peaks, f"{s.error_100s_m:.1e}")

@@ -1,0 +1,96 @@
+"""What a picture shows and from where: view, camera, and how far along the path the reference is."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from auv_gym.rendering.canvas import ARROW_LENGTH, ARROW_MEMORY, CAMERA_TIME, NEAR_EXTENT, VEHICLE_LENGTH, Array
+
+
+class View(NamedTuple):
+    """Everything one picture shows, in SI units; all finite, only the limits (positive) may be infinite."""
+
+    time: float  # [s] going backwards starts a new history
+    state: tuple[float, float, float, float, float, float]  # x, y [m], psi [rad], u, v [m/s] over ground, r [rad/s]
+    reference: tuple[float, float, float]  # x, y [m], psi [rad]
+    path: Array  # (n, 2) [m] planned path in the order it is travelled
+    trail: Array  # (m, 2) [m] past positions, oldest first
+    current: tuple[float, float]  # V_x, V_y [m/s]
+    force: tuple[float, float]  # F_u [N], F_r [N m] as applied
+    force_limits: tuple[float, float]  # F_u_max [N], F_r_max [N m]
+    position_error: float  # [m]
+    title: str  # the scenario's name
+
+
+def elapsed_between(last: View | None, view: View) -> float:
+    """Time since the last picture [s]; inf where a new history starts: nothing before, time or vehicle set back."""
+    if last is None or view.time < last.time:
+        return math.inf
+    moved = (*view.state, *view.reference) != (*last.state, *last.reference)
+    return math.inf if moved and view.time == last.time else view.time - last.time
+
+
+class Camera:
+    """World [m] to picture [units]: centred between vehicle and reference, with smooth pan and zoom."""
+
+    def __init__(self, extent: Array) -> None:
+        self.extent = extent  # (2,) width and height [units]
+        self.center = np.zeros(2)  # [m]
+        self.scale = 1.0  # [units/m]
+        self.unit_speed = 0.0  # [m/s] the speed of an arrow of full length
+        self._offset = np.zeros(2)  # [m] from the vehicle to the centre
+        self._log_extent = 0.0  # log of half the picture's height [m]
+
+    def update(self, view: View, elapsed: float) -> None:
+        """Follow the view, `elapsed` after the one before; inf starts afresh."""
+        gain = 1.0 - math.exp(-elapsed / CAMERA_TIME)
+        vehicle, reference = np.array(view.state[:2]), np.array(view.reference[:2])
+        gap = reference - vehicle
+        self._offset = self._offset + gain * (0.5 * gap - self._offset)
+        self.center = vehicle + self._offset
+        wanted = math.log(max(NEAR_EXTENT, float(np.hypot(*gap))))
+        self._log_extent += gain * (wanted - self._log_extent)
+        farthest = max(np.hypot(*self._offset), np.hypot(*(gap - self._offset)))
+        half_height = max(math.exp(self._log_extent), 1.3 * float(farthest))  # neither ever leaves the picture
+        self.scale = 0.5 * float(self.extent.min()) / half_height
+        fading = self.unit_speed * math.exp(-elapsed / ARROW_MEMORY)
+        self.unit_speed = max(math.hypot(*view.state[3:5]), math.hypot(*view.current), fading, 0.02)
+
+    def project(self, points: ArrayLike) -> Array:
+        """World points (..., 2) [m] to picture points (..., 2) [units], y downwards."""
+        offset: Array = (np.asarray(points, dtype=np.float64) - self.center) * self.scale
+        return 0.5 * self.extent + offset * (1.0, -1.0)
+
+    def arrow(self, velocity: ArrayLike) -> Array:
+        """A velocity (2,) [m/s] as an arrow (2,) [units]."""
+        return np.asarray(velocity, dtype=np.float64) * (1.0, -1.0) * ARROW_LENGTH / self.unit_speed
+
+    def lattice(self, axis: int, spacing: float) -> NDArray[np.int64]:
+        """The multiples of `spacing` [m] seen along an axis, as integers."""
+        half = 0.5 * self.extent[axis] / self.scale
+        low, high = (self.center[axis] - half) / spacing, (self.center[axis] + half) / spacing
+        return np.arange(math.floor(low), math.ceil(high) + 1, dtype=np.int64)
+
+
+class Progress:
+    """How far along the path the reference is; walks forward, so crossings and laps are told apart."""
+
+    def __init__(self) -> None:
+        self._index = 0
+
+    def update(self, view: View, elapsed: float) -> int:
+        """Index of the path's point nearest to the reference, at or after the one before; inf starts afresh."""
+        if len(view.path) == 0:
+            return 0
+        distance = np.hypot(*(view.path - np.array(view.reference[:2])).T)
+        if math.isinf(elapsed) or self._index >= len(distance):
+            self._index = int(distance.argmin())
+        while self._index + 1 < len(distance) and distance[self._index + 1] <= distance[self._index]:
+            self._index += 1
+        if distance[self._index] > distance.min() + VEHICLE_LENGTH:  # the reference has jumped
+            self._index = int(distance.argmin())
+        return self._index

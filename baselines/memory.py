@@ -1,0 +1,71 @@
+"""Controllers with memory as policies: batching, resetting and clipping in one place."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_gym.task import Observation, decode_observation
+
+Array = NDArray[np.float64]
+Memory: TypeAlias = tuple[NDArray[Any], ...]
+"""What a controller remembers: arrays whose leading axis counts the N vehicles it steers."""
+
+
+class Controller(Protocol):
+    """A control law with memory, for N vehicles at once."""
+
+    def start(self, n: int) -> Memory:
+        """Return the memory at the start of n episodes."""
+
+    def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
+        """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in at the next control instant.
+
+        Args:
+            o: the observation in SI units, fields of shape (N,).
+            memory: as `start` or the last call returned it; it must not be changed in place.
+            extra: what the observation holds behind its terms, shape (N, columns).
+        """
+
+
+class Remembering:
+    """A controller with memory as a policy with Stable-Baselines3's `predict`."""
+
+    def __init__(self, controller: Controller) -> None:
+        """Wrap a controller; it stays reachable as `controller`."""
+        self.controller = controller
+
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: Memory | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], Memory | None]:
+        """Return the action (2,) or actions (N, 2) and the memory, its arrays with leading axis N (1 for one).
+
+        Memory begins anew where `state` is None or `episode_start`, shape (N,), is True.
+
+        Raises:
+            ValueError: the observation has the wrong shape, or `state` is of another number of vehicles.
+        """
+        rows = observation[None] if observation.ndim == 1 else observation
+        o = decode_observation(rows)
+        fresh = self.controller.start(len(rows))
+        if state is None:
+            state = fresh
+        elif any(len(a) != len(rows) for a in state):
+            raise ValueError(f"state is of {len(state[0])} vehicles, the observation of {len(rows)}")
+        elif episode_start is not None and np.any(episode_start):
+            begins = np.broadcast_to(episode_start, len(rows))
+            state = tuple(np.where(_along(begins, a), b, a) for a, b in zip(state, fresh, strict=True))
+        F_u, F_r, state = self.controller.forces(o, state, rows[:, len(o) :])
+        action = np.stack((F_u / o.F_u_max, F_r / o.F_r_max), axis=1)
+        action = np.clip(action, -1.0, 1.0).astype(np.float32)
+        return (action[0] if observation.ndim == 1 else action), state
+
+
+def _along(mask: NDArray[np.bool_], array: NDArray[Any]) -> NDArray[np.bool_]:
+    return mask.reshape(mask.shape + (1,) * (array.ndim - 1))
