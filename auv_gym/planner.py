@@ -251,11 +251,12 @@ def _sine_of_sideslip(along: PathRates, vehicle: Vehicle, h: float) -> Array:
 def _slow_start(along: PathRates, vehicle: Vehicle) -> Any:
     """Return w at the first sample free of the fast transient: two passes of m11 omega + D tan(gamma) = -Dm gamma'."""
     a = along.v_p_dot[0] / along.v_p[0]
-    D = vehicle.d22 + vehicle.m22 * a
+    linear, turn = vehicle.d22 + vehicle.m22 * a, vehicle.m11 * along.omega[0]
+    slope = np.sqrt(linear**2 + 4 * vehicle.Y_vv * along.v_p[0] * abs(turn))  # of D tan(gamma) by tan(gamma)
+    tan = -2 * turn / (linear + slope)
     D_dot = vehicle.m22 * (along.v_p_ddot[0] / along.v_p[0] - a * a)
-    tan = -vehicle.m11 * along.omega[0] / D
-    gamma_dot = -(vehicle.m11 * along.omega_dot[0] + D_dot * tan) / (D * (1 + tan * tan))
-    tan -= (vehicle.m22 - vehicle.m11) * gamma_dot / D
+    gamma_dot = -(vehicle.m11 * along.omega_dot[0] + D_dot * tan) / (slope * (1 + tan * tan))
+    tan -= (vehicle.m22 - vehicle.m11) * gamma_dot / slope
     return np.asarray(tan / np.sqrt(1 + tan * tan))
 
 

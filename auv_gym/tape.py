@@ -19,6 +19,9 @@ from auv_gym.scenario import Scenario
 from auv_gym.simulation import SAMPLE
 
 Array = NDArray[np.float64]
+Lanes = NDArray[np.int64]
+
+TILE = 16  # lanes transposed at once, so that both sides of the copy stay in the cache
 
 
 class Tape:
@@ -28,6 +31,7 @@ class Tape:
         """Make a tape of that many empty lanes, to be read in up to `block` control steps at once."""
         self._tables: list[Array] = [np.empty((0, 8))] * lanes
         self._generators: list[np.random.Generator | None] = [None] * lanes
+        self._drawn = [(0, 8)] * lanes  # columns of normals in use: six measurements, two gusts
         self._next = np.zeros(lanes, dtype=np.int64)
         self._noise, self._bias = np.zeros((lanes, 6)), np.zeros((lanes, 6))
         self._gusts = _Gusts(lanes)
@@ -37,9 +41,11 @@ class Tape:
         """Wind a new episode into a lane; `table` is its `Reference.table`, one row per control instant."""
         self._tables[lane] = table
         self._next[lane] = 0
-        self._noise[lane], self._bias[lane] = scenario.sensors.noise, episode.bias
-        random = episode.current.gust > 0 or bool(self._noise[lane].any())
-        self._generators[lane] = np.random.Generator(np.random.PCG64(episode.noise_seed)) if random else None
+        noise, gusty = scenario.sensors.noise, episode.current.gust > 0
+        self._noise[lane], self._bias[lane] = noise, episode.bias
+        self._drawn[lane] = first, end = 0 if any(noise) else 6, 8 if gusty else 6
+        random = np.random.Generator(np.random.SFC64(episode.noise_seed)) if first < end else None
+        self._generators[lane] = random
         self._gusts.load(lane, episode.current, scenario.control_dt, table)
         self._waves.load(lane, episode.waves, scenario.control_dt)
 
@@ -50,20 +56,52 @@ class Tape:
         """
         index = np.asarray(lanes)
         first = self._next[index]
-        normals = np.zeros((len(index), n, 8))
-        for row, lane in zip(normals, lanes, strict=True):
-            if generator := self._generators[lane]:
-                generator.standard_normal(out=row)
         out = np.empty((n, SAMPLE, len(index)))
-        for i, (lane, k) in enumerate(zip(lanes, first.tolist(), strict=True)):
-            rows = self._tables[lane][k : k + n]
-            out[: len(rows), :8, i] = rows
-            out[len(rows) :, :8, i] = self._tables[lane][-1]
-        out[:, 8:10] = self._gusts.read(index, normals[:, :, 6:], first == 0).transpose(1, 2, 0)
-        out[:, 10:13] = self._waves.read(index, n, first).transpose(1, 2, 0)
-        out[:, 13:] = (self._bias[index, None] + self._noise[index, None] * normals[:, :, :6]).transpose(1, 2, 0)
+        self._read_references(lanes, first.tolist(), out[:, :8])
+        normals = self._normals(lanes, n)
+        self._gusts.read(index, normals, first == 0, out[:, 8:10])
+        self._waves.read(index, first, out[:, 10:13])
+        errors = out[:, 13:]
+        errors[:] = self._bias[index].T
+        if normals is not None:
+            white = np.empty_like(errors)
+            _transpose(normals[:, :, :6], white)
+            white *= self._noise[index].T
+            errors += white
         self._next[index] += n
         return out
+
+    def _read_references(self, lanes: Sequence[int], first: list[int], out: Array) -> None:
+        n = len(out)
+        rows = np.empty((len(lanes), n, 8))
+        for row, lane, k in zip(rows, lanes, first, strict=True):
+            table = self._tables[lane]
+            have = min(n, max(len(table) - k, 0))
+            row[:have] = table[k : k + have]
+            if have < n:
+                row[have:] = table[-1]
+        _transpose(rows, out)
+
+    def _normals(self, lanes: Sequence[int], n: int) -> Array | None:
+        """Return standard normals, shape (lanes, n, 8), zero where a lane uses none; None if no lane does."""
+        generators = [self._generators[lane] for lane in lanes]
+        if not any(generators):
+            return None
+        normals = np.zeros((len(lanes), n, 8))
+        for row, lane, generator in zip(normals, lanes, generators, strict=True):
+            if generator:
+                a, b = self._drawn[lane]
+                if b - a == 8:
+                    generator.standard_normal(out=row)
+                else:
+                    row[:, a:b] = generator.standard_normal((n, b - a))
+        return normals
+
+
+def _transpose(rows: Array, out: Array) -> None:
+    """Copy rows of shape (lanes, n, m) into an array of shape (n, m, lanes)."""
+    for first in range(0, len(rows), TILE):
+        out[:, :, first : first + TILE] = rows[first : first + TILE].transpose(1, 2, 0)
 
 
 class _Gusts:
@@ -87,24 +125,25 @@ class _Gusts:
         slowest = math.sqrt((table[:, 3] ** 2 + table[:, 4] ** 2).min()) if math.isfinite(current.cap) else 1.0
         self._cap[lane] = current.cap * slowest
 
-    def read(self, index: NDArray[np.int64], normals: Array, fresh: NDArray[np.bool_]) -> Array:
-        """Return the current, shape (lanes, n, 2), for standard normals of that shape."""
-        current = np.repeat(self._mean[index, None], normals.shape[1], axis=1)
+    def read(self, index: Lanes, normals: Array | None, fresh: NDArray[np.bool_], out: Array) -> None:
+        """Write the current, shape (n, 2, lanes), driven by the last two of standard normals (lanes, n, 8)."""
+        out[:] = self._mean[index].T
         windy = self._sigma[index].nonzero()[0]
-        if len(windy):
+        if normals is not None and len(windy):
+            gusts = np.zeros((len(index), len(out), 2))
             decay = self._decay[index[windy]]
-            for a, b in {tuple(row) for row in decay.tolist()}:  # lanes that share their time constants
+            for a, b in set(map(tuple, decay.tolist())):  # lanes that share their time constants
                 group = windy[(decay[:, 0] == a) & (decay[:, 1] == b)]
-                current[group] += self._filtered(index[group], normals[group], fresh[group], a, b)
+                gusts[group] = self._filtered(index[group], normals[group, :, 6:], fresh[group], a, b)
+            total = np.empty_like(out)
+            _transpose(gusts, total)
+            out += total
         cap = self._cap[index]
         if np.isfinite(cap).any():
-            speed = np.hypot(current[..., 0], current[..., 1])
-            current *= np.minimum(1.0, cap[:, None] / np.maximum(speed, 1e-300))[..., None]
-        return current
+            speed = np.hypot(out[:, 0], out[:, 1])
+            out *= np.minimum(1.0, cap / np.maximum(speed, 1e-300))[:, None]
 
-    def _filtered(
-        self, lanes: NDArray[np.int64], normals: Array, fresh: NDArray[np.bool_], a: float, b: float
-    ) -> Array:
+    def _filtered(self, lanes: Lanes, normals: Array, fresh: NDArray[np.bool_], a: float, b: float) -> Array:
         sigma = self._sigma[lanes, None, None]
         gain = (1 - b) * math.sqrt(1 - a * a)
         if fresh.any():
@@ -151,14 +190,13 @@ class _Waves:
         angles = self._angle[lane, :, None] * self._steps
         self._basis[lane] = np.cos(angles), np.sin(angles)
 
-    def read(self, index: NDArray[np.int64], n: int, first: NDArray[np.int64]) -> Array:
-        """Return the forces, shape (lanes, n, 3), from step `first` of each lane on."""
-        load = np.zeros((len(index), n, 3))
+    def read(self, index: Lanes, first: Lanes, out: Array) -> None:
+        """Write the forces, shape (n, 3, lanes), from step `first` of each lane on."""
+        out[:] = 0.0
         wavy = np.flatnonzero(self._wavy[index])
         if len(wavy):
             lanes = index[wavy]
             angle = (self._angle[lanes] * first[wavy, None])[:, None] + self._phase[lanes]
-            amplitude, basis = self._amplitude[lanes], self._basis[lanes, :, :, :n]
+            amplitude, basis = self._amplitude[lanes], self._basis[lanes, :, :, : len(out)]
             total = (amplitude * np.sin(angle)) @ basis[:, 0] + (amplitude * np.cos(angle)) @ basis[:, 1]
-            load[wavy] = total.transpose(0, 2, 1)
-        return load
+            out[:, :, wavy] = total.transpose(2, 1, 0)

@@ -86,11 +86,13 @@ def test_gust_has_its_mean_deviation_and_correlation_time(sea):
     assert starts.std() == pytest.approx(sigma, rel=0.1)
 
 
-def test_gust_obeys_its_recursion():
-    """With the normals that the lane's generator gives, columns 6 and 7 of 8 in each step."""
+def test_noise_and_gust_follow_from_the_seed():
+    """Eight normals in each step: six for the measurements, two that drive the gust."""
     (episode,) = episodes(SEA, 1)
-    gust = played(SEA, [episode], [BLOCK])[:, 8:10, 0] - [episode.current.V_x, episode.current.V_y]
-    w = np.random.Generator(np.random.PCG64(episode.noise_seed)).standard_normal((BLOCK, 8))[:, 6:]
+    samples = played(SEA, [episode], [BLOCK])[..., 0]
+    normals = np.random.Generator(np.random.PCG64(episode.noise_seed)).standard_normal((BLOCK, 8))
+    np.testing.assert_allclose(samples[:, 13:], BIAS + np.array(NOISE) * normals[:, :6], rtol=0, atol=1e-15)
+    gust, w = samples[:, 8:10] - [episode.current.V_x, episode.current.V_y], normals[:, 6:]
     a, b = math.exp(-DT / 4.0), math.exp(-DT / 1.0)
     process = smooth = 0.15 * w[0]
     for k in range(BLOCK):

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 import baselines
 from auv_gym.scenario import PRESETS, Scenario
@@ -17,9 +18,10 @@ from auv_gym.sensors import Sensors
 from baselines.command_line import run
 from baselines.evaluation import metrics
 from baselines.evaluation.metrics import EpisodeRecord
-from baselines.evaluation.report import write_atomically
+from baselines.evaluation.report import compare, write_atomically
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Task, make_env, run_all, run_episode, run_task
+from baselines.evaluation.tables import results_table
 
 SCRIPT = Path(__file__).parents[1] / "evaluate.py"
 SMALL = Scenario(name="small", sensors=Sensors(position=0.05), steps=45)
@@ -176,7 +178,7 @@ def strict_json(text):
 
 def test_results_files(call, small, tmp_path, capsys):
     assert call("--scenario", small, "--policy", "backstepping", "open-loop", "--jobs", "1", "--episodes", "3") == 0
-    assert "tail RMSE [m]" in capsys.readouterr().out
+    assert "tail [m]" in capsys.readouterr().out
     folder = tmp_path / "runs" / "evaluate"
     record = strict_json((folder / "results.json").read_text())
     assert (record["suite"], record["seed"]) == (None, 0)
@@ -354,3 +356,22 @@ def test_bootstrap_interval():
 
 def test_saved_scenario_is_the_one_evaluated(small, tmp_path):
     assert Request.of((), None, (small,), 1, 0, 1, tmp_path).scenarios == (SMALL,)
+
+
+def test_table_fits_a_narrow_terminal(capsys):
+    results = compare(run_all(("backstepping", "backstepping-normalised"), (SMALL,), 2, 0, 1, lambda _: None))
+    for width, interval in ((80, False), (160, True)):
+        Console(width=width).print(results_table(results, Console(width=width)))
+        out = capsys.readouterr().out
+        assert max(map(len, out.splitlines())) <= width
+        assert "backstepping-normalised" in out
+        assert "0 of 2" in out
+        assert ("95 % interval" in out) is interval
+
+
+def test_no_torch_is_imported():
+    code = (
+        "import sys, evaluate, baselines.evaluation.command, baselines.evaluation.plots\n"
+        "sys.exit(not {'torch', 'pygame', 'matplotlib.pyplot'}.isdisjoint(sys.modules))"
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=SCRIPT.parent, check=True)

@@ -12,7 +12,7 @@ from matrix_form import matrix_form
 from scipy.integrate import solve_ivp
 from scipy.special import fresnel
 
-from auv_gym.paths import PAPER_CIRCLE, Circle, Ellipse, FigureEight, Lawnmower, Line, RandomSmooth, Sine, Spline
+from auv_gym.paths import PAPER_CIRCLE, Circle, Ellipse, FigureEight, Lawnmower, Line, Path, RandomSmooth, Sine, Spline
 from auv_gym.planner import MAX_SIDESLIP, InfeasibleReferenceError, Reference, path_rates, plan, printed_surge_rate
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 
@@ -98,6 +98,26 @@ def test_sideslip_solves_its_differential_equation(name, vehicle):
     if path.start < 0:
         long_ago = np.array([-30.0, 0.0])
         assert R.gamma[0] == pytest.approx(sideslip(path, vehicle, long_ago, 0.0)[1], abs=1e-5)
+
+
+@dataclass(frozen=True)
+class Bounded:
+    """Another path from t = 0 on."""
+
+    path: Path
+    start, end = 0.0, math.inf
+
+    def derivatives(self, t):
+        return self.path.derivatives(t)
+
+
+@pytest.mark.parametrize("name", ["circle", "sine", "ellipse", "figure_eight", "random_smooth", "fast_sine"])
+@VEHICLES
+def test_without_a_run_in_the_sideslip_starts_near_that_of_long_ago(name, vehicle):
+    t = 0.1 * np.arange(100)
+    error = np.abs(plan(PATHS[name], vehicle, t).gamma - plan(Bounded(PATHS[name]), vehicle, t).gamma)
+    assert error[0] < 4e-3
+    assert error[70:].max() < 1e-6
 
 
 @pytest.mark.parametrize("turn_rate", [0.05, 0.2, 0.6, 1.2, 2.4])

@@ -15,15 +15,13 @@ from baselines.evaluation.paper import Reproduction, reproduce
 from baselines.evaluation.report import (
     Result,
     compare,
-    console,
-    reproduction_tables,
     results_csv,
     results_json,
-    results_table,
     write_atomically,
 )
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Run, run_all
+from baselines.evaluation.tables import console, reproduction_tables, results_table
 
 
 def evaluate(request: Request) -> int:
@@ -73,7 +71,7 @@ def _print(request: Request, results: list[Result], reproduction: Reproduction |
     out, err = console(), Console(stderr=True, highlight=False, soft_wrap=True)
     for table in reproduction_tables(reproduction) if reproduction else []:
         out.print(table)
-    out.print(results_table(results))
+    out.print(results_table(results, out))
     out.print(f"Wrote results.json, results.csv and plots to {request.out}", soft_wrap=True)
     notes: dict[str, list[str]] = {}
     for result in results:

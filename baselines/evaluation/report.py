@@ -1,4 +1,4 @@
-"""The report in numbers: results.json, results.csv and the tables on the terminal."""
+"""The report in numbers: results.json and results.csv."""
 
 from __future__ import annotations
 
@@ -16,18 +16,12 @@ from typing import Any
 import gymnasium
 import numpy as np
 import scipy
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 import auv_gym
 from baselines.evaluation.metrics import Summary, ratio, summarise
-from baselines.evaluation.paper import Reproduction, Row
+from baselines.evaluation.paper import Reproduction
 from baselines.evaluation.request import EXPERT, Request
 from baselines.evaluation.runner import Run
-
-WIDTH = 160
-"""Columns of a table that does not go to a terminal."""
 
 
 @dataclass(frozen=True)
@@ -135,74 +129,3 @@ def write_atomically(file: Path, content: str | bytes) -> None:
         temporary.replace(file)
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def console() -> Console:
-    """Return the console for tables on stdout, wide enough for them where it is no terminal."""
-    out = Console(highlight=False)
-    return out if out.is_terminal else Console(highlight=False, width=WIDTH)
-
-
-def results_table(results: Sequence[Result]) -> Table:
-    """Return the table of results, scenario by scenario."""
-    table = Table(
-        title="Position error of the centre of mass",
-        caption="tail: after the first third of an episode; interval: confidence of the mean; p95: over episodes\n"
-        "effort, smoothness: relative to the expert's; lost: beyond the lost distance, the last error kept",
-    )
-    for name in ("scenario", "policy"):
-        table.add_column(name, no_wrap=True)
-    for name in ("tail RMSE [m]", "95 % interval", "p95 [m]", "RMSE [m]", "effort", "smoothness", "saturated", "lost"):
-        table.add_column(escape(name), justify="right", no_wrap=True)
-    for previous, result in zip([None, *results], results, strict=False):
-        name = result.run.scenario.name
-        first = previous is None or previous.run.scenario.name != name
-        if first and previous is not None and len({r.run.policy for r in results}) > 1:
-            table.add_section()
-        table.add_row(name if first else "", result.run.policy, *_cells(result))
-    return table
-
-
-def _cells(result: Result) -> list[str]:
-    s = result.summary
-    if s is None:
-        return ["[red]failed[/red]", *["-"] * 7]
-    tail = s.tail_rmse_m
-    interval = "-" if math.isnan(tail.ci95[0]) else "{:.3g} ... {:.3g}".format(*tail.ci95)
-    ratios = [
-        f"{value:.2f}" if math.isfinite(value) else "-" for value in (result.effort_ratio, result.smoothness_ratio)
-    ]
-    lost = f"{s.failures} of {s.episodes}"
-    return [
-        f"{tail.mean:.3g}", interval, f"{tail.p95:.3g}", f"{s.rmse_m:.3g}", *ratios, f"{100 * s.saturation:.1f} %", lost
-    ]  # fmt: skip
-
-
-def reproduction_tables(reproduction: Reproduction) -> list[Table]:
-    """Return the tables about the paper: its numbers, its starts, its slips."""
-    starts = Table(title="Section V from all eight starts: |x_e| = 0.5 m, |y_e| = 1 m, |psi_e| = 20 deg, at rest")
-    headings = ("signs", "to 5 cm [s]", "to 1 deg [s]", "peak |F_u| [N]", "peak |F_r| [N m]", "error at 100 s [m]")
-    for heading in headings:
-        starts.add_column(escape(heading), justify="right")
-    for s in reproduction.starts:
-        peaks = (f"{s.peak_F_u_N:.1f}", f"{s.peak_F_r_Nm:.1f}")
-        starts.add_row(s.signs, f"{s.settling_5cm_s:.1f}", f"{s.settling_1deg_s:.1f}", *peaks, f"{s.error_100s_m:.1e}")
-    rows, remarks = reproduction.rows, reproduction.remarks
-    return [
-        _row_table("The paper's numbers", rows),
-        starts,
-        _row_table("Where the printed equations do not hold", remarks),
-    ]
-
-
-def _row_table(title: str, rows: Sequence[Row]) -> Table:
-    table = Table(title=title)
-    for name, justify in (("quantity", "left"), ("place", "left"), ("paper", "right"), ("measured", "right")):
-        table.add_column(name, justify=justify)  # type: ignore[arg-type]
-    for name in ("unit", "agrees", "note"):
-        table.add_column(name)
-    verdicts = {True: "yes", False: "[yellow]no[/yellow]", None: "-"}
-    for row in rows:
-        paper = "-" if row.paper is None else f"{row.paper:.6g}"
-        table.add_row(row.quantity, row.place, paper, f"{row.measured:.6g}", row.unit, verdicts[row.agrees], row.note)
-    return table

@@ -1,0 +1,99 @@
+"""Sphinx: `make docs` builds these pages, with every warning an error."""
+
+import dataclasses
+import importlib
+import inspect
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from docutils import nodes
+from docutils.statemachine import StringList
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+import auv_gym  # noqa: E402, after the path that finds it
+
+project = "auv_gym"
+author = "auv_gym contributors"
+version = release = auv_gym.__version__
+extensions = ["myst_parser"]
+myst_heading_anchors = 3
+html_theme = "furo"
+html_title = f"{project} {version}"
+exclude_patterns = ["_build"]
+nitpicky = False
+
+
+class ModuleReference(SphinxDirective):
+    """The public names of a module, from its docstrings, which are Markdown."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        """Return the parsed documentation."""
+        module = importlib.import_module(self.arguments[0])
+        text = f"```{{py:module}} {module.__name__}\n```\n\n{markdown(module)}\n\n"
+        text += "\n\n".join(entry(name, value, module) for name, value in members(module))
+        box = nodes.container()
+        self.state.nested_parse(StringList(text.splitlines(), source=module.__name__), 0, box)
+        return list(box.children)
+
+
+def members(module: ModuleType) -> list[tuple[str, Any]]:
+    """Return the documented public functions, classes and exceptions that the module itself defines."""
+    found = [(name, value) for name, value in vars(module).items() if not name.startswith("_")]
+    return [(name, value) for name, value in found if getattr(value, "__module__", "") == module.__name__ and value.__doc__]
+
+
+def entry(name: str, value: Any, owner: Any) -> str:
+    """Return a function, method or class as a directive of Sphinx's Python domain."""
+    if not inspect.isclass(value):
+        kind = "py:method" if inspect.isclass(owner) else "py:function"
+        return f"````{{{kind}}} {name}{signature(value)}\n{markdown(value)}\n````"
+    methods = [(n, m) for n, m in vars(value).items() if not n.startswith("_") and inspect.isfunction(m) and m.__doc__]
+    inner = "\n\n".join(entry(n, m, value) for n, m in methods)
+    kind = "py:exception" if issubclass(value, Exception) else "py:class"
+    return f"`````{{{kind}}} {name}{'' if fields(value) else signature(value)}\n{markdown(value)}\n\n{fields(value)}\n\n{inner}\n`````"
+
+
+def signature(value: Any) -> str:
+    """Return the names and defaults of the arguments."""
+    if inspect.isclass(value) and issubclass(value, Exception):
+        return ""
+    arguments = [p.replace(annotation=inspect.Parameter.empty) for p in inspect.signature(value).parameters.values()]
+    return re.sub(r"<[^>]*>", "...", str(inspect.Signature(arguments)))
+
+
+def fields(value: Any) -> str:
+    """Return the fields of a dataclass or named tuple as they stand in its source, units included."""
+    if not (dataclasses.is_dataclass(value) or hasattr(value, "_fields")):
+        return ""
+    lines = [line.strip() for line in inspect.getsource(value).splitlines()]
+    return "```python\n" + "\n".join(line for line in lines if re.match(r"\w+: .*", line) and "#" in line or re.match(r"\w+: [\w.\[\], |]+( = .*)?$", line)) + "\n```"
+
+
+def markdown(value: Any) -> str:
+    """Return the docstring with its headings as bold lines and its sections (Args, Raises, ...) as lists."""
+    lines = []
+    section = False
+    for line in (inspect.getdoc(value) or "").splitlines():
+        if match := re.fullmatch(r"#+ (.*)", line):
+            lines.append(f"\n**{match[1]}**\n")
+        elif match := re.fullmatch(r"(Args|Returns|Raises|Attributes):", line):
+            section = True
+            lines.append(f"\n**{match[1]}**\n")
+        elif section and re.match(r"    \w.*", line):
+            lines.append("- " + re.sub(r"^(\w+):", r"`\1`:", line.strip()))
+        else:
+            section = section and line.startswith(" ") or section and not line
+            lines.append(line.strip() if section else line)
+    return "\n".join(lines)
+
+
+def setup(app: Sphinx) -> None:
+    """Add the directive."""
+    app.add_directive("module-reference", ModuleReference)
