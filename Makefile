@@ -9,14 +9,15 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint typecheck format bench clean
+.PHONY: help demo test lint typecheck format bench docs clean
 
 help: ## list the verbs
 	@echo 'make VERB [ARGS="more options"] [PYTHON=python3.12]'
 	@sed -n 's/^\([a-z]*\):.*## /  \1            /p' $(MAKEFILE_LIST) | sed 's/^\(.\{13\}\) */\1/'
 
-demo: $(VENV)/eval.stamp ## score the controllers and agents, and write runs/demo/report.html (no torch)
-	$(BIN)/python evaluate.py --out runs/demo $(ARGS)
+demo: $(VENV)/eval.stamp ## recompute the paper, run the expert through every scenario; pictures and results in runs/demo
+	$(BIN)/python evaluate.py --suite paper --out runs/demo/paper
+	$(BIN)/python evaluate.py --out runs/demo/scenarios $(ARGS)
 
 # One thread a worker and no window: the workers share the machine.
 test: export OMP_NUM_THREADS = 1
@@ -42,6 +43,9 @@ format: $(VENV)/dev.stamp ## mend the style and the format
 
 bench: $(VENV)/dev.stamp ## measure the speed of the environments
 	$(BIN)/python benchmarks/bench.py $(ARGS)
+
+docs: $(VENV)/eval.stamp $(VENV)/docs.stamp ## build the documentation: build/docs/index.html
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs build/docs $(ARGS)
 
 clean: ## remove what was built, the environment included; runs/ stays
 	rm -rf $(VENV) build dist .coverage .hypothesis .mypy_cache .pytest_cache .ruff_cache

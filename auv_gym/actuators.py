@@ -24,7 +24,7 @@ class Actuators:
     def __post_init__(self) -> None:
         check_number("actuators F_u_max", self.F_u_max, 1e-3, 8192)
         check_number("actuators F_r_max", self.F_r_max, 1e-3, 4096)
-        check_interval("actuators lag", self.lag, 0)
+        check_interval("actuators lag", self.lag, 0, 1e3)
         check_number("actuators F_u_rate", self.F_u_rate, 1e-3)
         check_number("actuators F_r_rate", self.F_r_rate, 1e-3)
 

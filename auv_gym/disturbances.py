@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 
 from auv_gym.intervals import Interval, Uniform, check_interval, check_number, draw
-from auv_gym.vehicle import Vehicle
+from auv_gym.vehicle import MIN_MASS_RATIO, Vehicle
 
 
 @dataclass(frozen=True)
@@ -133,12 +133,12 @@ class RandomMismatch:
             check_number("mismatch quadratic_drag", value, 0, 1e9)
 
     def check(self, vehicle: Vehicle) -> None:
-        """Raise ValueError if some draw about this vehicle would have m22 <= m11."""
+        """Raise ValueError if some draw about this vehicle would have m22 too close to m11."""
         lowest = self.ratio[0] if isinstance(self.ratio, tuple) else self.ratio
-        if vehicle.m22 * lowest <= vehicle.m11:
+        least = MIN_MASS_RATIO * (1 + 1e-9) * vehicle.m11 / vehicle.m22
+        if lowest < least:
             raise ValueError(
-                f"mismatch ratio may fall to {lowest:g}, where m22/m11 = {vehicle.m22 / vehicle.m11 * lowest:.4g}; "
-                f"it must stay above {vehicle.m11 / vehicle.m22:.4g} for m22 > m11"
+                f"mismatch ratio may fall to {lowest:g}; for m22 > {MIN_MASS_RATIO} m11 it must be at least {least:.4g}"
             )
 
     def draw(self, uniform: Uniform, vehicle: Vehicle) -> Vehicle:

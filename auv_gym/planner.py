@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.dynamics import rates
-from auv_gym.namespaces import ARRAYS, FLOATS, wrap_angle
+from auv_gym.namespaces import ARRAYS, FLOATS, Number, wrap_angle
 from auv_gym.paths import Path, evaluate
 from auv_gym.vehicle import Vehicle
 
@@ -36,6 +36,7 @@ MAX_RESPONSE = 0.1  # largest integration step times the rate at which the rest 
 MAX_REFINEMENT = 128  # of the step for that reason
 MAX_SIDESLIP = math.radians(80.0)  # beyond it a vehicle drifts rather than travels
 ORDER = 4  # samples in each integration formula
+FEW = 8  # paths that are planned faster one by one, on floats, than together, on arrays
 
 
 class InfeasibleReferenceError(ValueError):
@@ -55,7 +56,7 @@ class InfeasibleReferenceError(ValueError):
         return type(self), (self.condition, self.time, self.place)  # as pickle needs it: on to another process
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Reference:
     """What keeps the vehicle on its path: one entry per time, arrays of shape (T,), or (T, N) for N paths."""
 
@@ -78,7 +79,7 @@ class Reference:
         return np.stack((self.x, self.y, self.psi, self.u, self.v, self.r, self.F_u, self.F_r), axis=1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PathRates:
     """Speed, direction and their rates along a path, arrays of one shape."""
 
@@ -123,6 +124,8 @@ def plan(
     """
     paths = path if isinstance(path, Sequence) else (path,)
     times = _checked_times(times, paths)
+    if isinstance(path, Sequence) and len(path) <= FEW:
+        return _side_by_side([plan(p, vehicle, times, force_limits) for p in path])
     memory = (vehicle.m22 - vehicle.m11) / vehicle.d22
     spacing = float(times[-1] - times[0]) / (len(times) - 1)
     substeps = max(math.ceil(spacing / (MAX_STEP * memory)), math.ceil(ORDER / (len(times) - 1)))
@@ -136,7 +139,7 @@ def plan(
         along = path_rates(derivatives)
         _check_rates(along, vehicle, partial(_check, times=fine, positions=derivatives[0]))
         refinement = min(math.ceil(h * _response(along, vehicle) / MAX_RESPONSE), MAX_REFINEMENT)
-        if len(paths) > 1 and (others or refinement > 1):  # each as it would be alone
+        if isinstance(path, Sequence) and (others or refinement > 1):  # each as it would be alone
             return _side_by_side([plan(p, vehicle, times, force_limits) for p in paths])
         if finest or refinement <= 1:
             break
@@ -151,7 +154,7 @@ def plan(
     )
     rows = slice(lead, None, substeps)
     kept = PathRates(*(getattr(along, field.name)[rows] for field in fields(PathRates)))
-    reference = _assemble(times, derivatives[0][:, rows], kept, w[rows], vehicle)
+    reference = assemble(times, derivatives[0][:, rows], kept, w[rows], vehicle)
     if force_limits is not None:
         _check_forces(reference, force_limits)
     return reference
@@ -220,35 +223,40 @@ def _sine_of_sideslip(along: PathRates, vehicle: Vehicle, h: float) -> Array:
     z = vehicle.d22 / Dm * h
     floats = along.v_p.ndim == 1
     slope, square, turn = (
-        (h / Dm * term).tolist() if floats else h / Dm * term
-        for term in (vehicle.m22 * along.v_p_dot / along.v_p, vehicle.Y_vv * along.v_p, vehicle.m11 * along.omega)
+        (h / Dm * term).tolist() if floats else h / Dm * term for term in sideslip_terms(along, vehicle)
     )
-
     sqrt = (FLOATS if floats else ARRAYS).sqrt
-
-    def rest(a: Any, q: Any, b: Any, w: Any) -> Any:
-        return -(a + q * abs(w)) * w - b * sqrt(abs(1 - w * w))  # abs: past 90 degrees
-
     inputs = list(zip(slope, square, turn, strict=True))
-    start = _slow_start(along, vehicle)
+    start = slow_sideslip(along, vehicle)
     w: list[Any] = [start.item() if floats else start] * ORDER
     decay = math.exp(-z)
+    first = [(k, math.exp(-k * z), _weights(z, 0, k)) for k in range(1, ORDER)]
     for _ in range(12):  # the first samples jointly: a fixed point of the integral over their interpolant
-        terms = [rest(*inputs[k], w[k]) for k in range(ORDER)]
-        for k in range(1, ORDER):
-            w[k] = decay**k * w[0] + sum(c * n for c, n in zip(_weights(z, 0, k), terms, strict=True))
+        terms = [sideslip_rest(*inputs[k], w[k], sqrt) for k in range(ORDER)]
+        for k, fade, (c0, c1, c2, c3) in first:
+            w[k] = fade * w[0] + c0 * terms[0] + c1 * terms[1] + c2 * terms[2] + c3 * terms[3]
     c3, c2, c1, c0 = _weights(z, 1 - ORDER, 1)
     n3, n2, n1, _ = terms
     last = w[-1]
     for a, q, b in inputs[ORDER - 1 : -1]:
-        n0 = rest(a, q, b, last)
+        n0 = sideslip_rest(a, q, b, last, sqrt)
         last = decay * last + c0 * n0 + c1 * n1 + c2 * n2 + c3 * n3
         w.append(last)
         n3, n2, n1 = n2, n1, n0
     return np.array(w)
 
 
-def _slow_start(along: PathRates, vehicle: Vehicle) -> Any:
+def sideslip_terms(along: PathRates, vehicle: Vehicle) -> tuple[Array, Array, Array]:
+    """Return what multiplies w, |w| w and sqrt(1 - w^2) in the bracket of the module's docstring."""
+    return vehicle.m22 * along.v_p_dot / along.v_p, vehicle.Y_vv * along.v_p, vehicle.m11 * along.omega
+
+
+def sideslip_rest(slope: Number, square: Number, turn: Number, w: Number, sqrt: Callable[[Number], Number]) -> Number:
+    """Return minus the bracket for its `sideslip_terms`, all of them scaled by the same factor."""
+    return -(slope + square * abs(w)) * w - turn * sqrt(abs(1 - w * w))  # abs: past 90 degrees
+
+
+def slow_sideslip(along: PathRates, vehicle: Vehicle) -> Any:
     """Return w at the first sample free of the fast transient: two passes of m11 omega + D tan(gamma) = -Dm gamma'."""
     a = along.v_p_dot[0] / along.v_p[0]
     linear, turn = vehicle.d22 + vehicle.m22 * a, vehicle.m11 * along.omega[0]
@@ -270,7 +278,7 @@ def _weights(z: float, first: int, end: int) -> tuple[float, ...]:
     return tuple(float(kernel @ np.prod([(s - m) / (j - m) for m in nodes if m != j], axis=0)) for j in nodes)
 
 
-def _assemble(times: Array, position: Array, along: PathRates, w: Array, vehicle: Vehicle) -> Reference:
+def assemble(times: Array, position: Array, along: PathRates, w: Array, vehicle: Vehicle) -> Reference:
     """Return states, their rates and the forces (16) from the path and the sine of its sideslip."""
     m11, m22, m33, _, d22, *_, Y_vv, _ = vehicle.coefficients
     v_p, beta, om, v_p_dot, om_dot, v_p_ddot = (getattr(along, field.name) for field in fields(PathRates))

@@ -68,9 +68,24 @@ class Start:
             raise ValueError(f"start random_signs is {self.random_signs!r}; it must be true or false")
 
 
+MAX_INTEGRATION_STEP = 0.5
+"""Largest step [s] for which Runge-Kutta is trusted: the spinning vehicle's modes decay within about a second."""
+
+_PARTS: dict[str, tuple[type, ...]] = {
+    "path": (RandomPath, Path),
+    "vehicle": (Vehicle,),
+    "mismatch": (RandomMismatch, type(None)),
+    "current": (RandomCurrent, type(None)),
+    "waves": (RandomWaves, type(None)),
+    "sensors": (Sensors,),
+    "actuators": (Actuators,),
+    "start": (Start,),
+}
+
+
 @dataclass(frozen=True)
 class Scenario:
-    """A task: path, vehicle, sea, sensors, actuators, start, clock and reward. Numbers may be intervals to draw from."""
+    """A task: path, vehicle, sea, sensors, actuators, start, clock and reward; intervals are drawn from."""
 
     name: str = "custom"
     path: Path | RandomPath = PAPER_CIRCLE
@@ -91,20 +106,29 @@ class Scenario:
     def __post_init__(self) -> None:
         if not self.name or not isinstance(self.name, str):
             raise ValueError(f"scenario name is {self.name!r}; it must be a non-empty string")
+        for name, kinds in _PARTS.items():
+            if not isinstance(getattr(self, name), kinds):
+                allowed = " or ".join("None" if kind is type(None) else kind.__name__ for kind in kinds)
+                raise ValueError(f"scenario {name} is {getattr(self, name)!r}; it must be a {allowed}")
         check_number("control_dt", self.control_dt, 1e-3, 10)
         for name, high in (("steps", 10**7), ("substeps", 1000)):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= high:
                 raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")
+        if self.control_dt / self.substeps > MAX_INTEGRATION_STEP:
+            raise ValueError(
+                f"control_dt is {self.control_dt!r} s in {self.substeps} substeps; an integration step must be at most "
+                f"{MAX_INTEGRATION_STEP} s, so raise substeps"
+            )
         check_number("error_scale", self.error_scale, 1e-6, 1e6)
         check_number("rate_weight", self.rate_weight, 0, 1e6)
         check_number("lost_distance", self.lost_distance, 1e-3, 64)
         if self.mismatch is not None:
             self.mismatch.check(self.vehicle)
-        if isinstance(self.path, Path) and self.path.end < self.duration:
+        if isinstance(self.path, Path) and not self.path.start <= 0 < self.duration <= self.path.end:
             raise ValueError(
-                f"the path ends at {self.path.end:.6g} s, before the episode does at {self.duration:.6g} s; "
-                "lower steps or control_dt, or make the path longer"
+                f"the path runs from {self.path.start:.6g} to {self.path.end:.6g} s, the episode from 0 to "
+                f"{self.duration:.6g} s; lower steps or control_dt, or make the path longer"
             )
 
     @property

@@ -23,6 +23,10 @@ class Coefficients(NamedTuple):
     N_rr: Number  # [kg m^2]
 
 
+MIN_MASS_RATIO = 1.01
+"""Least m22/m11: the planner's memory is (m22 - m11)/d22, and its integration step must follow."""
+
+
 @dataclass(frozen=True)
 class Vehicle:
     """Parameters of (2): rigid body plus added mass, linear drag and, beyond the paper, quadratic drag.
@@ -31,7 +35,7 @@ class Vehicle:
 
     Raises:
         ValueError: a parameter is not finite, a mass or linear drag is not positive, a quadratic drag is negative, or
-            `m22 <= m11`: the section III planner and the sideslip it describes need a slender hull.
+            m22 is not above m11: the section III planner and the sideslip it describes need a slender hull.
     """
 
     m11: float  # [kg] surge inertia, added mass included
@@ -52,10 +56,10 @@ class Vehicle:
                 raise ValueError(f"vehicle parameter {name} is {value!r}; inertia and linear drag must be positive")
             if value < 0:
                 raise ValueError(f"vehicle parameter {name} is {value!r}; quadratic drag is a magnitude, 0 or more")
-        if self.m22 <= self.m11:
+        if self.m22 < MIN_MASS_RATIO * self.m11:
             raise ValueError(
-                f"m22 = {self.m22!r} kg is not above m11 = {self.m11!r} kg; a torpedo-shaped hull adds more mass in "
-                "sway than in surge, and the planner's sideslip equation is stable forward in time only then"
+                f"m22 = {self.m22!r} kg is not above m11 = {self.m11!r} kg, by a factor of {MIN_MASS_RATIO} at least; a "
+                "torpedo-shaped hull adds more mass in sway than in surge, and only then the planner's equation is stable"
             )
 
     @property

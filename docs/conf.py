@@ -25,7 +25,6 @@ myst_heading_anchors = 3
 html_theme = "furo"
 html_title = f"{project} {version}"
 exclude_patterns = ["_build"]
-nitpicky = False
 
 
 class ModuleReference(SphinxDirective):
@@ -46,26 +45,31 @@ class ModuleReference(SphinxDirective):
 def members(module: ModuleType) -> list[tuple[str, Any]]:
     """Return the documented public functions, classes and exceptions that the module itself defines."""
     found = [(name, value) for name, value in vars(module).items() if not name.startswith("_")]
-    return [(name, value) for name, value in found if getattr(value, "__module__", "") == module.__name__ and value.__doc__]
+    found = [(name, value) for name, value in found if inspect.isclass(value) or inspect.isfunction(value)]
+    return [(name, value) for name, value in found if value.__module__ == module.__name__ and value.__doc__]
 
 
 def entry(name: str, value: Any, owner: Any) -> str:
-    """Return a function, method or class as a directive of Sphinx's Python domain."""
+    """Return a function, method, property or class as a directive of Sphinx's Python domain."""
+    if isinstance(value, property):
+        return f"````{{py:property}} {name}\n{markdown(value)}\n````"
     if not inspect.isclass(value):
         kind = "py:method" if inspect.isclass(owner) else "py:function"
+        value = getattr(value, "__func__", value)  # of a class method
         return f"````{{{kind}}} {name}{signature(value)}\n{markdown(value)}\n````"
-    methods = [(n, m) for n, m in vars(value).items() if not n.startswith("_") and inspect.isfunction(m) and m.__doc__]
-    inner = "\n\n".join(entry(n, m, value) for n, m in methods)
+    parts = [(n, m) for n, m in vars(value).items() if not n.startswith("_") and m.__doc__]
+    parts = [(n, m) for n, m in parts if inspect.isroutine(m) or isinstance(m, property)]
+    inner = "\n\n".join(entry(n, m, value) for n, m in parts)
     kind = "py:exception" if issubclass(value, Exception) else "py:class"
-    return f"`````{{{kind}}} {name}{'' if fields(value) else signature(value)}\n{markdown(value)}\n\n{fields(value)}\n\n{inner}\n`````"
+    plain = fields(value) or issubclass(value, Exception) or getattr(value, "_is_protocol", False)
+    heading = name if plain else name + signature(value)
+    return f"`````{{{kind}}} {heading}\n{markdown(value)}\n\n{fields(value)}\n\n{inner}\n`````"
 
 
 def signature(value: Any) -> str:
     """Return the names and defaults of the arguments."""
-    if inspect.isclass(value) and issubclass(value, Exception):
-        return ""
-    arguments = [p.replace(annotation=inspect.Parameter.empty) for p in inspect.signature(value).parameters.values()]
-    return re.sub(r"<[^>]*>", "...", str(inspect.Signature(arguments)))
+    arguments = [p.replace(annotation=p.empty) for p in inspect.signature(value).parameters.values()]
+    return re.sub(r"<[^>]*>", "...", str(inspect.Signature(a for a in arguments if a.name not in ("self", "cls"))))
 
 
 def fields(value: Any) -> str:
@@ -73,13 +77,14 @@ def fields(value: Any) -> str:
     if not (dataclasses.is_dataclass(value) or hasattr(value, "_fields")):
         return ""
     lines = [line.strip() for line in inspect.getsource(value).splitlines()]
-    return "```python\n" + "\n".join(line for line in lines if re.match(r"\w+: .*", line) and "#" in line or re.match(r"\w+: [\w.\[\], |]+( = .*)?$", line)) + "\n```"
+    known = [field.name for field in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else value._fields
+    kept = [line for line in lines if line.split(":")[0] in known]
+    return "```python\n" + "\n".join(kept) + "\n```"
 
 
 def markdown(value: Any) -> str:
     """Return the docstring with its headings as bold lines and its sections (Args, Raises, ...) as lists."""
-    lines = []
-    section = False
+    lines, section = [], False
     for line in (inspect.getdoc(value) or "").splitlines():
         if match := re.fullmatch(r"#+ (.*)", line):
             lines.append(f"\n**{match[1]}**\n")
@@ -89,11 +94,17 @@ def markdown(value: Any) -> str:
         elif section and re.match(r"    \w.*", line):
             lines.append("- " + re.sub(r"^(\w+):", r"`\1`:", line.strip()))
         else:
-            section = section and line.startswith(" ") or section and not line
-            lines.append(line.strip() if section else line)
+            section = section and (line.startswith(" ") or not line)
+            lines.append(line)
     return "\n".join(lines)
 
 
+def inside(app: Sphinx, name: str, source: list[str]) -> None:
+    """Let links that lead out of this folder where it is read as plain files stay inside it."""
+    source[0] = source[0].replace("](../CONTRIBUTING.md)", "](contributing.md)")
+
+
 def setup(app: Sphinx) -> None:
-    """Add the directive."""
+    """Add the directive and the hook."""
     app.add_directive("module-reference", ModuleReference)
+    app.connect("source-read", inside)

@@ -119,11 +119,11 @@ def test_readme_names_every_policy_and_family_of_scenarios():
 
 def test_readme_table_is_what_the_command_prints():
     command = re.search(r"evaluate.py --policy (.+) --scenario (.+) --episodes (\d+)", README)
-    rows = re.findall(r"^│ +(\S*) +│ +(\S+) +│ +([\d.e-]+) +│", README, re.MULTILINE)
+    rows = re.findall(r"^ +(?:\S+ +)?([a-z-]+) +([\d.e-]+) +[\d.e-]+ \.\.\. ", README, re.MULTILINE)
     scenarios = [PRESETS[name] for name in command[2].split()]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         runs = run_all(("backstepping", *command[1].split()), scenarios, int(command[3]), 0, 1, lambda _: None)
-    assert [policy for _, policy, _ in rows] == [run.policy for run in runs]
+    assert [policy for policy, _ in rows] == [run.policy for run in runs]
     measured = [summarise(run.records, run.scenario.steps).tail_rmse_m.mean for run in runs]
-    np.testing.assert_allclose([float(value) for *_, value in rows], measured, rtol=0.02)
+    np.testing.assert_allclose([float(value) for _, value in rows], measured, rtol=0.02)

@@ -1,0 +1,219 @@
+"""What the environments of many vehicles share: N lanes of episodes, drawn, planned and supplied with samples."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from gymnasium.utils import seeding
+from numpy.typing import NDArray
+
+from auv_gym.episode import Episode, checked_options, with_options
+from auv_gym.planner import plan
+from auv_gym.scenario import Scenario, as_scenario
+from auv_gym.simulation import PARAMETERS, SAMPLE, Parameters
+from auv_gym.tape import Tape
+from auv_gym.task import check_reference
+from auv_gym.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+ScenarioLike = Scenario | str | Mapping[str, Any]
+
+LARGEST_BLOCK = 64  # control steps of tape read at once ...
+BLOCK_SAMPLES = 2**18  # ... fewer where that many vehicles times steps are exceeded: it bounds the memory
+PLANNED_AT_ONCE = 256  # references planned in one batch, for the same reason
+
+
+class Beginning(NamedTuple):
+    """New episodes in n of the lanes."""
+
+    lanes: Indices  # which, shape (n,)
+    states: Array  # x, y, psi, u, v, r, velocities relative to the water, shape (6, n)
+    errors: Array  # [m] position error, shape (n,)
+
+
+class Lanes:
+    """N episodes side by side, everything of them but the simulation itself; on the host, for every back end.
+
+    Args:
+        num_envs: N.
+        scenario: a scenario, or a sequence of N.
+        vehicle: in place of the scenarios' known vehicle.
+        control_dt: control period [s] in place of the scenarios'.
+
+    Attributes:
+        scenarios: one for each lane.
+        samples: a block of samples ahead, shape (block, SAMPLE, N); `sample` is the row of the present time.
+        row: the present row of the block.
+        constants: the rows of `parameters`, shape (PARAMETERS, N).
+        k: control steps since each lane's reset, shape (N,).
+
+    Raises:
+        ValueError: a wrong number of lanes or scenarios, or whatever a scenario refuses.
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        scenario: ScenarioLike | Sequence[ScenarioLike],
+        vehicle: Vehicle | str | Mapping[str, Any] | None,
+        control_dt: float | None,
+    ) -> None:
+        if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
+            raise ValueError(f"num_envs is {num_envs!r}; it must be an integer of at least 1")
+        self.scenarios = _scenarios(scenario, num_envs, vehicle, control_dt)
+        self.all: Indices = np.arange(num_envs)
+        self.begun = False
+        self._generators = [seeding.np_random(None)[0] for _ in range(num_envs)]
+        self._dt = np.array([s.control_dt for s in self.scenarios])
+        self._steps = np.array([s.steps for s in self.scenarios])
+        block = max(1, min(LARGEST_BLOCK, BLOCK_SAMPLES // num_envs))
+        self._tape = Tape(num_envs, block)
+        self._fixed: dict[tuple[Any, ...], Array] = {}  # tables of scenarios whose path is not drawn
+        self.samples, self.row = np.zeros((block, SAMPLE, num_envs)), 0
+        self.constants = np.ones((PARAMETERS, num_envs))
+        self.filtered = any(s.sensors.low_pass is not None for s in self.scenarios)
+        self.substeps = self.scenarios[0].substeps
+        self.parameters = Parameters.of(self.constants, self.filtered, self.substeps)  # type: ignore[arg-type]
+        self.k: Indices = np.zeros(num_envs, dtype=np.int64)
+
+    @property
+    def sample(self) -> Any:
+        """The samples of the present time, an array (SAMPLE, N)."""
+        return self.samples[self.row]
+
+    @property
+    def time(self) -> Array:
+        """Time since each reset [s], shape (N,)."""
+        return self.k * self._dt
+
+    @property
+    def truncated(self) -> NDArray[np.bool_]:
+        """Whether each episode has run all of its steps, shape (N,)."""
+        ended: NDArray[np.bool_] = self.k == self._steps
+        return ended
+
+    def advance(self) -> None:
+        """Go on by one control step; reads the next block where this one ends, and then `row` is 0."""
+        self.row += 1
+        self.k += 1
+        if self.row == len(self.samples):
+            self._tape.read(self.all, self.row, self.samples)
+            self.row = 0
+
+    def reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> Beginning:
+        """Begin new episodes everywhere, or where `options["reset_mask"]` says; lane i gets seed + i.
+
+        Raises:
+            ValueError: unknown or wrong options, or a wrong number of seeds; nothing has changed then.
+        """
+        lanes, choices = self._checked_options(options or {})
+        seeds = seed if isinstance(seed, Iterable) else [None if seed is None else seed + i for i in self.all.tolist()]
+        if len(seeds) != len(self.all):
+            raise ValueError(f"seed has {len(seeds)} entries; it must be one integer, or {len(self.all)} of them")
+        seeded = {i: seeding.np_random(int(s))[0] for i, s in enumerate(seeds) if s is not None}
+        for i in lanes.tolist():
+            self._generators[i] = seeded.get(i, self._generators[i])
+        return self.begin(lanes, choices)
+
+    def _checked_options(self, options: Mapping[str, Any]) -> tuple[Indices, list[dict[str, Any]]]:
+        """Return the lanes to reset and every lane's options."""
+        n, lanes, rest = len(self.all), self.all, dict(options)
+        if "reset_mask" in rest:
+            mask = np.asarray(rest.pop("reset_mask"))
+            if mask.shape != (n,) or mask.dtype != np.bool_ or not mask.any():
+                raise ValueError(f"reset_mask is {mask!r}; it must be a boolean array ({n},) with a True")
+            if not (self.begun or mask.all()):
+                raise ValueError("the first reset must be of all sub-environments, without reset_mask")
+            lanes = mask.nonzero()[0]
+        checked_options(dict.fromkeys(set(rest) - {"episode"}, (0, 0, 0)))  # the names alone
+        choices: list[dict[str, Any]] = [{} for _ in range(n)]
+        for key, value in rest.items():
+            shared = key != "episode" and np.ndim(value) == 1
+            if not shared and (np.ndim(value) == 0 or len(value) != n):
+                raise ValueError(f"reset option {key} is {value!r}; it must have one entry for each of {n} vehicles")
+            for i, choice in enumerate(choices):
+                choice.update(checked_options({key: value if shared else value[i]}))
+        return lanes, choices
+
+    def begin(self, lanes: Indices, choices: Sequence[Mapping[str, Any]] = ()) -> Beginning:
+        """Begin a new episode in each of the lanes, with every lane's checked options of `reset`."""
+        episodes = []
+        for i in lanes.tolist():
+            chosen: Episode | None = choices[i].get("episode") if choices else None
+            episode = chosen or self.scenarios[i].draw(self._generators[i])
+            episodes.append(with_options(episode, choices[i]) if choices and choices[i] else episode)
+        for i, episode, table in zip(lanes.tolist(), episodes, self._tables(lanes, episodes), strict=True):
+            self._tape.load(i, self.scenarios[i], episode, table)
+            self.constants[:, i] = self.scenarios[i].parameters(episode)
+        self.begun = True
+        self.k[lanes] = 0
+        self.samples[self.row :, :, lanes] = self._tape.read(lanes, len(self.samples) - self.row)
+        references = self.samples[self.row, :4][:, lanes].T.tolist()
+        states = [episode.initial_state(R) for episode, R in zip(episodes, references, strict=True)]
+        errors = np.hypot(*np.array([episode.initial_error[:2] for episode in episodes]).T)
+        return Beginning(lanes, np.array(states).T, errors)
+
+    def _tables(self, lanes: Indices, episodes: Sequence[Episode]) -> list[Array]:
+        """Return the reference table of each episode, planning those of one clock and vehicle together."""
+        tables: list[Array] = [np.empty(0)] * len(episodes)
+        groups: dict[Any, list[int]] = {}
+        for j, (i, episode) in enumerate(zip(lanes.tolist(), episodes, strict=True)):
+            s = self.scenarios[i]
+            plan_of = (s.control_dt, s.steps, s.vehicle, s.actuators.F_u_max, s.actuators.F_r_max)
+            if episode.path is s.path:
+                fixed = (*plan_of, id(s.path))
+                if fixed not in self._fixed:
+                    self._fixed[fixed] = _plan([episode], *plan_of)[0]
+                tables[j] = self._fixed[fixed]
+            else:
+                groups.setdefault(plan_of, []).append(j)
+        for plan_of, members in groups.items():
+            for first in range(0, len(members), PLANNED_AT_ONCE):
+                batch = members[first : first + PLANNED_AT_ONCE]
+                for j, table in zip(batch, _plan([episodes[j] for j in batch], *plan_of), strict=True):
+                    tables[j] = table
+        return tables
+
+
+def _plan(
+    episodes: Sequence[Episode], dt: float, steps: int, vehicle: Vehicle, F_u_max: float, F_r_max: float
+) -> list[Array]:
+    """Return the reference tables of episodes, shape (steps + 1, 8) each."""
+    paths = [episode.path for episode in episodes]
+    reference = plan(paths, vehicle, dt * np.arange(steps + 1, dtype=np.float64), (F_u_max, F_r_max)).table
+    check_reference(reference)
+    return list(np.ascontiguousarray(reference.transpose(2, 0, 1)))
+
+
+def checked_actions(actions: Any, num_envs: int) -> Array:
+    """Return actions of shape (N, 2) as float64.
+
+    Raises:
+        ValueError: they are no numbers of that shape, or not finite; the first bad sub-environment is named.
+    """
+    array = np.asarray(actions)
+    if array.dtype.kind not in "fiu" or array.shape != (num_envs, 2):
+        raise ValueError(
+            f"actions have shape {array.shape} and type {array.dtype}; they must be numbers of shape ({num_envs}, 2)"
+        )
+    finite = np.isfinite(array)
+    if not finite.all():
+        i = int(np.argmin(finite.all(axis=1)))
+        raise ValueError(f"action of sub-environment {i} is {array[i]}; it must be two finite numbers in [-1, 1]")
+    return array.astype(np.float64)
+
+
+def _scenarios(
+    scenario: Any, num_envs: int, vehicle: Vehicle | str | Mapping[str, Any] | None, control_dt: float | None
+) -> list[Scenario]:
+    several = isinstance(scenario, Iterable) and not isinstance(scenario, (str, Mapping))
+    given = list(scenario) if several else [scenario]
+    if several and len(given) != num_envs:
+        raise ValueError(f"{len(given)} scenarios are given for {num_envs} sub-environments; give one, or one for each")
+    made = [as_scenario(s).changed(vehicle, control_dt) for s in given]
+    if len({s.substeps for s in made}) > 1:
+        raise ValueError("the scenarios differ in substeps; side by side they must have the same number")
+    return made if several else made * num_envs
