@@ -38,7 +38,7 @@ def _register() -> None:
         (
             "UnderactuatedAUVTrack-v0",
             "auv_gym.envs.track_env:UnderactuatedAUVTrackEnv",
-            "auv_gym.envs.track_vector_env:UnderactuatedAUVTrackVectorEnv",
+            "auv_gym.envs:make_track_vector_env",
         ),
         ("UnderactuatedAUVTrackResidual-v0", "baselines:make_residual_env", "baselines:make_residual_vector_env"),
     ):

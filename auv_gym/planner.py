@@ -278,18 +278,36 @@ def _weights(z: float, first: int, end: int) -> tuple[float, ...]:
     return tuple(float(kernel @ np.prod([(s - m) / (j - m) for m in nodes if m != j], axis=0)) for j in nodes)
 
 
-def assemble(times: Array, position: Array, along: PathRates, w: Array, vehicle: Vehicle) -> Reference:
-    """Return states, their rates and the forces (16) from the path and the sine of its sideslip."""
+def assemble(
+    times: Array,
+    position: Array,
+    along: PathRates,
+    w: Array,
+    vehicle: Vehicle,
+    sway_load: tuple[Number, Number] = (0.0, 0.0),
+) -> Reference:
+    """Return states, their rates and the forces (16) from the path and the sine of its sideslip.
+
+    Args:
+        times: as the plan keeps them [s].
+        position: likewise [m].
+        along: speed, direction and their rates along the path.
+        w: sine of the sideslip.
+        vehicle: whose plan it is.
+        sway_load: external force Y on the hull along its sway axis [N], in (2b), and its rate [N/s].
+    """
     m11, m22, m33, _, d22, *_, Y_vv, _ = vehicle.coefficients
     v_p, beta, om, v_p_dot, om_dot, v_p_ddot = (getattr(along, field.name) for field in fields(PathRates))
     c = np.sqrt(1 - w * w)
     tan, gamma, a = w / c, np.arcsin(w), v_p_dot / v_p
     u, v = v_p * c, v_p * w  # (7), (8)
     D = d22 + Y_vv * np.abs(v) + m22 * a
-    gamma_dot = -(m11 * om + D * tan) / (m22 - m11)
+    push = sway_load[0] / u
+    gamma_dot = -(m11 * om + D * tan - push) / (m22 - m11)
     u_dot, v_dot = v_p_dot * c - v * gamma_dot, v_p_dot * w + u * gamma_dot  # (12)
     D_dot = Y_vv * np.sign(v) * v_dot + m22 * (v_p_ddot / v_p - a * a)
-    gamma_ddot = -(m11 * om_dot + D_dot * tan + D * gamma_dot / c**2) / (m22 - m11)
+    push_dot = sway_load[1] / u + push * (tan * gamma_dot - a)
+    gamma_ddot = -(m11 * om_dot + D_dot * tan + D * gamma_dot / c**2 - push_dot) / (m22 - m11)
     psi = np.unwrap(beta, axis=0) - gamma  # (10) with the signed sideslip
     r, r_dot = om - gamma_dot, om_dot - gamma_ddot  # (14)
     _, _, u_free, _, r_free = rates(psi, u, v, r, (0.0, 0.0, 0.0), vehicle.coefficients, np)

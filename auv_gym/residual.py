@@ -7,9 +7,12 @@ from typing import Any, Protocol
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from auv_gym.envs.lanes import checked_actions, replaced
 from auv_gym.envs.track_env import checked_action
+from auv_gym.namespaces import FLOATS
 from auv_gym.task import BOUNDS
 
 
@@ -27,7 +30,7 @@ class Policy(Protocol):
 
 
 class ResidualAction(gym.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArray[np.float64], NDArray[np.float32]]):
-    """The action becomes a correction: command = clip(expert(observation) + authority * action).
+    """The action becomes a correction: command = clip(expert(observation) + authority * clip(action)).
 
     The expert's action is appended to the observation. A zero action reproduces the expert bit for bit.
 
@@ -64,7 +67,7 @@ class ResidualAction(gym.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArr
         Raises:
             ValueError: the correction is not two finite numbers; nothing has changed then.
         """
-        correction_u, correction_r = checked_action(action)
+        correction_u, correction_r = (FLOATS.clip(a, -1.0, 1.0) for a in checked_action(action))
         (base_u, base_r), (authority_u, authority_r) = self._base.tolist(), self.authority
         command = np.array((base_u + authority_u * correction_u, base_r + authority_r * correction_r))
         observation, reward, terminated, truncated, info = self.env.step(command)
@@ -73,6 +76,80 @@ class ResidualAction(gym.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArr
     def _extended(self, observation: NDArray[np.float64], first: bool) -> NDArray[np.float64]:
         self._base, self._memory = self.expert.predict(observation, self._memory, np.array([first]))
         return np.concatenate((observation, self._base))
+
+
+class VectorResidualAction(
+    gym.vector.VectorWrapper[
+        NDArray[np.float64], NDArray[np.float32], NDArray[np.float64], NDArray[np.float32], NDArray[Any]
+    ]
+):
+    """`ResidualAction` for a vector environment with SAME_STEP autoreset; one expert acts for all in batches.
+
+    The expert's memory, if it has any, is a tuple of arrays whose leading axis counts the sub-environments.
+
+    Args:
+        env: a vector environment with this package's observation and action space.
+        expert: a policy that keeps whatever it remembers in the `state` of `predict`.
+        authority: see `ResidualAction`.
+
+    Raises:
+        ValueError: an authority is not in (0, 2].
+    """
+
+    def __init__(
+        self, env: gym.vector.VectorEnv[Any, Any, Any], expert: Policy, authority: float | Sequence[float] = 0.5
+    ) -> None:
+        super().__init__(env)
+        self.expert = expert
+        self.authority = checked_authority(authority)
+        bounds = np.append(BOUNDS, (1.0, 1.0))
+        self.single_observation_space = gym.spaces.Box(-bounds, bounds, dtype=np.float64)
+        self.observation_space = batch_space(self.single_observation_space, env.num_envs)
+        self._memory: tuple[NDArray[Any], ...] | None = None
+        self._base = np.zeros((env.num_envs, 2), dtype=np.float32)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+        """Start episodes; see the wrapped environment."""
+        observation, info = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
+        begun = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, dtype=bool)))
+        if begun.all():
+            self._memory = None
+            self._base, self._memory = self.expert.predict(observation, None, begun)
+        else:  # the others have seen their observation already
+            base, memory = self._predicted(observation[begun], begun, fresh=True)
+            self._base = replaced(self._base, begun, base)
+            if self._memory is not None and memory is not None:
+                self._memory = tuple(replaced(m, begun, new) for m, new in zip(self._memory, memory, strict=True))
+        return np.concatenate((observation, self._base), axis=1), info
+
+    def step(
+        self, actions: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float64], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """Apply the expert's actions plus the corrections.
+
+        Raises:
+            ValueError: a correction is not two finite numbers; nothing has changed then.
+        """
+        corrections = np.clip(checked_actions(actions, self.num_envs), -1.0, 1.0)
+        command = self._base + np.array(self.authority) * corrections
+        observation, reward, terminated, truncated, info = self.env.step(command)  # type: ignore[arg-type]
+        done = terminated | truncated
+        if "final_obs" in info:
+            last = np.stack(info["final_obs"][done])
+            bases, _ = self._predicted(last, done, fresh=False)
+            for i, final, base in zip(done.nonzero()[0], last, bases, strict=True):
+                info["final_obs"][i] = np.concatenate((final, base))
+        self._base, self._memory = self.expert.predict(observation, self._memory, done)
+        return np.concatenate((observation, self._base), axis=1), reward, terminated, truncated, info
+
+    def _predicted(
+        self, observation: NDArray[Any], mask: NDArray[np.bool_], *, fresh: bool
+    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
+        """Return the expert's actions and memory for the n observations of the lanes where the mask is True."""
+        memory = None if self._memory is None else tuple(m[mask] for m in self._memory)
+        return self.expert.predict(observation, memory, np.full(len(observation), fresh))
 
 
 def checked_authority(authority: float | Sequence[float]) -> tuple[float, float]:

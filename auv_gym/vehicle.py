@@ -58,8 +58,8 @@ class Vehicle:
                 raise ValueError(f"vehicle parameter {name} is {value!r}; quadratic drag is a magnitude, 0 or more")
         if self.m22 < MIN_MASS_RATIO * self.m11:
             raise ValueError(
-                f"m22 = {self.m22!r} kg is not above m11 = {self.m11!r} kg, by a factor of {MIN_MASS_RATIO} at least; a "
-                "torpedo-shaped hull adds more mass in sway than in surge, and only then the planner's equation is stable"
+                f"m22 = {self.m22!r} kg is not above m11 = {self.m11!r} kg, by a factor of {MIN_MASS_RATIO} at least; "
+                "a torpedo-shaped hull adds more mass in sway than in surge, and only then the plan is stable"
             )
 
     @property

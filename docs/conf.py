@@ -1,6 +1,7 @@
 """Sphinx: `make docs` builds these pages, with every warning an error."""
 
 import dataclasses
+import functools
 import importlib
 import inspect
 import re
@@ -15,7 +16,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-import auv_gym  # noqa: E402, after the path that finds it
+import auv_gym
 
 project = "auv_gym"
 author = "auv_gym contributors"
@@ -25,6 +26,8 @@ myst_heading_anchors = 3
 html_theme = "furo"
 html_title = f"{project} {version}"
 exclude_patterns = ["_build"]
+
+PROPERTIES = (property, functools.cached_property)
 
 
 class ModuleReference(SphinxDirective):
@@ -51,14 +54,14 @@ def members(module: ModuleType) -> list[tuple[str, Any]]:
 
 def entry(name: str, value: Any, owner: Any) -> str:
     """Return a function, method, property or class as a directive of Sphinx's Python domain."""
-    if isinstance(value, property):
+    if isinstance(value, PROPERTIES):
         return f"````{{py:property}} {name}\n{markdown(value)}\n````"
     if not inspect.isclass(value):
         kind = "py:method" if inspect.isclass(owner) else "py:function"
         value = getattr(value, "__func__", value)  # of a class method
         return f"````{{{kind}}} {name}{signature(value)}\n{markdown(value)}\n````"
     parts = [(n, m) for n, m in vars(value).items() if not n.startswith("_") and m.__doc__]
-    parts = [(n, m) for n, m in parts if inspect.isroutine(m) or isinstance(m, property)]
+    parts = [(n, m) for n, m in parts if inspect.isroutine(m) or isinstance(m, PROPERTIES)]
     inner = "\n\n".join(entry(n, m, value) for n, m in parts)
     kind = "py:exception" if issubclass(value, Exception) else "py:class"
     plain = fields(value) or issubclass(value, Exception) or getattr(value, "_is_protocol", False)
@@ -99,7 +102,7 @@ def markdown(value: Any) -> str:
     return "\n".join(lines)
 
 
-def inside(app: Sphinx, name: str, source: list[str]) -> None:
+def inside(_app: Sphinx, _name: str, source: list[str]) -> None:
     """Let links that lead out of this folder where it is read as plain files stay inside it."""
     source[0] = source[0].replace("](../CONTRIBUTING.md)", "](contributing.md)")
 

@@ -237,5 +237,5 @@ def test_bad_parameters_are_refused(make, arguments, message):
 
 
 def test_mismatch_that_could_leave_less_mass_in_sway_is_refused():
-    with pytest.raises(ValueError, match=r"mismatch ratio may fall to 0.8, .* at least 0.8194"):
+    with pytest.raises(ValueError, match=r"mismatch ratio may fall to 0.8; .* at least 0.8194"):
         Scenario(mismatch=RandomMismatch(ratio=(0.8, 1.2)))

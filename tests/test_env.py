@@ -290,7 +290,7 @@ def test_zero_residual_reproduces_the_expert_bit_for_bit(scenario):
 def test_residual_correction_is_bounded_by_its_authority():
     env = gym.make(RESIDUAL, authority=(0.1, 0.2))
     base = env.reset(seed=0)[0][SIZE:]
-    env.step(np.array([1.0, -1.0], dtype=np.float32))
+    env.step(np.array([5.0, -1.0], dtype=np.float32))
     expected = np.clip(base + np.array([0.1, -0.2]), -1, 1) * (400.0, 200.0)
     assert env.unwrapped.force == pytest.approx(expected)
 

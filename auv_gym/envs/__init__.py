@@ -1,1 +1,56 @@
-"""The environments."""
+"""The environments: scalar, vector and torch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as gym
+
+if TYPE_CHECKING:
+    from auv_gym.envs.lanes import ScenarioLike
+    from auv_gym.vehicle import Vehicle
+
+
+def make_track_vector_env(
+    num_envs: int = 1,
+    scenario: ScenarioLike | Sequence[ScenarioLike] = "paper-circle",
+    vehicle: Vehicle | str | Mapping[str, Any] | None = None,
+    control_dt: float | None = None,
+    render_mode: str | None = None,
+    backend: str = "numpy",
+    device: Any = None,
+    dtype: Any = None,
+) -> gym.vector.VectorEnv[Any, Any, Any]:
+    """Return the vector environment of `UnderactuatedAUVTrack-v0`.
+
+    Args:
+        num_envs: see `UnderactuatedAUVTrackVectorEnv`, as the next four.
+        scenario: likewise.
+        vehicle: likewise.
+        control_dt: likewise.
+        render_mode: likewise.
+        backend: "numpy" for arrays of float64, or "torch" for tensors, see `TorchSimulator`.
+        device: where the tensors live, "cpu" or "cuda"; with backend "torch" only.
+        dtype: their type, "float32" or "float64"; with backend "torch" only.
+
+    Raises:
+        ValueError: the back end is unknown, does not take such options, or the device is not available.
+        ImportError: the back end is "torch", and torch is not installed.
+    """
+    if backend == "numpy":
+        if device is not None or dtype is not None:
+            raise ValueError("device and dtype are options of backend='torch'; backend 'numpy' computes in float64")
+        from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+
+        return UnderactuatedAUVTrackVectorEnv(num_envs, scenario, vehicle, control_dt, render_mode)
+    if backend != "torch":
+        raise ValueError(f"unknown backend {backend!r}; allowed are 'numpy' and 'torch'")
+    if render_mode is not None:
+        raise ValueError(f"render_mode is {render_mode!r}; the vector environments do not draw, the scalar one does")
+    if find_spec("torch") is None:
+        raise ImportError("backend 'torch' needs torch: pip install 'auv-gym[train]', or choose backend='numpy'")
+    from auv_gym.envs.torch_sim import TorchSimulator
+
+    return TorchSimulator(num_envs, scenario, vehicle, control_dt, device or "cpu", dtype or "float32")

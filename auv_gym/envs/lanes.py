@@ -76,7 +76,7 @@ class Lanes:
         self.constants = np.ones((PARAMETERS, num_envs))
         self.filtered = any(s.sensors.low_pass is not None for s in self.scenarios)
         self.substeps = self.scenarios[0].substeps
-        self.parameters = Parameters.of(self.constants, self.filtered, self.substeps)  # type: ignore[arg-type]
+        self.parameters = Parameters.of(tuple(self.constants), self.filtered, self.substeps)
         self.k: Indices = np.zeros(num_envs, dtype=np.int64)
 
     @property
@@ -87,7 +87,7 @@ class Lanes:
     @property
     def time(self) -> Array:
         """Time since each reset [s], shape (N,)."""
-        return self.k * self._dt
+        return np.asarray(self.k * self._dt)
 
     @property
     def truncated(self) -> NDArray[np.bool_]:
@@ -204,6 +204,13 @@ def checked_actions(actions: Any, num_envs: int) -> Array:
         i = int(np.argmin(finite.all(axis=1)))
         raise ValueError(f"action of sub-environment {i} is {array[i]}; it must be two finite numbers in [-1, 1]")
     return array.astype(np.float64)
+
+
+def replaced(old: NDArray[Any], where: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:
+    """Return a copy of an array with new values at the indices, or where the mask is True."""
+    result = old.copy()
+    result[where] = new
+    return result
 
 
 def _scenarios(

@@ -106,8 +106,8 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     - `control_dt`: control period [s] in place of the scenario's; the episode's duration stays.
     - `render_mode`: `"human"`, `"rgb_array"` or None.
 
-    `reset(options=...)` takes `initial_error` (x_e, y_e [m], psi_e [rad]), `initial_velocity` (u, v [m/s], r [rad/s])
-    and `episode` (an `Episode` to run as it is).
+    `reset(options=...)` takes `initial_error` (x_e, y_e [m], psi_e [rad]), `initial_velocity` (u, v [m/s] relative to
+    the water, r [rad/s]) and `episode` (an `Episode` to run as it is).
 
     ## Version History
     - v0: initial version.

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from auv_gym.envs.lanes import Beginning, Lanes, ScenarioLike, checked_actions
+from auv_gym.envs.lanes import Beginning, Lanes, ScenarioLike, checked_actions, replaced
 from auv_gym.envs.track_env import ReferencePoint
 from auv_gym.namespaces import ARRAYS
 from auv_gym.simulation import Parameters, Plant, ground_state, start, step
@@ -94,12 +94,12 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
         """Put vehicles at the start of their episodes; return their first observations (n, SIZE)."""
         lanes, states, _ = beginning
         p = self._lanes.parameters
-        there = Parameters.of(self._lanes.constants[:, lanes], p.filtered, p.substeps)  # type: ignore[arg-type]
-        begun, terms = start(tuple(states), self._lanes.sample[:, lanes], there, ARRAYS)  # type: ignore[arg-type]
+        there = Parameters.of(tuple(self._lanes.constants[:, lanes]), p.filtered, p.substeps)
+        begun, terms = start(tuple(states), self._lanes.sample[:, lanes], there, ARRAYS)
         old = begun if self._plant is None else self._plant
         self._plant = (
-            *(_put(a, lanes, b) for a, b in zip(old[:-1], begun[:-1], strict=True)),
-            tuple(_put(a, lanes, b) for a, b in zip(old[-1], begun[-1], strict=True)),
+            *(replaced(a, lanes, b) for a, b in zip(old[:-1], begun[:-1], strict=True)),
+            tuple(replaced(a, lanes, b) for a, b in zip(old[-1], begun[-1], strict=True)),
         )
         return encode_rows(terms)
 
@@ -161,7 +161,7 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
     @property
     def current(self) -> Array:
         """V_x, V_y [m/s] of the water in the world; shape (N, 2)."""
-        return self._lanes.sample[8:10].T.copy()
+        return np.array(self._lanes.sample[8:10].T)
 
     @property
     def time(self) -> Array:
@@ -173,9 +173,3 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
         if self._plant is None:
             raise ResetNeeded("no episode has begun: call reset() first")
         return self._plant
-
-
-def _put(old: Array, lanes: NDArray[np.int64], new: Array) -> Array:
-    result = old.copy()
-    result[lanes] = new
-    return result

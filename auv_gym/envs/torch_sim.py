@@ -1,0 +1,287 @@
+"""The simulation on torch tensors: differentiable, compiled, on the CPU or a GPU.
+
+`simulate` is the pure step, `TorchSimulator` the vector environment around it. Random numbers, plans and table look-ups
+stay on the host, outside of the compiled graph; their samples are copied to the device in blocks.
+
+Back-propagation through time needs no more than the environment itself, since `step` keeps the graph of the action:
+
+    sim = TorchSimulator(256, "cruise-storm")
+    observation, _ = sim.reset(seed=0)
+    for _ in range(updates):
+        total = torch.zeros(())
+        for _ in range(32):
+            observation, reward, *_ = sim.step(policy(observation))
+            total = total + reward.mean()
+        optimizer.zero_grad()
+        (-total).backward()
+        optimizer.step()
+        observation = sim.detach()
+"""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, partial
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from torch import Tensor
+
+from auv_gym import simulation
+from auv_gym.envs.lanes import Beginning, Lanes, ScenarioLike
+from auv_gym.namespaces import tensors
+from auv_gym.simulation import PARAMETERS, SAMPLE, Parameters, Plant
+from auv_gym.task import BOUNDS, INVERSE_SCALES
+from auv_gym.vehicle import Vehicle
+
+logger = logging.getLogger(__name__)
+
+TENSORS = tensors()
+ENCODING = list(zip(INVERSE_SCALES.tolist(), BOUNDS.tolist(), strict=True))  # numbers: the graph may hold no NumPy
+STATE = 16  # rows of a `simulation.Plant`
+DTYPES = {"float32": torch.float32, "float64": torch.float64}
+
+
+class Transition(NamedTuple):
+    """What one control step gives; tensors of the state's type."""
+
+    state: Tensor  # shape (STATE, N)
+    observation: Tensor  # shape (SIZE, N)
+    reward: Tensor  # shape (N,)
+    done: Tensor  # 1 where the vehicle is lost, else 0, shape (N,)
+    squared_error: Tensor  # [m^2] of the position, shape (N,)
+    saturated: Tensor  # 1 where an actuator was commanded to its limit, else 0, shape (N,)
+
+
+def simulate(
+    state: Tensor, action: Tensor, sample: Tensor, parameters: Tensor, filtered: bool = False, substeps: int = 1
+) -> Transition:
+    """Return what `simulation.step` makes of N vehicles: a pure function, differentiable in state and action.
+
+    Args:
+        state: the rows of a `simulation.Plant`, shape (STATE, N).
+        action: surge and yaw command as fractions of the limits, shape (2, N).
+        sample: the rows of a `simulation.Sample`, shape (SAMPLE, N).
+        parameters: the rows of `simulation.Parameters`, shape (PARAMETERS, N).
+        filtered: see `simulation.Parameters`.
+        substeps: see `simulation.Parameters`.
+    """
+    p = Parameters.of(parameters.unbind(), filtered, substeps)
+    plant, terms, (reward, lost, squared_error, saturated) = simulation.step(
+        _unpacked(state), action.unbind(), sample.unbind(), p, TENSORS
+    )
+    return Transition(
+        _packed(plant), _encoded(terms), reward, lost.to(state.dtype), squared_error, saturated.to(state.dtype)
+    )
+
+
+def _packed(plant: Plant) -> Tensor:
+    return torch.stack((*plant[:-1], *plant[-1]))
+
+
+def _unpacked(state: Tensor) -> Plant:
+    rows = state.unbind()
+    return (*rows[:10], rows[10:])
+
+
+def _encoded(terms: Sequence[Tensor]) -> Tensor:
+    return torch.stack([torch.clamp(x * k, -b, b) for x, (k, b) in zip(terms, ENCODING, strict=True)])
+
+
+@cache
+def step_function(device: str, filtered: bool, substeps: int, compiled: bool) -> Callable[..., Transition]:
+    """Return `simulate` for these constants, compiled if that is wanted and possible on the device.
+
+    The first call compiles, which takes seconds, and warns where that fails; the step then runs eagerly.
+    """
+    eager = partial(simulate, filtered=filtered, substeps=substeps)
+    if not compiled:
+        return eager
+    logger.info("compiling the simulation step for %s; it takes some seconds, once a process", device)
+    step: Callable[..., Transition] = torch.compile(eager, dynamic=True, fullgraph=True)
+    try:
+        step(*(torch.ones(rows, 8, device=device) for rows in (STATE, 2, SAMPLE, PARAMETERS)))
+    except RuntimeError as error:  # every error of torch's compiler is one
+        _warn_once(str(error).strip().splitlines()[0])
+        return eager
+    return step
+
+
+@cache
+def _warn_once(reason: str) -> None:
+    warnings.warn(
+        f"the simulation step cannot be compiled and runs several times slower; torch.compile needs a C++ compiler "
+        f"such as g++ on the PATH (torch said: {reason})",
+        RuntimeWarning,
+        stacklevel=5,
+    )
+
+
+class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
+    """The vector environment with tensors in and out; see `UnderactuatedAUVTrackVectorEnv` for what it runs.
+
+    Where an episode ends, `info["final_obs"]` (N, SIZE) holds the observations before the reset and
+    `info["_final_obs"]` (N,) says where they differ from those returned. Seeds give the NumPy environment's episodes.
+
+    Gradients flow from observations and rewards to the actions of every step since the last `reset` or `detach`; an
+    episode's end cuts them. An action that needs no gradient builds no graph.
+
+    Args:
+        num_envs: N, the number of vehicles.
+        scenario: see `UnderactuatedAUVTrackVectorEnv`, as the next two.
+        vehicle: likewise.
+        control_dt: likewise.
+        device: a torch device, "cpu" or "cuda".
+        dtype: "float32" or "float64", or the torch type.
+        compiled: whether to compile the step.
+
+    Raises:
+        ValueError: an unknown type, an unavailable device, or whatever the scenarios refuse.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012 - as in VectorEnv
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        scenario: ScenarioLike | Sequence[ScenarioLike] = "paper-circle",
+        vehicle: Vehicle | str | Mapping[str, Any] | None = None,
+        control_dt: float | None = None,
+        device: str | torch.device = "cpu",
+        dtype: str | torch.dtype = "float32",
+        compiled: bool = True,
+    ) -> None:
+        self.device, self.dtype = checked_device(device), checked_dtype(dtype)
+        self._lanes = Lanes(num_envs, scenario, vehicle, control_dt)
+        self.num_envs = num_envs
+        self.render_mode = None
+        self.scenarios = self._lanes.scenarios
+        kind: Any = np.float32 if self.dtype == torch.float32 else np.float64
+        bounds: Any = BOUNDS.astype(kind)
+        self.single_action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self.single_observation_space = gym.spaces.Box(-bounds, bounds, dtype=kind)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self._step = step_function(str(self.device), self._lanes.filtered, self._lanes.substeps, compiled)
+        self._samples = self._tensor(self._lanes.samples)
+        self._constants = self._tensor(self._lanes.constants)
+        self._state: Tensor | None = None
+        self._observation = self._tensor(np.zeros((num_envs, len(BOUNDS))))
+
+    def _tensor(self, array: np.typing.ArrayLike) -> Tensor:
+        return torch.tensor(np.asarray(array), dtype=self.dtype, device=self.device)
+
+    @property
+    def state(self) -> Tensor:
+        """The rows of the `simulation.Plant`s, shape (STATE, N)."""
+        if self._state is None:
+            raise ResetNeeded("no episode has begun: call reset() first")
+        return self._state
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Tensor, dict[str, Any]]:
+        """Start new episodes everywhere, or where `options["reset_mask"]` says; sub-environment i gets seed + i.
+
+        Raises:
+            ValueError: unknown or wrong options, or a wrong number of seeds; nothing has changed then.
+        """
+        beginning = self._lanes.reset(seed, options)
+        self._state = None if len(beginning.lanes) == self.num_envs else self.state.detach()
+        self._observation = self._begin(beginning, self._observation.detach())
+        errors = np.zeros(self.num_envs)
+        errors[beginning.lanes] = beginning.errors
+        return self._observation, self._info(self._tensor(errors), torch.zeros_like(self._observation[:, 0]))
+
+    def _begin(self, beginning: Beginning, observation: Tensor) -> Tensor:
+        """Put vehicles at the start of their episodes; return the observations (N, SIZE) with their first ones."""
+        host = self._lanes
+        where = torch.as_tensor(beginning.lanes, device=self.device)
+        constants, ahead = host.constants[:, beginning.lanes], host.samples[host.row :, :, beginning.lanes]
+        self._constants = self._constants.index_copy(1, where, self._tensor(constants))  # the graph may need the old
+        # Past autograd's eyes: the graph holds views of earlier rows, which stay as they are.
+        self._samples.data[host.row + 1 :, :, where] = self._tensor(ahead[1:])
+        p = Parameters.of(self._tensor(constants).unbind(), host.filtered, host.substeps)
+        states = self._tensor(beginning.states).unbind()
+        plant, terms = simulation.start(states, self._tensor(ahead[0]).unbind(), p, TENSORS)  # type: ignore[arg-type]
+        begun, first = _packed(plant), _encoded(terms).T
+        self._state = begun if self._state is None else self._state.index_copy(1, where, begun)
+        return observation.index_copy(0, where, first)
+
+    def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
+        """Advance every vehicle by one control period; start the next episode where one ends.
+
+        Raises:
+            ValueError: an action is not two finite numbers; the first bad sub-environment is named, none has advanced.
+            ResetNeeded: no episode has begun.
+        """
+        commands, state, host = self._checked(actions), self.state, self._lanes
+        host.advance()
+        if host.row == 0:
+            self._samples = self._tensor(host.samples)
+        sample = self._samples[host.row]
+        self._state, rows, reward, lost, squared, saturated = self._step(state, commands.T, sample, self._constants)
+        observation, errors = rows.T, squared.detach().sqrt()
+        terminated = lost > 0.5
+        truncated = torch.as_tensor(host.truncated, device=self.device)
+        done = terminated | truncated
+        info: dict[str, Any] = {}
+        if done.any():
+            info = {"final_obs": observation, "_final_obs": done, "_final_info": done}
+            info["final_info"] = self._info(errors, saturated)
+            beginning = host.begin(done.nonzero()[:, 0].cpu().numpy())
+            observation = self._begin(beginning, observation)
+            errors = errors.masked_scatter(done, self._tensor(beginning.errors))
+            saturated = saturated * ~done
+        info.update(self._info(errors, saturated))
+        self._observation = observation
+        return observation, reward, terminated, truncated, info
+
+    def detach(self) -> Tensor:
+        """Cut the graph here and return the last observation, shape (N, SIZE), without it."""
+        self._state, self._observation = self.state.detach(), self._observation.detach()
+        return self._observation
+
+    def _checked(self, actions: Tensor) -> Tensor:
+        if not isinstance(actions, Tensor) or actions.shape != (self.num_envs, 2):
+            given = f"shape {tuple(actions.shape)}" if isinstance(actions, Tensor) else f"type {type(actions).__name__}"
+            raise ValueError(f"actions have {given}; they must be a tensor of shape ({self.num_envs}, 2)")
+        finite = torch.isfinite(actions.detach()).all(dim=1)
+        if not finite.all():
+            i = int(finite.to(torch.int8).argmin())
+            raise ValueError(
+                f"action of sub-environment {i} is {actions[i].tolist()}; it must be two finite numbers in [-1, 1]"
+            )
+        return actions.to(self.device, self.dtype)
+
+    def _info(self, errors: Tensor, saturated: Tensor) -> dict[str, Any]:
+        """Return the scalar environment's info as tensors of shape (N,)."""
+        return {"position_error": errors, "saturated": saturated > 0.5, "time": self._tensor(self._lanes.time)}
+
+
+def checked_device(device: str | torch.device) -> torch.device:
+    """Return the device; raise ValueError if torch does not know it or cannot reach it."""
+    try:
+        found = torch.device(device)
+        torch.empty(0, device=found)
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        raise ValueError(
+            f"device {device!r} is not available ({str(error).splitlines()[0]}); choose 'cpu', "
+            "or install a torch build and driver for it"
+        ) from error
+    return found
+
+
+def checked_dtype(dtype: str | torch.dtype) -> torch.dtype:
+    """Return the torch type of a name or type; raise ValueError if it is not a float of 32 or 64 bits."""
+    found = DTYPES.get(dtype) if isinstance(dtype, str) else dtype
+    if found is None or found not in DTYPES.values():
+        raise ValueError(f"dtype is {dtype!r}; it must be float32 or float64")
+    return found
