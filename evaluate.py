@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ PROGRAM = "evaluate.py"
 
 @dataclass(frozen=True)
 class Options:
-    """Run policies through scenarios with paired seeds; print the table, write results.json, results.csv and plots.
+    """Run policies through the same episodes; print the table, write report.html, results.json, results.csv and plots.
 
     The expert, backstepping, always runs too: it is the yardstick of effort and smoothness. Exit status: 0 done, 1 a
     policy failed or the results could not be written, 2 wrong usage.
@@ -30,14 +31,20 @@ class Options:
     figures recomputed)."""
     scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ()
     """Scenarios in place of a suite: names of presets, or .toml and .json files."""
-    episodes: int = 20
-    """Episodes of each policy in each scenario."""
+    episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
+    """Episodes of each policy in each scenario. Default: 20."""
     seed: int = 0
     """Seed of the first episode; episode i has seed + i, whatever the policy."""
     jobs: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Worker processes; the results are the same for any number. Default: 2, or 1 on a single processor."""
     out: Path = Path("runs/evaluate")
     """Folder for the results."""
+    step_limit: float = 0.1
+    """Seconds that a policy may take for a decision, on average; a slower one fails."""
+    stability: bool = False
+    """Instead of running scenarios, examine where the policies are stable about steady motion in still water."""
+    resume: bool = False
+    """Use the finished runs that an interrupted evaluation has left in the folder; policies must be the same still."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -48,10 +55,24 @@ def main(arguments: Sequence[str]) -> int:
     """
     options = parse(Options, arguments, PROGRAM)
     from baselines.evaluation.command import evaluate
-    from baselines.evaluation.request import Request
+    from baselines.evaluation.request import Request, checked_folder, checked_policies
+    from baselines.evaluation.score import EXPERT
 
+    if options.stability:
+        from baselines.evaluation.stability_report import report
+
+        return report(checked_policies(options.policy or (EXPERT,)), checked_folder(options.out))
     request = Request.of(
-        options.policy, options.suite, options.scenario, options.episodes, options.seed, options.jobs, options.out
+        options.policy,
+        options.suite,
+        options.scenario,
+        options.episodes,
+        options.seed,
+        options.jobs,
+        options.out,
+        options.step_limit,
+        options.resume,
+        f"python {PROGRAM} {shlex.join(arguments)}",
     )
     return evaluate(request)
 

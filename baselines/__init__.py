@@ -7,12 +7,21 @@ from typing import Any
 
 import gymnasium as gym
 
+from auv_gym.envs.lanes import ScenarioLike
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.residual import Policy, ResidualAction
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.residual import Policy, ResidualAction, VectorResidualAction
 from auv_gym.scenario import Scenario
 from auv_gym.vehicle import Vehicle
 from baselines.backstepping import Backstepping
+from baselines.current_observer import current_observer
+from baselines.ekf_law import ekf_law
+from baselines.integral import integral_law
+from baselines.los_pid import make_los_pid
+from baselines.lqi import make_lqi
 from baselines.open_loop import OpenLoop
+from baselines.oracle import Oracle
+from baselines.user_policies import is_path, load_policy
 
 POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
     "backstepping": (
@@ -23,6 +32,21 @@ POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
     "backstepping-paper": (Backstepping, {"gains": "paper"}, "the paper's law with the paper's gains at every speed"),
     "backstepping-robust": (Backstepping, {"gains": "robust"}, "the paper's law, gains tuned for decay up to 2 m/s"),
     "backstepping-normalised": (Backstepping, {"gains": "normalised"}, "the speed-normalised law, spin-safe gains"),
+    "integral": (integral_law, {}, "the paper's law with the position error's integral"),
+    "integral-normalised": (
+        integral_law,
+        {"form": "normalised"},
+        "the speed-normalised law with the position error's integral",
+    ),
+    "los-pid": (make_los_pid, {}, "line-of-sight guidance, PID autopilots and the planner's feed-forward"),
+    "lqi": (make_lqi, {}, "linear-quadratic control with integral action, gains scheduled with speed and turn rate"),
+    "current-observer": (
+        current_observer,
+        {},
+        "the speed-normalised law in the water frame, a simple observer",
+    ),
+    "ekf": (ekf_law, {}, "the same on an extended Kalman filter of vehicle, actuators and sea"),
+    "oracle": (Oracle, {}, "knows plant, current, waves and lag, now and in future: the score's 1; evaluation only"),
     "open-loop": (OpenLoop, {}, "the planner's forces alone"),
 }
 """Policies by name: (factory, its options, one line about it). Add an entry here to use it everywhere by name."""
@@ -34,13 +58,19 @@ def list_policies() -> dict[str, str]:
 
 
 def make_policy(name: str, **options: Any) -> Policy:
-    """Return a policy by name; options override those of the entry.
+    """Return a policy by name or path; options override those of the entry.
+
+    A path is FILE.py:FACTORY or a FILE.zip of Stable-Baselines3, which can run any code when it is loaded.
 
     Raises:
-        ValueError: the name is unknown, or the policy does not take such options.
+        OSError: the file cannot be read.
+        ValueError: the name is unknown, the file holds no policy, or the policy does not take such options.
     """
+    if is_path(name):
+        return load_policy(name, **options)
     if name not in POLICIES:
-        raise ValueError(f"unknown policy {name!r}; allowed are {', '.join(POLICIES)}")
+        known = ", ".join(POLICIES)
+        raise ValueError(f"unknown policy {name!r}; allowed are {known}, FILE.py:FACTORY or a FILE.zip")
     factory, defaults, _ = POLICIES[name]
     try:
         return factory(**{**defaults, **options})
@@ -68,3 +98,27 @@ def make_residual_env(
     """
     env = UnderactuatedAUVTrackEnv(scenario, vehicle, control_dt, render_mode)
     return ResidualAction(env, make_policy(expert) if isinstance(expert, str) else expert, authority)
+
+
+def make_residual_vector_env(
+    num_envs: int = 1,
+    scenario: ScenarioLike | Sequence[ScenarioLike] = "paper-circle",
+    vehicle: Vehicle | str | Mapping[str, Any] | None = None,
+    control_dt: float | None = None,
+    render_mode: str | None = None,
+    expert: Policy | str = "backstepping",
+    authority: float | Sequence[float] = 0.5,
+) -> gym.vector.VectorEnv[Any, Any, Any]:
+    """Return the vector environment of `UnderactuatedAUVTrackResidual-v0`.
+
+    Args:
+        num_envs: see `UnderactuatedAUVTrackVectorEnv`, as the next four.
+        scenario: likewise.
+        vehicle: likewise.
+        control_dt: likewise.
+        render_mode: likewise.
+        expert: a policy or the name of one.
+        authority: see `VectorResidualAction`.
+    """
+    env = UnderactuatedAUVTrackVectorEnv(num_envs, scenario, vehicle, control_dt, render_mode)
+    return VectorResidualAction(env, make_policy(expert) if isinstance(expert, str) else expert, authority)

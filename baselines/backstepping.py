@@ -32,7 +32,7 @@ class Gains:
     """Gains of the law, named as in the paper, and the forward speeds for which they are stable.
 
     Stable: every steady circle with |turn rate| <= 0.3 rad/s, straight lines included, is exponentially stable for the
-    paper's vehicle at all speeds from 0.05 m/s to `max_speed`.
+    paper's vehicle at all speeds from 0.1 m/s to `max_speed`.
     """
 
     k: float  # [1/s] position
@@ -40,7 +40,7 @@ class Gains:
     cu: float  # [1/s] surge
     ku: float  # [s] surge, nonlinear damping
     c: float  # [1/s] yaw
-    kc: float  # [s/m^2] yaw, nonlinear damping
+    kc: float  # [s^3/m^2] yaw, nonlinear damping
     cr: float  # [1/s] heading
     max_speed: float = math.inf  # [m/s]
     reference_speed: float | None = None  # [m/s] U0 of the speed-normalised form; None: as printed

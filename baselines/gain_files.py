@@ -1,4 +1,4 @@
-"""Gains as data: JSON files in `baselines/gains`, one for a controller and a regime, with where the numbers come from."""
+"""Gains as data: a JSON file in `baselines/gains` for each controller and regime, with where the numbers come from."""
 
 from __future__ import annotations
 

@@ -27,9 +27,10 @@ def integrated(xi: Array, o: Observation, rate: float, horizon: float) -> Array:
     """
     e_x, e_y, *_ = bounded_error(o, horizon, ARRAYS)
     moves = (np.abs(o.a_u) < 1.0) & (np.abs(o.a_r) < 1.0)
-    grown = xi + rate * o.dt * moves * np.array(to_world(e_x, e_y, o.cos_psi, o.sin_psi))
+    grown: Array = xi + rate * o.dt * moves * np.array(to_world(e_x, e_y, o.cos_psi, o.sin_psi))
     bound = horizon * np.maximum(np.hypot(o.u_R, o.v_R), MIN_SPEED)
-    return grown * np.minimum(1.0, bound / np.maximum(np.hypot(*grown), math.ulp(1.0)))
+    shrunk: Array = grown * np.minimum(1.0, bound / np.maximum(np.hypot(*grown), math.ulp(1.0)))
+    return shrunk
 
 
 def seen_from_body(xi: Array, o: Observation) -> Array:

@@ -1,8 +1,9 @@
 """The tracking law with integral action: what a constant current or load leaves of the position error is integrated.
 
-The law (21), (22), (34), (40), (47) gets e + R(psi)^T xi in place of its position error e, where xi' = rate R(psi) e.
-In the body frame xi is the internal model of a disturbance that is constant in the world: on a straight line and on
-every steady turn the error then vanishes, where the law alone keeps an offset.
+The law (21), (22), (34), (40), (47) gets e + diag(surge, 1) R(psi)^T xi in place of its position error e, where
+xi' = rate R(psi) e. In the body frame xi is the internal model of what is constant in the world, as a current is: on a
+straight line the error vanishes, where the law alone keeps an offset, and in a slow turn it almost does. A current
+along the hull takes a little thrust, the same current across it a whole crab angle: hence the smaller share of surge.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from baselines.inertial_integral import integrated, seen_from_body
 from baselines.memory import Array, Memory, Remembering
 
 LAW = ("k", "k1", "cu", "ku", "c", "kc", "cr")
-INTEGRAL = ("rate", "horizon")
-"""[1/s] of the integral; [s] bound of error and integral as a travel time of the reference."""
+INTEGRAL = ("rate", "horizon", "surge")
+"""[1/s] of the integral; [s] bound of error and integral as a travel time of the reference; [1] share of surge."""
 FORMS = {"printed": (*LAW, *INTEGRAL), "normalised": (*LAW, "reference_speed", *INTEGRAL)}
 """Names of the gains by form of the law: as printed, or normalised with the speed."""
 
@@ -35,7 +36,7 @@ class IntegralLaw:
         """Make the law; with a gain `reference_speed` in its speed-normalised form."""
         law = {name: value for name, value in gains.items() if name not in INTEGRAL}
         self.gains = Gains(**law)
-        self.rate, self.horizon = gains["rate"], gains["horizon"]
+        self.rate, self.horizon, self.surge = (gains[name] for name in INTEGRAL)
         self.vehicle = vehicle
 
     def start(self, n: int) -> Memory:
@@ -47,7 +48,7 @@ class IntegralLaw:
         xi = integrated(memory[0].T, o, self.rate, self.horizon)
         eta_x, eta_y = seen_from_body(xi, o)
         e_x, e_y, *rest = bounded_error(o, self.horizon, ARRAYS)
-        F_u, F_r = tracking_forces((e_x + eta_x, e_y + eta_y, *rest), self.vehicle, self.gains, ARRAYS)
+        F_u, F_r = tracking_forces((e_x + self.surge * eta_x, e_y + eta_y, *rest), self.vehicle, self.gains, ARRAYS)
         return F_u, F_r, (xi.T,)
 
 

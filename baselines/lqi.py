@@ -36,13 +36,13 @@ STATES, FORCES = 8, 2
 class Weights(NamedTuple):
     """The cost of a second, and what is assumed of the actuators.
 
-    It is |e|^2 + |xi|^2 + (heading U psi_e)^2 + velocity^2 (u_e^2 + v_e^2) + (turn r_e)^2, plus for surge and for yaw
-    (effort a)^2 + (rate a')^2 of the acceleration a that the command would give; e [m] the position error and xi [m] its
-    integral, U the speed.
+    It is |e|^2 + |xi|^2 + velocity^2 |R(psi) e'|^2 + (heading U psi_e)^2 + (turn r_e)^2, plus for surge and for yaw
+    (effort a)^2 + (rate a')^2 of the acceleration a that the command would give; e [m] is the position error, e' its
+    rate in the world, xi [m] its integral, and U the speed.
     """
 
-    heading: float  # [1]
     velocity: float  # [s]
+    heading: float  # [1]
     turn: float  # [m s]
     surge_effort: float  # [s^2]
     surge_rate: float  # [s^3]
@@ -96,12 +96,15 @@ def sampled_model(u_R: float, r_R: float, vehicle: Vehicle, w: Weights, dt: floa
 def optimal_gain(u_R: float, r_R: float, vehicle: Vehicle, w: Weights, dt: float) -> Array:
     """Return K (2, 12) of command = -K z that minimises the cost of `Weights`, z as in `sampled_model`."""
     Phi, Gamma = sampled_model(u_R, r_R, vehicle, w, dt)
-    U = np.hypot(u_R, vehicle.m11 * u_R * r_R / vehicle.d22)
-    errors = np.square([1.0, 1.0, w.heading * U, w.velocity, w.velocity, w.turn, 1.0, 1.0])
+    v_R = -vehicle.m11 * u_R * r_R / vehicle.d22
+    weighted = np.zeros((STATES, STATES))  # errors times the roots of their weights
+    weighted[[0, 1, 6, 7], [0, 1, 6, 7]] = 1.0
+    weighted[2, 2], weighted[5, 5] = w.heading * np.hypot(u_R, v_R), w.turn
+    weighted[3:5, 2:5] = w.velocity * np.array([[-v_R, 1.0, 0.0], [u_R, 0.0, 1.0]])  # (17), linearised
     per_force = np.array([vehicle.m11, vehicle.m33])
     effort = np.diag(np.square(np.array([w.surge_effort, w.yaw_effort]) / per_force))
     change = np.diag(np.square(np.array([w.surge_rate, w.yaw_rate]) / per_force / dt))
-    Q = block_diag(np.diag(errors), np.zeros((FORCES, FORCES)), change)
+    Q = block_diag(weighted.T @ weighted, np.zeros((FORCES, FORCES)), change)
     cross = np.vstack((np.zeros((STATES + FORCES, FORCES)), -change))
     R = effort + change
     P = solve_discrete_are(Phi, Gamma, Q, R, s=cross)
@@ -151,7 +154,9 @@ class LQI:
         return K
 
 
-def lqi(gains: Mapping[str, float] | None = None, vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE) -> Remembering:
+def make_lqi(
+    gains: Mapping[str, float] | None = None, vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE
+) -> Remembering:
     """Return the gain-scheduled LQI as a policy.
 
     Args:

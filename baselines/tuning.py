@@ -6,31 +6,33 @@ of an episode at most the distance from which it counts as lost. Gains are searc
 
 from __future__ import annotations
 
-import copy
 import importlib.metadata
 import json
 import shlex
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime, timezone
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 from tyro.conf import Positional, arg
 
-from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.residual import Policy
-from auv_gym.scenario import CASES, PRESETS
+from auv_gym.scenario import CASES
 from baselines import make_policy
-from baselines.backstepping import Backstepping, Gains
+from baselines.backstepping import GAINS, Backstepping, Gains
 from baselines.command_line import DONE, UsageError, parse, run
+from baselines.course import Course, compared
+from baselines.current_observer import current_observer
+from baselines.ekf_law import ekf_law
 from baselines.gain_files import FOLDER, gain_file, load_gains
+from baselines.integral import LAW as LAW_GAINS
 from baselines.integral import integral_law
-from baselines.lqi import lqi
+from baselines.los_pid import make_los_pid
+from baselines.lqi import make_lqi
 from baselines.memory import Array
 
 PROGRAM = "python -m baselines.tuning"
@@ -38,8 +40,6 @@ TUNING_SEED = 10_000_000
 VALIDATION_SEED = 20_000_000
 """First seeds of the episodes that gains are tuned on and checked on; an evaluation's begin far below."""
 VALIDATION_EPISODES = 1024
-LARGEST_TAIL = {"slow": 0.6, "cruise": 2.0}
-"""Tail RMSE [m] from which an episode counts as lost; its error is capped there."""
 
 GainSet = Mapping[str, float]
 
@@ -53,12 +53,28 @@ class Tunable:
     ratio: float = 30.0  # gains are searched from start / ratio to start * ratio
 
 
-LAW = {"k": 0.5, "k1": 0.7, "cu": 0.5, "ku": 0.7, "c": 0.6, "kc": 0.6, "cr": 0.1}
-CRUISE_LAW = {"k": 0.918, "k1": 0.335, "cu": 0.028, "ku": 1.016, "c": 1.189, "kc": 0.102, "cr": 0.478}
-INTEGRAL = {"rate": 0.1, "horizon": 5.0}
-LQI_WEIGHTS = {
-    "heading": 0.3, "velocity": 0.5, "turn": 1.0, "surge_effort": 1.0, "surge_rate": 0.3, "yaw_effort": 1.0,
-    "yaw_rate": 0.3, "lag": 0.2, "rate": 0.2, "horizon": 5.0,
+LAW, CRUISE_LAW = ({key: getattr(GAINS[name], key) for key in LAW_GAINS} for name in ("paper", "cruise"))
+INTEGRAL = {"rate": 0.05, "horizon": 5.0, "surge": 0.2}
+NORMALISED = {**LAW, "reference_speed": 0.1, **INTEGRAL}
+CRUISE_NORMALISED = {
+    "k": 1.5, "k1": 2.0, "cu": 0.2, "ku": 0.15, "c": 1.0, "kc": 0.05, "cr": 0.9, "reference_speed": 0.4,
+    "rate": 0.04, "horizon": 6.5, "surge": 0.05,
+}  # fmt: skip
+PID = {
+    "lookahead": 4.0, "rate": 0.05, "horizon": 5.0, "crab": 0.5, "crab_time": 2.0, "heading": 1.0, "turn": 1.5,
+    "heading_integral": 0.05, "munk": 1.0, "along": 0.3, "speed": 0.8,
+}  # fmt: skip
+CRUISE_PID = {
+    "lookahead": 0.5, "rate": 0.02, "horizon": 2.0, "crab": 0.6, "crab_time": 4.0, "heading": 2.0, "turn": 8.0,
+    "heading_integral": 0.4, "munk": 1.0, "along": 3.0, "speed": 4.0,
+}  # fmt: skip
+SLOW_LQI = {
+    "velocity": 0.8, "heading": 0.4, "turn": 0.6, "surge_effort": 0.15, "surge_rate": 0.4, "yaw_effort": 0.1,
+    "yaw_rate": 0.1, "lag": 0.5, "rate": 0.6, "horizon": 2.0,
+}  # fmt: skip
+CRUISE_LQI = {
+    "velocity": 0.77, "heading": 0.44, "turn": 0.63, "surge_effort": 0.014, "surge_rate": 0.06, "yaw_effort": 0.05,
+    "yaw_rate": 0.022, "lag": 0.32, "rate": 0.42, "horizon": 0.37,
 }  # fmt: skip
 
 TUNABLES: dict[str, Tunable] = {
@@ -69,72 +85,23 @@ TUNABLES: dict[str, Tunable] = {
     ),
     "integral-normalised": Tunable(
         lambda gains: integral_law("normalised", gains),
-        dict.fromkeys(("slow", "cruise"), {**LAW, "reference_speed": 0.1, **INTEGRAL}),
+        {"slow": NORMALISED, "cruise": CRUISE_NORMALISED},
     ),
-    "lqi": Tunable(lqi, {"slow": LQI_WEIGHTS, "cruise": LQI_WEIGHTS}),
+    "current-observer": Tunable(current_observer, {"slow": SLOW_OBSERVER, "cruise": CRUISE_OBSERVER}),
+    "ekf": Tunable(ekf_law, {"slow": SLOW_EKF, "cruise": CRUISE_EKF}),
+    "los-pid": Tunable(make_los_pid, {"slow": PID, "cruise": CRUISE_PID}),
+    "lqi": Tunable(make_lqi, {"slow": SLOW_LQI, "cruise": CRUISE_LQI}),
 }
 """What can be tuned, by name: add an entry here."""
 
 
-@dataclass(frozen=True)
-class Result:
-    """What a policy does in a regime."""
-
-    error_m: float  # mean over cases of the capped tail RMSE
-    case_error_m: dict[str, float]  # the same by case
-    lost: float  # share of the episodes whose tail RMSE reaches the cap
-    effort: float  # mean square command
-    smoothness: float  # mean squared change of the command
+class _EvaluationsSpentError(Exception):
+    """Ends a search; unlike StopIteration it passes through the optimisers."""
 
 
-class Course:
-    """Episodes of the eight cases of a regime, side by side, to be run again and again by different policies.
-
-    Args:
-        regime: "slow" or "cruise".
-        episodes: how many, a multiple of eight; episode i is of case i modulo 8.
-        seed: episode i is drawn with seed + i.
-    """
-
-    def __init__(self, regime: str, episodes: int, seed: int) -> None:
-        self.cases = np.arange(episodes) % len(CASES)
-        self.cap = LARGEST_TAIL[regime]
-        presets = [PRESETS[f"{regime}-{case}"] for case in CASES]
-        self.steps, self.lost_distance = presets[0].steps, presets[0].lost_distance
-        # Nothing ends or begins within the run: one step more than are run, and vehicles go on when they are lost.
-        scenarios = [replace(s, steps=s.steps + 1, lost_distance=64.0) for s in presets]
-        self._env = UnderactuatedAUVTrackVectorEnv(episodes, [scenarios[i] for i in self.cases.tolist()])
-        self._observation, _ = self._env.reset(seed=seed)
-
-    def run(self, policy: Policy) -> Result:
-        """Return what a policy does on the course."""
-        env, observation = copy.deepcopy(self._env), self._observation
-        memory, first = None, np.ones(len(self.cases), dtype=bool)
-        square, worst, effort, change = (np.zeros(len(self.cases)) for _ in range(4))
-        last: NDArray[np.float32] | None = None
-        for k in range(self.steps):
-            action, memory = policy.predict(observation, memory, first)
-            observation, *_, info = env.step(action)
-            first = np.zeros_like(first)
-            error = info["position_error"]
-            worst = np.maximum(worst, error)
-            square += error**2 * (k >= self.steps // 3)
-            effort += np.square(action).mean(axis=1)
-            change += 0.0 if last is None else np.square(action - last).mean(axis=1)
-            last = action
-        tail = np.sqrt(square / (self.steps - self.steps // 3))
-        tail = np.where((worst > self.lost_distance) | ~(tail < self.cap), self.cap, tail)
-        errors = [float(tail[self.cases == i].mean()) for i in range(len(CASES))]
-        return Result(
-            error_m=float(np.mean(errors)),
-            case_error_m=dict(zip(CASES, errors, strict=True)),
-            lost=float(np.mean(tail == self.cap)),
-            effort=float(effort.mean()) / self.steps,
-            smoothness=float(change.mean()) / (self.steps - 1),
-        )
-
-
-def tune(tunable: Tunable, course: Course, start: GainSet, evaluations: int, seed: int = 0) -> dict[str, float]:
+def tune(
+    tunable: Tunable, course: Course, start: GainSet, evaluations: int, price: float = 0.0, seed: int = 0
+) -> dict[str, float]:
     """Return the best gains that were found on a course.
 
     Two fifths of the evaluations go to a differential evolution between the bounds, the rest to Nelder and Mead's
@@ -145,6 +112,7 @@ def tune(tunable: Tunable, course: Course, start: GainSet, evaluations: int, see
         course: the episodes.
         start: gains to begin at; 0 evaluations return them.
         evaluations: how often the course may be run.
+        price: what is minimised is the error times the command's smoothness to this power.
         seed: of the search.
     """
     names = list(start)
@@ -156,16 +124,17 @@ def tune(tunable: Tunable, course: Course, start: GainSet, evaluations: int, see
     def objective(x: Array) -> float:
         nonlocal best, count
         if count >= evaluations:
-            raise StopIteration
+            raise _EvaluationsSpentError
         inside = np.clip(x, centre - reach, centre + reach)
         gains = dict(zip(names, np.exp(inside).tolist(), strict=True))
-        error = course.run(tunable.factory(gains)).error_m + float(np.abs(x - inside).sum())
+        result = course.run(tunable.factory(gains))
+        cost = float(result.error_m * result.smoothness**price * (1 + np.abs(x - inside).sum()))
         count += 1
-        if error < best[0]:
-            best = error, inside
+        if cost < best[0]:
+            best = cost, inside
             seconds = time.monotonic() - begin
-            print(f"{count:5d} {seconds:6.0f} s {error:8.4f} m  {_text(gains)}", flush=True)
-        return error
+            print(f"{count:5d} {seconds:6.0f} s {result.error_m:8.4f} m  {_text(gains)}", flush=True)
+        return cost
 
     def explore() -> None:
         """Evolve a population of three per gain within a factor of 4 about the start, which is one of it."""
@@ -189,7 +158,7 @@ def tune(tunable: Tunable, course: Course, start: GainSet, evaluations: int, see
         if evaluations:
             explore()
             refine()
-    except StopIteration:
+    except _EvaluationsSpentError:
         pass
     return dict(zip(names, np.exp(best[1]).tolist(), strict=True))
 
@@ -215,6 +184,8 @@ class Options:
     """Seed of the first of them."""
     evaluations: int = 400
     """How often they are run; 0 measures the gains that the search would begin at."""
+    price: float = 0.0
+    """What is minimised is the error times the mean squared change of the command to this power; 0: the error alone."""
     resume: bool = False
     """Begin at the gains that the file holds already."""
     dry: bool = False
@@ -236,6 +207,8 @@ def main(arguments: Sequence[str]) -> int:
         raise UsageError(f"--seed is {options.seed}; tuning episodes have {TUNING_SEED} ... {VALIDATION_SEED - 1}")
     if options.evaluations < 0:
         raise UsageError(f"--evaluations is {options.evaluations}; it must be at least 0")
+    if not 0 <= options.price <= 1:
+        raise UsageError(f"--price is {options.price}; it must be in [0, 1]")
     tunable, regime = TUNABLES[options.name], options.regime
     start: GainSet = tunable.start[regime]
     if options.resume:
@@ -244,7 +217,7 @@ def main(arguments: Sequence[str]) -> int:
         except ValueError as error:
             raise UsageError(str(error)) from error
     course = Course(regime, options.episodes, options.seed)
-    gains = tune(tunable, course, start, options.evaluations)
+    gains = tune(tunable, course, start, options.evaluations, options.price)
     tuned = course.run(tunable.factory(gains))
     validation = Course(regime, VALIDATION_EPISODES, VALIDATION_SEED)
     expert, result = validation.run(make_policy("backstepping")), validation.run(tunable.factory(gains))
@@ -252,6 +225,7 @@ def main(arguments: Sequence[str]) -> int:
         "policy": options.name,
         "regime": regime,
         "gains": gains,
+        "start": dict(start),
         "command": f"{PROGRAM} {shlex.join(arguments)}",
         "episodes": options.episodes,
         "seed": options.seed,
@@ -266,17 +240,6 @@ def main(arguments: Sequence[str]) -> int:
         FOLDER.mkdir(exist_ok=True)
         gain_file(options.name, regime).write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
     return DONE
-
-
-def compared(result: Result, expert: Result) -> dict[str, Any]:
-    """Return a result with what it is relative to the expert's: 1 - its error, effort and smoothness ratio."""
-    return {
-        **asdict(result),
-        "expert_error_m": expert.error_m,
-        "score": 1 - result.error_m / expert.error_m,
-        "effort_ratio": result.effort / expert.effort,
-        "smoothness_ratio": result.smoothness / expert.smoothness,
-    }
 
 
 if __name__ == "__main__":

@@ -1,23 +1,24 @@
 """The reference as seen from the water: what keeps the vehicle on its path in a current, re-planned at every step.
 
-In a current c that is constant in the world the vehicle moves relative to the water as it would in still water. Its path
-there has the derivatives p_R' - c, p_R'', p_R''', and the planner's equations give heading, velocities and forces for it.
-
-A constant sway force Y on the hull shifts the sway velocity in (2b) by Y/d22, as a current of that velocity along the
-sway axis would: it is planned for as one.
+In a current c that is constant in the world the vehicle moves relative to the water as it would in still water. Its
+path there has the velocity p_R' - c and the higher derivatives of p_R, and the planner gives heading and forces
+for it; where the current changes, its rate is subtracted likewise. A sway force on the hull enters the equation of the
+sideslip and is planned for as well.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.dynamics import rates
 from auv_gym.errors import to_world
+from auv_gym.namespaces import ARRAYS, wrap_angle
 from auv_gym.planner import PathRates, assemble, path_rates, sideslip_rest, sideslip_terms, slow_sideslip
 from auv_gym.task import Observation
 from auv_gym.vehicle import Vehicle
@@ -39,6 +40,17 @@ class Motion(NamedTuple):
     v_y: Array  # [m/s]
     a_x: Array  # [m/s^2]
     a_y: Array  # [m/s^2]
+
+
+class Sea(NamedTuple):
+    """What acts on the vehicle, as it is believed to be: rows of shape (N,)."""
+
+    V_x: Array  # [m/s] current, in the world
+    V_y: Array  # [m/s]
+    V_x_rate: Array | float = 0.0  # [m/s^2]
+    V_y_rate: Array | float = 0.0
+    Y: Array | float = 0.0  # [N] sway force on the hull
+    Y_rate: Array | float = 0.0  # [N/s]
 
 
 class WaterReference(NamedTuple):
@@ -78,57 +90,75 @@ class WaterPlan:
         """Return the memory at the start of n episodes."""
         return np.zeros(n), np.zeros((n, 2, 2)), np.zeros((n, 2))
 
-    def update(
-        self, memory: Memory, motion: Motion, current: tuple[Array, Array], dt: Array
-    ) -> tuple[Memory, WaterReference]:
+    def update(self, memory: Memory, motion: Motion, sea: Sea, dt: Array) -> tuple[Memory, WaterReference]:
         """Return the memory one period later and the reference at this instant.
 
         Args:
             memory: as `start` or the last call returned it.
             motion: of the reference over ground.
-            current: V_x, V_y [m/s] of the water in the world, as it is believed to be now and to remain.
+            sea: what acts on the vehicle; the current's rate is taken to remain as it is.
             dt: control period [s], shape (N,).
         """
         count, past, sideslip = memory
         fresh = count == 0
         acceleration = np.stack((motion.a_x, motion.a_y), axis=1)
         past = np.where(fresh[:, None, None], acceleration[:, None], past)
-        along = self._along(motion, _jerk(acceleration, past, dt), current)
-        w, rest = self._step(along, sideslip, fresh, dt)
-        plan = assemble(np.zeros(1), np.zeros((2, 1, 1)), along, w[None], self.vehicle)
+        along = self._along(motion, _jerk(acceleration, past, dt), sea)
+        w, rest = self._step(along, sea.Y, sideslip, fresh, dt)
+        plan = assemble(np.zeros(1), np.zeros((2, 1, 1)), along, w[None], self.vehicle, (sea.Y, sea.Y_rate))
         reference = WaterReference(*(row[0] for row in (plan.psi, plan.u, plan.v, plan.r, plan.F_u, plan.F_r)))
         past = np.stack((acceleration, past[:, 0]), axis=1)
         return (count + 1, past, np.stack((w, rest), axis=1)), reference
 
-    def _along(self, motion: Motion, jerk: Array, current: tuple[Array, Array]) -> PathRates:
+    def _along(self, motion: Motion, jerk: Array, sea: Sea) -> PathRates:
         """Return speed, direction and their rates through the water, shape (1, N): a time axis of one instant."""
-        speed, strength = np.hypot(motion.v_x, motion.v_y), np.hypot(*current)
+        speed, strength = np.hypot(motion.v_x, motion.v_y), np.hypot(sea.V_x, sea.V_y)
         share = np.minimum(1.0, LARGEST_CURRENT * speed / np.maximum(strength, 1e-9))
-        velocity = motion.v_x - share * current[0], motion.v_y - share * current[1]
-        zero = np.zeros_like(speed)
-        along = path_rates(np.array(((zero, zero), velocity, (motion.a_x, motion.a_y), (jerk[:, 0], jerk[:, 1])))[:, :, None])
+        velocity = motion.v_x - share * sea.V_x, motion.v_y - share * sea.V_y
+        acceleration = motion.a_x - sea.V_x_rate, motion.a_y - sea.V_y_rate
+        position = np.zeros((2, len(speed)))
+        along = path_rates(np.array((position, velocity, acceleration, jerk.T))[:, :, None])
         hardest = -HARDEST_BRAKING * self.vehicle.d22 / self.vehicle.m22 * along.v_p
         return replace(along, v_p_dot=np.maximum(along.v_p_dot, hardest))
 
-    def _step(self, along: PathRates, sideslip: Array, fresh: NDArray[np.bool_], dt: Array) -> tuple[Array, Array]:
+    def _step(
+        self, along: PathRates, Y: Array | float, sideslip: Array, fresh: NDArray[np.bool_], dt: Array
+    ) -> tuple[Array, Array]:
         """Return w = sin(gamma), one period later, and the rest of its equation.
 
         By the exponential Runge-Kutta formula of second order (Cox and Matthews 2002, eq. 22): the stiff term exactly.
         """
         Dm = self.vehicle.m22 - self.vehicle.m11
-        terms = [dt / Dm * term[0] for term in sideslip_terms(along, self.vehicle)]
+        slope, square, turn = (dt / Dm * term[0] for term in sideslip_terms(along, self.vehicle))
+        push = dt / Dm * Y / along.v_p[0]
+
+        def rest_of(w: Array) -> Array:
+            return np.asarray(push + sideslip_rest(slope, square, turn, w, np.sqrt))
+
         limit = math.sin(LARGEST_SIDESLIP)
         z = self.vehicle.d22 / Dm * dt
         decay = np.exp(-z)
         first, second = (1 - decay) / z, (z - 1 + decay) / (z * z)
         guess = decay * sideslip[:, 0] + first * sideslip[:, 1]
-        w = guess + second * (sideslip_rest(*terms, np.clip(guess, -limit, limit), np.sqrt) - sideslip[:, 1])
+        w = guess + second * (rest_of(np.clip(guess, -limit, limit)) - sideslip[:, 1])
         if fresh.any():
             w = np.where(fresh, slow_sideslip(along, self.vehicle), w)
         w = np.clip(w, -limit, limit)
-        return w, sideslip_rest(*terms, w, np.sqrt)
+        return w, rest_of(w)
 
 
 def _jerk(acceleration: Array, past: Array, dt: Array) -> Array:
     """Return the rate of the acceleration, shape (N, 2), by the backward difference of second order."""
     return (1.5 * acceleration - 2 * past[:, 0] + 0.5 * past[:, 1]) / dt[:, None]
+
+
+def water_errors(state: Sequence[Array], reference: WaterReference) -> tuple[Array, ...]:
+    """Return the first eleven terms of an `Observation` as the water's frame has them, for the tracking law.
+
+    Args:
+        state: position error e_x, e_y [m] in the body frame, psi [rad], u, v [m/s] relative to the water, r [rad/s].
+        reference: what the vehicle should do there.
+    """
+    e_x, e_y, psi, u, v, r = state
+    psi_R, u_R, v_R, r_R, *forces = reference
+    return e_x, e_y, wrap_angle(psi - psi_R, ARRAYS), u - u_R, v - v_R, r - r_R, u_R, v_R, r_R, *forces

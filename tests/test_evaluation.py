@@ -1,11 +1,12 @@
 """evaluate.py: its mistakes in one line, its numbers by hand, its results the same for any number of workers."""
 
 import csv
-import importlib.util
+import dataclasses
 import json
 import math
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,43 +14,39 @@ import pytest
 from rich.console import Console
 
 import baselines
+import evaluate
 from auv_gym.scenario import PRESETS, Scenario
 from auv_gym.sensors import Sensors
 from baselines.command_line import run
 from baselines.evaluation import metrics
-from baselines.evaluation.metrics import EpisodeRecord
-from baselines.evaluation.report import compare, write_atomically
+from baselines.evaluation.files import write_atomically
+from baselines.evaluation.metrics import Measures
+from baselines.evaluation.report import compare
 from baselines.evaluation.request import Request
-from baselines.evaluation.runner import Task, make_env, run_all, run_episode, run_task
+from baselines.evaluation.rollout import PolicyError, make_env, rollout, run_episode
+from baselines.evaluation.rows import RowStore
+from baselines.evaluation.runner import LANES, drawn, run_all, run_task
+from baselines.evaluation.score import pooled, score
 from baselines.evaluation.tables import results_table
 
 SCRIPT = Path(__file__).parents[1] / "evaluate.py"
 SMALL = Scenario(name="small", sensors=Sensors(position=0.05), steps=45)
 ROW = {
-    "policy": str, "scenario": str, "episodes": int, "rmse_m": float, "tail_rmse_m": dict, "effort_ratio": float,
-    "smoothness_ratio": float, "failures": int, "saturation": float, "return_mean": float, "seconds": float,
+    "policy": str, "scenario": str, "episodes": int, "rmse_m": float, "tail_rmse_m": dict, "score": type(None),
+    "settling_s": float, "effort_ratio": float, "smoothness_ratio": float, "failures": int, "lost": float,
+    "saturation": float, "return_mean": float, "seconds": float, "decision_ms": float, "recorded": type(None),
     "error": type(None), "warnings": list,
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def script():
-    spec = importlib.util.spec_from_file_location("evaluate", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["evaluate"] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules["evaluate"]
-
-
 @pytest.fixture
-def call(script, monkeypatch, tmp_path):
+def call(monkeypatch, tmp_path):
     """Run the script in-process in an empty folder and return its exit status."""
     monkeypatch.chdir(tmp_path)
 
     def call(*arguments):
         monkeypatch.setattr(sys, "argv", ["evaluate.py", *arguments])
-        return run(script.main, script.PROGRAM)
+        return run(evaluate.main, evaluate.PROGRAM)
 
     return call
 
@@ -68,13 +65,20 @@ class Raising:
 
 class NotANumber:
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        return np.full(2, np.nan, dtype=np.float32), state
+        return np.full((len(observation), 2), np.nan, dtype=np.float32), state
+
+
+class Slow:
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        time.sleep(0.002)
+        return np.zeros((len(observation), 2)), state
 
 
 @pytest.fixture
 def bad_policies(monkeypatch):
     monkeypatch.setitem(baselines.POLICIES, "raising", (Raising, {}, "raises"))
     monkeypatch.setitem(baselines.POLICIES, "nan", (NotANumber, {}, "is not a number"))
+    monkeypatch.setitem(baselines.POLICIES, "slow", (Slow, {}, "is slow"))
 
 
 @pytest.mark.parametrize(
@@ -87,6 +91,7 @@ def bad_policies(monkeypatch):
         (["--episodes", "0"], "1 or more"),
         (["--seed", "-1"], "0 or more"),
         (["--jobs", "0"], "1 or more"),
+        (["--step-limit", "0"], "positive"),
         (["--policy", "nobody"], "allowed are backstepping"),
         (["--suite", "nothing"], "allowed are presets, paper"),
         (["--scenario", "nowhere"], "allowed are a .toml or .json file, or one of paper-circle"),
@@ -154,11 +159,13 @@ def without_seconds(file):
     record = json.loads(file.read_text())
     for row in record["results"]:
         assert row.pop("seconds") > 0
+        assert row.pop("decision_ms") > 0
     return record
 
 
-def test_results_are_the_same_for_any_number_of_jobs(call, small, tmp_path, capsys):
-    """Twelve episodes make three tasks, which two workers finish in any order."""
+def test_results_are_the_same_for_any_number_of_jobs(call, small, tmp_path, capsys, monkeypatch):
+    """Four tasks, which two workers finish in any order."""
+    monkeypatch.setattr("baselines.evaluation.runner.LANES", 6)
     common = ("--policy", "open-loop", "--scenario", small, "--episodes", "12", "--seed", "3")
     for jobs in ("1", "2"):
         assert call(*common, "--jobs", jobs, "--out", jobs) == 0
@@ -204,20 +211,20 @@ def test_one_episode_has_no_interval(call, small, tmp_path):
 
 
 def test_a_failing_policy_costs_its_own_row_only(call, small, tmp_path, capsys, bad_policies):
-    assert (
-        call("--scenario", small, "--policy", "raising", "nan", "--jobs", "1", "--episodes", "6", "--out", "bad") == 1
-    )
-    expert, raising, nan = strict_json((tmp_path / "bad" / "results.json").read_text())["results"]
+    common = ("--scenario", small, "--jobs", "1", "--episodes", "6", "--step-limit", "1e-4", "--out", "bad")
+    assert call(*common, "--policy", "raising", "nan", "slow") == 1
+    expert, raising, nan, slow = strict_json((tmp_path / "bad" / "results.json").read_text())["results"]
     assert expert["error"] is None
     assert expert["episodes"] == 6
-    assert raising["error"] == "seed 0: RuntimeError: no idea"
-    assert "two finite numbers" in nan["error"]
-    for row in (raising, nan):
+    assert raising["error"] == "RuntimeError: no idea"
+    assert nan["error"].startswith("step 0, episode 0: action is [nan nan]; it must be two finite numbers")
+    assert "allowed are 0.0001" in slow["error"]
+    for row in (raising, nan, slow):
         assert all(row[key] is None for key in ROW if key not in ("policy", "scenario", "error", "warnings"))
     out, err = capsys.readouterr()
-    assert out.count("failed") == 2
-    assert "failed: raising in small, seed 0: RuntimeError: no idea" in err
-    assert len((tmp_path / "bad" / "results.csv").read_text().splitlines()) == 4
+    assert out.count("failed") == 3
+    assert "failed: raising in small, RuntimeError: no idea" in err
+    assert len((tmp_path / "bad" / "results.csv").read_text().splitlines()) == 5
 
 
 def test_results_that_cannot_be_written_are_a_failure(call, small, monkeypatch, capsys):
@@ -271,29 +278,121 @@ def test_hash_tells_tasks_apart(tmp_path):
 
 
 def test_policies_meet_the_same_episodes():
-    """Paired seeds: start and reference of an episode do not depend on the policy, nor on the episodes before."""
+    """Start and reference of an episode do not depend on the policy; they are those of an environment's reset."""
     scenario = PRESETS["slow-storm"]
-    together = run_task(Task("backstepping", scenario, (4, 5), keep_track=False))
-    alone, other = (run_task(Task(p, scenario, (5,), keep_track=True)) for p in ("backstepping", "open-loop"))
-    np.testing.assert_array_equal(together.records[1].errors, alone.records[0].errors)
-    np.testing.assert_array_equal(alone.records[0].track.position[0], other.records[0].track.position[0])
-    shorter = min(len(run.records[0].track.reference) for run in (alone, other))
-    a, b = (run.records[0].track.reference[:shorter] for run in (alone, other))
-    np.testing.assert_array_equal(a, b)
+    cell = drawn(scenario, 2, 4)
+    one, other = (run_task(p, scenario, cell.episodes).rollout.track for p in ("backstepping", "open-loop"))
+    shorter = min(len(one.reference), len(other.reference))
+    np.testing.assert_array_equal(one.position[0], other.position[0])
+    np.testing.assert_array_equal(one.reference[:shorter], other.reference[:shorter])
+    env = make_env(scenario)
+    env.reset(seed=4)
+    np.testing.assert_allclose(one.position[0], env.unwrapped.state[:2], rtol=1e-12)
 
 
-def test_runs_come_scenario_by_scenario_with_progress():
+def test_side_by_side_as_one_by_one():
+    """A controller with memory and one without, in a scenario that both may lose."""
+    scenario = dataclasses.replace(PRESETS["cruise-storm"], steps=90, lost_distance=1.6)
+    episodes = drawn(scenario, 12, 3).episodes
+    for policy in (baselines.make_policy("backstepping"), Counting()):
+        result = rollout(policy, scenario, episodes, 1.0)
+        records = [run_episode(make_env(scenario), policy, 3 + i) for i in range(12)]
+        assert result.measures.lost.any()
+        assert result.measures.lost.tolist() == [record.lost for record in records]
+        errors = np.array([metrics.padded(record.errors, 90) for record in records]).T
+        np.testing.assert_allclose(result.errors, errors, rtol=1e-5)
+        np.testing.assert_allclose(result.measures.tail, metrics.tail_rmse(errors), rtol=1e-6)
+        for i, record in enumerate(records):
+            assert result.measures.steps[i] == len(record.errors)
+            assert result.measures.effort[i] == pytest.approx(metrics.effort(record.actions), rel=1e-6)
+            assert result.measures.smoothness[i] == pytest.approx(metrics.smoothness(record.actions), rel=1e-5)
+
+
+class Counting:
+    """Waves the rudder by the number of the step since the episode's start."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        single = observation.ndim == 1
+        begun = np.atleast_1d(episode_start)
+        count = np.where(begun, 0, 0 if state is None else state[0])
+        action = np.stack((np.full(len(count), 0.4), 0.3 * np.sin(0.3 * count)), axis=1).astype(np.float32)
+        return (action[0] if single else action), (count + 1,)
+
+
+def test_a_policy_must_act_for_every_episode():
+    class One:
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            return np.zeros(2), state
+
+    cell = drawn(SMALL, 3, 0)
+    with pytest.raises(PolicyError, match=r"step 0: actions have shape \(2,\) .* of shape \(3, 2\)"):
+        rollout(One(), SMALL, cell.episodes, 1.0)
+
+
+def test_runs_come_cell_by_cell_with_progress():
     seen, episodes = [], []
-    policies, scenarios = ("backstepping", "open-loop"), (SMALL, PRESETS["slow-calm"])
-    runs = run_all(policies, scenarios, 6, 7, 1, seen.append, episodes.append)
-    assert [(run.scenario.name, run.policy) for run in runs] == [(s.name, p) for s in scenarios for p in policies]
+    policies, cells = ("backstepping", "open-loop"), [drawn(s, 6, 7) for s in (SMALL, PRESETS["slow-calm"])]
+    runs = run_all(policies, cells, 1, seen.append, episodes.append)
+    assert [(run.scenario.name, run.policy) for run in runs] == [(c.scenario.name, p) for c in cells for p in policies]
     assert seen == runs
     assert sum(episodes) == 24
-    assert [record.seed for record in runs[0].records] == list(range(7, 13))
+
+
+def test_more_episodes_than_lanes():
+    short = dataclasses.replace(SMALL, steps=3)
+    many = run_all(("backstepping",), [drawn(short, LANES + 1, 0)], 1)[0].measures
+    few = run_all(("backstepping",), [drawn(short, 2, LANES - 1)], 1)[0].measures
+    np.testing.assert_allclose(many.tail[-2:], few.tail, rtol=1e-12)
+
+
+def test_an_interrupted_evaluation_goes_on(call, small, tmp_path, monkeypatch, capsys):
+    common = ("--scenario", small, "slow-calm", "--episodes", "2", "--jobs", "1")
+    assert call(*common, "--out", "whole") == 0
+    with monkeypatch.context() as patch:
+        patch.setattr("baselines.evaluation.rows.RowStore.save", interrupted_at_second(RowStore.save))
+        assert call(*common, "--out", "part") == 1
+    assert len(list((tmp_path / "part" / "rows").iterdir())) == 1
+    with monkeypatch.context() as patch:
+        patch.setattr("baselines.evaluation.runner.rollout", only_in("slow-calm"))
+        assert call(*common, "--out", "part", "--resume") == 0
+    whole, part = (without_seconds(tmp_path / name / "results.json") for name in ("whole", "part"))
+    assert whole == part
+
+
+def interrupted_at_second(save):
+    calls = []
+
+    def second(store, run):
+        calls.append(run)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        save(store, run)
+
+    return second
+
+
+def only_in(name):
+    def checked(policy, scenario, episodes, step_limit):
+        assert scenario.name == name
+        return rollout(policy, scenario, episodes, step_limit)
+
+    return checked
+
+
+def test_damaged_rows_run_again(tmp_path):
+    run = run_all(("backstepping",), [drawn(SMALL, 2, 0)], 1)[0]
+    store = RowStore(tmp_path / "rows")
+    store.save(run)
+    again = store.load(run.key)
+    for field in dataclasses.fields(Measures):
+        np.testing.assert_array_equal(getattr(run.measures, field.name), getattr(again.measures, field.name))
+    (file,) = (tmp_path / "rows").iterdir()
+    file.write_bytes(file.read_bytes()[:100])
+    assert store.load(run.key) is None
 
 
 def test_an_episode_is_measured_as_the_environment_reports_it():
-    record = run_episode(make_env(SMALL), baselines.make_policy("open-loop"), 3, keep_track=True)
+    record = run_episode(make_env(SMALL), baselines.make_policy("open-loop"), 3)
     assert record.errors.shape == (45,)
     assert record.actions.shape == (45, 2)
     assert record.track.position.shape == record.track.reference.shape == (46, 2)
@@ -309,13 +408,9 @@ def test_a_lost_episode_ends():
 
 
 def test_warnings_of_a_policy_are_kept():
-    part = run_task(Task("backstepping-paper", PRESETS["cruise-calm"], (0,), keep_track=False))
+    part = run_task("backstepping-paper", PRESETS["cruise-calm"], drawn(PRESETS["cruise-calm"], 1, 0).episodes)
     assert part.error is None
     assert "stable up to" in part.warnings[0]
-
-
-def record(errors, actions, lost=False, saturated=0, total=1.0):
-    return EpisodeRecord(0, np.array(errors), np.array(actions), saturated, total, lost, 0.5)
 
 
 def test_metrics_by_hand():
@@ -328,20 +423,59 @@ def test_metrics_by_hand():
     np.testing.assert_array_equal(metrics.padded(np.array([1.0, 2.0]), 4), [1, 2, 2, 2])
     assert metrics.ratio(3.0, 2.0) == 1.5
     assert math.isnan(metrics.ratio(3.0, 0.0))
+    errors = np.array([[3.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 2.0, 0.0]])
+    np.testing.assert_allclose(metrics.settling_time(errors, 1.0, 0.5), [0.5, 1.5, 0.0])
+    assert metrics.cvar(np.arange(1.0, 101.0)) == 98  # of 96 ... 100
+    assert metrics.cvar(np.array([1.0, 2.0])) == 2
+
+
+def measures(tail, lost=None, steps=600):
+    tail = np.asarray(tail, dtype=np.float64)
+    zero = np.zeros_like(tail)
+    lost = np.zeros(len(tail), dtype=bool) if lost is None else np.array(lost)
+    return Measures(tail, tail, zero, zero, zero, np.full_like(tail, 0.5), zero, np.full_like(tail, steps), lost)
 
 
 def test_summary_by_hand():
-    kept = record([6.0, 3.0, 4.0], [[0.0, 0.0], [0.0, 0.0], [0.0, 2.0]], saturated=1, total=2.0)
-    lost = record([1.0, 5.0], [[1.0, 1.0], [1.0, 1.0]], lost=True, saturated=2, total=0.0)
-    s = metrics.summarise([kept, lost], 3)
-    tail = math.sqrt(12.5), 5.0  # the lost one is padded with its last error
-    assert s.tail_rmse_m.mean == pytest.approx(np.mean(tail))
-    assert s.tail_rmse_m.p95 == pytest.approx(tail[0] + 0.95 * (tail[1] - tail[0]))
-    assert s.rmse_m == pytest.approx((math.sqrt(61 / 3) + math.sqrt(51 / 3)) / 2)
-    assert s.effort == pytest.approx((4 / 6 + 1) / 2)
-    assert s.smoothness == pytest.approx((4 / 4 + 0) / 2)
-    assert (s.episodes, s.failures, s.return_mean, s.seconds) == (2, 1, 1.0, 1.0)
-    assert s.saturation == pytest.approx(3 / 5)
+    s = metrics.summarise(Measures.joined([measures([1.0]), measures([3.0], [True], 200)]))
+    assert s.tail_rmse_m.mean == s.rmse_m == 2
+    assert s.tail_rmse_m.p95 == pytest.approx(2.9)
+    assert s.tail_rmse_m.cvar95 == 3
+    assert (s.episodes, s.failures, s.saturation) == (2, 1, 0.5)
+
+
+def test_score_by_hand():
+    """Errors are pooled before the division: (6 - 3) / (6 - 2), not the mean of the two ratios."""
+    expert, policy, oracle = ([np.full(4, a), np.full(4, b)] for a, b in ((1.0, 5.0), (2.0, 1.0), (0.5, 1.5)))
+    s = score(expert, policy, oracle)
+    assert s.mean == pytest.approx(0.75)
+    assert s.ci95 == pytest.approx((0.75, 0.75))
+    assert score(expert, expert, oracle).mean == 0
+    assert score(expert, oracle, oracle).mean == 1
+    assert math.isnan(score(oracle, policy, expert).mean)
+
+
+def test_the_capped_score_forgives_lost_episodes():
+    cases = {
+        "slow-calm": {"backstepping": measures([0.5, 0.5]), "p": measures([0.1, 9.0]), "oracle": measures([0.0, 0.0])},
+        "cruise-calm": {"backstepping": measures([0.5])},
+    }
+    entry = pooled("p", "slow", cases)
+    assert entry.lost == 0.5
+    assert entry.score.mean == pytest.approx((0.5 - 4.55) / 0.5)
+    assert entry.capped.mean == pytest.approx((0.5 - 0.35) / 0.5)
+    assert pooled("p", "cruise", cases) is None
+    assert pooled("backstepping", "cruise", cases).score is None
+
+
+def test_score_intervals_are_paired():
+    """What all three share from episode to episode does not widen the interval."""
+    rng = np.random.default_rng(0)
+    hard = rng.lognormal(0.0, 1.0, 300)
+    s = score([hard], [0.3 * hard], [0.0 * hard])
+    assert s.ci95 == pytest.approx((0.7, 0.7))
+    noisy = score([hard], [0.3 * rng.permutation(hard)], [0.0 * hard])
+    assert noisy.ci95[1] - noisy.ci95[0] > 0.05
 
 
 def test_bootstrap_interval():
@@ -359,7 +493,7 @@ def test_saved_scenario_is_the_one_evaluated(small, tmp_path):
 
 
 def test_table_fits_a_narrow_terminal(capsys):
-    results = compare(run_all(("backstepping", "backstepping-normalised"), (SMALL,), 2, 0, 1, lambda _: None))
+    results = compare(run_all(("backstepping", "backstepping-normalised"), [drawn(SMALL, 2, 0)], 1))
     for width, interval in ((80, False), (160, True)):
         Console(width=width).print(results_table(results, Console(width=width)))
         out = capsys.readouterr().out

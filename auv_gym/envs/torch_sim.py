@@ -96,32 +96,45 @@ def _encoded(terms: Sequence[Tensor]) -> Tensor:
 
 
 @cache
-def step_function(device: str, filtered: bool, substeps: int, compiled: bool) -> Callable[..., Transition]:
+def step_function(
+    device: torch.device, dtype: torch.dtype, filtered: bool, substeps: int, compiled: bool
+) -> Callable[..., Transition]:
     """Return `simulate` for these constants, compiled if that is wanted and possible on the device.
 
-    The first call compiles, which takes seconds, and warns where that fails; the step then runs eagerly.
+    Compiling takes up to a minute, once a process; torch keeps the result on the disk for the next ones.
     """
     eager = partial(simulate, filtered=filtered, substeps=substeps)
-    if not compiled:
+    if not (compiled and can_compile(device)):
         return eager
-    logger.info("compiling the simulation step for %s; it takes some seconds, once a process", device)
+    logger.info("compiling the simulation step for %s, %s; the first time takes up to a minute", device, dtype)
     step: Callable[..., Transition] = torch.compile(eager, dynamic=True, fullgraph=True)
-    try:
-        step(*(torch.ones(rows, 8, device=device) for rows in (STATE, 2, SAMPLE, PARAMETERS)))
-    except RuntimeError as error:  # every error of torch's compiler is one
-        _warn_once(str(error).strip().splitlines()[0])
-        return eager
-    return step
+    with torch._dynamo.config.patch(specialize_float=True):  # our floats are constants
+        return step if _runs(step, *_ones(device, dtype)) else eager
 
 
 @cache
-def _warn_once(reason: str) -> None:
-    warnings.warn(
-        f"the simulation step cannot be compiled and runs several times slower; torch.compile needs a C++ compiler "
-        f"such as g++ on the PATH (torch said: {reason})",
-        RuntimeWarning,
-        stacklevel=5,
-    )
+def can_compile(device: torch.device) -> bool:
+    """Return whether torch compiles for the device, tried out once; if not, a warning says what is missing."""
+    return _runs(torch.compile(torch.sin), torch.ones(8, device=device))
+
+
+def _ones(device: torch.device, dtype: torch.dtype) -> list[Tensor]:
+    return [torch.ones(rows, 8, device=device, dtype=dtype) for rows in (STATE, 2, SAMPLE, PARAMETERS)]
+
+
+def _runs(function: Callable[..., Any], *inputs: Tensor) -> bool:
+    try:
+        with torch.no_grad():
+            function(*inputs)
+    except RuntimeError as error:  # every error of torch's compiler is one
+        warnings.warn(
+            "the simulation step cannot be compiled, so it runs eagerly and several times slower; torch.compile needs "
+            f"a C++ compiler such as g++ on the PATH (torch says: {str(error).strip().splitlines()[0]})",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+        return False
+    return True
 
 
 class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
@@ -169,7 +182,7 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
         self.single_observation_space = gym.spaces.Box(-bounds, bounds, dtype=kind)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._step = step_function(str(self.device), self._lanes.filtered, self._lanes.substeps, compiled)
+        self._step = step_function(self.device, self.dtype, self._lanes.filtered, self._lanes.substeps, compiled)
         self._samples = self._tensor(self._lanes.samples)
         self._constants = self._tensor(self._lanes.constants)
         self._state: Tensor | None = None
@@ -227,7 +240,13 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
         if host.row == 0:
             self._samples = self._tensor(host.samples)
         sample = self._samples[host.row]
-        self._state, rows, reward, lost, squared, saturated = self._step(state, commands.T, sample, self._constants)
+        graph = torch.is_grad_enabled() and (commands.requires_grad or state.requires_grad)
+        if graph and not state.requires_grad:
+            state = state.detach().requires_grad_()
+        # Always of one layout, and all with a graph or all without: every other combination would be compiled anew.
+        inputs = state, commands.T.contiguous(), sample, self._constants
+        with torch.set_grad_enabled(graph):
+            self._state, rows, reward, lost, squared, saturated = self._step(*inputs)
         observation, errors = rows.T, squared.detach().sqrt()
         terminated = lost > 0.5
         truncated = torch.as_tensor(host.truncated, device=self.device)

@@ -11,17 +11,18 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from baselines.command_line import DONE, FAILED
+from baselines.evaluation.files import write_atomically
+from baselines.evaluation.html import report_html
 from baselines.evaluation.paper import Reproduction, reproduce
-from baselines.evaluation.report import (
-    Result,
-    compare,
-    results_csv,
-    results_json,
-    write_atomically,
-)
+from baselines.evaluation.report import Result, compare, pool, results_csv, results_json
 from baselines.evaluation.request import Request
+from baselines.evaluation.rows import RowStore
 from baselines.evaluation.runner import Run, run_all
-from baselines.evaluation.tables import console, reproduction_tables, results_table
+from baselines.evaluation.score import Pooled
+from baselines.evaluation.tables import console, reproduction_tables, results_table, score_table
+
+ROWS = "rows"
+"""Folder in DIR that keeps the finished runs."""
 
 
 def evaluate(request: Request) -> int:
@@ -29,34 +30,46 @@ def evaluate(request: Request) -> int:
 
     Progress goes to stderr: a bar on a terminal, else a line for each policy and scenario.
     """
-    reproduction = None
-    with _progress(request) as report:
-        if request.suite == "paper":
-            reproduction = reproduce(report.message)
-        runs = run_all(
-            request.policies,
-            request.scenarios,
-            request.episodes,
-            request.seed,
-            request.jobs,
-            report.run,
-            report.episodes,
-        )
-        report.message("plots")
-        results = compare(runs)
-        try:
-            _write(request, results, reproduction)
-        except OSError as error:
-            print(f"cannot write to {request.out}: {error.strerror}", file=sys.stderr)
-            return FAILED
-    _print(request, results, reproduction)
+    reproduction, store = None, RowStore(request.out / ROWS)
+    try:
+        with _progress(request) as report:
+            if request.suite == "paper":
+                reproduction = reproduce(report.message)
+            runs = _run(request, store, report)
+            report.message("plots")
+            results, scores = compare(runs), pool(runs)
+            _write(request, results, scores, reproduction)
+    except OSError as error:
+        print(f"cannot write to {request.out}: {error.strerror}", file=sys.stderr)
+        return FAILED
+    _print(request, results, scores, reproduction)
     return FAILED if any(run.error for run in runs) else DONE
 
 
-def _write(request: Request, results: list[Result], reproduction: Reproduction | None) -> None:
-    from baselines.evaluation.plots import evaluation_figures
+def _run(request: Request, store: RowStore, report: _Listener) -> list[Run]:
+    """Return the runs of a request; each is kept in the store when it is complete."""
 
-    write_atomically(request.out / "results.json", results_json(request, results, reproduction))
+    def on_run(run: Run) -> None:
+        store.save(run)
+        report.run(run)
+
+    live = run_all(
+        request.policies,
+        request.cells,
+        request.jobs,
+        on_run,
+        report.episodes,
+        request.step_limit,
+        store.load if request.resume else lambda _: None,
+    )
+    order = [cell.scenario.name for cell in request.cells]
+    return sorted((*live, *request.earlier), key=lambda run: order.index(run.scenario.name))
+
+
+def _write(request: Request, results: list[Result], scores: list[Pooled], reproduction: Reproduction | None) -> None:
+    from baselines.evaluation.figures import evaluation_figures
+
+    write_atomically(request.out / "results.json", results_json(request, results, scores, reproduction))
     write_atomically(request.out / "results.csv", results_csv(results))
     figures = evaluation_figures(results)
     if reproduction is not None:
@@ -65,14 +78,17 @@ def _write(request: Request, results: list[Result], reproduction: Reproduction |
         figures |= paper_figures(reproduction)
     for name, png in figures.items():
         write_atomically(request.out / f"{name}.png", png)
+    write_atomically(request.out / "report.html", report_html(request, results, scores, figures))
 
 
-def _print(request: Request, results: list[Result], reproduction: Reproduction | None) -> None:
+def _print(request: Request, results: list[Result], scores: list[Pooled], reproduction: Reproduction | None) -> None:
     out, err = console(), Console(stderr=True, highlight=False, soft_wrap=True)
     for table in reproduction_tables(reproduction) if reproduction else []:
         out.print(table)
     out.print(results_table(results, out))
-    out.print(f"Wrote results.json, results.csv and plots to {request.out}", soft_wrap=True)
+    if any(entry.score for entry in scores):
+        out.print(score_table(scores))
+    out.print(f"Wrote report.html, results.json, results.csv and plots to {request.out}", soft_wrap=True)
     notes: dict[str, list[str]] = {}
     for result in results:
         notes.setdefault(result.run.policy, []).extend(result.run.warnings)
@@ -97,7 +113,8 @@ class _Listener:
 @contextmanager
 def _progress(request: Request) -> Iterator[_Listener]:
     err = Console(stderr=True, highlight=False)
-    total = len(request.policies) * len(request.scenarios)
+    total = len(request.policies) * len(request.cells)
+    episodes = len(request.policies) * sum(len(cell.episodes) for cell in request.cells)
     if not err.is_terminal:
         done = iter(range(1, total + 1))
 
@@ -109,7 +126,7 @@ def _progress(request: Request) -> Iterator[_Listener]:
         return
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=err, transient=True) as bar:
-        task = bar.add_task("episodes", total=total * request.episodes)
+        task = bar.add_task("episodes", total=episodes)
         yield _Listener(
             lambda text: bar.update(task, description=text),
             lambda run: bar.update(task, description=f"{run.policy} in {run.scenario.name}"),

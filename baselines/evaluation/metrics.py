@@ -1,14 +1,15 @@
-"""What an evaluation measures: every number of the report is defined here, once.
+"""What an evaluation measures: every number of the report is defined here or in `score`, once.
 
 An episode of N control steps gives two arrays, k = 1 ... N: e_k [m] is the distance of the centre of mass to the
 reference after step k, and a_k = (a_u, a_r) the normalised command of step k, clipped to [-1, 1] as the actuators do.
+Functions of errors take e_k along axis 0, for one episode or many: shape (N,) or (N, episodes).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,8 @@ Array = NDArray[np.float64]
 
 RESAMPLES = 2000
 """Bootstrap samples behind an interval."""
+WORST = 0.05
+"""Share of the episodes that the conditional value at risk averages over."""
 
 
 @dataclass(frozen=True)
@@ -30,17 +33,29 @@ class Track:
 
 
 @dataclass(frozen=True)
-class EpisodeRecord:
-    """What is kept of one episode that ran for n control steps, n < N if it was lost."""
+class Measures:
+    """What is measured of M episodes, one entry each: arrays of shape (M,)."""
 
-    seed: int
-    errors: Array  # e_k [m], shape (n,)
-    actions: Array  # a_k, shape (n, 2)
-    saturated: int  # steps with an actuator commanded to its limit
-    total_reward: float
-    lost: bool  # terminated: farther from the reference than the scenario allows
-    seconds: float  # wall time
-    track: Track | None = None
+    rmse: Array  # [m]
+    tail: Array  # [m] tail RMSE
+    settling: Array  # [s]
+    effort: Array
+    smoothness: Array
+    saturation: Array  # share of the steps with an actuator commanded to its limit
+    total_reward: Array
+    steps: Array  # control steps until the end
+    lost: NDArray[np.bool_]  # ended farther from the reference than the scenario allows
+
+    def __len__(self) -> int:
+        return len(self.tail)
+
+    def __getitem__(self, episodes: slice) -> Measures:
+        return Measures(*(getattr(self, field.name)[episodes] for field in fields(self)))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Measures]) -> Measures:
+        """Return the measures of all parts' episodes, in order."""
+        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
 
 @dataclass(frozen=True)
@@ -50,6 +65,7 @@ class Spread:
     mean: float
     ci95: tuple[float, float]  # of the mean
     p95: float  # 95th percentile over episodes
+    cvar95: float  # mean of the worst 5 %
 
 
 @dataclass(frozen=True)
@@ -59,12 +75,12 @@ class Summary:
     episodes: int
     rmse_m: float  # [m]
     tail_rmse_m: Spread  # [m]
+    settling_s: float  # [s]
     effort: float
     smoothness: float
     failures: int  # episodes that were lost
     saturation: float  # share of the steps
     return_mean: float
-    seconds: float  # wall time of all episodes together
 
 
 def padded(errors: Array, steps: int) -> Array:
@@ -72,14 +88,21 @@ def padded(errors: Array, steps: int) -> Array:
     return np.concatenate((errors, np.full(steps - len(errors), errors[-1])))
 
 
-def rmse(errors: Array) -> float:
+def rmse(errors: Array) -> Array:
     """Return sqrt(mean_k e_k^2) [m]."""
-    return float(np.sqrt(np.mean(np.square(errors))))
+    return np.asarray(np.sqrt(np.mean(np.square(errors), axis=0)))
 
 
-def tail_rmse(errors: Array) -> float:
+def tail_rmse(errors: Array) -> Array:
     """Return sqrt(mean_(k > floor(N/3)) e_k^2) [m]: the error once the start is forgotten."""
     return rmse(errors[len(errors) // 3 :])
+
+
+def settling_time(errors: Array, bound: float, dt: float) -> Array:
+    """Return the time [s] of the last e_k above the bound [m], dt [s] apart: the duration N dt if it is the last."""
+    above = errors > bound
+    last = len(errors) - np.argmax(above[::-1], axis=0)
+    return np.asarray(np.where(above.any(axis=0), last, 0) * dt)
 
 
 def effort(actions: Array) -> float:
@@ -92,43 +115,46 @@ def smoothness(actions: Array) -> float:
     return float(np.mean(np.square(np.diff(actions, axis=0)))) if len(actions) > 1 else 0.0
 
 
-def bootstrap_interval(values: Sequence[float]) -> tuple[float, float]:
+def bootstrap_interval(values: Sequence[float] | Array) -> tuple[float, float]:
     """Return the 95 % confidence interval of the mean of independent values, by bias-corrected bootstrap.
 
     The resampling is seeded, so the same values give the same interval. One value has none: (nan, nan).
     """
+    values = np.asarray(values, dtype=np.float64)
     if len(values) < 2:
         return math.nan, math.nan
-    if max(values) == min(values):
-        return values[0], values[0]
+    if values.max() == values.min():
+        return float(values[0]), float(values[0])
     rng = np.random.default_rng(0)
     low, high = stats.bootstrap(
-        (np.asarray(values),), np.mean, n_resamples=RESAMPLES, vectorized=True, rng=rng
+        (values,), np.mean, n_resamples=RESAMPLES, vectorized=True, batch=256, rng=rng
     ).confidence_interval
     return float(low), float(high)
 
 
-def distribution(values: Sequence[float]) -> Spread:
-    """Return mean, interval of the mean and 95th percentile of one value per episode."""
-    return Spread(float(np.mean(values)), bootstrap_interval(values), float(np.quantile(values, 0.95)))
+def cvar(values: Array, share: float = WORST) -> float:
+    """Return the mean of the worst `share` of the values, shape (M,); at least of one."""
+    worst = max(1, math.ceil(share * len(values) - 1e-9))
+    return float(np.mean(np.sort(values)[-worst:]))
 
 
-def summarise(records: Sequence[EpisodeRecord], steps: int) -> Summary:
-    """Return the averages over the episodes of one policy in one scenario of that many control steps.
+def distribution(values: Array) -> Spread:
+    """Return mean, interval of the mean, 95th percentile and mean of the worst 5 % of one value per episode."""
+    return Spread(float(np.mean(values)), bootstrap_interval(values), float(np.quantile(values, 0.95)), cvar(values))
 
-    Errors of lost episodes are padded, see `padded`; command and saturation are averaged over the steps that ran.
-    """
-    errors = [padded(record.errors, steps) for record in records]
+
+def summarise(m: Measures) -> Summary:
+    """Return the averages over the episodes of one policy in one scenario."""
     return Summary(
-        episodes=len(records),
-        rmse_m=float(np.mean([rmse(e) for e in errors])),
-        tail_rmse_m=distribution([tail_rmse(e) for e in errors]),
-        effort=float(np.mean([effort(record.actions) for record in records])),
-        smoothness=float(np.mean([smoothness(record.actions) for record in records])),
-        failures=sum(record.lost for record in records),
-        saturation=sum(record.saturated for record in records) / sum(len(record.errors) for record in records),
-        return_mean=float(np.mean([record.total_reward for record in records])),
-        seconds=sum(record.seconds for record in records),
+        episodes=len(m),
+        rmse_m=float(np.mean(m.rmse)),
+        tail_rmse_m=distribution(m.tail),
+        settling_s=float(np.mean(m.settling)),
+        effort=float(np.mean(m.effort)),
+        smoothness=float(np.mean(m.smoothness)),
+        failures=int(m.lost.sum()),
+        saturation=float((m.saturation * m.steps).sum() / m.steps.sum()),
+        return_mean=float(np.mean(m.total_reward)),
     )
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from auv_gym.scenario import Scenario
 from auv_gym.sensors import Sensors
 from baselines.backstepping import Backstepping
-from baselines.evaluation.runner import make_env, run_episode
+from baselines.evaluation.rollout import make_env, run_episode
 
 Array = NDArray[np.float64]
 

@@ -12,44 +12,37 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from auv_gym.scenario import Scenario
-from baselines.evaluation.metrics import Track, padded
+from baselines.evaluation.metrics import Track
 from baselines.evaluation.report import Result
-from baselines.evaluation.style import COLOURS, MARKERS, panels, styled, to_png
+from baselines.evaluation.score import regime_of
+from baselines.evaluation.style import COLOURS, MARKERS, panels
 
-REGIMES = ("slow", "cruise")
-"""Prefixes of scenario names that get a panel of their own."""
 COLUMNS = 4
 BAND: dict[str, Any] = {"color": "0.8", "linewidth": 4.0, "solid_capstyle": "round", "zorder": 1}
 """How the reference is drawn below trajectories that cover it."""
 LEGEND: dict[str, Any] = {"loc": "outside upper center", "ncols": 4}
 
 
-def evaluation_figures(results: Sequence[Result]) -> dict[str, bytes]:
-    """Return the figures of an evaluation as PNG, by name; failed results are left out."""
-    done = [result for result in results if result.summary is not None]
-    if not done:
-        return {}
-    policies = list(dict.fromkeys(result.run.policy for result in done))
-    figures = {}
-    for draw in (tail_error, error_over_time, trajectories):
-        with styled():
-            figures[draw.__name__] = to_png(draw(done, policies))
-    return figures
-
-
-def _look(policy: str, policies: Sequence[str]) -> dict[str, Any]:
+def look(policy: str, policies: Sequence[str]) -> dict[str, Any]:
+    """Return colour and line of a policy among all of them."""
     i = policies.index(policy)
     return {"color": COLOURS[i % len(COLOURS)], "linestyle": ("-", "--", ":")[i // len(COLOURS) % 3]}
 
 
-def _handles(policies: Sequence[str], markers: bool = False) -> list[Line2D]:
+def handles(policies: Sequence[str], all_policies: Sequence[str], markers: bool = False) -> list[Line2D]:
+    """Return the legend's entries of some of the policies."""
     return [
-        Line2D([], [], label=policy, **(_look(policy, policies) | ({"linestyle": "", **_marker(i)} if markers else {})))
-        for i, policy in enumerate(policies)
+        Line2D([], [], label=policy, **look(policy, all_policies) | (_dot(policy, all_policies) if markers else {}))
+        for policy in policies
     ]
 
 
-def _marker(i: int) -> dict[str, Any]:
+def _dot(policy: str, policies: Sequence[str]) -> dict[str, Any]:
+    return {"linestyle": "", **marker(policies.index(policy))}
+
+
+def marker(i: int) -> dict[str, Any]:
+    """Return the look of the i-th policy's points."""
     return {"marker": MARKERS[i % len(MARKERS)], "markersize": 5}
 
 
@@ -58,8 +51,7 @@ def tail_error(results: Sequence[Result], policies: Sequence[str]) -> Figure:
     groups: dict[str, dict[str, list[Result]]] = {}
     for result in results:
         name = result.run.scenario.name
-        regime = next((regime for regime in REGIMES if name.startswith(f"{regime}-")), "")
-        groups.setdefault(regime, {}).setdefault(name, []).append(result)
+        groups.setdefault(regime_of(name) or "", {}).setdefault(name, []).append(result)
     widths = [len(scenarios) + 0.6 for scenarios in groups.values()]
     size = (max(5.0, 1.6 + 0.58 * sum(widths)), 4.2)
     figure, [row] = panels(1, len(groups), size, width_ratios=widths, sharey=True)
@@ -74,7 +66,7 @@ def tail_error(results: Sequence[Result], policies: Sequence[str]) -> Figure:
         ax.grid(visible=False, axis="x")
     row[0].set_ylim(_decades(results))
     row[0].set_ylabel("position error after the first third [m]\nmean of episodes' RMS, 95 % interval")
-    figure.legend(handles=_handles(policies, markers=True), **LEGEND)
+    figure.legend(handles=handles(policies, policies, markers=True), **LEGEND)
     return figure
 
 
@@ -95,7 +87,7 @@ def _points(ax: Axes, i: int, found: Sequence[Result], policies: Sequence[str]) 
         x = i + 0.6 * ((k + 0.5) / len(policies) - 0.5)
         colour = COLOURS[k % len(COLOURS)]
         ax.plot([x, x], [low, high], color=colour, linewidth=1.6)
-        ax.plot(x, tail.mean, color=colour, linestyle="", **_marker(k))
+        ax.plot(x, tail.mean, color=colour, linestyle="", **marker(k))
 
 
 def _by_scenario(results: Sequence[Result]) -> list[tuple[Scenario, list[Result]]]:
@@ -105,7 +97,7 @@ def _by_scenario(results: Sequence[Result]) -> list[tuple[Scenario, list[Result]
     return [(found[0].run.scenario, found) for found in groups.values()]
 
 
-def _grid(count: int, height: float, **options: Any) -> tuple[Figure, list[Axes]]:
+def grid(count: int, height: float, **options: Any) -> tuple[Figure, list[Axes]]:
     """Return a figure with that many axes of a height [inch], the rest of the last row empty."""
     columns = min(COLUMNS, count)
     rows = math.ceil(count / columns)
@@ -119,42 +111,46 @@ def _grid(count: int, height: float, **options: Any) -> tuple[Figure, list[Axes]
 def error_over_time(results: Sequence[Result], policies: Sequence[str]) -> Figure:
     """Return the position error over time in each scenario: median and 10-90 % band over episodes."""
     groups = _by_scenario(results)
-    figure, axes = _grid(len(groups), 1.9)
+    figure, axes = grid(len(groups), 1.9)
     for ax, (scenario, found) in zip(axes, groups, strict=True):
         t = scenario.control_dt * np.arange(1, scenario.steps + 1)
         for result in found:
-            errors = np.array([padded(record.errors, scenario.steps) for record in result.run.records])
-            low, median, high = np.quantile(errors, (0.1, 0.5, 0.9), axis=0)
-            look = _look(result.run.policy, policies)
-            ax.fill_between(t, low, high, color=look["color"], alpha=0.18, linewidth=0)
-            ax.plot(t, median, **look)
+            if result.run.bands is None:
+                continue
+            low, median, high = result.run.bands
+            line = look(result.run.policy, policies)
+            ax.fill_between(t, low, high, color=line["color"], alpha=0.18, linewidth=0)
+            ax.plot(t, median, **line)
         ax.axvline(scenario.duration / 3, color="0.6", linewidth=0.8, linestyle=":")
         ax.set_yscale("log", nonpositive="clip")
         ax.set_xlim(0, scenario.duration)
         ax.set_title(scenario.name)
     figure.supxlabel("time [s]     (dotted: the tail begins)", fontsize=9)
     figure.supylabel("position error [m], median and 10-90 % of the episodes", fontsize=9)
-    figure.legend(handles=_handles(policies), **LEGEND)
+    seen = {result.run.policy for result in results if result.run.bands is not None}
+    figure.legend(handles=handles([p for p in policies if p in seen], policies), **LEGEND)
     return figure
 
 
 def trajectories(results: Sequence[Result], policies: Sequence[str]) -> Figure:
     """Return the way of each scenario's first episode through the plane, beside its reference."""
     groups = _by_scenario(results)
-    figure, axes = _grid(len(groups), 2.6)
+    figure, axes = grid(len(groups), 2.6)
     for ax, (scenario, found) in zip(axes, groups, strict=True):
-        tracks = {r.run.policy: track for r in found if (track := r.run.records[0].track) is not None}
+        tracks = {r.run.policy: r.run.track for r in found if r.run.track is not None}
         for policy, track in tracks.items():
-            ax.plot(*track.position.T, **_look(policy, policies))
+            ax.plot(*track.position.T, **look(policy, policies))
             ax.plot(*track.position[0], color="0.2", marker="o", markersize=3.5)
         longest = max(tracks.values(), key=lambda track: len(track.reference))
         ax.plot(*longest.reference.T, **BAND)
         _current_arrow(ax, list(tracks.values()))
         ax.set_aspect("equal", adjustable="datalim")
-        ax.set_title(f"{scenario.name}, seed {found[0].run.records[0].seed}")
+        ax.set_title(scenario.name)
     figure.supxlabel("x [m]     (dot: start; arrow: mean current)", fontsize=9)
     figure.supylabel("y [m]", fontsize=9)
-    figure.legend(handles=[Line2D([], [], label="reference", **BAND), *_handles(policies)], **LEGEND)
+    seen = {result.run.policy for result in results if result.run.track is not None}
+    lines = handles([p for p in policies if p in seen], policies)
+    figure.legend(handles=[Line2D([], [], label="reference", **BAND), *lines], **LEGEND)
     return figure
 
 

@@ -6,11 +6,9 @@ import csv
 import io
 import json
 import math
-import os
 import platform
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import gymnasium
@@ -18,10 +16,11 @@ import numpy as np
 import scipy
 
 import auv_gym
-from baselines.evaluation.metrics import Summary, ratio, summarise
+from baselines.evaluation.metrics import Measures, Spread, Summary, ratio, summarise
 from baselines.evaluation.paper import Reproduction
-from baselines.evaluation.request import EXPERT, Request
+from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Run
+from baselines.evaluation.score import EXPERT, ORACLE, REGIMES, Pooled, Score, lost_share, pooled, regime_of, score
 
 
 @dataclass(frozen=True)
@@ -32,12 +31,14 @@ class Result:
     summary: Summary | None  # None: the run failed
     effort_ratio: float
     smoothness_ratio: float
+    score: Score | None  # None: expert or oracle are missing
 
 
 def compare(runs: Sequence[Run]) -> list[Result]:
     """Return a result for each run; ratios are nan where one of the two failed."""
-    summaries = [None if run.error else summarise(run.records, run.scenario.steps) for run in runs]
+    summaries = [None if run.measures is None else summarise(run.measures) for run in runs]
     expert = {run.scenario.name: s for run, s in zip(runs, summaries, strict=True) if run.policy == EXPERT}
+    measures = measures_of(runs)
     results = []
     for run, summary in zip(runs, summaries, strict=True):
         base = expert.get(run.scenario.name)
@@ -46,45 +47,84 @@ def compare(runs: Sequence[Run]) -> list[Result]:
             ratio(getattr(summary, name), getattr(base, name)) if known else math.nan
             for name in ("effort", "smoothness")
         )
-        results.append(Result(run, summary, effort, smoothness))
+        case = measures[run.scenario.name]
+        three = [case[name].tail for name in (EXPERT, run.policy, ORACLE) if name in case]
+        value = score(*([tail] for tail in three)) if len(three) == 3 else None
+        results.append(Result(run, summary, effort, smoothness, value))
     return results
+
+
+def measures_of(runs: Sequence[Run]) -> dict[str, dict[str, Measures]]:
+    """Return what was measured, by scenario, then by policy; failed runs are left out."""
+    found: dict[str, dict[str, Measures]] = {}
+    for run in runs:
+        case = found.setdefault(run.scenario.name, {})
+        if run.measures is not None:
+            case[run.policy] = run.measures
+    return found
+
+
+def pool(runs: Sequence[Run]) -> list[Pooled]:
+    """Return the figures of every policy in every regime that it ran in completely."""
+    measures = measures_of(runs)
+    policies = dict.fromkeys(run.policy for run in runs)
+    found = [pooled(policy, regime, measures) for regime in REGIMES for policy in policies]
+    return [entry for entry in found if entry is not None]
 
 
 def to_record(result: Result) -> dict[str, Any]:
     """Return a result as it stands in results.json; a failed one has its reason in `error` and no numbers."""
-    s = result.summary
+    s, run = result.summary, result.run
     tail = s.tail_rmse_m if s else None
+    regime = regime_of(run.scenario.name)
     return {
-        "policy": result.run.policy,
-        "scenario": result.run.scenario.name,
+        "policy": run.policy,
+        "scenario": run.scenario.name,
         "episodes": s.episodes if s else None,
         "rmse_m": s.rmse_m if s else None,
-        "tail_rmse_m": {"mean": tail.mean, "ci95": list(tail.ci95), "p95": tail.p95} if tail else None,
+        "tail_rmse_m": _spread(tail) if tail else None,
+        "score": asdict(result.score) if result.score else None,
+        "settling_s": s.settling_s if s else None,
         "effort_ratio": result.effort_ratio,
         "smoothness_ratio": result.smoothness_ratio,
         "failures": s.failures if s else None,
+        "lost": lost_share(run.measures, regime) if run.measures else None,
         "saturation": s.saturation if s else None,
         "return_mean": s.return_mean if s else None,
-        "seconds": s.seconds if s else None,
-        "error": result.run.error,
-        "warnings": list(result.run.warnings),
+        "seconds": run.seconds if s else None,
+        "decision_ms": 1e3 * run.decision_seconds if s else None,
+        "recorded": run.recorded,
+        "error": run.error,
+        "warnings": list(run.warnings),
     }
 
 
-def results_json(request: Request, results: Sequence[Result], reproduction: Reproduction | None) -> str:
+def _spread(tail: Spread) -> dict[str, Any]:
+    return {"mean": tail.mean, "ci95": list(tail.ci95), "p95": tail.p95, "cvar95": tail.cvar95}
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what the numbers depend on."""
+    return {
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "gymnasium": gymnasium.__version__,
+        "auv_gym": auv_gym.__version__,
+    }
+
+
+def results_json(
+    request: Request, results: Sequence[Result], scores: Sequence[Pooled], reproduction: Reproduction | None
+) -> str:
     """Return the text of results.json: strict JSON, null for what is not a number."""
     record: dict[str, Any] = {
         "suite": request.suite,
         "suite_hash": request.hash,
         "seed": request.seed,
-        "versions": {
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-            "scipy": scipy.__version__,
-            "gymnasium": gymnasium.__version__,
-            "auv_gym": auv_gym.__version__,
-        },
+        "versions": versions(),
         "results": [to_record(result) for result in results],
+        "pooled": [asdict(entry) for entry in scores],
     }
     if reproduction is not None:
         record["reproduction"] = reproduction.to_dict()
@@ -95,7 +135,7 @@ def _finite(value: Any) -> Any:
     """Return the value with None for every number in it that is not finite."""
     if isinstance(value, dict):
         return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, list):
+    if isinstance(value, (list, tuple)):
         return [_finite(entry) for entry in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
@@ -105,14 +145,8 @@ def results_csv(results: Sequence[Result]) -> str:
     lines = []
     for result in results:
         record = _finite(to_record(result))
-        tail = record.pop("tail_rmse_m") or {"mean": None, "ci95": (None, None), "p95": None}
-        low, high = tail["ci95"]
-        flat = {
-            "tail_rmse_m": tail["mean"],
-            "tail_ci95_low_m": low,
-            "tail_ci95_high_m": high,
-            "tail_p95_m": tail["p95"],
-        }
+        flat = {**_flat("tail_rmse_m", record.pop("tail_rmse_m"), "mean", "p95", "cvar95")}
+        flat |= _flat("score", record.pop("score"), "mean")
         lines.append({**record, **flat, "warnings": " | ".join(record["warnings"])})
     text = io.StringIO()
     writer = csv.DictWriter(text, fieldnames=list(lines[0]), lineterminator="\n")
@@ -121,11 +155,9 @@ def results_csv(results: Sequence[Result]) -> str:
     return text.getvalue()
 
 
-def write_atomically(file: Path, content: str | bytes) -> None:
-    """Write a file so that no reader ever sees half of it."""
-    temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
-        temporary.replace(file)
-    finally:
-        temporary.unlink(missing_ok=True)
+def _flat(name: str, record: dict[str, Any] | None, *keys: str) -> dict[str, Any]:
+    """Return a nested entry as columns: the first key's has the name itself, the others' and the interval's append."""
+    values = record or {}
+    low, high = values.get("ci95", (None, None))
+    columns = {name if key == "mean" else f"{name}_{key}": values.get(key) for key in keys}
+    return columns | {f"{name}_ci95_low": low, f"{name}_ci95_high": high}

@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import sys
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
@@ -15,15 +16,18 @@ from typing import TypeVar
 from auv_gym.scenario import PRESETS, Scenario
 from baselines import make_policy
 from baselines.command_line import UsageError
-from baselines.evaluation.runner import make_env
+from baselines.evaluation import recorded
+from baselines.evaluation.rollout import make_env
+from baselines.evaluation.runner import STEP_LIMIT, Cell, Run, drawn
+from baselines.evaluation.score import EXPERT, ORACLE
+from baselines.evaluation.suites import list_suites, load
+from baselines.user_policies import caution
 
 T = TypeVar("T")
 
-EXPERT = "backstepping"
-"""The policy that every other one is compared with."""
-
-SUITES: dict[str, tuple[str, ...]] = {"presets": tuple(PRESETS), "paper": ("paper-circle",)}
-"""Scenarios of each suite, by name."""
+DRAWN: dict[str, tuple[str, ...]] = {"presets": tuple(PRESETS), "paper": ("paper-circle",)}
+"""Scenarios of each suite whose episodes are drawn from the seed, by name; the others are frozen."""
+DEFAULT_SUITE, DEFAULT_EPISODES = "presets", 20
 
 
 @dataclass(frozen=True)
@@ -32,11 +36,15 @@ class Request:
 
     policies: tuple[str, ...]  # the expert first
     suite: str | None  # None: scenarios of the user's own choice
-    scenarios: tuple[Scenario, ...]
-    episodes: int
+    hash: str  # the same hash, the same task
+    cells: tuple[Cell, ...]
     seed: int
     jobs: int
     out: Path
+    step_limit: float = STEP_LIMIT  # [s] largest time of a decision
+    resume: bool = False  # whether to use the runs that an interrupted evaluation has left in `out`
+    command: str = ""  # as the user gave it
+    earlier: tuple[Run, ...] = ()  # recorded runs to compare with
 
     @classmethod
     def of(
@@ -44,10 +52,13 @@ class Request:
         policies: Sequence[str],
         suite: str | None,
         scenarios: Sequence[str],
-        episodes: int,
+        episodes: int | None,
         seed: int,
         jobs: int | None,
         out: Path,
+        step_limit: float = STEP_LIMIT,
+        resume: bool = False,
+        command: str = "",
     ) -> Request:
         """Return the request of a command line's options; `out` exists and is writable then.
 
@@ -59,24 +70,53 @@ class Request:
         for name, value, least in (("--episodes", episodes, 1), ("--seed", seed, 0), ("--jobs", jobs, 1)):
             if value is not None and value < least:
                 raise UsageError(f"{name} is {value}; it must be {least} or more")
-        names = (EXPERT, *policies)
-        for name in names:
-            _checked(partial(make_policy, name))
-        if not scenarios:
-            suite = suite or "presets"
-            if suite not in SUITES:
-                raise UsageError(f"unknown suite {suite!r}; allowed are {', '.join(SUITES)}")
-        chosen = _distinct(_scenario(name) for name in scenarios or SUITES[suite or "presets"])
-        _check_writable(out)
+        if not step_limit > 0:
+            raise UsageError(f"--step-limit is {step_limit}; it must be a positive number of seconds")
+        names = checked_policies((EXPERT, *policies))
+        suite = suite if scenarios else suite or DEFAULT_SUITE
+        earlier: tuple[Run, ...] = ()
+        if suite in list_suites():
+            cells, digest, earlier = _frozen(suite, episodes, seed, names)
+            if all(run.policy != ORACLE for run in earlier):
+                names = (*names, ORACLE)
+        else:
+            cells, digest = _drawn(suite, scenarios, episodes, seed)
+        checked_folder(out)
         jobs = jobs or min(2, os.cpu_count() or 1)
-        return cls(tuple(dict.fromkeys(names)), suite, chosen, episodes, seed, jobs, out)
+        return cls(
+            tuple(dict.fromkeys(names)), suite, digest, cells, seed, jobs, out, step_limit, resume, command, earlier
+        )
 
     @property
-    def hash(self) -> str:
-        """SHA-256 of the canonical JSON of scenarios, episodes and seed: the same hash, the same task."""
-        record = {"scenarios": [s.to_dict() for s in self.scenarios], "episodes": self.episodes, "seed": self.seed}
-        text = json.dumps(record, sort_keys=True, separators=(",", ":"), allow_nan=False)
-        return hashlib.sha256(text.encode()).hexdigest()
+    def scenarios(self) -> tuple[Scenario, ...]:
+        """The scenarios of the cells."""
+        return tuple(cell.scenario for cell in self.cells)
+
+
+def _frozen(
+    name: str, episodes: int | None, seed: int, live: Sequence[str]
+) -> tuple[tuple[Cell, ...], str, tuple[Run, ...]]:
+    """Return the cells of a frozen suite, or the first episodes of each; its hash; recorded runs of other policies."""
+    if seed:
+        raise UsageError(f"--seed is {seed}; the episodes of suite {name} are frozen, so it must be 0 or left out")
+    suite = _checked(partial(load, name))
+    runs = tuple(run for run in recorded.load(suite) if run.policy not in live)
+    if episodes is None or all(episodes >= len(cell.episodes) for cell in suite.cells):
+        return suite.cells, suite.hash, runs
+    cells = tuple(Cell(cell.scenario, cell.episodes[:episodes]) for cell in suite.cells)
+    first = tuple(replace(run, measures=run.measures and run.measures[:episodes]) for run in runs)
+    return cells, hashlib.sha256(f"{suite.hash} {episodes}".encode()).hexdigest(), first
+
+
+def _drawn(suite: str | None, names: Sequence[str], episodes: int | None, seed: int) -> tuple[tuple[Cell, ...], str]:
+    """Return what is to run, and its hash."""
+    if suite is not None and suite not in DRAWN:
+        raise UsageError(f"unknown suite {suite!r}; allowed are {', '.join((*DRAWN, *list_suites()))}")
+    scenarios = _distinct(_scenario(name) for name in names or DRAWN[suite or DEFAULT_SUITE])
+    count = DEFAULT_EPISODES if episodes is None else episodes
+    record = {"scenarios": [s.to_dict() for s in scenarios], "episodes": count, "seed": seed}
+    text = json.dumps(record, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return tuple(drawn(s, count, seed) for s in scenarios), hashlib.sha256(text.encode()).hexdigest()
 
 
 def _checked(make: Callable[[], T]) -> T:
@@ -111,10 +151,29 @@ def _distinct(scenarios: Iterable[Scenario]) -> tuple[Scenario, ...]:
     return tuple(by_name.values())
 
 
-def _check_writable(folder: Path) -> None:
+def checked_policies(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the names without repetitions, once it is known that each of them makes a policy.
+
+    Raises:
+        UsageError: one does not.
+    """
+    for name in names:
+        if (note := caution(name)) is not None:
+            print(f"note: {note}", file=sys.stderr)
+        _checked(partial(make_policy, name))
+    return tuple(dict.fromkeys(names))
+
+
+def checked_folder(folder: Path) -> Path:
+    """Return a folder, made if need be, once it is known that it can be written to.
+
+    Raises:
+        UsageError: it cannot.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
         raise UsageError(f"--out {folder} is not a folder that can be written to: {error.strerror}") from error
+    return folder

@@ -1,102 +1,146 @@
-"""Runs policies through scenarios: paired seeds, worker processes, the same numbers for any number of them."""
+"""Runs policies through cells of episodes: worker processes, the same numbers for any number of them."""
 
 from __future__ import annotations
 
+import hashlib
+import itertools
+import json
 import math
-import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
-import gymnasium as gym
 import joblib
 import numpy as np
+from gymnasium.utils import seeding
+from numpy.typing import NDArray
 
-from auv_gym.residual import Policy
+from auv_gym import __version__
+from auv_gym.episode import Episode
 from auv_gym.scenario import Scenario
 from baselines import make_policy
-from baselines.evaluation.metrics import EpisodeRecord, Track
+from baselines.evaluation.metrics import Measures, Track
+from baselines.evaluation.rollout import PolicyError, Rollout, rollout
 
-ENV_ID = "auv_gym:UnderactuatedAUVTrack-v0"
-CHUNK = 5
-"""Episodes of a task. Fixed, so that what a policy object lives through does not depend on the number of workers."""
+LANES = 512
+"""Most episodes side by side. Fixed, so that no number depends on the number of workers."""
+QUANTILES = (0.1, 0.5, 0.9)
+"""Of the position error over episodes, at each control step."""
+STEP_LIMIT = 0.1
+"""Default for the largest time of a decision [s]: a control period at cruise."""
 
 
 @dataclass(frozen=True)
-class Task:
-    """Some episodes of one policy in one scenario."""
+class Cell:
+    """Some episodes of one scenario, the same for every policy."""
 
-    policy: str
     scenario: Scenario
-    seeds: tuple[int, ...]
-    keep_track: bool  # of the first episode
+    episodes: tuple[Episode, ...]
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of scenario and episodes."""
+        record = [self.scenario.to_dict(), [[type(e.path).__name__, asdict(e)] for e in self.episodes]]
+        return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+
+
+def drawn(scenario: Scenario, episodes: int, seed: int) -> Cell:
+    """Return a cell whose episode i is the one of an environment reset with `seed + i`."""
+    return Cell(scenario, tuple(scenario.draw(seeding.np_random(seed + i)[0]) for i in range(episodes)))
 
 
 @dataclass(frozen=True)
 class Run:
-    """The episodes of one policy in one scenario, ordered by seed; or the reason why there are none."""
+    """The episodes of one policy in one cell; or the reason why there are none."""
 
     policy: str
     scenario: Scenario
-    records: tuple[EpisodeRecord, ...]
+    cell_hash: str
+    measures: Measures | None = None
+    bands: NDArray[np.float32] | None = None  # [m] `QUANTILES` of the position error, shape (3, K)
+    track: Track | None = None  # of the first episode
+    seconds: float = math.nan  # wall time of all episodes, added up over workers
+    decision_seconds: float = math.nan  # wall time of the policy for one vehicle and control step
     error: str | None = None
     warnings: tuple[str, ...] = ()
+    recorded: str | None = None  # the date, if the episodes ran at another time
+
+    @property
+    def key(self) -> str:
+        """What tells it from other runs: a hash of policy, cell and version of the simulator."""
+        return run_key(self.policy, self.cell_hash)
 
 
-def make_env(scenario: Scenario) -> gym.Env[Any, Any]:
-    """Return the scalar environment of a scenario.
+def run_key(policy: str, cell_hash: str) -> str:
+    """Return the key of a policy's run in a cell of that hash."""
+    return hashlib.sha256(f"{policy} {cell_hash} {__version__}".encode()).hexdigest()[:20]
 
-    Raises:
-        ValueError: the scenario's path cannot be followed.
-    """
-    return gym.make(ENV_ID, scenario=scenario, disable_env_checker=True)
+
+@dataclass(frozen=True)
+class Part:
+    """What one task gives: a rollout, or the reason why there is none."""
+
+    rollout: Rollout | None
+    error: str | None
+    warnings: tuple[str, ...]
 
 
 def run_all(
     policies: Sequence[str],
-    scenarios: Sequence[Scenario],
-    episodes: int,
-    seed: int,
+    cells: Sequence[Cell],
     jobs: int,
-    on_run: Callable[[Run], None],
+    on_run: Callable[[Run], None] = lambda _: None,
     on_episodes: Callable[[int], None] = lambda _: None,
+    step_limit: float = STEP_LIMIT,
+    known: Callable[[str], Run | None] = lambda _: None,
 ) -> list[Run]:
-    """Return a run of each policy in each scenario, scenario by scenario.
+    """Return a run of each policy in each cell, cell by cell.
 
     Args:
         policies: their names, see `baselines.make_policy`.
-        scenarios: what they run in.
-        episodes: episodes of each run; episode i has the seed `seed + i`, whatever the policy.
-        seed: of the first episode.
+        cells: what they run in.
         jobs: worker processes; 1 runs in this one.
         on_run: called with each run when it is complete.
         on_episodes: called with the number of episodes whenever some are through.
+        step_limit: largest time of a decision [s].
+        known: returns the run of a key if it is there already.
     """
-    pairs = [(policy, scenario) for scenario in scenarios for policy in policies]
-    seeds = range(seed, seed + episodes)
-    chunks = [tuple(seeds[i : i + CHUNK]) for i in range(0, episodes, CHUNK)]
-    parts: list[list[Run | None]] = [[None] * len(chunks) for _ in pairs]
-    runs: dict[int, Run] = {}
+    pairs = [(policy, cell) for cell in cells for policy in policies]
+    runs = {i: run for i, (policy, cell) in enumerate(pairs) if (run := known(run_key(policy, cell.hash))) is not None}
+    for run in runs.values():
+        on_episodes(len(run.measures or ()))
+        on_run(run)
     tasks = [
-        (i, j, Task(policy, scenario, chunk, keep_track=j == 0))
-        for i, (policy, scenario) in enumerate(pairs)
-        for j, chunk in enumerate(chunks)
+        (i, j, policy, cell.scenario, chunk, step_limit)
+        for i, (policy, cell) in enumerate(pairs)
+        if i not in runs
+        for j, chunk in enumerate(_chunks(cell.episodes))
     ]
+    parts: dict[int, dict[int, Part]] = {}
     for i, j, part in _parallel(tasks, jobs):
-        parts[i][j] = part
+        policy, cell = pairs[i]
+        parts.setdefault(i, {})[j] = part
+        chunks = _chunks(cell.episodes)
         on_episodes(len(chunks[j]))
-        done = [p for p in parts[i] if p is not None]
-        if len(done) == len(chunks):
-            runs[i] = _joined(done)
+        if len(parts[i]) == len(chunks):
+            done = parts.pop(i)
+            runs[i] = _joined(policy, cell, [done[j] for j in range(len(chunks))])
             on_run(runs[i])
     return [runs[i] for i in range(len(pairs))]
 
 
-def _parallel(tasks: Sequence[tuple[int, int, Task]], jobs: int) -> Iterator[tuple[int, int, Run]]:
+def _chunks(episodes: Sequence[Episode]) -> list[Sequence[Episode]]:
+    """Return the episodes in even parts of at most `LANES`."""
+    bounds = np.linspace(0, len(episodes), math.ceil(len(episodes) / LANES) + 1).astype(int).tolist()
+    return [episodes[a:b] for a, b in itertools.pairwise(bounds)]
+
+
+def _parallel(tasks: Sequence[tuple[Any, ...]], jobs: int) -> Iterator[tuple[int, int, Part]]:
     """Yield the result of each task as it arrives. Workers get one thread each: they share the machine."""
     jobs = min(jobs, len(tasks))
-    if jobs == 1:
+    if jobs <= 1:
         yield from (_indexed(*task) for task in tasks)
         return
     with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
@@ -105,69 +149,41 @@ def _parallel(tasks: Sequence[tuple[int, int, Task]], jobs: int) -> Iterator[tup
         )
 
 
-def _indexed(i: int, j: int, task: Task) -> tuple[int, int, Run]:
-    return i, j, run_task(task)
+def _indexed(
+    i: int, j: int, policy: str, scenario: Scenario, episodes: Sequence[Episode], step_limit: float
+) -> tuple[int, int, Part]:
+    return i, j, run_task(policy, scenario, episodes, step_limit)
 
 
-def _joined(parts: Sequence[Run]) -> Run:
-    error = next((part.error for part in parts if part.error), None)
-    records = () if error else tuple(record for part in parts for record in part.records)
-    messages = dict.fromkeys(message for part in parts for message in part.warnings)
-    return Run(parts[0].policy, parts[0].scenario, records, error, tuple(messages))
-
-
-def run_task(task: Task) -> Run:
-    """Return the episodes of a task. An exception of the policy ends it and becomes its `error`."""
-    records: list[EpisodeRecord] = []
-    error, seed = None, task.seeds[0]
+def run_task(policy: str, scenario: Scenario, episodes: Sequence[Episode], step_limit: float = STEP_LIMIT) -> Part:
+    """Return some episodes of a policy. An exception of the policy ends them and becomes the `error`."""
+    result, error = None, None
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            env, policy = make_env(task.scenario), make_policy(task.policy)
-            for seed in task.seeds:
-                record = run_episode(env, policy, seed, task.keep_track and seed == task.seeds[0])
-                records.append(record)
+            result = rollout(make_policy(policy), scenario, episodes, step_limit)
+        except PolicyError as exception:
+            error = str(exception)
         except Exception as exception:  # noqa: BLE001, whatever a policy raises costs it its row, not the others theirs
-            reason = " ".join(str(exception).split())
-            error = f"seed {seed}: {type(exception).__name__}: {reason}"
-    messages = dict.fromkeys(str(warning.message) for warning in caught)
-    return Run(task.policy, task.scenario, tuple(records), error, tuple(messages))
+            error = " ".join(f"{type(exception).__name__}: {exception}".split())
+    return Part(result, error, tuple(dict.fromkeys(str(warning.message) for warning in caught)))
 
 
-def run_episode(env: gym.Env[Any, Any], policy: Policy, seed: int, keep_track: bool = False) -> EpisodeRecord:
-    """Return one episode of a policy in a scalar environment."""
-    begin = time.perf_counter()
-    observation, _ = env.reset(seed=seed)
-    simulator: Any = env.unwrapped
-    memory, first, over, lost = None, np.array([True]), False, False
-    errors, actions, rewards, saturated = [], [], [], 0
-    rows = [_row(simulator)] if keep_track else []
-    while not over:
-        action, memory = policy.predict(observation, memory, first)
-        observation, reward, lost, truncated, info = env.step(action)
-        errors.append(info["position_error"])
-        actions.append(action)
-        rewards.append(reward)
-        saturated += info["saturated"]
-        first[0], over = False, lost or truncated
-        if keep_track:
-            rows.append(_row(simulator))
-    return EpisodeRecord(
-        seed=seed,
-        errors=np.array(errors),
-        actions=np.clip(np.array(actions, dtype=np.float64), -1.0, 1.0),
-        saturated=saturated,
-        total_reward=math.fsum(rewards),
-        lost=lost,
-        seconds=time.perf_counter() - begin,
-        track=_track(rows) if keep_track else None,
+def _joined(policy: str, cell: Cell, parts: Sequence[Part]) -> Run:
+    messages = tuple(dict.fromkeys(message for part in parts for message in part.warnings))
+    rollouts = [part.rollout for part in parts if part.rollout is not None]
+    if len(rollouts) < len(parts):
+        error = next(part.error for part in parts if part.error)
+        return Run(policy, cell.scenario, cell.hash, error=error, warnings=messages)
+    errors = np.concatenate([r.errors for r in rollouts], axis=1)
+    return Run(
+        policy,
+        cell.scenario,
+        cell.hash,
+        Measures.joined([r.measures for r in rollouts]),
+        np.quantile(errors, QUANTILES, axis=1).astype(np.float32),
+        rollouts[0].track,
+        sum(r.seconds for r in rollouts),
+        float(np.mean([r.decision_seconds for r in rollouts])),
+        warnings=messages,
     )
-
-
-def _row(simulator: Any) -> tuple[float, ...]:
-    return (*simulator.state[:2].tolist(), *simulator.reference[:2], *simulator.current.tolist())
-
-
-def _track(rows: Sequence[tuple[float, ...]]) -> Track:
-    table = np.array(rows)
-    return Track(table[:, :2], table[:, 2:4], table[:, 4:].mean(axis=0))

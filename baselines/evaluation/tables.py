@@ -13,8 +13,9 @@ from rich.table import Table
 
 from baselines.evaluation.paper import Reproduction, Row
 from baselines.evaluation.report import Result
+from baselines.evaluation.score import LARGEST_TAIL, Pooled, Score, lost_share, regime_of
 
-WIDTH = 160
+WIDTH = 200
 """Columns of a table that does not go to a terminal."""
 CHOICE = ("tail [m]", "p95 [m]", "lost")
 """What is shown of a result on a terminal that is too narrow for all."""
@@ -29,7 +30,8 @@ def console() -> Console:
 
 def results_table(results: Sequence[Result], out: Console) -> Table:
     """Return the table of results, scenario by scenario, as wide as the console allows."""
-    columns = list(_cells(results[0]))
+    rows = [_cells(result) for result in results]
+    columns = [name for name in rows[0] if any(row[name] != "-" for row in rows)]
     table = _results_table(results, columns)
     fits = out.measure(table, options=out.options.update(max_width=10**4)).maximum <= out.width
     return table if fits else _results_table(results, [column for column in columns if column in CHOICE])
@@ -38,8 +40,8 @@ def results_table(results: Sequence[Result], out: Console) -> Table:
 def _results_table(results: Sequence[Result], columns: Sequence[str]) -> Table:
     table = Table(
         title="Position error of the centre of mass",
-        caption="tail: RMSE after the first third of an episode; p95: over episodes\n"
-        "effort, smoothness: relative to the expert's; lost: beyond the lost distance, the last error kept",
+        caption="tail: RMSE after the first third of an episode; p95, worst 5 %: over episodes; * recorded earlier\n"
+        "score: 0 the expert, 1 the oracle; effort, smoothness: relative to the expert's; settled in s; ms a decision",
         **LOOK,
     )
     for name in ("scenario", "policy"):
@@ -52,12 +54,14 @@ def _results_table(results: Sequence[Result], columns: Sequence[str]) -> Table:
         first = previous is None or previous.run.scenario.name != name
         if first and previous is not None and compared:
             table.add_section()
-        table.add_row(name if first else "", result.run.policy, *(cells[column] for column in columns))
+        policy = result.run.policy + ("*" if result.run.recorded else "")
+        table.add_row(name if first else "", policy, *(cells[column] for column in columns))
     return table
 
 
 def _cells(result: Result) -> dict[str, str]:
     """Return the cells of a row by their column."""
+    run, m = result.run, result.run.measures
     s, ratios = result.summary, (result.effort_ratio, result.smoothness_ratio)
     effort, smoothness = (f"{value:.2f}" if math.isfinite(value) else "-" for value in ratios)
     tail = s.tail_rmse_m if s else None
@@ -66,12 +70,41 @@ def _cells(result: Result) -> dict[str, str]:
         "tail [m]": f"{tail.mean:.3g}" if tail else "[red]failed[/red]",
         "95 % interval": interval,
         "p95 [m]": f"{tail.p95:.3g}" if tail else "-",
-        "RMSE [m]": f"{s.rmse_m:.3g}" if s else "-",
+        "worst 5 %": f"{tail.cvar95:.3g}" if tail else "-",
+        "score": _score(result.score),
+        "settled": f"{s.settling_s:.3g}" if s else "-",
         "effort": effort,
         "smoothness": smoothness,
         "saturated": f"{100 * s.saturation:.1f} %" if s else "-",
-        "lost": f"{s.failures} of {s.episodes}" if s else "-",
+        "lost": f"{round(lost_share(m, regime_of(run.scenario.name)) * len(m))} of {len(m)}" if m else "-",
+        "ms": f"{1e3 * run.decision_seconds:.2g}" if s else "-",
     }
+
+
+def _score(value: Score | None) -> str:
+    return f"{value.mean:.3f}" if value and math.isfinite(value.mean) else "-"
+
+
+def _interval(value: Score | None) -> str:
+    return "{:.3f} ... {:.3f}".format(*value.ci95) if value and math.isfinite(value.ci95[0]) else "-"
+
+
+def score_table(scores: Sequence[Pooled]) -> Table:
+    """Return the table of the scores of each regime, all cases together."""
+    caps = ", ".join(f"{cap:g} m {regime}" for regime, cap in LARGEST_TAIL.items())
+    table = Table(
+        title="Score: 0 the expert, 1 the oracle, errors pooled over cases",
+        caption=f"lost: beyond the lost distance, or a tail of {caps}; capped: no tail counts more than that",
+        **LOOK,
+    )
+    table.add_column("regime")
+    table.add_column("policy", no_wrap=True)
+    for name in ("episodes", "tail [m]", "score", "95 % interval", "capped", "lost"):
+        table.add_column(escape(name), justify="right", no_wrap=True)
+    for entry in scores:
+        cells = (f"{entry.tail_m:.4f}", _score(entry.score), _interval(entry.score), _score(entry.capped))
+        table.add_row(entry.regime, entry.policy, str(entry.episodes), *cells, f"{100 * entry.lost:.2f} %")
+    return table
 
 
 def reproduction_tables(reproduction: Reproduction) -> list[Table]:

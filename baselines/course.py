@@ -1,0 +1,84 @@
+"""A course: episodes of all cases of a regime, side by side, that policies run one after the other to be compared."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.residual import Policy
+from auv_gym.scenario import CASES, PRESETS
+from baselines.evaluation.score import LARGEST_TAIL
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a policy does in a regime."""
+
+    error_m: float  # mean over cases of the capped tail RMSE
+    case_error_m: dict[str, float]  # the same by case
+    lost: float  # share of the episodes whose tail RMSE reaches the cap
+    effort: float  # mean square command
+    smoothness: float  # mean squared change of the command
+
+
+class Course:
+    """Episodes of the eight cases of a regime, side by side, to be run again and again by different policies.
+
+    Args:
+        regime: "slow" or "cruise".
+        episodes: how many, a multiple of eight; episode i is of case i modulo 8.
+        seed: episode i is drawn with seed + i.
+    """
+
+    def __init__(self, regime: str, episodes: int, seed: int) -> None:
+        self.cases = np.arange(episodes) % len(CASES)
+        self.cap = LARGEST_TAIL[regime]
+        presets = [PRESETS[f"{regime}-{case}"] for case in CASES]
+        self.steps, self.lost_distance = presets[0].steps, presets[0].lost_distance
+        # Nothing ends or begins within the run: one step more than are run, and vehicles go on when they are lost.
+        scenarios = [replace(s, steps=s.steps + 1, lost_distance=64.0) for s in presets]
+        self._env = UnderactuatedAUVTrackVectorEnv(episodes, [scenarios[i] for i in self.cases.tolist()])
+        self._observation, _ = self._env.reset(seed=seed)
+
+    def run(self, policy: Policy) -> Result:
+        """Return what a policy does on the course."""
+        env, observation = copy.deepcopy(self._env), self._observation
+        memory, first = None, np.ones(len(self.cases), dtype=bool)
+        square, worst, effort, change = (np.zeros(len(self.cases)) for _ in range(4))
+        last: NDArray[np.float32] | None = None
+        for k in range(self.steps):
+            action, memory = policy.predict(observation, memory, first)
+            observation, *_, info = env.step(action)
+            first = np.zeros_like(first)
+            error = info["position_error"]
+            worst = np.maximum(worst, error)
+            square += error**2 * (k >= self.steps // 3)
+            effort += np.square(action).mean(axis=1)
+            change += 0.0 if last is None else np.square(action - last).mean(axis=1)
+            last = action
+        tail = np.sqrt(square / (self.steps - self.steps // 3))
+        tail = np.where((worst > self.lost_distance) | ~(tail < self.cap), self.cap, tail)
+        errors = [float(tail[self.cases == i].mean()) for i in range(len(CASES))]
+        return Result(
+            error_m=float(np.mean(errors)),
+            case_error_m=dict(zip(CASES, errors, strict=True)),
+            lost=float(np.mean(tail == self.cap)),
+            effort=float(effort.mean()) / self.steps,
+            smoothness=float(change.mean()) / (self.steps - 1),
+        )
+
+
+def compared(result: Result, expert: Result) -> dict[str, Any]:
+    """Return a result with what it is relative to the expert's: 1 - its error, effort and smoothness ratio."""
+    return {
+        **asdict(result),
+        "expert_error_m": expert.error_m,
+        "score": 1 - result.error_m / expert.error_m,
+        "effort_ratio": result.effort / expert.effort,
+        "smoothness_ratio": result.smoothness / expert.smoothness,
+    }

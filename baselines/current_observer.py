@@ -1,0 +1,98 @@
+"""The tracking law in the water frame, with the current from a simple observer.
+
+A copy of the vehicle's model is driven by the commanded forces. What the measured ground velocity exceeds the copy's by
+is taken for the current: with nu = measured - (u, v) - R(psi)^T c,
+
+    (u, v)' = model + l1 nu,    c' = l2 R(psi) nu.
+
+On one axis with drag d = d11/m11 (or d22/m22) the poles are the roots of s^2 + (d + l1 + l2) s + d l2, so `fast` and
+`slow`, their moduli, give l2 = fast slow / d and l1 = fast + slow - d - l2, which is negative for fast poles: the copy
+then runs away from what is measured, so that the current may follow. A wrong model's drag is mistaken for current.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from auv_gym.dynamics import rk4_step
+from auv_gym.errors import to_body, to_world
+from auv_gym.namespaces import ARRAYS
+from auv_gym.scenario import as_vehicle
+from auv_gym.task import Observation
+from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from baselines.backstepping import Gains, tracking_forces
+from baselines.gain_files import by_speed
+from baselines.memory import Array, Memory, Remembering
+from baselines.water_frame import Sea, WaterPlan, reference_motion, water_errors
+
+LAW = ("k", "cu", "c", "cr", "reference_speed")
+GAINS = (*LAW, "fast", "slow")
+"""Names of the gains: the speed-normalised law's, without damping terms, and the observer's poles [1/s]."""
+
+
+class CurrentObserver:
+    """The law with its observer, a `Controller`.
+
+    Its memory: whether it has run, (N,); the copy's u, v and the measured psi, r, (N, 4); the current c in the world,
+    (N, 2); then the memory of its `WaterPlan`.
+    """
+
+    def __init__(self, gains: Mapping[str, float], vehicle: Vehicle) -> None:
+        """Make the controller; its gains are named in `GAINS`."""
+        self.gains = Gains(k1=0.0, ku=0.0, kc=0.0, **{name: gains[name] for name in LAW})
+        self.vehicle, self.plan = vehicle, WaterPlan(vehicle)
+        fast, slow = gains["fast"], gains["slow"]
+        drag = np.array((vehicle.d11 / vehicle.m11, vehicle.d22 / vehicle.m22))[:, None]
+        self._follow = fast * slow / drag  # l2
+        self._copy = fast + slow - drag - self._follow  # l1
+
+    def start(self, n: int) -> Memory:
+        """Return the memory at the start of n episodes."""
+        return np.zeros(n), np.zeros((n, 4)), np.zeros((n, 2)), *self.plan.start(n)
+
+    def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
+        """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
+        (u, v), (V_x, V_y) = self.observe(o, memory)
+        motion = reference_motion(o, self.vehicle)
+        psi = motion.psi + o.psi_e
+        plan, R = self.plan.update(memory[3:], motion, Sea(V_x, V_y), o.dt)
+        V_u, V_v = to_body(V_x, V_y, o.cos_psi, o.sin_psi)
+        ground = o.u_R + o.u_e, o.v_R + o.v_e
+        errors = water_errors((o.e_x, o.e_y, psi, ground[0] - V_u, ground[1] - V_v, o.r_R + o.r_e), R)
+        F_u, F_r = tracking_forces(errors, self.vehicle, self.gains, ARRAYS)
+        copy = np.stack((u, v, psi, o.r_R + o.r_e), axis=1)
+        return F_u, F_r, (np.ones_like(u), copy, np.stack((V_x, V_y), axis=1), *plan)
+
+    def observe(self, o: Observation, memory: Memory) -> tuple[Array, Array]:
+        """Return the copy's u, v and the current V_x, V_y [m/s] after one more observation, each of shape (2, N)."""
+        begun, copy, current, *_ = memory
+        u, v, psi, r = copy.T
+        load = (o.a_u * o.F_u_max, 0.0, o.a_r * o.F_r_max)
+        still = np.zeros_like(u)
+        _, _, _, u, v, _ = rk4_step((still, still, psi, u, v, r), load, self.vehicle.coefficients, o.dt, ns=np)
+        measured = np.array((o.u_R + o.u_e, o.v_R + o.v_e))
+        model = np.where(begun, np.array((u, v)), measured)
+        V_x, V_y = current.T
+        nu = measured - model - np.array(to_body(V_x, V_y, o.cos_psi, o.sin_psi))
+        pull = self._follow * nu
+        c_dot = np.array(to_world(pull[0], pull[1], o.cos_psi, o.sin_psi))
+        return model + o.dt * self._copy * nu, current.T + o.dt * c_dot
+
+
+def current_observer(
+    gains: Mapping[str, float] | None = None, vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE
+) -> Remembering:
+    """Return the law with its observer as a policy.
+
+    Args:
+        gains: at every speed, in place of the tuned ones, which depend on the speed; their names are in `GAINS`.
+        vehicle: the vehicle that the law believes in; an object, a name or a dict.
+
+    Raises:
+        ValueError: unknown vehicle, or wrong gains.
+    """
+    known = as_vehicle(vehicle)
+    return Remembering(by_speed("current-observer", GAINS, lambda g: CurrentObserver(g, known), gains))

@@ -1,0 +1,111 @@
+"""The score: 0 is the expert, 1 the oracle that knows the disturbances; paired episodes, errors pooled over cases.
+
+    score of p = (E_expert - E_p) / (E_expert - E_oracle),     E: mean over episodes of the tail RMSE
+
+Errors are pooled before the division: a ratio of every case would be dominated by those where little can be gained.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from baselines.evaluation.metrics import RESAMPLES, Array, Measures
+
+EXPERT, ORACLE = "backstepping", "oracle"
+"""The policies that score 0 and 1."""
+REGIMES = ("slow", "cruise")
+"""Prefixes of scenario names; each regime has a score of its own."""
+LARGEST_TAIL: Mapping[str, float] = {"slow": 0.6, "cruise": 2.0}
+"""Tail RMSE [m] from which an episode counts as lost; the capped score counts no more than that for it."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """A score with its 95 % interval; nan where the expert is no worse than the oracle."""
+
+    mean: float
+    ci95: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """A policy in a regime, all cases together."""
+
+    policy: str
+    regime: str
+    episodes: int
+    tail_m: float  # mean tail RMSE
+    score: Score | None  # None: expert or oracle are missing
+    capped: Score | None  # with every tail RMSE at most `LARGEST_TAIL`
+    lost: float  # share of the episodes, see `lost_share`
+
+
+def regime_of(scenario: str) -> str | None:
+    """Return the regime that a scenario's name begins with, if any."""
+    return next((regime for regime in REGIMES if scenario.startswith(f"{regime}-")), None)
+
+
+def capped(m: Measures, regime: str | None) -> Array:
+    """Return the tail RMSE [m], shape (M,), cut at `LARGEST_TAIL`: that of an episode that was lost."""
+    cap = LARGEST_TAIL[regime] if regime else math.inf
+    return np.where(m.lost & math.isfinite(cap) | ~(m.tail < cap), cap, m.tail)
+
+
+def lost_share(m: Measures, regime: str | None) -> float:
+    """Return the share of episodes that ended beyond the lost distance or whose tail reaches `LARGEST_TAIL`."""
+    cap = LARGEST_TAIL[regime] if regime else math.inf
+    return float(np.mean(m.lost | (m.tail >= cap)))
+
+
+def score(expert: Sequence[Array], policy: Sequence[Array], oracle: Sequence[Array]) -> Score:
+    """Return the score from tail errors [m] of paired episodes, an array for each case.
+
+    The interval is that of a bootstrap over episodes, the same ones for all three policies, within each case.
+    """
+    rng = np.random.default_rng(0)
+    sums = np.zeros((RESAMPLES + 1, 3))  # the first row: every episode once
+    for errors in zip(expert, policy, oracle, strict=True):
+        table = np.stack(errors, axis=1)
+        n = len(table)
+        counts = rng.multinomial(n, np.full(n, 1 / n), RESAMPLES).astype(np.float64)
+        sums += np.vstack((np.ones((1, n)), counts)) @ table
+    with np.errstate(divide="ignore", invalid="ignore"):
+        values = (sums[:, 0] - sums[:, 1]) / (sums[:, 0] - sums[:, 2])
+    if not sums[0, 0] > sums[0, 2]:
+        return Score(math.nan, (math.nan, math.nan))
+    if sum(map(len, expert)) < 2:
+        return Score(float(values[0]), (math.nan, math.nan))
+    low, high = np.quantile(values[1:], (0.025, 0.975)).tolist()
+    return Score(float(values[0]), (low, high))
+
+
+def pooled(policy: str, regime: str, measures: Mapping[str, Mapping[str, Measures]]) -> Pooled | None:
+    """Return a policy's figures in a regime; None if it did not run in all of its cases.
+
+    Args:
+        policy: its name.
+        regime: "slow" or "cruise".
+        measures: by scenario, then by policy.
+    """
+    cases = [by_policy for name, by_policy in measures.items() if regime_of(name) == regime]
+    if not cases or any(policy not in case for case in cases):
+        return None
+    own = [case[policy] for case in cases]
+    plain = cut = None
+    if all(name in case for name in (EXPERT, ORACLE) for case in cases):
+        three = (EXPERT, policy, ORACLE)
+        plain = score(*([case[name].tail for case in cases] for name in three))
+        cut = score(*([capped(case[name], regime) for case in cases] for name in three))
+    return Pooled(
+        policy,
+        regime,
+        sum(map(len, own)),
+        float(np.mean(np.concatenate([m.tail for m in own]))),
+        plain,
+        cut,
+        float(np.mean(np.concatenate([np.full(len(m), lost_share(m, regime)) for m in own]))),
+    )

@@ -1,0 +1,149 @@
+"""What the frozen suites are made of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from auv_gym.disturbances import RandomCurrent, RandomMismatch, RandomWaves
+from auv_gym.episode import Episode
+from auv_gym.intervals import Interval
+from auv_gym.paths import Path, Spline
+from auv_gym.planner import InfeasibleReferenceError, path_rates, plan
+from auv_gym.scenario import CASES, PRESETS, RandomPath, Scenario
+from baselines.evaluation.runner import Cell
+from baselines.evaluation.score import REGIMES
+from baselines.evaluation.suites import rounded
+
+FAMILIES = ("line", "circle", "sine", "figure_eight", "random_smooth")
+"""Path families that agents train on; each has the same number of episodes in a cell."""
+EPISODES, VALIDATION_EPISODES = 52, 10
+"""Episodes of a path family in a cell."""
+STRONGER, FARTHER = 1.5, 1.3
+"""Factors out of distribution: on current and waves, and on the range of the mismatch about 1."""
+
+PathOf = Callable[[np.random.Generator, RandomPath, float], Path | None]
+"""Returns a path for a duration [s], or None to let the scenario draw one."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """One cell: a scenario, the path families that take turns, and the number of episodes."""
+
+    scenario: Scenario
+    families: tuple[str, ...] = FAMILIES
+    episodes: int = EPISODES * len(FAMILIES)
+    path: PathOf = lambda *_: None
+
+
+def _benchmark(per_family: int) -> list[Recipe]:
+    scenarios = [PRESETS[f"{regime}-{case}"] for regime in REGIMES for case in CASES]
+    return [Recipe(scenario, episodes=per_family * len(FAMILIES)) for scenario in scenarios]
+
+
+def _out_of_distribution() -> list[Recipe]:
+    recipes = []
+    for regime in REGIMES:
+        current, storm = PRESETS[f"{regime}-current"], PRESETS[f"{regime}-storm"]
+        assert current.current is not None
+        stronger = replace(current.current, speed=_scaled(current.current.speed, STRONGER))
+        recipes += [
+            Recipe(replace(current, name=f"{regime}-current-x1.5", current=stronger)),
+            Recipe(_worse(storm)),
+            Recipe(replace(storm, name=f"{regime}-lawnmower"), families=("lawnmower",)),
+            Recipe(replace(storm, name=f"{regime}-waypoints"), path=waypoints),
+        ]
+    return recipes
+
+
+def _worse(storm: Scenario) -> Scenario:
+    """Return a storm with more current and waves and a wider mismatch."""
+    current, waves, mismatch = storm.current, storm.waves, storm.mismatch
+    assert isinstance(current, RandomCurrent)
+    assert isinstance(waves, RandomWaves)
+    assert isinstance(mismatch, RandomMismatch)
+    factors = ("mass", "ratio", "m33", "d11", "d22", "d33")
+    wider: dict[str, Any] = {name: _widened(getattr(mismatch, name)) for name in factors}
+    return replace(
+        storm,
+        name=storm.name.replace("storm", "all-x1.5"),
+        current=replace(current, speed=_scaled(current.speed, STRONGER), gust=STRONGER * current.gust),
+        waves=replace(waves, surge=STRONGER * waves.surge, sway=STRONGER * waves.sway, yaw=STRONGER * waves.yaw),
+        mismatch=replace(mismatch, **wider, quadratic=_scaled(mismatch.quadratic, FARTHER)),
+    )
+
+
+def _scaled(interval: Interval, factor: float) -> Interval:
+    return tuple(factor * end for end in interval) if isinstance(interval, tuple) else factor * interval  # type: ignore[return-value]
+
+
+def _widened(interval: Interval) -> Interval:
+    assert isinstance(interval, tuple)
+    return 1 + FARTHER * (interval[0] - 1), 1 + FARTHER * (interval[1] - 1)
+
+
+def waypoints(rng: np.random.Generator, path: RandomPath, duration: float) -> Path:
+    """Return a spline through random waypoints that turns no faster than a figure-eight: 1.75 `turn_rate`.
+
+    From leg to leg it turns by at most half a radian and changes speed by at most a fifth.
+    """
+    assert isinstance(path.speed, tuple)
+    speed, leg_time = rng.uniform(*path.speed), 0.8 / path.turn_rate
+    legs = math.ceil(1.3 * duration / leg_time) + 2
+    while True:
+        headings = np.cumsum(rng.uniform(-0.5, 0.5, legs)) + rng.uniform(-math.pi, math.pi)
+        lengths = speed * leg_time * rng.uniform(0.8, 1.2, legs)
+        steps = lengths[:, None] * np.stack((np.cos(headings), np.sin(headings)), axis=1)
+        points = np.vstack((np.zeros(2), np.cumsum(steps, axis=0)))
+        speeds = speed * rng.uniform(0.9, 1.1, legs + 1)
+        spline = Spline(tuple(map(tuple, points.tolist())), float(speed), tuple(speeds.tolist()))
+        if spline.end < duration:
+            continue
+        turn_rates = path_rates(spline.derivatives(np.linspace(0.0, duration, 600))).omega
+        if np.abs(turn_rates).max() <= 1.75 * path.turn_rate:
+            return spline
+
+
+SUITES: dict[str, tuple[int, Callable[[], list[Recipe]]]] = {
+    "benchmark-v1": (1_000_001, lambda: _benchmark(EPISODES)),
+    "benchmark-v1-validation": (1_000_002, lambda: _benchmark(VALIDATION_EPISODES)),
+    "ood-v1": (1_000_003, _out_of_distribution),
+}
+"""Suites by name: the seed, and what makes its recipes. Training selects on the validation split, never on a test."""
+
+
+def build(name: str) -> list[Cell]:
+    """Return the cells of a suite, drawn anew: the same wherever the random streams are."""
+    seed, recipes = SUITES[name]
+    return [rounded(_cell(recipe, seed, i)) for i, recipe in enumerate(recipes())]
+
+
+def _cell(recipe: Recipe, seed: int, index: int) -> Cell:
+    families = recipe.families[index % len(recipe.families) :] + recipe.families[: index % len(recipe.families)]
+    turned = replace(recipe, families=families)  # so that the first episodes of the cells differ in their paths
+    episodes = [_episode(turned, i, np.random.default_rng([seed, index, i])) for i in range(recipe.episodes)]
+    return Cell(recipe.scenario, tuple(episodes))
+
+
+def _episode(recipe: Recipe, i: int, rng: np.random.Generator) -> Episode:
+    """Return episode i, drawn again where the path cannot be followed."""
+    scenario, act = recipe.scenario, recipe.scenario.actuators
+    assert isinstance(scenario.path, RandomPath)
+    family = recipe.families[i % len(recipe.families)]
+    times = scenario.control_dt * np.arange(scenario.steps + 1, dtype=np.float64)
+    while True:
+        given = recipe.path(rng, scenario.path, scenario.duration)
+        distribution = replace(scenario.path, families=(family,))
+        if given is not None:
+            distribution = replace(distribution, speed=given.speed)
+        episode = replace(scenario, path=distribution).draw(rng)
+        episode = replace(episode, path=given or episode.path, noise_seed=episode.noise_seed % 2**32)
+        try:
+            plan(episode.path, scenario.vehicle, times, (act.F_u_max, act.F_r_max))
+        except InfeasibleReferenceError:
+            continue
+        return episode

@@ -1,0 +1,192 @@
+"""The oracle: plant, current, waves and actuators are known, now and in future; the score's 1.
+
+It plans in the water frame with the true vehicle: where the water moves with c(t), the vehicle has to move through it
+with p_R' - c, whose rates are p_R'' - c', p_R''' - c''. The waves' sway force enters the equation of the sideslip,
+the rest of them is cancelled by the forces. Errors are fed back by the paper's law in the true parameters, on the true
+state. A command is such that the mean force over the period is the wanted one in spite of the lag.
+
+It is a reference, not a bound: others may be better in single episodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_gym.actuators import Response
+from auv_gym.episode import Episode
+from auv_gym.errors import to_body, tracking_errors
+from auv_gym.namespaces import ARRAYS
+from auv_gym.paths import evaluate
+from auv_gym.planner import PathRates, assemble, path_rates, sideslip_rest, sideslip_terms, slow_sideslip
+from auv_gym.scenario import Scenario
+from auv_gym.vehicle import Coefficients, Vehicle
+from baselines.backstepping import CRUISE_SPEED, Gains, tracking_forces
+from baselines.truth import Array, samples
+
+GAINS = {
+    "slow": Gains(k=1.79, k1=0.758, cu=0.141, ku=0.657, c=0.652, kc=0.484, cr=0.77),
+    "cruise": Gains(k=0.231, k1=0.201, cu=0.0165, ku=2.69, c=0.991, kc=0.0922, cr=0.469),
+}
+"""Gains in each regime, tuned for the smallest tail error on the validation split of benchmark-v1."""
+BLIND = "the oracle needs prepare() before the reset and observe() before predict(), as evaluate.py calls them"
+LARGEST_SINE = 0.93
+"""Largest sine of the sideslip: 1.2 rad."""
+HARDEST_BRAKING = 0.35
+"""Largest braking -V'/V through the water [1/s]."""
+
+
+SMOOTHING = 0.2
+"""Width [s] of the Gauss filter on the current, whose gusts are too rough to be differentiated twice."""
+
+
+@dataclass(frozen=True)
+class TruePlan:
+    """What keeps N vehicles on their paths: at K + 1 instants, and in the middle of the K periods between them."""
+
+    state: Array  # x, y, psi, u, v, r relative to the water at the instants, shape (K + 1, 6, N)
+    force: Array  # F_u [N], F_r [N m], means over the periods, shape (K, 2, N)
+    vehicle: Vehicle  # true parameters as rows (N,)
+    response: Response  # of the actuators, rows (N,)
+
+
+class Oracle:
+    """The oracle as a privileged policy, see `baselines.evaluation.rollout.Privileged`.
+
+    Args:
+        gains: of the law at every speed; None: those of the regime.
+    """
+
+    def __init__(self, gains: Gains | None = None) -> None:
+        self._gains = (gains, gains) if gains else (GAINS["slow"], GAINS["cruise"])
+        self._plan: TruePlan | None = None
+        self._action = np.zeros((0, 2), dtype=np.float32)
+
+    def prepare(self, scenario: Scenario, episodes: Sequence[Episode]) -> None:
+        """Plan for N episodes that are to run side by side."""
+        self._plan = true_plan(scenario, episodes)
+        self._dt = scenario.control_dt
+        self._limits = np.array((scenario.actuators.F_u_max, scenario.actuators.F_r_max))
+
+    def observe(self, env: Any) -> None:
+        """Decide on the true state of the vector environment."""
+        if self._plan is None:
+            raise RuntimeError(BLIND)
+        plan = self._plan
+        k = np.minimum(np.rint(env.time / self._dt).astype(int), len(plan.force) - 1)
+        lanes = np.arange(len(k))
+        reference, F_R = plan.state[k, :, lanes].T, plan.force[k, :, lanes].T
+        x, y, psi, u, v, r = env.state.T
+        V_x, V_y = env.current.T
+        V_u, V_v = to_body(V_x, V_y, np.cos(psi), np.sin(psi))
+        wanted = self._wanted((x, y, psi, u - V_u, v - V_v, r), reference, F_R, plan.vehicle)
+        force = env.force.T
+        command = force + (wanted - force) / (plan.response.gain * plan.response.mean)
+        self._action = np.clip(command.T / self._limits, -1.0, 1.0).astype(np.float32)
+
+    def _wanted(self, state: Any, reference: Array, F_R: Array, vehicle: Vehicle) -> Array:
+        """Return the mean forces of the law over the next period, shape (2, N)."""
+        x_e, y_e, *others = tracking_errors(state, cast(Any, tuple(reference)), ARRAYS)
+        e_x, e_y = to_body(x_e, y_e, np.cos(state[2]), np.sin(state[2]))
+        o = (e_x, e_y, *others, *reference[3:], *F_R)
+        slow, fast = (np.stack(tracking_forces(o, vehicle, gains, ARRAYS)) for gains in self._gains)
+        u, r, u_R, r_R = state[3], state[5], reference[3], reference[5]
+        drag = vehicle.X_uu * (u * abs(u) - u_R * abs(u_R)), vehicle.N_rr * (r * abs(r) - r_R * abs(r_R))
+        wanted: Array = np.where(np.hypot(u_R, reference[4]) > CRUISE_SPEED, fast, slow) + np.stack(drag)
+        return wanted
+
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
+        """Return the actions (N, 2) decided by the last `observe`, whatever the observation (N, 18) is.
+
+        Raises:
+            RuntimeError: nobody has let it look behind the observation.
+        """
+        if self._plan is None:
+            raise RuntimeError(BLIND)
+        return self._action, state
+
+
+def true_plan(scenario: Scenario, episodes: Sequence[Episode]) -> TruePlan:
+    """Return the plan of the oracle for N episodes.
+
+    Raises:
+        InfeasibleReferenceError: an episode's path cannot be followed in still water.
+    """
+    from scipy.ndimage import gaussian_filter1d
+
+    dt, lag = scenario.control_dt, np.array([e.lag for e in episodes])
+    act = scenario.actuators
+    vehicle = fleet([e.vehicle for e in episodes])
+    outside = samples(scenario, episodes)[:, 8:13]
+    V, load = _halfway(outside[:, :2]), _halfway(outside[:, 2:])  # on a grid of half periods
+    V = gaussian_filter1d(V, SMOOTHING / (0.5 * dt), axis=0, mode="nearest")
+    times: Array = 0.5 * dt * np.arange(len(V), dtype=np.float64)
+    motion = evaluate([e.path for e in episodes], times)
+    for order in range(1, 4):
+        motion[order] -= V.transpose(1, 0, 2)
+        V = np.gradient(V, 0.5 * dt, axis=0)
+    along = path_rates(motion)
+    along = _replaced(along, v_p_dot=np.maximum(along.v_p_dot, -HARDEST_BRAKING * along.v_p))
+    Y = load[:, 1]
+    w = _sine_of_sideslip(along, vehicle, Y, 0.5 * dt)
+    R = assemble(times, motion[0], along, w, vehicle, (Y, np.gradient(Y, 0.5 * dt, axis=0)))
+    response = Response(*np.array([Response.of(T, act.F_u_rate, act.F_r_rate, dt) for T in lag.tolist()]).T)
+    return TruePlan(
+        np.stack((R.x, R.y, R.psi, R.u, R.v, R.r), axis=1)[::2],
+        np.stack((R.F_u - load[:, 0], R.F_r - load[:, 2]), axis=1)[1::2],
+        vehicle,
+        response,
+    )
+
+
+def fleet(vehicles: Sequence[Vehicle]) -> Vehicle:
+    """Return N vehicles as one whose parameters are rows (N,), for equations that work on rows."""
+    rows = Coefficients(*np.array([vehicle.coefficients for vehicle in vehicles]).T)
+    return cast(Vehicle, SimpleNamespace(coefficients=rows, **rows._asdict()))
+
+
+def _replaced(along: PathRates, **changes: Array) -> PathRates:
+    return PathRates(**{field.name: changes.get(field.name, getattr(along, field.name)) for field in fields(PathRates)})
+
+
+def _halfway(rows: Array) -> Array:
+    """Return what is held over the periods that end at K + 1 instants, at instants and in between: 2 K + 1 rows."""
+    half = np.empty((2 * len(rows) - 1, *rows.shape[1:]))
+    half[1::2] = rows[1:]
+    half[2:-1:2] = 0.5 * (rows[1:-1] + rows[2:])
+    half[0], half[-1] = rows[1], rows[-1]
+    return half
+
+
+def _sine_of_sideslip(along: PathRates, vehicle: Vehicle, Y: Array, h: float) -> Array:
+    """Integrate Dm w' = -d22 w + rest(w) + Y/v_p over rows h [s] apart, the module `planner` says how it comes about.
+
+    By the exponential Runge-Kutta formula of second order (Cox and Matthews 2002, eq. 22): the stiff term exactly.
+    """
+    Dm = vehicle.m22 - vehicle.m11
+    slope, square, turn = (h / Dm * term for term in sideslip_terms(along, vehicle))
+    push = h / Dm * Y / along.v_p
+    z = vehicle.d22 / Dm * h
+    decay = np.exp(-z)
+    first, second = (1 - decay) / z, (z - 1 + decay) / (z * z)
+    w = np.empty_like(push)
+    w[0] = np.clip(slow_sideslip(along, vehicle), -LARGEST_SINE, LARGEST_SINE)
+    rest = sideslip_rest(slope[0], square[0], turn[0], w[0], np.sqrt) + push[0]
+    for j in range(1, len(w)):
+        row = slope[j], square[j], turn[j]
+        guess = decay * w[j - 1] + first * rest
+        change = sideslip_rest(*row, np.clip(guess, -LARGEST_SINE, LARGEST_SINE), np.sqrt) + push[j] - rest
+        w[j] = np.clip(guess + second * change, -LARGEST_SINE, LARGEST_SINE)
+        rest = sideslip_rest(*row, w[j], np.sqrt) + push[j]
+    return w

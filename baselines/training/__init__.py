@@ -1,0 +1,1 @@
+"""Training: adapters to the libraries that learn."""

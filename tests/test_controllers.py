@@ -1,0 +1,241 @@
+"""The classical controllers: exact on the plan, no steady error in a current, honest memory, refused gain files."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import baselines
+from auv_gym.disturbances import RandomCurrent
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.errors import error_rates
+from auv_gym.paths import Circle, Line
+from auv_gym.scenario import PRESETS, Start
+from auv_gym.task import BOUNDS, SCALES
+from auv_gym.vehicle import PAPER_VEHICLE as V
+from baselines import gain_files
+from baselines.gain_files import REGIMES, BySpeed, load_gains
+from baselines.integral import FORMS
+from baselines.los_pid import PIDGains
+from baselines.lqi import Weights, error_dynamics, gain_schedule, optimal_gain, sampled_model
+from baselines.tuning import TUNABLES
+
+NAMES = ["integral", "integral-normalised", "los-pid", "lqi"]
+
+
+def final_errors(policy, speed, current, steps, turn_rate=0.0):
+    """Return the position errors [m] over the last tenth of a run on a steady path that began on the reference."""
+    path = Circle(speed=speed, turn_rate=turn_rate) if turn_rate else Line(speed=speed)
+    calm = replace(PRESETS["cruise-calm"], path=path, start=Start(), steps=steps + 1)
+    scenario = replace(calm, current=RandomCurrent(speed=(current, current), direction=(1.2, 1.2)) if current else None)
+    env = UnderactuatedAUVTrackVectorEnv(1, scenario)
+    env.reset(seed=3)
+    velocity = np.stack(env.reference, axis=1)[:, 3:6]
+    observation, _ = env.reset(seed=3, options={"initial_velocity": velocity})
+    memory, errors = None, []
+    for _ in range(steps):
+        action, memory = policy.predict(observation, memory)
+        observation, *_, info = env.step(action)
+        errors.append(info["position_error"][0])
+    return np.array(errors[-steps // 10 :])
+
+
+@pytest.mark.parametrize("speed", [0.2, 1.0])
+@pytest.mark.parametrize("name", NAMES)
+def test_on_the_reference_in_calm_water_it_stays(name, speed):
+    assert final_errors(baselines.make_policy(name), speed, 0.0, 200, 0.05).max() < 2e-3 * speed
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_constant_current_leaves_no_steady_error_on_a_line_and_little_on_a_circle(name):
+    """With gains whose integral forgets the start within the run, the tuned ones have their own time."""
+    gains = {**TUNABLES[name].start["slow"], **INTEGRATING[name]}
+    policy, law = baselines.make_policy(name, gains=gains), baselines.make_policy("backstepping")
+    offset = final_errors(law, 0.2, 0.3, 600).min()
+    assert offset > 0.05
+    assert final_errors(policy, 0.2, 0.3, 1500).max() < 0.05 * offset
+    assert final_errors(policy, 0.2, 0.3, 1500, 0.01).max() < 0.3 * offset
+
+
+INTEGRATING = {
+    "integral": {"rate": 0.06},
+    "integral-normalised": {"rate": 0.06},
+    "los-pid": {"rate": 0.1},
+    "lqi": {"rate": 0.3},
+}
+
+
+def observations(n, regime="cruise"):
+    """Return random observations of vehicles near the plan, shape (n, 18)."""
+    env = UnderactuatedAUVTrackVectorEnv(n, f"{regime}-storm")
+    return env.reset(seed=7)[0]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_batch_equals_single_and_regimes_mix(name):
+    mixed = np.concatenate((observations(2), observations(2, "slow")))
+    together, alone = baselines.make_policy(name), baselines.make_policy(name)
+    memory, memories = None, [None] * len(mixed)
+    for _ in range(5):
+        actions, memory = together.predict(mixed, memory)
+        for i, observation in enumerate(mixed):
+            action, memories[i] = alone.predict(observation, memories[i])
+            np.testing.assert_allclose(action, actions[i], rtol=1e-5, atol=1e-6)
+            for mine, ours in zip(memories[i], memory, strict=True):
+                np.testing.assert_allclose(mine[0], ours[i], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_memory_begins_anew_where_an_episode_does(name):
+    policy, rows = baselines.make_policy(name), observations(3)
+    first, fresh = policy.predict(rows)
+    memory = fresh
+    for _ in range(20):
+        _, memory = policy.predict(rows, memory)
+    later, _ = policy.predict(rows, memory)
+    again, after = policy.predict(rows, memory, np.array([False, True, False]))
+    np.testing.assert_array_equal(again[1], first[1])
+    np.testing.assert_array_equal(again[[0, 2]], later[[0, 2]])
+    for a, b in zip(after, fresh, strict=True):
+        np.testing.assert_array_equal(a[1], b[1])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_memory_stays_bounded_however_far_the_vehicle_is(name):
+    policy = baselines.make_policy(name)
+    rows = observations(4).copy()
+    rows[:, :2] = np.array([[1, 1], [-1, 1], [1, -1], [-1, -1]]) * BOUNDS[:2]
+    rows[2:, 15] = 1.0  # the surge actuator at its limit
+    memory = None
+    for _ in range(1000):
+        action, memory = policy.predict(rows, memory)
+    speed = np.hypot(rows[:, 6], rows[:, 7]) * SCALES[6]
+    horizon = load_gains(name, "cruise", gain_names(name))["horizon"]
+    assert np.isfinite(action).all()
+    assert (np.hypot(*memory[0].T) <= horizon * speed * (1 + 1e-9)).all()
+    assert (memory[0][2:] == 0).all()
+    assert all(np.isfinite(a).all() for a in memory)
+
+
+def gain_names(name):
+    return {"integral": FORMS["printed"], "integral-normalised": FORMS["normalised"]}.get(
+        name, PIDGains._fields if name == "los-pid" else Weights._fields
+    )
+
+
+# The LQI against independent computations.
+
+WEIGHTS = Weights(**dict(zip(Weights._fields, (0.5, 0.3, 1.0, 1.0, 0.3, 1.0, 0.3, 0.2, 0.2, 5.0), strict=True)))
+
+
+@pytest.mark.parametrize(("u_R", "r_R"), [(0.1, 0.0), (0.7, 0.1), (1.5, -0.05)])
+def test_error_dynamics_are_the_linearised_equations(u_R, r_R):
+    v_R = -V.m11 * u_R * r_R / V.d22
+    reference, plan = (0.0, 0.0, 0.0, u_R, v_R, r_R), np.zeros(2)
+
+    def body_rates(z, force):
+        """Return the rates of body-frame errors from those of world-frame errors."""
+        c, s = np.cos(z[2]), np.sin(z[2])
+        rates = np.array(error_rates((0.0, 0.0, *z[2:]), reference, force, plan, V.coefficients))
+        e_x_dot, e_y_dot = c * rates[0] + s * rates[1], c * rates[1] - s * rates[0]
+        r = r_R + z[5]
+        return np.array([e_x_dot + r * z[1], e_y_dot - r * z[0], *rates[2:]])
+
+    A, B = error_dynamics(u_R, r_R, V)
+    h = 1e-6
+    A_numeric = np.array([(body_rates(h * d, plan) - body_rates(-h * d, plan)) / (2 * h) for d in np.eye(6)]).T
+    B_numeric = np.array([(body_rates(np.zeros(6), d) - body_rates(np.zeros(6), -d)) / 2 for d in np.eye(2)]).T
+    np.testing.assert_allclose(A, A_numeric, atol=1e-8)
+    np.testing.assert_allclose(B, B_numeric, atol=1e-12)
+
+
+def test_gain_is_that_of_the_riccati_recursion():
+    """The gain of a long finite horizon, iterated backward with the cost written out anew."""
+    u_R, r_R, dt, w = 1.0, 0.1, 0.1, WEIGHTS
+    Phi, Gamma = sampled_model(u_R, r_R, V, w, dt)
+    U2 = u_R**2 * (1 + (V.m11 * r_R / V.d22) ** 2)
+    state_cost = np.diag([1, 1, w.heading**2 * U2, 0, 0, w.turn**2, 1, 1, 0, 0, 0, 0]).astype(float)
+    e_dot = np.zeros((2, 12))  # (17) at e = 0: body-frame rate of the position error as seen from the world
+    e_dot[:, 3:5], e_dot[:, 2] = np.eye(2), (V.m11 * u_R * r_R / V.d22, u_R)
+    state_cost += w.velocity**2 * e_dot.T @ e_dot
+    effort = np.diag([w.surge_effort / V.m11, w.yaw_effort / V.m33]) ** 2
+    change = np.diag([w.surge_rate / V.m11 / dt, w.yaw_rate / V.m33 / dt]) ** 2
+    pick = np.zeros((2, 12))
+    pick[:, 10:] = np.eye(2)
+    P = np.zeros((12, 12))
+    for _ in range(3000):
+        H = effort + change + Gamma.T @ P @ Gamma
+        G = Gamma.T @ P @ Phi - change @ pick
+        P = state_cost + pick.T @ change @ pick + Phi.T @ P @ Phi - G.T @ np.linalg.solve(H, G)
+        P = 0.5 * (P + P.T)
+    np.testing.assert_allclose(optimal_gain(u_R, r_R, V, w, dt), np.linalg.solve(H, G), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("regime", REGIMES)
+@pytest.mark.parametrize("lag", [0.02, 0.3, 0.6])
+def test_interpolated_gains_stabilise_vehicles_of_other_lags(regime, lag):
+    """Eigenvalues of plant, true lag, integral and the controller's own force model over one control period."""
+    w = Weights(**load_gains("lqi", regime, Weights._fields))
+    dt, speeds = {"slow": (0.2, (0.1, 0.2, 0.33)), "cruise": (0.1, (0.5, 0.93, 1.5))}[regime]
+    for u_R in speeds:
+        for r_R in (0.0, 0.07):
+            A, B = error_dynamics(u_R, r_R, V)
+            M = np.zeros((14, 14))  # errors 6, xi 2, true forces 2, modelled forces 2, command 2
+            M[:6, :6], M[:6, 8:10] = A, B
+            M[6:8, 6:8], M[6:8, :2] = [[0, r_R], [-r_R, 0]], w.rate * np.eye(2)
+            for rows, tau in ((slice(8, 10), lag), (slice(10, 12), w.lag)):
+                M[rows, rows], M[rows, 12:] = -np.eye(2) / tau, np.eye(2) / tau
+            K = gain_schedule(V, w, dt)([[u_R, r_R]])[0]
+            step = expm(dt * M)[:12]
+            feedback = -np.hstack((K[:, :8], np.zeros((2, 2)), K[:, 8:]))  # on errors, xi, true, modelled, last command
+            loop = np.vstack((np.hstack((step[:, :12], np.zeros((12, 2)))) + step[:, 12:] @ feedback, feedback))
+            assert np.abs(np.linalg.eigvals(loop)).max() < 1, (u_R, r_R)
+
+
+# Gain files.
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setattr(gain_files, "FOLDER", tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (None, "there are no gains in .*python -m baselines.tuning lqi --regime slow"),
+        ("{", "is not valid JSON"),
+        ("[1, 2]", "has the gains"),
+        ('{"gains": {"heading": 1.0}}', "has the gains heading; they must be velocity, heading"),
+        (json.dumps({"gains": {**WEIGHTS._asdict(), "lag": "0.2"}}), "gain lag is '0.2'"),
+        (json.dumps({"gains": {**WEIGHTS._asdict(), "lag": -0.2}}), "gain lag is -0.2"),
+        (json.dumps({"gains": {**WEIGHTS._asdict(), "lag": float("nan")}}), "gain lag is nan"),
+    ],
+)
+def test_wrong_gain_files_are_refused(folder, text, reason):
+    if text is not None:
+        (folder / "lqi-slow.json").write_text(text)
+    with pytest.raises(ValueError, match=reason):
+        baselines.make_policy("lqi")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_given_gains_replace_the_files(folder, name):
+    with pytest.raises(ValueError, match="there are no gains"):
+        baselines.make_policy(name)
+    names = gain_names(name)
+    policy = baselines.make_policy(name, gains=dict.fromkeys(names, 0.5))
+    assert not isinstance(policy.controller, BySpeed)
+    assert np.isfinite(policy.predict(observations(2))[0]).all()
+    with pytest.raises(ValueError, match=f"{name} has the gains k9"):
+        baselines.make_policy(name, gains={"k9": 1.0})
+
+
+def test_unknown_regime_and_form_are_refused():
+    with pytest.raises(ValueError, match="unknown regime 'fast'; allowed are slow, cruise"):
+        load_gains("lqi", "fast", Weights._fields)
+    with pytest.raises(ValueError, match="unknown form 'other'; allowed are printed, normalised"):
+        baselines.make_policy("integral", form="other")

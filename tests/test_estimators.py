@@ -1,0 +1,327 @@
+"""Filter and observer against derivatives, true disturbances and statistics; the water's frame against the planner."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from auv_gym.actuators import Response
+from auv_gym.disturbances import RandomCurrent
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.errors import to_body
+from auv_gym.namespaces import ARRAYS, wrap_angle
+from auv_gym.paths import Circle, FigureEight, Sine
+from auv_gym.planner import plan
+from auv_gym.scenario import CASES, PRESETS, RandomPath, Scenario, Start
+from auv_gym.simulation import Parameters, start, step
+from auv_gym.task import Observation, decode_observation
+from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from baselines import make_policy
+from baselines.backstepping import Gains, tracking_forces
+from baselines.current_observer import CurrentObserver
+from baselines.ekf import ExtendedKalmanFilter
+from baselines.ekf_law import ekf_law
+from baselines.ekf_model import (
+    SIZE,
+    Estimate,
+    lag_response,
+    measurement,
+    measurement_jacobian,
+    transition,
+    transition_jacobian,
+    wave_transition,
+)
+from baselines.memory import Remembering
+from baselines.tuning import TUNABLES
+from baselines.water_frame import Motion, Sea, WaterPlan, reference_motion, water_errors
+
+DRAGGY = Vehicle(m11=215.0, m22=265.0, m33=80.0, d11=70.0, d22=100.0, d33=50.0, X_uu=30.0, Y_vv=80.0, N_rr=20.0)
+
+
+def random_state(rng, n):
+    """Return states of ordinary size, in the order of `Estimate`."""
+    size = np.array([1, 1, 3, 1, 0.3, 0.3, 90, 40, 0.3, 0.3, 0.02, 0.02, 20, 20, 8, 0, 20, 20, 20, 20, 8, 8])
+    z = rng.standard_normal((SIZE, n)) * size[:, None]
+    z[15] = rng.uniform(0.05, 0.8, n)
+    return z
+
+
+@pytest.mark.parametrize("lag", [None, 2e-3])
+def test_jacobians_are_complex_step_derivatives(lag):
+    rng = np.random.default_rng(0)
+    z = random_state(rng, 5)
+    if lag is not None:
+        z[15] = lag
+    command, moved, dt = (rng.normal(0, 90, 5), rng.normal(0, 40, 5)), (0.1, 0.05), np.linspace(0.05, 0.3, 5)
+    F, H = transition_jacobian(Estimate(*z), command, dt, PAPER_VEHICLE), measurement_jacobian(Estimate(*z))
+    for j in range(SIZE):
+        shifted = z.astype(complex)
+        shifted[j] += 1e-30j
+        exact = np.array(transition(Estimate(*shifted), command, moved, dt, PAPER_VEHICLE)).imag / 1e-30
+        np.testing.assert_allclose(F[:, :, j].T, exact, rtol=1e-5, atol=1e-7)
+        np.testing.assert_allclose(H[:, :, j].T, measurement(Estimate(*shifted)).imag / 1e-30, atol=1e-12)
+
+
+def test_quadratic_drag_is_in_the_jacobian():
+    z, dt = random_state(np.random.default_rng(1), 4), np.full(4, 0.1)
+    command = np.zeros(4), np.zeros(4)
+    F = transition_jacobian(Estimate(*z), command, dt, DRAGGY)
+    for j in (3, 4, 5):
+        ends = []
+        for sign in (1, -1):
+            shifted = z.copy()
+            shifted[j] += sign * 1e-5
+            ends.append(np.array(transition(Estimate(*shifted), command, (0.0, 0.0), dt, DRAGGY)))
+        np.testing.assert_allclose(F[:, :, j].T, (ends[0] - ends[1]) / 2e-5, atol=1e-6)
+
+
+def test_rows_of_lags_respond_as_one():
+    lags, dt = np.array([1e-3, 0.1, 0.6]), np.array([0.1, 0.1, 0.2])
+    rows = lag_response(lags, dt)
+    for i in range(3):
+        one = Response.of(lags[i], np.inf, np.inf, dt[i])
+        assert (rows.gain[i], rows.mean[i]) == pytest.approx((one.gain, one.mean))
+
+
+def test_wave_oscillator():
+    A, twice = wave_transition(np.array([0.3])), wave_transition(np.array([0.6]))
+    np.testing.assert_allclose(A[:, :, 0] @ A[:, :, 0], twice[:, :, 0], atol=1e-14)
+    covariance = np.zeros((2, 2))
+    for _ in range(400):
+        covariance = A[:, :, 0] @ covariance @ A[:, :, 0].T + np.eye(2) - A[:, :, 0] @ A[:, :, 0].T
+    np.testing.assert_allclose(covariance, np.eye(2), atol=1e-6)
+
+
+def every_preset(lanes_each):
+    """Return an environment with so many vehicles in each benchmark scenario, whose episodes do not end."""
+    names = [f"{regime}-{case}" for regime in ("slow", "cruise") for case in CASES for _ in range(lanes_each)]
+    scenarios = [replace(PRESETS[name], steps=601, lost_distance=64.0) for name in names]
+    return UnderactuatedAUVTrackVectorEnv(len(names), scenarios), np.array(names)
+
+
+def test_filter_over_long_runs():
+    """Its covariance stays symmetric and positive, and where sensors are noisy it is as wide as what it is wrong by."""
+    env, names = every_preset(4)
+    policy, memory = make_policy("ekf"), None
+    controller = policy.controller.cruise
+    observation, _ = env.reset(seed=20_000_000)
+    first, judged, least = np.ones(len(names), dtype=bool), [], np.inf
+    for k in range(600):
+        o = decode_observation(observation)
+        if k >= 200 and k % 5 == 0:
+            _, _, (innovation, S) = controller.filter.update_and_judge(memory[: controller.filter.MEMORY], o)
+            judged.append(np.einsum("ni,ni->n", innovation, np.linalg.solve(S, innovation[..., None])[..., 0]))
+        action, memory = policy.predict(observation, memory, first)
+        observation, *_ = env.step(action)
+        first = np.zeros_like(first)
+        if k % 25 == 0:
+            P = memory[2]
+            assert np.array_equal(P, P.transpose(0, 2, 1))
+            deviation = np.sqrt(np.einsum("nii->ni", P))
+            least = min(least, np.linalg.eigvalsh(P / deviation[:, :, None] / deviation[:, None, :]).min())
+    assert least > 1e-12
+    mean = np.mean(judged, axis=0)
+    assert 4 < mean[names == "cruise-noise"].mean() < 8
+    assert 4 < mean[names == "cruise-storm"].mean() < 9
+    noise = np.sqrt(memory[5])
+    assert noise[names == "cruise-noise"].mean(axis=0) == pytest.approx([0.05, 0.05, 0.015, 0.02, 0.02, 0.005], rel=0.2)
+    assert noise[names == "slow-storm"].mean(axis=0)[:3] == pytest.approx([0.03, 0.03, 0.015], rel=0.2)
+    assert (noise[names == "cruise-calm"] < 0.002).all()
+
+
+TURNING = RandomPath(speed=(0.6, 1.2), turn_rate=0.12, families=("circle", "sine", "figure_eight"))
+CURRENT = replace(PRESETS["cruise-current"], path=TURNING)
+
+
+def belief(scenario, policy, lanes=24, steps=500):
+    """Return the policy's last memory and the environment, after so many steps from seed 0."""
+    env = UnderactuatedAUVTrackVectorEnv(lanes, scenario)
+    observation, _ = env.reset(seed=0)
+    memory, first = None, np.ones(lanes, dtype=bool)
+    for _ in range(steps):
+        action, memory = policy.predict(observation, memory, first)
+        observation, *_ = env.step(action)
+        first = np.zeros_like(first)
+    _, memory = policy.predict(observation, memory, first)
+    return memory, env
+
+
+def test_filter_finds_the_current_through_noise():
+    """A path that turns tells current and load apart, if the load is believed to be steady."""
+    calm = dict.fromkeys(("surge_bias", "sway_bias", "yaw_bias", "surge_waves", "sway_waves", "yaw_waves"), 0.01)
+    gains = {**TUNABLES["ekf"].start["cruise"], "current": 0.01, "gust": 0.001, **calm}
+    memory, env = belief(replace(CURRENT, sensors=PRESETS["cruise-noise"].sensors), ekf_law(gains))
+    z = Estimate(*memory[1].T)
+    off = np.hypot(z.V_x - env.current[:, 0], z.V_y - env.current[:, 1])
+    assert np.hypot(*env.current.T).mean() > 0.2
+    assert off.mean() < 0.06
+    state, reference = env.state, env.reference
+    assert np.hypot(z.x_e - (state[:, 0] - reference.x), z.y_e - (state[:, 1] - reference.y)).mean() < 0.03
+    assert abs(wrap_angle(z.psi - state[:, 2], ARRAYS)).mean() < 0.01
+
+
+def test_observer_finds_the_current():
+    memory, env = belief(CURRENT, make_policy("current-observer"))
+    assert np.hypot(*(memory[2] - env.current).T).max() < 0.02
+
+
+def test_filter_finds_lag_and_load():
+    """Actuators of different lags and a constant load, measured without noise under commands that move."""
+    lags, load = np.array([0.15, 0.3, 0.6]), (15.0, 0.0, -6.0)
+    dt, n, steps = 0.1, len(lags), 600
+    reference = plan(Circle(1.0, 0.15), PAPER_VEHICLE, dt * np.arange(steps + 1)).table
+    rows = [np.full(n, x) for x in (dt, *PAPER_VEHICLE.coefficients, 400.0, 200.0)]
+    responses = np.array([Response.of(lag, np.inf, np.inf, dt) for lag in lags]).T
+    p = Parameters.of((*rows, *responses, *(np.ones(n) for _ in range(4))), False, 1)
+    sample = [np.concatenate((row, (0.0, 0.0), load, np.zeros(6)))[:, None] * np.ones(n) for row in reference]
+    plant, terms = start(tuple(np.zeros((6, n)) + np.array([0, 0, 0, 1.0, 0, 0])[:, None]), sample[0], p, ARRAYS)
+    estimator = ExtendedKalmanFilter()
+    memory, z = estimator.update(estimator.start(n), Observation(*terms))
+    rng = np.random.default_rng(0)
+    for k in range(1, steps + 1):
+        F_u, F_r = tracking_forces(Observation(*terms), PAPER_VEHICLE, FIRM, ARRAYS)
+        action = F_u / 400 + rng.normal(0, 0.1, n), F_r / 200 + rng.normal(0, 0.1, n)
+        plant, terms, _ = step(plant, action, sample[k], p, ARRAYS)
+        memory, z = estimator.update(memory, Observation(*terms))
+    np.testing.assert_allclose(z.lag, lags, rtol=0.1)
+    np.testing.assert_allclose(z.F_u, plant[6], atol=3.0)
+    np.testing.assert_allclose(z.X + z.X_wave, load[0], atol=3.0)
+    np.testing.assert_allclose(z.N + z.N_wave, load[2], atol=2.0)
+
+
+@dataclass(frozen=True)
+class Drifting:
+    """A path as seen from water that moves with a constant velocity."""
+
+    path: Circle | Sine | FigureEight
+    V: tuple[float, float]
+
+    @property
+    def speed(self):
+        return self.path.speed
+
+    start, end = -np.inf, np.inf
+
+    def derivatives(self, t):
+        derivatives = self.path.derivatives(t).copy()
+        for axis in (0, 1):
+            derivatives[0, axis] -= self.V[axis] * t
+            derivatives[1, axis] -= self.V[axis]
+        return derivatives
+
+
+@pytest.mark.parametrize("path", [Circle(1.0, 0.1), Sine(0.8, 2.0, 0.15), FigureEight(20.0, 0.06)])
+def test_water_plan_is_the_planners(path):
+    """Step by step from the observation's terms, as exactly as its second-order formulas allow."""
+    V, dt = (0.2, -0.1), 0.1
+    times = dt * np.arange(400)
+    ground, water = plan(path, PAPER_VEHICLE, times), plan(Drifting(path, V), PAPER_VEHICLE, times)
+    by_steps = WaterPlan(PAPER_VEHICLE)
+    memory, rows = by_steps.start(1), []
+    for k in range(len(times)):
+        values = dict.fromkeys(Observation._fields, np.zeros(1))
+        psi_m = ground.psi[k] + 0.7
+        values |= {"cos_psi": np.cos([psi_m]), "sin_psi": np.sin([psi_m]), "psi_e": np.array([0.7])}
+        for name in ("u", "v", "r"):
+            values[f"{name}_R"] = getattr(ground, name)[k : k + 1]
+        values |= {"F_uR": ground.F_u[k : k + 1], "F_rR": ground.F_r[k : k + 1]}
+        motion = reference_motion(Observation(**values), PAPER_VEHICLE)
+        derivatives = path.derivatives(times[k : k + 1])
+        np.testing.assert_allclose(np.ravel(motion[1:]), derivatives[1:3].ravel(), atol=1e-4)
+        memory, R = by_steps.update(memory, motion, Sea(np.full(1, V[0]), np.full(1, V[1])), np.full(1, dt))
+        rows.append(np.concatenate(R))
+    psi, *others = np.array(rows).T
+    assert abs(wrap_angle(psi - water.psi, ARRAYS))[50:].max() < 2e-4
+    tolerances = {"u": 2e-4, "v": 2e-4, "r": 1e-3, "F_u": 0.02, "F_r": 0.2}
+    for mine, (name, tolerance) in zip(others, tolerances.items(), strict=True):
+        assert abs(mine - getattr(water, name))[50:].max() < tolerance, name
+
+
+def test_water_plan_under_a_sway_load_is_feasible():
+    """The planned motion obeys (2b) with the load."""
+    n, dt, w = 1, 0.02, 0.8
+    by_steps, memory, rows = WaterPlan(PAPER_VEHICLE), WaterPlan(PAPER_VEHICLE).start(n), []
+    still = np.zeros(n)
+    for k in range(600):
+        t = dt * k
+        motion = Motion(still, np.ones(n), still, still, still)
+        Y, Y_rate = 20 * np.sin([w * t]), 20 * w * np.cos([w * t])
+        memory, R = by_steps.update(memory, motion, Sea(still, still, Y=Y, Y_rate=Y_rate), np.full(n, dt))
+        rows.append((*(x[0] for x in R), Y[0]))
+    psi, u, v, r, _, _, Y = np.array(rows).T
+    V = PAPER_VEHICLE
+    residual = V.m22 * np.gradient(v, dt) + V.m11 * u * r + V.d22 * v - Y
+    assert abs(residual[100:-1]).max() < 0.05
+    np.testing.assert_allclose(np.gradient(psi, dt)[100:-1], r[100:-1], atol=2e-4)
+
+
+FIRM = Gains(k=9.5, k1=0.0, cu=0.3, ku=0.0, c=1.65, kc=0.0, cr=1.62, reference_speed=0.276)
+
+
+class KnownCurrent:
+    """The law in the water frame with the current given to it."""
+
+    def __init__(self, V):
+        self.V, self.plan = V, WaterPlan(PAPER_VEHICLE)
+
+    def start(self, n):
+        return self.plan.start(n)
+
+    def forces(self, o, memory, extra):
+        V_x, V_y = (np.full_like(o.u_R, x) for x in self.V)
+        memory, R = self.plan.update(memory, reference_motion(o, PAPER_VEHICLE), Sea(V_x, V_y), o.dt)
+        V_u, V_v = to_body(V_x, V_y, o.cos_psi, o.sin_psi)
+        psi = np.arctan2(o.sin_psi, o.cos_psi)
+        state = (o.e_x, o.e_y, psi, o.u_R + o.u_e - V_u, o.v_R + o.v_e - V_v, o.r_R + o.r_e)
+        return *tracking_forces(water_errors(state, R), PAPER_VEHICLE, FIRM, ARRAYS), memory
+
+
+def test_known_current_leaves_no_error():
+    """Half the vehicle's speed of current: what remains is that of forces held over a period."""
+    V = (0.4, 0.3)
+    current = RandomCurrent(speed=0.5, direction=float(np.arctan2(V[1], V[0])), relative=False)
+    scenario = Scenario(path=Circle(1.0, 0.1), current=current, start=Start(), control_dt=0.02, steps=3500)
+    errors = {}
+    for name, policy in {"water": Remembering(KnownCurrent(V)), "printed": make_policy("backstepping")}.items():
+        env = UnderactuatedAUVTrackVectorEnv(1, scenario)
+        observation, _ = env.reset(seed=0)
+        memory, first, kept = None, np.ones(1, dtype=bool), []
+        for k in range(3499):
+            action, memory = policy.predict(observation, memory, first)
+            observation, *_, info = env.step(action)
+            first[:] = False
+            kept += [info["position_error"][0]] if k > 2750 else []
+        errors[name] = np.sqrt(np.mean(np.square(kept)))
+    assert errors["printed"] > 0.5
+    assert errors["water"] < 1.5e-4
+
+
+@pytest.mark.parametrize("name", ["ekf", "current-observer"])
+def test_lanes_do_not_know_each_other(name):
+    """A batch is its members one by one, and an episode that begins in one lane begins there anew."""
+    names = ["cruise-storm", "slow-storm", "cruise-actuator", "slow-calm"]
+    envs = [UnderactuatedAUVTrackVectorEnv(1, scenario) for scenario in names]
+    policy = make_policy(name)
+    observation = np.concatenate([env.reset(seed=i)[0] for i, env in enumerate(envs)])
+    memory, single, first = None, [None] * 4, np.ones(4, dtype=bool)
+    for k in range(40):
+        if k == 25:
+            observation[1] = envs[1].reset(seed=77)[0][0]
+            first[1], single[1] = True, None
+        action, memory = policy.predict(observation, memory, first)
+        alone = []
+        for i in range(4):
+            one, single[i] = policy.predict(observation[i], single[i], first[i : i + 1])
+            alone.append(one)
+        np.testing.assert_allclose(action, alone, atol=1e-5)
+        first = np.zeros(4, dtype=bool)
+        observation = np.concatenate([env.step(action[i : i + 1])[0] for i, env in enumerate(envs)])
+
+
+def test_gains_of_the_observer_are_its_poles():
+    gains = dict(TUNABLES["current-observer"].start["cruise"], fast=1.2, slow=0.4)
+    observer = CurrentObserver(gains, PAPER_VEHICLE)
+    for axis, drag in enumerate((70 / 215, 100 / 265)):
+        copy, follow = observer._copy[axis, 0], observer._follow[axis, 0]
+        matrix = np.array([[-drag - copy, -copy], [-follow, -follow]])  # of the errors of velocity and current
+        np.testing.assert_allclose(np.sort(np.linalg.eigvals(matrix)), (-1.2, -0.4))

@@ -1,0 +1,54 @@
+"""The oracle: exact where nothing limits it, better than the expert everywhere, and blind without its privilege."""
+
+import numpy as np
+import pytest
+
+from auv_gym.scenario import CASES, PRESETS
+from baselines import make_policy
+from baselines.evaluation.rollout import Privileged, rollout
+from baselines.evaluation.runner import drawn
+from baselines.oracle import fleet, true_plan
+
+
+@pytest.mark.parametrize("regime", ["slow", "cruise"])
+@pytest.mark.parametrize("case", CASES)
+def test_better_than_the_expert_in_every_case(regime, case):
+    scenario = PRESETS[f"{regime}-{case}"]
+    episodes = drawn(scenario, 24, 100).episodes
+    oracle, expert = (rollout(make_policy(p), scenario, episodes, 1.0).measures for p in ("oracle", "backstepping"))
+    assert not oracle.lost.any()
+    assert oracle.tail.mean() < expert.tail.mean()
+    assert oracle.tail.mean() < (0.004 if regime == "slow" else 0.01)
+
+
+def test_the_true_plan_is_followed_open_loop():
+    """In a current, with waves and another vehicle, the planned forces alone keep the planned state for a while."""
+    scenario = PRESETS["slow-mismatch"]
+    episodes = drawn(scenario, 8, 0).episodes
+    plan = true_plan(scenario, episodes)
+    from auv_gym.dynamics import rk4_step
+    from auv_gym.namespaces import ARRAYS
+
+    state = tuple(plan.state[100])
+    for k in range(100, 150):
+        F_u, F_r = plan.force[k]
+        state = rk4_step(state, (F_u, 0.0, F_r), plan.vehicle.coefficients, scenario.control_dt, ns=ARRAYS)
+    np.testing.assert_allclose(np.array(state)[:2], plan.state[150, :2], atol=2e-3)
+
+
+def test_the_fleet_has_every_vehicle():
+    vehicles = [e.vehicle for e in drawn(PRESETS["cruise-storm"], 3, 0).episodes]
+    rows = fleet(vehicles)
+    for i, vehicle in enumerate(vehicles):
+        assert [row[i] for row in rows.coefficients] == list(vehicle.coefficients)
+        assert rows.m11[i] == vehicle.m11
+
+
+def test_it_is_privileged_and_says_so():
+    oracle = make_policy("oracle")
+    assert isinstance(oracle, Privileged)
+    assert not isinstance(make_policy("backstepping"), Privileged)
+    with pytest.raises(RuntimeError, match="needs prepare"):
+        oracle.predict(np.zeros((1, 18)))
+    with pytest.raises(RuntimeError, match="needs prepare"):
+        oracle.observe(None)

@@ -1,0 +1,72 @@
+"""evaluate.py --stability: the known figures of the paper's law, and policies that are no formula."""
+
+import json
+
+import numpy as np
+import pytest
+
+import evaluate
+from auv_gym.vehicle import PAPER_VEHICLE
+from baselines import make_policy
+from baselines.backstepping import Backstepping
+from baselines.evaluation import stability_report
+from baselines.evaluation.stability import linearise_policy
+from baselines.evaluation.stability_report import LIMITS, success
+
+DT = 0.1
+MAP = {0.1: (-0.213, -0.168, -0.098, -0.051), 0.5: (0.002, -0.010, -0.047, -0.096), 2.0: (0.422, 0.414, 0.392, 0.362)}
+"""Largest real part for the paper's gains by speed, at turn rates 0 ... 0.3 rad/s."""
+
+
+class Plain:
+    """A law behind `predict` alone."""
+
+    def __init__(self, law):
+        self.predict = law.predict
+
+
+@pytest.mark.parametrize("speed", MAP)
+def test_the_papers_law(speed):
+    law = make_policy("backstepping-paper")
+    loops = [linearise_policy(PAPER_VEHICLE, law, speed, om, DT) for om in stability_report.TURN_RATES]
+    np.testing.assert_allclose([loop.eigenvalues[0].real for loop in loops], MAP[speed], atol=6e-4)
+
+
+@pytest.mark.parametrize(
+    ("gains", "speed", "period"), [("paper", 0.1, 0.83), ("paper", 0.3, 0.83), ("robust", 2.0, 0.91)]
+)
+def test_largest_control_period(gains, speed, period):
+    loop = linearise_policy(PAPER_VEHICLE, Backstepping(gains), speed, 0.0, DT)
+    assert loop.largest_period() == pytest.approx(period, abs=0.01)
+    growth = [np.abs(np.linalg.eigvals(loop.held(T))).max() for T in (0.98 * period, 1.02 * period)]
+    assert growth[0] < 1 < growth[1]
+    fast = np.log(np.linalg.eigvals(loop.held(1e-4))) / 1e-4
+    assert fast.real.max() == pytest.approx(loop.eigenvalues[0].real, abs=1e-3)
+
+
+def test_a_policy_that_is_no_formula():
+    law = Backstepping("robust")
+    exact, found = (linearise_policy(PAPER_VEHICLE, policy, 1.0, 0.1, DT) for policy in (law, Plain(law)))
+    np.testing.assert_allclose(found.eigenvalues, exact.eigenvalues, atol=2e-3)
+    assert linearise_policy(PAPER_VEHICLE, make_policy("open-loop"), 1.0, 0.0, DT).largest_period() == 0
+
+
+def test_sampled_success():
+    """Without limits the law spins the vehicle up from half of the starts; limits prevent it."""
+    law = Backstepping("paper")
+    free, limited = (success(law, limits, 60) for limits in LIMITS.values())
+    assert 0.4 < free < 0.65
+    assert limited == 1
+
+
+def test_report(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(stability_report, "STARTS", 4)
+    monkeypatch.setattr(stability_report, "SPEEDS", (0.1, 1.0))
+    arguments = ["--stability", "--policy", "backstepping-paper", "open-loop", "oracle", "--out", str(tmp_path / "out")]
+    assert evaluate.main(arguments) == 1
+    out, err = capsys.readouterr()
+    assert "+0.230" in out
+    assert "oracle: " in err
+    paper, loop = json.loads((tmp_path / "out" / "stability.json").read_text())
+    assert (paper["policy"], loop["policy"]) == ("backstepping-paper", "open-loop")
+    assert (tmp_path / "out" / "stability.png").stat().st_size > 1000

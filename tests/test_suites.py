@@ -1,0 +1,145 @@
+"""Frozen suites: whole, unchanged, the same when built again, and refused when they are not."""
+
+import gzip
+import hashlib
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from auv_gym.paths import PATHS
+from auv_gym.scenario import CASES
+from baselines.command_line import UsageError
+from baselines.evaluation import recorded, suites
+from baselines.evaluation.report import versions
+from baselines.evaluation.request import Request
+from baselines.evaluation.runner import Cell, drawn, run_all
+from baselines.evaluation.suites.__main__ import main
+from baselines.evaluation.suites.builder import FAMILIES, SUITES, build
+
+NAMES = suites.list_suites()
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """A folder with a suite of two cells, three episodes each."""
+    folder = tmp_path_factory.mktemp("suites")
+    whole = suites.load("benchmark-v1-validation")
+    cells = [Cell(c.scenario, c.episodes[:3]) for c in (whole.cells[7], whole.cells[14])]
+    suites.save("small", cells, folder)
+    return folder
+
+
+def test_every_suite_has_its_file():
+    assert set(NAMES) == set(SUITES)
+    for name in NAMES:
+        file = suites.FOLDER / f"{name}.json.gz"
+        assert file.stat().st_size < 3e6
+        assert hashlib.sha256(gzip.decompress(file.read_bytes())).hexdigest() == suites.load(name).hash
+
+
+def test_the_benchmark_is_what_it_says():
+    suite = suites.load("benchmark-v1")
+    assert [cell.scenario.name for cell in suite.cells] == [f"{r}-{c}" for r in ("slow", "cruise") for c in CASES]
+    for cell in suite.cells:
+        families = [next(n for n, cls in PATHS.items() if type(e.path) is cls) for e in cell.episodes]
+        assert {family: families.count(family) for family in FAMILIES} == dict.fromkeys(FAMILIES, 52)
+    seeds = [e.noise_seed for name in NAMES for cell in suites.load(name).cells for e in cell.episodes]
+    assert len(set(seeds)) == len(seeds)  # no episode of a test is one of the validation split
+
+
+def test_paths_out_of_distribution_are_no_training_paths():
+    cells = {cell.scenario.name: cell for cell in suites.load("ood-v1").cells}
+    for name, family in (("slow-lawnmower", "lawnmower"), ("cruise-waypoints", "spline")):
+        assert family not in FAMILIES
+        assert {type(e.path) for e in cells[name].episodes} == {PATHS[family]}
+    assert all(e.vehicle.m22 > e.vehicle.m11 for e in cells["cruise-all-x1.5"].episodes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_episodes_generate_what_they_did(name, capsys):
+    assert main(["check", name]) == 0
+    assert "all as they were" in capsys.readouterr().out
+
+
+def test_built_again_it_is_the_same(tmp_path):
+    built = build("benchmark-v1-validation")
+    assert suites.save("again", built, tmp_path) != ""
+    frozen = suites.load("benchmark-v1-validation")
+    assert [cell.episodes for cell in built] == [cell.episodes for cell in frozen.cells]
+    assert suites.load("again", tmp_path).cells == frozen.cells
+
+
+def test_a_changed_file_is_refused(small, tmp_path):
+    for name in ("small.json.gz", suites.SUMS):
+        (tmp_path / name).write_bytes((small / name).read_bytes())
+    file = tmp_path / "small.json.gz"
+    text = gzip.decompress(file.read_bytes())
+    file.write_bytes(gzip.compress(text.replace(b'"surge":0.', b'"surge":1.', 1)))
+    with pytest.raises(suites.SuiteError, match="has been changed"):
+        suites.load("small", tmp_path)
+    file.write_bytes(file.read_bytes()[:50])
+    with pytest.raises(suites.SuiteError, match="cannot read"):
+        suites.load("small", tmp_path)
+    file.unlink()
+    with pytest.raises(suites.SuiteError, match="cannot read"):
+        suites.load("small", tmp_path)
+
+
+def test_a_changed_random_stream_is_noticed(small):
+    cell = suites.load("small", small).cells[0]
+    digest = suites.digest(cell)
+    suites.check_cell(cell, digest * (1 + 1e-6))
+    other = digest.copy()
+    other[1, 6] += 0.01
+    with pytest.raises(suites.SuiteError, match=r"1 of 3 episodes of slow-storm .* the first is episode 1"):
+        suites.check_cell(cell, other)
+
+
+def test_recorded_rows_belong_to_a_hash(small, tmp_path):
+    suite = suites.load("small", small)
+    runs = run_all(("open-loop",), suite.cells, 1)
+    recorded.save(suite, runs, versions(), tmp_path)
+    again = recorded.load(suite, tmp_path)
+    assert [(run.policy, run.scenario.name) for run in again] == [("open-loop", c.scenario.name) for c in suite.cells]
+    for run, old in zip(again, runs, strict=True):
+        np.testing.assert_allclose(run.measures.tail, old.measures.tail, rtol=1e-6)
+        assert run.measures.lost.dtype == bool
+        assert len(run.recorded) == len("2000-01-01")
+    other = suites.Suite(suite.name, "0" * 64, suite.cells, suite.digests)
+    assert recorded.load(other, tmp_path) == []
+    with pytest.raises(ValueError, match="open-loop has no result in cruise-actuator"):
+        recorded.save(suite, runs[:1], versions(), tmp_path)
+
+
+def test_request_of_a_frozen_suite(tmp_path):
+    whole = Request.of((), "benchmark-v1", (), None, 0, 1, tmp_path)
+    assert whole.hash == suites.load("benchmark-v1").hash
+    assert sum(len(cell.episodes) for cell in whole.cells) == 4160
+    assert {run.policy for run in whole.earlier} >= {"oracle"}
+    assert whole.policies == ("backstepping",)
+    part = Request.of(("oracle",), "benchmark-v1", (), 5, 0, 1, tmp_path)
+    assert part.hash != whole.hash
+    assert {len(cell.episodes) for cell in part.cells} == {5}
+    assert "oracle" not in {run.policy for run in part.earlier}
+    with pytest.raises(UsageError, match="frozen"):
+        Request.of((), "benchmark-v1", (), None, 1, 1, tmp_path)
+
+
+@pytest.mark.parametrize("arguments", [["build", "nothing"], ["mend", "ood-v1"], ["record", "ood-v1"], []])
+def test_mistakes_of_the_suites_command(arguments):
+    with pytest.raises(UsageError):
+        main(arguments)
+
+
+def test_suites_command_as_a_process():
+    command = [sys.executable, "-m", "baselines.evaluation.suites", "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=suites.FOLDER.parents[2])
+    assert "check" in done.stdout
+
+
+def test_drawn_episodes_are_those_of_a_reset():
+    scenario = suites.load("benchmark-v1").cells[0].scenario
+    assert drawn(scenario, 2, 5).episodes[1] == drawn(scenario, 1, 6).episodes[0]
