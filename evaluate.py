@@ -25,16 +25,17 @@ class Options:
     """
 
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
-    """Policies by name, compared with the expert; without any, the expert alone."""
+    """Policies by name, FILE.py:FACTORY or a FILE.zip of Stable-Baselines3, compared with the expert; without any, the
+    expert alone."""
     suite: Annotated[str | None, arg(metavar="S", help_behavior_hint="")] = None
-    """A named set of scenarios: "presets" (the default: every preset), or "paper" (the paper's, with its numbers and
-    figures recomputed)."""
+    """Frozen: "benchmark-v1", "benchmark-v1-validation", "ood-v1" or "unmodelled-v1". Drawn from the seed: "presets"
+    (the default: every preset), or "paper" (the paper's, with its numbers and figures recomputed)."""
     scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ()
     """Scenarios in place of a suite: names of presets, or .toml and .json files."""
     episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
-    """Episodes of each policy in each scenario. Default: 20."""
+    """Episodes of each policy in each scenario. Default: 20; in a frozen suite all of them."""
     seed: int = 0
-    """Seed of the first episode; episode i has seed + i, whatever the policy."""
+    """Seed of the first episode that is drawn; episode i has seed + i, whatever the policy."""
     jobs: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Worker processes; the results are the same for any number. Default: 2, or 1 on a single processor."""
     out: Path = Path("runs/evaluate")

@@ -1,4 +1,4 @@
-"""Thruster and rudder: limits, first-order lag and rate limit of the surge force and the yaw torque."""
+"""Thruster and rudder: limits, first-order lag, rate limit and loss of the surge force and the yaw torque."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ class Actuators:
     lag: Interval = 0.0  # [s] time constant of the first-order response of both
     F_u_rate: float = math.inf  # [N/s]
     F_r_rate: float = math.inf  # [N m/s]
+    effectiveness: Interval = 1.0  # share of the commanded force that acts, drawn for each of the two; nobody is told
 
     def __post_init__(self) -> None:
         check_number("actuators F_u_max", self.F_u_max, 1e-3, 8192)
@@ -27,6 +28,7 @@ class Actuators:
         check_interval("actuators lag", self.lag, 0, 1e3)
         check_number("actuators F_u_rate", self.F_u_rate, 1e-3)
         check_number("actuators F_r_rate", self.F_r_rate, 1e-3)
+        check_interval("actuators effectiveness", self.effectiveness, 1e-3, 1)
 
 
 class Response(NamedTuple):

@@ -29,6 +29,7 @@ class Episode:
     surge: float  # initial surge velocity as a fraction of the reference's
     noise_seed: int
     initial_velocity: tuple[float, float, float] | None = None  # u, v [m/s], r [rad/s]; overrides `surge`
+    effectiveness: tuple[float, float] = (1.0, 1.0)  # share of the commanded surge force and yaw torque that acts
 
     def initial_state(self, reference: Sequence[float]) -> State:
         """Return the first state, velocities relative to the water, for the reference's x, y, psi, u, ... there."""

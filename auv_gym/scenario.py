@@ -162,6 +162,7 @@ class Scenario:
             initial_error=(error[0], error[1], error[2]),
             surge=draw(start.surge, uniform),
             noise_seed=noise_seed,
+            effectiveness=(draw(self.actuators.effectiveness, uniform), draw(self.actuators.effectiveness, uniform)),
         )
 
     def changed(
@@ -193,6 +194,8 @@ class Scenario:
             self.error_scale,
             self.rate_weight,
             self.lost_distance,
+            act.F_u_max * episode.effectiveness[0],
+            act.F_r_max * episode.effectiveness[1],
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -26,7 +26,7 @@ current's V_x, V_y; the external load X, Y, N; the measurement errors of x, y, p
 the control period that ends at the instant."""
 SAMPLE = 19
 
-PARAMETERS = 20
+PARAMETERS = 22
 
 
 class Parameters(NamedTuple):
@@ -34,13 +34,15 @@ class Parameters(NamedTuple):
 
     h: Number  # [s] integration step
     coefficients: Coefficients  # of the true vehicle
-    F_u_max: Number  # [N]
+    F_u_max: Number  # [N] that action 1 commands, as observed
     F_r_max: Number  # [N m]
     response: Response
     filter_gain: Number
     error_scale: Number  # [m]
     rate_weight: Number
     lost_distance: Number  # [m]
+    thrust_u: Number  # [N] that action 1 really gives
+    thrust_r: Number  # [N m]
     filtered: bool  # whether a low-pass is in use anywhere
     substeps: int  # integration steps in a control period
 
@@ -57,6 +59,8 @@ class Parameters(NamedTuple):
             rows[17],
             rows[18],
             rows[19],
+            rows[20],
+            rows[21],
             filtered,
             substeps,
         )
@@ -90,10 +94,10 @@ def step(
         ns: the namespace of the numbers.
     """
     x, y, psi, u, v, r, F_u, F_r, a_u0, a_r0, filtered = plant
-    h, coefficients, F_u_max, F_r_max, response, _, error_scale, rate_weight, lost_distance, _, substeps = p
+    h, coefficients, _, _, response, _, error_scale, rate_weight, lost_distance, thrust_u, thrust_r, _, substeps = p
     V_x, V_y, X, Y, N = sample[8:13]
     a_u, a_r = ns.clip(action[0], -1.0, 1.0), ns.clip(action[1], -1.0, 1.0)
-    (mean_u, mean_r), (F_u, F_r) = respond((F_u, F_r), (a_u * F_u_max, a_r * F_r_max), response, ns)
+    (mean_u, mean_r), (F_u, F_r) = respond((F_u, F_r), (a_u * thrust_u, a_r * thrust_r), response, ns)
     load, current = (mean_u + X, Y, mean_r + N), (V_x, V_y)
     state = rk4_step((x, y, psi, u, v, r), load, coefficients, h, current, ns)
     for _ in range(substeps - 1):

@@ -14,8 +14,8 @@ from auv_gym.residual import Policy, ResidualAction, VectorResidualAction
 from auv_gym.scenario import Scenario
 from auv_gym.vehicle import Vehicle
 from baselines.backstepping import Backstepping
-from baselines.current_observer import current_observer
-from baselines.ekf_law import ekf_law
+from baselines.current_observer import make_current_observer
+from baselines.ekf_law import make_ekf_law
 from baselines.integral import integral_law
 from baselines.los_pid import make_los_pid
 from baselines.lqi import make_lqi
@@ -41,11 +41,11 @@ POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
     "los-pid": (make_los_pid, {}, "line-of-sight guidance, PID autopilots and the planner's feed-forward"),
     "lqi": (make_lqi, {}, "linear-quadratic control with integral action, gains scheduled with speed and turn rate"),
     "current-observer": (
-        current_observer,
+        make_current_observer,
         {},
         "the speed-normalised law in the water frame, a simple observer",
     ),
-    "ekf": (ekf_law, {}, "the same on an extended Kalman filter of vehicle, actuators and sea"),
+    "ekf": (make_ekf_law, {}, "the same on an extended Kalman filter of vehicle, actuators and sea"),
     "oracle": (Oracle, {}, "knows plant, current, waves and lag, now and in future: the score's 1; evaluation only"),
     "open-loop": (OpenLoop, {}, "the planner's forces alone"),
 }

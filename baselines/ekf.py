@@ -55,15 +55,15 @@ class Tuning:
     What drifts like a random walk has its deviation after one second.
     """
 
-    acceleration: float = 0.02  # drift of u, v that nothing else explains; that of r is in [rad/s]
-    current: float = 0.008  # drift
-    gust: float = 0.015  # [1/s] of the current's rate
-    surge_bias: float = 0.1  # drift of the slowly varying load
+    acceleration: float = 0.006  # drift of u, v that nothing else explains; that of r is in [rad/s]
+    current: float = 0.005  # drift
+    gust: float = 0.012  # [1/s] of the current's rate
+    surge_bias: float = 0.2  # drift of the slowly varying load
     sway_bias: float = 0.1
-    yaw_bias: float = 0.2
-    surge_waves: float = 0.3  # of the wave load
-    sway_waves: float = 0.2
-    yaw_waves: float = 0.07
+    yaw_bias: float = 0.15
+    surge_waves: float = 0.15  # of the wave load
+    sway_waves: float = 0.4
+    yaw_waves: float = 0.12
 
     def __post_init__(self) -> None:
         for field in fields(self):

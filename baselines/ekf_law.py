@@ -29,6 +29,20 @@ FILTER = tuple(field.name for field in fields(Tuning))
 GAINS = (*LAW, "lead", *FILTER)
 """Names of the gains: the speed-normalised law's, without damping terms; `lead` [1/s], how fast the actuators' force is
 to approach what the law asks for; and the filter's `Tuning`."""
+START = {
+    "slow": {
+        "k": 8.374, "cu": 0.5543, "c": 2.035, "cr": 0.9135, "reference_speed": 0.2267, "lead": 0.7181,
+        "acceleration": 0.009436, "current": 0.00328, "gust": 0.008117, "surge_bias": 0.07683, "sway_bias": 0.1239,
+        "yaw_bias": 0.1951, "surge_waves": 0.1865, "sway_waves": 0.4014, "yaw_waves": 0.06114,
+    },
+    "cruise": {
+        "k": 14.07, "cu": 0.3624, "c": 1.687, "cr": 1.383, "reference_speed": 0.1836, "lead": 1.766,
+        "acceleration": 0.006087, "current": 0.005479, "gust": 0.01167, "surge_bias": 0.2457, "sway_bias": 0.1185,
+        "yaw_bias": 0.1312, "surge_waves": 0.1209, "sway_waves": 0.4196, "yaw_waves": 0.1615,
+    },
+}  # fmt: skip
+"""Gains to begin a search at, by regime: from an evolution strategy on tuning episodes that charged .001 of the score
+for each unit of the smoothness ratio."""
 
 
 class EkfLaw:
@@ -66,7 +80,7 @@ def foreseen_sea(z: Estimate, dt: Array) -> tuple[Array, Array, Sea]:
     return z.X + X_wave, z.N + N_wave, Sea(z.V_x, z.V_y, z.V_x_rate, z.V_y_rate, z.Y + Y_wave, Y_rate)
 
 
-def ekf_law(
+def make_ekf_law(
     gains: Mapping[str, float] | None = None, vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE
 ) -> Remembering:
     """Return the law with its filter as a policy.

@@ -37,17 +37,17 @@ class Weights(NamedTuple):
     """The cost of a second, and what is assumed of the actuators.
 
     It is |e|^2 + |xi|^2 + velocity^2 |R(psi) e'|^2 + (heading U psi_e)^2 + (turn r_e)^2, plus for surge and for yaw
-    (effort a)^2 + (rate a')^2 of the acceleration a that the command would give; e [m] is the position error, e' its
-    rate in the world, xi [m] its integral, and U the speed.
+    (effort a)^2 + (rate a')^2 of the command a as a fraction of the actuator's limit, after Bryson's rule; e [m] is the
+    position error, e' its rate in the world, xi [m] its integral, and U the speed.
     """
 
     velocity: float  # [s]
     heading: float  # [1]
     turn: float  # [m s]
-    surge_effort: float  # [s^2]
-    surge_rate: float  # [s^3]
-    yaw_effort: float  # [m s^2]
-    yaw_rate: float  # [m s^3]
+    surge_effort: float  # [m]
+    surge_rate: float  # [m s]
+    yaw_effort: float  # [m]
+    yaw_rate: float  # [m s]
     lag: float  # [s] time constant that the actuators are believed to have
     rate: float  # [1/s] of the integral, see `inertial_integral`
     horizon: float  # [s] bound of error and integral, likewise
@@ -93,17 +93,25 @@ def sampled_model(u_R: float, r_R: float, vehicle: Vehicle, w: Weights, dt: floa
     return Phi, Gamma
 
 
-def optimal_gain(u_R: float, r_R: float, vehicle: Vehicle, w: Weights, dt: float) -> Array:
-    """Return K (2, 12) of command = -K z that minimises the cost of `Weights`, z as in `sampled_model`."""
+def optimal_gain(u_R: float, r_R: float, vehicle: Vehicle, w: Weights, dt: float, limits: tuple[float, float]) -> Array:
+    """Return K (2, 12) of command = -K z that minimises the cost of `Weights`, z as in `sampled_model`.
+
+    Args:
+        u_R: [m/s].
+        r_R: [rad/s].
+        vehicle: the nominal one.
+        w: the weights.
+        dt: control period [s].
+        limits: of the actuators, F_u [N] and F_r [N m].
+    """
     Phi, Gamma = sampled_model(u_R, r_R, vehicle, w, dt)
     v_R = -vehicle.m11 * u_R * r_R / vehicle.d22
     weighted = np.zeros((STATES, STATES))  # errors times the roots of their weights
     weighted[[0, 1, 6, 7], [0, 1, 6, 7]] = 1.0
     weighted[2, 2], weighted[5, 5] = w.heading * np.hypot(u_R, v_R), w.turn
     weighted[3:5, 2:5] = w.velocity * np.array([[-v_R, 1.0, 0.0], [u_R, 0.0, 1.0]])  # (17), linearised
-    per_force = np.array([vehicle.m11, vehicle.m33])
-    effort = np.diag(np.square(np.array([w.surge_effort, w.yaw_effort]) / per_force))
-    change = np.diag(np.square(np.array([w.surge_rate, w.yaw_rate]) / per_force / dt))
+    effort = np.diag(np.square(np.array([w.surge_effort, w.yaw_effort]) / limits))
+    change = np.diag(np.square(np.array([w.surge_rate, w.yaw_rate]) / limits / dt))
     Q = block_diag(weighted.T @ weighted, np.zeros((FORCES, FORCES)), change)
     cross = np.vstack((np.zeros((STATES + FORCES, FORCES)), -change))
     R = effort + change
@@ -112,9 +120,9 @@ def optimal_gain(u_R: float, r_R: float, vehicle: Vehicle, w: Weights, dt: float
 
 
 @lru_cache(maxsize=16)
-def gain_schedule(vehicle: Vehicle, w: Weights, dt: float) -> RegularGridInterpolator:
-    """Return K (N, 2, 12) as a function of points (N, 2) of u_R, r_R inside the grid, for a control period [s]."""
-    gains = [[optimal_gain(u, r, vehicle, w, dt) for r in TURN_RATES.tolist()] for u in SPEEDS.tolist()]
+def gain_schedule(vehicle: Vehicle, w: Weights, dt: float, limits: tuple[float, float]) -> RegularGridInterpolator:
+    """Return K (N, 2, 12) as a function of points (N, 2) of u_R, r_R inside the grid; arguments as `optimal_gain`."""
+    gains = [[optimal_gain(u, r, vehicle, w, dt, limits) for r in TURN_RATES.tolist()] for u in SPEEDS.tolist()]
     return RegularGridInterpolator((SPEEDS, TURN_RATES), np.array(gains))
 
 
@@ -148,9 +156,10 @@ class LQI:
         points = np.stack((o.u_R, o.r_R), axis=1)
         points = np.clip(points, (SPEEDS[0], TURN_RATES[0]), (SPEEDS[-1], TURN_RATES[-1]))
         K = np.empty((len(points), FORCES, STATES + 2 * FORCES))
-        for dt in np.unique(o.dt).tolist():
-            rows = o.dt == dt
-            K[rows] = gain_schedule(self.vehicle, self.weights, dt)(points[rows])
+        designs = np.stack((o.dt, o.F_u_max, o.F_r_max), axis=1)
+        for dt, *limits in np.unique(designs, axis=0).tolist():
+            rows = (designs == (dt, *limits)).all(axis=1)
+            K[rows] = gain_schedule(self.vehicle, self.weights, dt, (limits[0], limits[1]))(points[rows])
         return K
 
 

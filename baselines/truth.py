@@ -1,4 +1,4 @@
-"""What no competitor may know: all that the outside supplies to episodes, read ahead from the first step to the last."""
+"""What no competitor may know: all that the outside supplies to episodes, from the first step to the last."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def samples(scenario: Scenario, episodes: Sequence[Episode]) -> Array:
         InfeasibleReferenceError: an episode's path cannot be followed.
     """
     n, act = len(episodes), scenario.actuators
-    times = scenario.control_dt * np.arange(scenario.steps + 1)
+    times = scenario.control_dt * np.arange(scenario.steps + 1, dtype=np.float64)
     table = plan([e.path for e in episodes], scenario.vehicle, times, (act.F_u_max, act.F_r_max)).table
     tape = Tape(n, len(times))
     for i, episode in enumerate(episodes):

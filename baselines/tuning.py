@@ -26,8 +26,10 @@ from baselines import make_policy
 from baselines.backstepping import GAINS, Backstepping, Gains
 from baselines.command_line import DONE, UsageError, parse, run
 from baselines.course import Course, compared
-from baselines.current_observer import current_observer
-from baselines.ekf_law import ekf_law
+from baselines.current_observer import START as OBSERVER
+from baselines.current_observer import make_current_observer
+from baselines.ekf_law import START as EKF
+from baselines.ekf_law import make_ekf_law
 from baselines.gain_files import FOLDER, gain_file, load_gains
 from baselines.integral import LAW as LAW_GAINS
 from baselines.integral import integral_law
@@ -69,12 +71,12 @@ CRUISE_PID = {
     "heading_integral": 0.4, "munk": 1.0, "along": 3.0, "speed": 4.0,
 }  # fmt: skip
 SLOW_LQI = {
-    "velocity": 0.8, "heading": 0.4, "turn": 0.6, "surge_effort": 0.15, "surge_rate": 0.4, "yaw_effort": 0.1,
-    "yaw_rate": 0.1, "lag": 0.5, "rate": 0.6, "horizon": 2.0,
+    "velocity": 0.5, "heading": 0.1, "turn": 0.4, "surge_effort": 0.15, "surge_rate": 0.2, "yaw_effort": 0.05,
+    "yaw_rate": 0.1, "lag": 0.3, "rate": 1.0, "horizon": 4.0,
 }  # fmt: skip
 CRUISE_LQI = {
-    "velocity": 0.77, "heading": 0.44, "turn": 0.63, "surge_effort": 0.014, "surge_rate": 0.06, "yaw_effort": 0.05,
-    "yaw_rate": 0.022, "lag": 0.32, "rate": 0.42, "horizon": 0.37,
+    "velocity": 0.3, "heading": 0.3, "turn": 0.2, "surge_effort": 0.04, "surge_rate": 0.08, "yaw_effort": 0.2,
+    "yaw_rate": 0.03, "lag": 0.45, "rate": 0.4, "horizon": 0.4,
 }  # fmt: skip
 
 TUNABLES: dict[str, Tunable] = {
@@ -87,8 +89,8 @@ TUNABLES: dict[str, Tunable] = {
         lambda gains: integral_law("normalised", gains),
         {"slow": NORMALISED, "cruise": CRUISE_NORMALISED},
     ),
-    "current-observer": Tunable(current_observer, {"slow": SLOW_OBSERVER, "cruise": CRUISE_OBSERVER}),
-    "ekf": Tunable(ekf_law, {"slow": SLOW_EKF, "cruise": CRUISE_EKF}),
+    "current-observer": Tunable(make_current_observer, OBSERVER),
+    "ekf": Tunable(make_ekf_law, EKF),
     "los-pid": Tunable(make_los_pid, {"slow": PID, "cruise": CRUISE_PID}),
     "lqi": Tunable(make_lqi, {"slow": SLOW_LQI, "cruise": CRUISE_LQI}),
 }

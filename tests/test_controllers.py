@@ -160,8 +160,8 @@ def test_gain_is_that_of_the_riccati_recursion():
     e_dot = np.zeros((2, 12))  # (17) at e = 0: body-frame rate of the position error as seen from the world
     e_dot[:, 3:5], e_dot[:, 2] = np.eye(2), (V.m11 * u_R * r_R / V.d22, u_R)
     state_cost += w.velocity**2 * e_dot.T @ e_dot
-    effort = np.diag([w.surge_effort / V.m11, w.yaw_effort / V.m33]) ** 2
-    change = np.diag([w.surge_rate / V.m11 / dt, w.yaw_rate / V.m33 / dt]) ** 2
+    effort = np.diag([w.surge_effort / 400, w.yaw_effort / 200]) ** 2
+    change = np.diag([w.surge_rate / 400 / dt, w.yaw_rate / 200 / dt]) ** 2
     pick = np.zeros((2, 12))
     pick[:, 10:] = np.eye(2)
     P = np.zeros((12, 12))
@@ -170,7 +170,9 @@ def test_gain_is_that_of_the_riccati_recursion():
         G = Gamma.T @ P @ Phi - change @ pick
         P = state_cost + pick.T @ change @ pick + Phi.T @ P @ Phi - G.T @ np.linalg.solve(H, G)
         P = 0.5 * (P + P.T)
-    np.testing.assert_allclose(optimal_gain(u_R, r_R, V, w, dt), np.linalg.solve(H, G), rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(
+        optimal_gain(u_R, r_R, V, w, dt, (400.0, 200.0)), np.linalg.solve(H, G), rtol=1e-6, atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("regime", REGIMES)
@@ -179,6 +181,7 @@ def test_interpolated_gains_stabilise_vehicles_of_other_lags(regime, lag):
     """Eigenvalues of plant, true lag, integral and the controller's own force model over one control period."""
     w = Weights(**load_gains("lqi", regime, Weights._fields))
     dt, speeds = {"slow": (0.2, (0.1, 0.2, 0.33)), "cruise": (0.1, (0.5, 0.93, 1.5))}[regime]
+    actuators = PRESETS[f"{regime}-actuator"].actuators
     for u_R in speeds:
         for r_R in (0.0, 0.07):
             A, B = error_dynamics(u_R, r_R, V)
@@ -187,7 +190,7 @@ def test_interpolated_gains_stabilise_vehicles_of_other_lags(regime, lag):
             M[6:8, 6:8], M[6:8, :2] = [[0, r_R], [-r_R, 0]], w.rate * np.eye(2)
             for rows, tau in ((slice(8, 10), lag), (slice(10, 12), w.lag)):
                 M[rows, rows], M[rows, 12:] = -np.eye(2) / tau, np.eye(2) / tau
-            K = gain_schedule(V, w, dt)([[u_R, r_R]])[0]
+            K = gain_schedule(V, w, dt, (actuators.F_u_max, actuators.F_r_max))([[u_R, r_R]])[0]
             step = expm(dt * M)[:12]
             feedback = -np.hstack((K[:, :8], np.zeros((2, 2)), K[:, 8:]))  # on errors, xi, true, modelled, last command
             loop = np.vstack((np.hstack((step[:, :12], np.zeros((12, 2)))) + step[:, 12:] @ feedback, feedback))

@@ -18,9 +18,10 @@ from auv_gym.task import Observation, decode_observation
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 from baselines import make_policy
 from baselines.backstepping import Gains, tracking_forces
+from baselines.current_observer import START as OBSERVER
 from baselines.current_observer import CurrentObserver
 from baselines.ekf import ExtendedKalmanFilter
-from baselines.ekf_law import ekf_law
+from baselines.ekf_law import START, make_ekf_law
 from baselines.ekf_model import (
     SIZE,
     Estimate,
@@ -32,7 +33,6 @@ from baselines.ekf_model import (
     wave_transition,
 )
 from baselines.memory import Remembering
-from baselines.tuning import TUNABLES
 from baselines.water_frame import Motion, Sea, WaterPlan, reference_motion, water_errors
 
 DRAGGY = Vehicle(m11=215.0, m22=265.0, m33=80.0, d11=70.0, d22=100.0, d33=50.0, X_uu=30.0, Y_vv=80.0, N_rr=20.0)
@@ -149,8 +149,8 @@ def belief(scenario, policy, lanes=24, steps=500):
 def test_filter_finds_the_current_through_noise():
     """A path that turns tells current and load apart, if the load is believed to be steady."""
     calm = dict.fromkeys(("surge_bias", "sway_bias", "yaw_bias", "surge_waves", "sway_waves", "yaw_waves"), 0.01)
-    gains = {**TUNABLES["ekf"].start["cruise"], "current": 0.01, "gust": 0.001, **calm}
-    memory, env = belief(replace(CURRENT, sensors=PRESETS["cruise-noise"].sensors), ekf_law(gains))
+    gains = {**START["cruise"], "current": 0.01, "gust": 0.001, **calm}
+    memory, env = belief(replace(CURRENT, sensors=PRESETS["cruise-noise"].sensors), make_ekf_law(gains))
     z = Estimate(*memory[1].T)
     off = np.hypot(z.V_x - env.current[:, 0], z.V_y - env.current[:, 1])
     assert np.hypot(*env.current.T).mean() > 0.2
@@ -172,7 +172,7 @@ def test_filter_finds_lag_and_load():
     reference = plan(Circle(1.0, 0.15), PAPER_VEHICLE, dt * np.arange(steps + 1)).table
     rows = [np.full(n, x) for x in (dt, *PAPER_VEHICLE.coefficients, 400.0, 200.0)]
     responses = np.array([Response.of(lag, np.inf, np.inf, dt) for lag in lags]).T
-    p = Parameters.of((*rows, *responses, *(np.ones(n) for _ in range(4))), False, 1)
+    p = Parameters.of((*rows, *responses, *(np.ones(n) for _ in range(4)), *rows[-2:]), False, 1)
     sample = [np.concatenate((row, (0.0, 0.0), load, np.zeros(6)))[:, None] * np.ones(n) for row in reference]
     plant, terms = start(tuple(np.zeros((6, n)) + np.array([0, 0, 0, 1.0, 0, 0])[:, None]), sample[0], p, ARRAYS)
     estimator = ExtendedKalmanFilter()
@@ -319,9 +319,9 @@ def test_lanes_do_not_know_each_other(name):
 
 
 def test_gains_of_the_observer_are_its_poles():
-    gains = dict(TUNABLES["current-observer"].start["cruise"], fast=1.2, slow=0.4)
-    observer = CurrentObserver(gains, PAPER_VEHICLE)
+    gains, dt = dict(OBSERVER["cruise"], fast=1.2, slow=0.4), 0.3
+    copy, follow = CurrentObserver(gains, PAPER_VEHICLE).sampled_gains(np.array([dt]))
     for axis, drag in enumerate((70 / 215, 100 / 265)):
-        copy, follow = observer._copy[axis, 0], observer._follow[axis, 0]
-        matrix = np.array([[-drag - copy, -copy], [-follow, -follow]])  # of the errors of velocity and current
-        np.testing.assert_allclose(np.sort(np.linalg.eigvals(matrix)), (-1.2, -0.4))
+        a, l1, l2 = np.exp(-drag * dt), copy[axis, 0], follow[axis, 0]
+        errors = np.array([[a * (1 - l1), -l1], [-a * l2, 1 - l2]])  # of velocity and current, from step to step
+        np.testing.assert_allclose(np.sort(np.linalg.eigvals(errors)), np.exp([-1.2 * dt, -0.4 * dt]))

@@ -1,5 +1,6 @@
 """Actuators against their differential equation, the low-pass against SciPy, and what both refuse."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -10,7 +11,9 @@ from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, lfilter
 
 from auv_gym.actuators import Actuators, Response, respond
+from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.namespaces import ARRAYS, FLOATS
+from auv_gym.scenario import PAPER_SCENARIO, Scenario
 from auv_gym.sensors import Sensors, low_pass
 
 INF = math.inf
@@ -112,3 +115,30 @@ def test_heading_is_filtered_the_short_way_round(before, measured, after, ns):
 def test_bad_parameters_are_refused(make, arguments, message):
     with pytest.raises(ValueError, match=message):
         make(**arguments)
+
+
+def test_loss_weakens_what_acts_and_is_not_told():
+    """Half of the force is left: an action acts as half of it, while limits and previous action are seen as before."""
+    whole = Scenario(steps=20)
+    weak = dataclasses.replace(whole, actuators=Actuators(effectiveness=0.5))
+    (a, first), (b, second) = ((env, env.reset(seed=1)[0]) for env in map(UnderactuatedAUVTrackEnv, (whole, weak)))
+    np.testing.assert_array_equal(first, second)
+    for _ in range(20):
+        seen, *_ = a.step(np.array([0.2, -0.1]))
+        also, *_ = b.step(np.array([0.4, -0.2]))
+    np.testing.assert_allclose(a.state, b.state, rtol=1e-12)
+    np.testing.assert_allclose(a.force, b.force, rtol=1e-12)
+    np.testing.assert_array_equal(seen[13:15], also[13:15])
+    np.testing.assert_array_equal(also[15:17], [0.4, -0.2])
+
+
+def test_losses_are_drawn_for_each_actuator_and_shift_no_other_draw():
+    whole = Scenario(start=PAPER_SCENARIO.start)
+    weak = dataclasses.replace(whole, actuators=Actuators(effectiveness=(0.3, 0.9)))
+    a, b = (s.draw(np.random.default_rng(5)) for s in (whole, weak))
+    assert a.effectiveness == (1, 1)
+    assert b.effectiveness[0] != b.effectiveness[1]
+    assert all(0.3 <= share <= 0.9 for share in b.effectiveness)
+    assert dataclasses.replace(b, effectiveness=(1, 1)) == dataclasses.replace(a, effectiveness=(1, 1))
+    with pytest.raises(ValueError, match="effectiveness"):
+        Actuators(effectiveness=1.2)

@@ -114,6 +114,18 @@ def test_recorded_rows_belong_to_a_hash(small, tmp_path):
         recorded.save(suite, runs[:1], versions(), tmp_path)
 
 
+def test_the_recorded_oracle_is_that_of_the_frozen_suite():
+    suite = suites.load("benchmark-v1")
+    runs = {run.scenario.name: run for run in recorded.load(suite) if run.policy == "oracle"}
+    assert set(runs) == {cell.scenario.name for cell in suite.cells}
+    for regime, largest in (("slow", 5e-4), ("cruise", 3e-3)):
+        tails = [run.measures.tail for name, run in runs.items() if name.startswith(regime)]
+        assert np.mean(np.concatenate(tails)) < largest
+    cell = suite.cells[7]
+    again = run_all(("oracle",), [Cell(cell.scenario, cell.episodes[:20])], 1)[0]
+    np.testing.assert_allclose(again.measures.tail, runs[cell.scenario.name].measures.tail[:20], rtol=1e-3)
+
+
 def test_request_of_a_frozen_suite(tmp_path):
     whole = Request.of((), "benchmark-v1", (), None, 0, 1, tmp_path)
     assert whole.hash == suites.load("benchmark-v1").hash

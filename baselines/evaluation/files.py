@@ -1,9 +1,12 @@
-"""Files that are either whole or absent."""
+"""Files that are either whole or absent, and strict JSON."""
 
 from __future__ import annotations
 
+import json
+import math
 import os
 from pathlib import Path
+from typing import Any
 
 
 def write_atomically(file: Path, content: str | bytes) -> None:
@@ -14,3 +17,17 @@ def write_atomically(file: Path, content: str | bytes) -> None:
         temporary.replace(file)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def json_text(record: Any) -> str:
+    """Return strict JSON, null for every number that is not finite."""
+    return json.dumps(finite(record), indent=2, allow_nan=False) + "\n"
+
+
+def finite(value: Any) -> Any:
+    """Return the value with None for every number in it that is not finite."""
+    if isinstance(value, dict):
+        return {key: finite(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

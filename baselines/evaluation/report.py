@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 import platform
 from collections.abc import Sequence
@@ -16,6 +15,7 @@ import numpy as np
 import scipy
 
 import auv_gym
+from baselines.evaluation.files import finite, json_text
 from baselines.evaluation.metrics import Measures, Spread, Summary, ratio, summarise
 from baselines.evaluation.paper import Reproduction
 from baselines.evaluation.request import Request
@@ -128,23 +128,14 @@ def results_json(
     }
     if reproduction is not None:
         record["reproduction"] = reproduction.to_dict()
-    return json.dumps(_finite(record), indent=2, allow_nan=False) + "\n"
-
-
-def _finite(value: Any) -> Any:
-    """Return the value with None for every number in it that is not finite."""
-    if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return json_text(record)
 
 
 def results_csv(results: Sequence[Result]) -> str:
     """Return the text of results.csv: the results of results.json, one line each, empty where those are null."""
     lines = []
     for result in results:
-        record = _finite(to_record(result))
+        record = finite(to_record(result))
         flat = {**_flat("tail_rmse_m", record.pop("tail_rmse_m"), "mean", "p95", "cvar95")}
         flat |= _flat("score", record.pop("score"), "mean")
         lines.append({**record, **flat, "warnings": " | ".join(record["warnings"])})

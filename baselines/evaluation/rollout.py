@@ -61,44 +61,75 @@ def rollout(policy: Policy, scenario: Scenario, episodes: Sequence[Episode], ste
     Raises:
         PolicyError: the policy's actions are not N pairs of finite numbers, or it is too slow.
     """
-    begin = time.perf_counter()
-    n, steps = len(episodes), scenario.steps
+    begin, n = time.perf_counter(), len(episodes)
     # What an environment begins where an episode has ended is left alone: a straight line, which costs nothing to plan.
     env = UnderactuatedAUVTrackVectorEnv(n, replace(scenario, path=Line(episodes[0].path.speed)))
-    if isinstance(policy, Privileged):
-        policy.prepare(scenario, episodes)
+    privileged = policy if isinstance(policy, Privileged) else None
+    if privileged:
+        privileged.prepare(scenario, episodes)
     observation, _ = env.reset(seed=0, options={"episode": list(episodes)})
+    log = _Log(scenario.steps, n, [_row(env)])
     memory, first, thinking = None, np.ones(n, dtype=bool), 0.0
-    errors, rewards, actions = np.zeros((steps, n)), np.zeros((steps, n)), np.zeros((steps, n, 2))
-    length, lost, rows = np.full(n, steps), np.zeros(n, dtype=bool), [_row(env)]
-    for k in range(steps):
-        if isinstance(policy, Privileged):
-            policy.observe(env)
+    for k in range(scenario.steps):
         since = time.perf_counter()
+        if privileged:
+            privileged.observe(env)
         action, memory = policy.predict(observation, memory, first)
         thinking += time.perf_counter() - since
-        actions[k] = _checked(action, length > k, k)
-        if k >= PATIENCE and thinking > step_limit * n * (k + 1):
-            raise PolicyError(
-                f"step {k}: a decision takes {thinking / (n * (k + 1)):.3g} s; allowed are {step_limit:g} s"
-            )
-        observation, reward, terminated, truncated, info = env.step(actions[k])
-        ended = terminated | truncated
-        final = info["final_info"]["position_error"] if ended.any() else 0.0
-        running = length > k
-        errors[k] = np.where(running, np.where(ended, final, info["position_error"]), errors[k - 1])
-        rewards[k] = np.where(running, reward, 0.0)
-        lost |= running & terminated
-        length = np.where(running & terminated, k + 1, length)
-        first = np.array(ended)
-        if length[0] > k + 1:
-            rows.append(_row(env))
-        if not (length > k + 1).any():
-            errors[k + 1 :] = errors[k]
+        decision = thinking / (n * (k + 1))
+        if k >= PATIENCE and decision > step_limit:
+            raise PolicyError(f"a decision takes {decision:.3g} s; allowed are {step_limit:g} s")
+        command = _checked(action, log.running, k)
+        observation, reward, terminated, truncated, info = env.step(command)
+        first = terminated | truncated
+        final = info["final_info"]["position_error"] if first.any() else 0.0
+        log.add(k, command, np.where(first, final, info["position_error"]), reward, terminated)
+        if log.running[0] and not first[0]:
+            log.rows.append(_row(env))
+        if not log.running.any():
             break
-    measures = _measures(scenario, errors, np.clip(actions, -1.0, 1.0), rewards, length, lost)
-    seconds = time.perf_counter() - begin
-    return Rollout(measures, errors.astype(np.float32), _track(rows), seconds, thinking / (n * (k + 1)))
+    return Rollout(
+        log.measures(scenario),
+        log.errors.astype(np.float32),
+        _track(log.rows),
+        time.perf_counter() - begin,
+        decision,
+    )
+
+
+class _Log:
+    """What K steps of N episodes give, each until its own end."""
+
+    def __init__(self, steps: int, n: int, rows: list[Array]) -> None:
+        self.errors, self._rewards, self._actions = np.zeros((steps, n)), np.zeros((steps, n)), np.zeros((steps, n, 2))
+        self.rows = rows  # of the first episode's track
+        self.running, self._lost, self._length = np.ones(n, dtype=bool), np.zeros(n, dtype=bool), np.full(n, steps)
+
+    def add(self, k: int, actions: Array, errors: Array, rewards: Array, lost: NDArray[np.bool_]) -> None:
+        """Take up step k; episodes that have ended keep their last error."""
+        running, lost = self.running, self.running & lost
+        self._actions[k], self._rewards[k] = np.clip(actions, -1.0, 1.0), np.where(running, rewards, 0.0)
+        self.errors[k] = np.where(running, errors, self.errors[k - 1])
+        self._lost |= lost
+        self._length[lost] = k + 1
+        self.running = running & ~lost
+        if not self.running.any():
+            self.errors[k + 1 :] = self.errors[k]
+
+    def measures(self, scenario: Scenario) -> Measures:
+        """Return what is measured of the episodes."""
+        commands = [self._actions[:n, i] for i, n in enumerate(self._length.tolist())]
+        return Measures(
+            rmse=rmse(self.errors),
+            tail=tail_rmse(self.errors),
+            settling=settling_time(self.errors, scenario.error_scale, scenario.control_dt),
+            effort=np.array([effort(c) for c in commands]),
+            smoothness=np.array([smoothness(c) for c in commands]),
+            saturation=np.array([np.mean((np.abs(c) >= 1).any(axis=1)) for c in commands]),
+            total_reward=self._rewards.sum(axis=0),
+            steps=self._length.astype(np.float64),
+            lost=self._lost,
+        )
 
 
 def _checked(action: Any, running: NDArray[np.bool_], k: int) -> Array:
@@ -115,23 +146,6 @@ def _checked(action: Any, running: NDArray[np.bool_], k: int) -> Array:
         i = int(np.argmin(finite))
         raise PolicyError(f"step {k}, episode {i}: action is {array[i]}; it must be two finite numbers in [-1, 1]")
     return np.where(running[:, None], array, 0.0).astype(np.float64)
-
-
-def _measures(
-    scenario: Scenario, errors: Array, actions: Array, rewards: Array, length: NDArray[Any], lost: NDArray[np.bool_]
-) -> Measures:
-    commands = [actions[:n, i] for i, n in enumerate(length.tolist())]
-    return Measures(
-        rmse=rmse(errors),
-        tail=tail_rmse(errors),
-        settling=settling_time(errors, scenario.error_scale, scenario.control_dt),
-        effort=np.array([effort(c) for c in commands]),
-        smoothness=np.array([smoothness(c) for c in commands]),
-        saturation=np.array([np.mean((np.abs(c) >= 1).any(axis=1)) for c in commands]),
-        total_reward=rewards.sum(axis=0),
-        steps=length.astype(np.float64),
-        lost=lost,
-    )
 
 
 def make_env(scenario: Scenario) -> gym.Env[Any, Any]:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -20,7 +18,7 @@ from auv_gym.scenario import PAPER_SCENARIO, Start
 from auv_gym.vehicle import PAPER_VEHICLE
 from baselines import make_policy
 from baselines.command_line import DONE, FAILED
-from baselines.evaluation.files import write_atomically
+from baselines.evaluation.files import json_text, write_atomically
 from baselines.evaluation.rollout import PolicyError, rollout
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.stability import LONGEST_PERIOD, linearise_policy
@@ -108,20 +106,11 @@ def report(names: Sequence[str], out: Path) -> int:
             screen.print(table)
     if not found:
         return FAILED
-    text = json.dumps([_finite(asdict(s)) for s in found], indent=2, allow_nan=False) + "\n"
-    write_atomically(out / "stability.json", text)
+    write_atomically(out / "stability.json", json_text([asdict(s) for s in found]))
     with styled():
         write_atomically(out / "stability.png", to_png(stability_map(found)))
     screen.print(f"Wrote stability.json and stability.png to {out}", soft_wrap=True)
     return DONE if len(found) == len(names) else FAILED
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _tables(s: Stability) -> list[Table]:

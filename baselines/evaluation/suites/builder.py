@@ -21,10 +21,17 @@ from baselines.evaluation.suites import rounded
 
 FAMILIES = ("line", "circle", "sine", "figure_eight", "random_smooth")
 """Path families that agents train on; each has the same number of episodes in a cell."""
-EPISODES, VALIDATION_EPISODES = 52, 10
+EPISODES, VALIDATION_EPISODES, UNMODELLED_EPISODES = 52, 10, 30
 """Episodes of a path family in a cell."""
 STRONGER, FARTHER = 1.5, 1.3
 """Factors out of distribution: on current and waves, and on the range of the mismatch about 1."""
+
+SWELL = (0.15, 0.45)
+"""Frequencies [rad/s] of waves below the usual band."""
+LOSS = (0.6, 0.9)
+"""Share of the commanded force that is left."""
+SLUGGISH, RAMP = (0.4, 0.7), 0.5
+"""Time constants [s] of the actuators, and their time [s] from zero to the limit."""
 
 PathOf = Callable[[np.random.Generator, RandomPath, float], Path | None]
 """Returns a path for a duration [s], or None to let the scenario draw one."""
@@ -57,6 +64,34 @@ def _out_of_distribution() -> list[Recipe]:
             Recipe(replace(storm, name=f"{regime}-lawnmower"), families=("lawnmower",)),
             Recipe(replace(storm, name=f"{regime}-waypoints"), path=waypoints),
         ]
+    return recipes
+
+
+def _unmodelled() -> list[Recipe]:
+    """Return storms in which something is wrong that no model-based controller has been told of."""
+    recipes = []
+    for regime in REGIMES:
+        storm = PRESETS[f"{regime}-storm"]
+        act, waves, velocity = storm.actuators, storm.waves, storm.sensors.velocity
+        assert isinstance(waves, RandomWaves)
+        biased = replace(
+            storm.sensors,
+            heading_bias=(-0.05, 0.05),
+            velocity_bias=(-2.5 * velocity, 2.5 * velocity),
+            yaw_rate_bias=(-0.005, 0.005),
+        )
+        swell = replace(waves, band=SWELL)
+        weak = replace(act, effectiveness=LOSS)
+        slow = replace(act, lag=SLUGGISH, F_u_rate=act.F_u_max / RAMP, F_r_rate=act.F_r_max / RAMP)
+        changes: dict[str, dict[str, Any]] = {
+            "bias": {"sensors": biased},
+            "swell": {"waves": swell},
+            "thruster-loss": {"actuators": weak},
+            "sluggish": {"actuators": slow},
+            "everything": {"sensors": biased, "waves": swell, "actuators": replace(slow, effectiveness=LOSS)},
+        }
+        count = UNMODELLED_EPISODES * len(FAMILIES)
+        recipes += [Recipe(replace(storm, name=f"{regime}-{n}", **c), episodes=count) for n, c in changes.items()]
     return recipes
 
 
@@ -112,6 +147,7 @@ SUITES: dict[str, tuple[int, Callable[[], list[Recipe]]]] = {
     "benchmark-v1": (1_000_001, lambda: _benchmark(EPISODES)),
     "benchmark-v1-validation": (1_000_002, lambda: _benchmark(VALIDATION_EPISODES)),
     "ood-v1": (1_000_003, _out_of_distribution),
+    "unmodelled-v1": (1_000_004, _unmodelled),
 }
 """Suites by name: the seed, and what makes its recipes. Training selects on the validation split, never on a test."""
 
