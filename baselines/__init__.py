@@ -7,9 +7,9 @@ from typing import Any
 
 import gymnasium as gym
 
+from auv_gym.envs import make_track_vector_env
 from auv_gym.envs.lanes import ScenarioLike
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.residual import Policy, ResidualAction, VectorResidualAction
 from auv_gym.scenario import Scenario
 from auv_gym.vehicle import Vehicle
@@ -108,17 +108,28 @@ def make_residual_vector_env(
     render_mode: str | None = None,
     expert: Policy | str = "backstepping",
     authority: float | Sequence[float] = 0.5,
+    backend: str = "numpy",
+    device: Any = None,
+    dtype: Any = None,
 ) -> gym.vector.VectorEnv[Any, Any, Any]:
     """Return the vector environment of `UnderactuatedAUVTrackResidual-v0`.
 
     Args:
-        num_envs: see `UnderactuatedAUVTrackVectorEnv`, as the next four.
+        num_envs: see `auv_gym.envs.make_track_vector_env`, as the next four and the last three.
         scenario: likewise.
         vehicle: likewise.
         control_dt: likewise.
         render_mode: likewise.
-        expert: a policy or the name of one.
+        expert: a policy or the name of one; with backend "torch" a law that computes on tensors.
         authority: see `VectorResidualAction`.
+        backend: see `auv_gym.envs.make_track_vector_env`.
+        device: likewise.
+        dtype: likewise.
     """
-    env = UnderactuatedAUVTrackVectorEnv(num_envs, scenario, vehicle, control_dt, render_mode)
-    return VectorResidualAction(env, make_policy(expert) if isinstance(expert, str) else expert, authority)
+    env = make_track_vector_env(num_envs, scenario, vehicle, control_dt, render_mode, backend, device, dtype)
+    policy: Any = make_policy(expert) if isinstance(expert, str) else expert
+    if backend == "numpy":
+        return VectorResidualAction(env, policy, authority)
+    from auv_gym.envs.torch_residual import TorchResidualAction
+
+    return TorchResidualAction(env, policy, authority)  # type: ignore[arg-type]

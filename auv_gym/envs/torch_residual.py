@@ -1,0 +1,88 @@
+"""Residual control on torch tensors: an expert that computes on tensors, plus a bounded, differentiable correction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium.vector.utils import batch_space
+from torch import Tensor
+
+from auv_gym.envs.torch_sim import TENSORS, TorchSimulator
+from auv_gym.namespaces import Namespace
+from auv_gym.residual import checked_authority
+from auv_gym.task import SCALES, SIZE
+
+
+class TensorExpert(Protocol):
+    """A law without memory that runs on the numbers of any namespace, as `baselines.backstepping.Backstepping`."""
+
+    def forces(self, o: Sequence[Any], ns: Namespace) -> tuple[Any, Any]:
+        """Return F_u [N], F_r [N m] for the terms of an observation in SI units, tensors of shape (N,)."""
+
+
+class TorchResidualAction(gym.vector.VectorWrapper[Tensor, Tensor, Tensor, Tensor, Tensor]):
+    """`VectorResidualAction` with tensors in and out; gradients flow through the expert as well.
+
+    Args:
+        env: the simulator.
+        expert: a law that computes on tensors.
+        authority: see `auv_gym.residual.ResidualAction`.
+
+    Raises:
+        ValueError: the expert does not compute on tensors, or an authority is not in (0, 2].
+    """
+
+    env: TorchSimulator
+
+    def __init__(self, env: TorchSimulator, expert: TensorExpert, authority: float | Sequence[float] = 0.5) -> None:
+        super().__init__(env)
+        if not hasattr(expert, "forces"):
+            raise ValueError(
+                f"expert {type(expert).__name__} does not compute on tensors; choose a backstepping policy, "
+                "or backend='numpy'"
+            )
+        self.expert = expert
+        self.authority = torch.tensor(checked_authority(authority), dtype=env.dtype, device=env.device)
+        self._scales = torch.tensor(SCALES, dtype=env.dtype, device=env.device)
+        inner: Any = env.single_observation_space
+        bounds = np.append(inner.high, np.ones(2, dtype=inner.dtype))
+        self.single_observation_space = gym.spaces.Box(-bounds, bounds, dtype=inner.dtype)
+        self.observation_space = batch_space(self.single_observation_space, env.num_envs)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Tensor, dict[str, Any]]:
+        """Start episodes; see `TorchSimulator.reset`."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._observation = self._extended(observation)
+        return self._observation, info
+
+    def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
+        """Apply the expert's actions plus the corrections; see `TorchSimulator.step`."""
+        if not isinstance(actions, Tensor) or actions.shape != (self.num_envs, 2):
+            return self.env.step(actions)  # which refuses them
+        corrections = actions.to(self.env.device, self.env.dtype).clamp(-1.0, 1.0)
+        observation, reward, terminated, truncated, info = self.env.step(
+            self._observation[:, SIZE:] + self.authority * corrections
+        )
+        if "final_obs" in info:
+            info["final_obs"] = self._extended(info["final_obs"])
+        self._observation = self._extended(observation)
+        return self._observation, reward, terminated, truncated, info
+
+    def detach(self) -> Tensor:
+        """Cut the graph here and return the last observation without it; see `TorchSimulator.detach`."""
+        self.env.detach()
+        self._observation = self._observation.detach()
+        return self._observation
+
+    def _extended(self, observation: Tensor) -> Tensor:
+        """Return observations (N, SIZE + 2) with the expert's actions, in float32 as every policy's are."""
+        o = (observation * self._scales).unbind(dim=1)
+        F_u, F_r = self.expert.forces(o, TENSORS)
+        base = torch.stack((F_u / o[13], F_r / o[14]), dim=1).clamp(-1.0, 1.0)
+        return torch.cat((observation, base.to(torch.float32).to(observation.dtype)), dim=1)
