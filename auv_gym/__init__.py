@@ -15,11 +15,11 @@ __all__ = [
 ]
 
 _HOMES = {
-    "PRESETS": "scenario",
+    "PRESETS": "presets",
     "Scenario": "scenario",
     "Vehicle": "vehicle",
     "decode_observation": "task",
-    "list_scenarios": "scenario",
+    "list_scenarios": "presets",
     "plan": "planner",
 }
 

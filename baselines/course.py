@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.presets import CASES, PRESETS
 from auv_gym.residual import Policy
-from auv_gym.scenario import CASES, PRESETS
 from baselines.evaluation.score import LARGEST_TAIL
 
 

@@ -20,8 +20,8 @@ import numpy as np
 from scipy import optimize
 from tyro.conf import Positional, arg
 
+from auv_gym.presets import CASES
 from auv_gym.residual import Policy
-from auv_gym.scenario import CASES
 from baselines import make_policy
 from baselines.backstepping import GAINS, Backstepping, Gains
 from baselines.command_line import DONE, UsageError, parse, run

@@ -12,7 +12,8 @@ from auv_gym.disturbances import RandomCurrent
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.errors import error_rates
 from auv_gym.paths import Circle, Line
-from auv_gym.scenario import PRESETS, Start
+from auv_gym.presets import PRESETS
+from auv_gym.scenario import Start
 from auv_gym.task import BOUNDS, SCALES
 from auv_gym.vehicle import PAPER_VEHICLE as V
 from baselines import gain_files

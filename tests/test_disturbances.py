@@ -13,7 +13,8 @@ from auv_gym.disturbances import Current, RandomCurrent, RandomMismatch, RandomW
 from auv_gym.intervals import draw
 from auv_gym.paths import Line
 from auv_gym.planner import plan
-from auv_gym.scenario import PRESETS, Scenario
+from auv_gym.presets import PRESETS
+from auv_gym.scenario import Scenario
 from auv_gym.sensors import Sensors
 from auv_gym.tape import Tape
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle

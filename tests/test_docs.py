@@ -16,7 +16,7 @@ import pytest
 
 import evaluate
 from auv_gym.paths import PATHS
-from auv_gym.scenario import PRESETS
+from auv_gym.presets import PRESETS
 from auv_gym.vehicle import VEHICLES
 from baselines import POLICIES, list_policies
 

@@ -17,7 +17,8 @@ from auv_gym.dynamics import state_rates
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.paths import PATHS
 from auv_gym.planner import InfeasibleReferenceError
-from auv_gym.scenario import PRESETS, RandomPath, Scenario
+from auv_gym.presets import PRESETS
+from auv_gym.scenario import RandomPath, Scenario
 from auv_gym.task import SIZE, decode_observation
 from baselines import make_policy
 

@@ -12,7 +12,8 @@ from auv_gym.errors import to_body
 from auv_gym.namespaces import ARRAYS, wrap_angle
 from auv_gym.paths import Circle, FigureEight, Sine
 from auv_gym.planner import plan
-from auv_gym.scenario import CASES, PRESETS, RandomPath, Scenario, Start
+from auv_gym.presets import CASES, PRESETS
+from auv_gym.scenario import RandomPath, Scenario, Start
 from auv_gym.simulation import Parameters, start, step
 from auv_gym.task import Observation, decode_observation
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle

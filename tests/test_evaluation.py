@@ -15,7 +15,8 @@ from rich.console import Console
 
 import baselines
 import evaluate
-from auv_gym.scenario import PRESETS, Scenario
+from auv_gym.presets import PRESETS
+from auv_gym.scenario import Scenario
 from auv_gym.sensors import Sensors
 from baselines.command_line import run
 from baselines.evaluation import metrics

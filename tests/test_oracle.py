@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from auv_gym.scenario import CASES, PRESETS
+from auv_gym.presets import CASES, PRESETS
 from baselines import make_policy
 from baselines.evaluation.rollout import Privileged, rollout
 from baselines.evaluation.runner import drawn

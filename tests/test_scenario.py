@@ -10,7 +10,8 @@ from auv_gym.actuators import Actuators
 from auv_gym.disturbances import RandomCurrent, RandomMismatch, RandomWaves
 from auv_gym.episode import checked_options
 from auv_gym.paths import PATHS, Circle, Spline
-from auv_gym.scenario import CASES, PRESETS, RandomPath, Scenario, Start, as_scenario, as_vehicle
+from auv_gym.presets import CASES, PRESETS, as_scenario
+from auv_gym.scenario import RandomPath, Scenario, Start, as_vehicle
 from auv_gym.sensors import Sensors
 from auv_gym.vehicle import PAPER_VEHICLE
 

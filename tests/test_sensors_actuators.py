@@ -13,7 +13,8 @@ from scipy.signal import cont2discrete, lfilter
 from auv_gym.actuators import Actuators, Response, respond
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.namespaces import ARRAYS, FLOATS
-from auv_gym.scenario import PAPER_SCENARIO, Scenario
+from auv_gym.presets import PAPER_SCENARIO
+from auv_gym.scenario import Scenario
 from auv_gym.sensors import Sensors, low_pass
 
 INF = math.inf

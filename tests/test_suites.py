@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from auv_gym.paths import PATHS
-from auv_gym.scenario import CASES
+from auv_gym.presets import CASES
 from baselines.command_line import UsageError
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.report import versions

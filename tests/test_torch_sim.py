@@ -14,7 +14,7 @@ from gymnasium.error import ResetNeeded
 from auv_gym import simulation
 from auv_gym.envs.torch_sim import TorchSimulator, simulate, step_function
 from auv_gym.namespaces import ARRAYS, tensors
-from auv_gym.scenario import PRESETS
+from auv_gym.presets import PRESETS
 from auv_gym.simulation import SAMPLE, Parameters
 from auv_gym.task import SCALES, SIZE
 from auv_gym.vehicle import PAPER_VEHICLE

@@ -8,7 +8,7 @@ import pytest
 
 import baselines
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.scenario import CASES, PRESETS
+from auv_gym.presets import CASES, PRESETS
 from baselines import gain_files, tuning
 from baselines.command_line import DONE, UsageError
 from baselines.gain_files import load_gains

@@ -12,7 +12,8 @@ from gymnasium.error import ResetNeeded
 from gymnasium.wrappers import vector as wrappers
 
 from auv_gym.envs.lanes import Lanes
-from auv_gym.scenario import PRESETS, Scenario
+from auv_gym.presets import PRESETS
+from auv_gym.scenario import Scenario
 from auv_gym.tape import Tape
 from baselines import make_policy
 from baselines.backstepping import Backstepping

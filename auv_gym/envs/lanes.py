@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from auv_gym.episode import Episode, checked_options, with_options
 from auv_gym.planner import plan
-from auv_gym.scenario import Scenario, as_scenario
+from auv_gym.presets import as_scenario
+from auv_gym.scenario import Scenario
 from auv_gym.simulation import PARAMETERS, SAMPLE, Parameters
 from auv_gym.tape import Tape
 from auv_gym.task import check_reference

@@ -15,8 +15,9 @@ from auv_gym.episode import checked_options, with_options
 from auv_gym.namespaces import FLOATS
 from auv_gym.paths import Path
 from auv_gym.planner import Reference, plan
+from auv_gym.presets import as_scenario
 from auv_gym.rendering import Renderer, View
-from auv_gym.scenario import Scenario, as_scenario
+from auv_gym.scenario import Scenario
 from auv_gym.simulation import Parameters, ground_state, start, step
 from auv_gym.tape import Tape
 from auv_gym.task import BOUNDS, check_reference, encode_observation

@@ -13,7 +13,8 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from auv_gym.scenario import PRESETS, Scenario
+from auv_gym.presets import PRESETS
+from auv_gym.scenario import Scenario
 from baselines import make_policy
 from baselines.command_line import UsageError
 from baselines.evaluation import recorded

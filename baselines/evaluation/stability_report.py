@@ -13,8 +13,9 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from auv_gym.actuators import Actuators
+from auv_gym.presets import PAPER_SCENARIO
 from auv_gym.residual import Policy
-from auv_gym.scenario import PAPER_SCENARIO, Start
+from auv_gym.scenario import Start
 from auv_gym.vehicle import PAPER_VEHICLE
 from baselines import make_policy
 from baselines.command_line import DONE, FAILED

@@ -14,7 +14,8 @@ from auv_gym.episode import Episode
 from auv_gym.intervals import Interval
 from auv_gym.paths import Path, Spline
 from auv_gym.planner import InfeasibleReferenceError, path_rates, plan
-from auv_gym.scenario import CASES, PRESETS, RandomPath, Scenario
+from auv_gym.presets import CASES, PRESETS
+from auv_gym.scenario import RandomPath, Scenario
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import REGIMES
 from baselines.evaluation.suites import rounded
