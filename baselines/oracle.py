@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -23,7 +24,7 @@ from auv_gym.episode import Episode
 from auv_gym.errors import to_body, tracking_errors
 from auv_gym.namespaces import ARRAYS
 from auv_gym.paths import evaluate
-from auv_gym.planner import PathRates, assemble, path_rates, sideslip_rest, sideslip_terms, slow_sideslip
+from auv_gym.planner import PathRates, assemble, path_rates, sideslip_rest, sideslip_step, sideslip_terms, slow_sideslip
 from auv_gym.scenario import Scenario
 from auv_gym.vehicle import Coefficients, Vehicle
 from baselines.backstepping import CRUISE_SPEED
@@ -187,23 +188,17 @@ def _halfway(rows: Array) -> Array:
 
 
 def _sine_of_sideslip(along: PathRates, vehicle: Vehicle, Y: Array, h: float) -> Array:
-    """Integrate Dm w' = -d22 w + rest(w) + Y/v_p over rows h [s] apart, the module `planner` says how it comes about.
-
-    By the exponential Runge-Kutta formula of second order (Cox and Matthews 2002, eq. 22): the stiff term exactly.
-    """
+    """Integrate Dm w' = -d22 w + rest(w) + Y/v_p over rows h [s] apart; `planner` says how it comes about."""
     Dm = vehicle.m22 - vehicle.m11
     slope, square, turn = (h / Dm * term for term in sideslip_terms(along, vehicle))
     push = h / Dm * Y / along.v_p
-    z = vehicle.d22 / Dm * h
-    decay = np.exp(-z)
-    first, second = (1 - decay) / z, (z - 1 + decay) / (z * z)
+
+    def rest_of(w: Array, j: int) -> Array:
+        return np.asarray(sideslip_rest(slope[j], square[j], turn[j], w, np.sqrt) + push[j])
+
     w = np.empty_like(push)
     w[0] = np.clip(slow_sideslip(along, vehicle), -LARGEST_SINE, LARGEST_SINE)
-    rest = sideslip_rest(slope[0], square[0], turn[0], w[0], np.sqrt) + push[0]
+    rest = rest_of(w[0], 0)
     for j in range(1, len(w)):
-        row = slope[j], square[j], turn[j]
-        guess = decay * w[j - 1] + first * rest
-        change = sideslip_rest(*row, np.clip(guess, -LARGEST_SINE, LARGEST_SINE), np.sqrt) + push[j] - rest
-        w[j] = np.clip(guess + second * change, -LARGEST_SINE, LARGEST_SINE)
-        rest = sideslip_rest(*row, w[j], np.sqrt) + push[j]
+        w[j], rest = sideslip_step(w[j - 1], rest, partial(rest_of, j=j), vehicle.d22 / Dm * h, LARGEST_SINE)
     return w

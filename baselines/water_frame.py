@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from auv_gym.dynamics import rates
 from auv_gym.errors import to_world
 from auv_gym.namespaces import ARRAYS, wrap_angle
-from auv_gym.planner import PathRates, assemble, path_rates, sideslip_rest, sideslip_terms, slow_sideslip
+from auv_gym.planner import PathRates, assemble, path_rates, sideslip_rest, sideslip_step, sideslip_terms, slow_sideslip
 from auv_gym.task import Observation
 from auv_gym.vehicle import Vehicle
 from baselines.memory import Array, Memory
@@ -124,10 +124,7 @@ class WaterPlan:
     def _step(
         self, along: PathRates, Y: Array | float, sideslip: Array, fresh: NDArray[np.bool_], dt: Array
     ) -> tuple[Array, Array]:
-        """Return w = sin(gamma), one period later, and the rest of its equation.
-
-        By the exponential Runge-Kutta formula of second order (Cox and Matthews 2002, eq. 22): the stiff term exactly.
-        """
+        """Return w = sin(gamma), one period later, and the rest of its equation."""
         Dm = self.vehicle.m22 - self.vehicle.m11
         slope, square, turn = (dt / Dm * term[0] for term in sideslip_terms(along, self.vehicle))
         push = dt / Dm * Y / along.v_p[0]
@@ -135,16 +132,12 @@ class WaterPlan:
         def rest_of(w: Array) -> Array:
             return np.asarray(push + sideslip_rest(slope, square, turn, w, np.sqrt))
 
-        limit = math.sin(LARGEST_SIDESLIP)
-        z = self.vehicle.d22 / Dm * dt
-        decay = np.exp(-z)
-        first, second = (1 - decay) / z, (z - 1 + decay) / (z * z)
-        guess = decay * sideslip[:, 0] + first * sideslip[:, 1]
-        w = guess + second * (rest_of(np.clip(guess, -limit, limit)) - sideslip[:, 1])
+        largest = math.sin(LARGEST_SIDESLIP)
+        w, rest = sideslip_step(sideslip[:, 0], sideslip[:, 1], rest_of, self.vehicle.d22 / Dm * dt, largest)
         if fresh.any():
-            w = np.where(fresh, slow_sideslip(along, self.vehicle), w)
-        w = np.clip(w, -limit, limit)
-        return w, rest_of(w)
+            w = np.where(fresh, np.clip(slow_sideslip(along, self.vehicle), -largest, largest), w)
+            rest = rest_of(w)
+        return w, rest
 
 
 def _jerk(acceleration: Array, past: Array, dt: Array) -> Array:
