@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -73,7 +73,7 @@ class Reference:
     v_p: Array  # [m/s] speed (3)
     omega: Array  # [rad/s] turn rate of the path (5)
 
-    @property
+    @cached_property
     def table(self) -> Array:
         """x, y, psi, u, v, r, F_u, F_r, shape (T, 8) or (T, 8, N)."""
         return np.stack((self.x, self.y, self.psi, self.u, self.v, self.r, self.F_u, self.F_r), axis=1)

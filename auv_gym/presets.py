@@ -40,6 +40,7 @@ _REGIMES = {
         Sensors(position=0.05, heading=0.015, velocity=0.02, yaw_rate=0.005), 0.12, 0.4, 0.5, 30.0,
     ),
 }  # fmt: skip
+REGIMES = tuple(_REGIMES)
 CASES = ("calm", "noise", "current", "gauss-markov", "waves", "mismatch", "actuator", "storm")
 
 

@@ -7,11 +7,11 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.presets import CASES, PRESETS
 from auv_gym.residual import Policy
+from baselines.evaluation.metrics import effort, smoothness, tail_rmse
 from baselines.evaluation.score import LARGEST_TAIL
 
 
@@ -49,27 +49,22 @@ class Course:
         """Return what a policy does on the course."""
         env, observation = copy.deepcopy(self._env), self._observation
         memory, first = None, np.ones(len(self.cases), dtype=bool)
-        square, worst, effort, change = (np.zeros(len(self.cases)) for _ in range(4))
-        last: NDArray[np.float32] | None = None
+        errors = np.zeros((self.steps, len(self.cases)))
+        actions = np.zeros((self.steps, len(self.cases), 2))
         for k in range(self.steps):
             action, memory = policy.predict(observation, memory, first)
             observation, *_, info = env.step(action)
             first = np.zeros_like(first)
-            error = info["position_error"]
-            worst = np.maximum(worst, error)
-            square += error**2 * (k >= self.steps // 3)
-            effort += np.square(action).mean(axis=1)
-            change += 0.0 if last is None else np.square(action - last).mean(axis=1)
-            last = action
-        tail = np.sqrt(square / (self.steps - self.steps // 3))
-        tail = np.where((worst > self.lost_distance) | ~(tail < self.cap), self.cap, tail)
-        errors = [float(tail[self.cases == i].mean()) for i in range(len(CASES))]
+            errors[k], actions[k] = info["position_error"], action
+        tail = tail_rmse(errors)
+        tail = np.where((errors.max(axis=0) > self.lost_distance) | ~(tail < self.cap), self.cap, tail)
+        means = [float(tail[self.cases == i].mean()) for i in range(len(CASES))]
         return Result(
-            error_m=float(np.mean(errors)),
-            case_error_m=dict(zip(CASES, errors, strict=True)),
+            error_m=float(np.mean(means)),
+            case_error_m=dict(zip(CASES, means, strict=True)),
             lost=float(np.mean(tail == self.cap)),
-            effort=float(effort.mean()) / self.steps,
-            smoothness=float(change.mean()) / (self.steps - 1),
+            effort=effort(actions),
+            smoothness=smoothness(actions),
         )
 
 

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from auv_gym.presets import REGIMES
 from auv_gym.task import Observation
 from baselines.backstepping import CRUISE_SPEED
-from baselines.memory import Array, Controller, Memory
+from baselines.memory import Array, Controller, Memory, along
 
 FOLDER = Path(__file__).parent / "gains"
-REGIMES = ("slow", "cruise")
 
 
 def gain_file(name: str, regime: str) -> Path:
@@ -84,10 +84,7 @@ class BySpeed:
         if not fast.any():
             return F_u, F_r, after
         C_u, C_r, cruise_after = self.cruise.forces(o, memory, extra)
-        chosen = tuple(
-            np.where(fast.reshape(fast.shape + (1,) * (a.ndim - 1)), b, a)
-            for a, b in zip(after, cruise_after, strict=True)
-        )
+        chosen = tuple(np.where(along(fast, a), b, a) for a, b in zip(after, cruise_after, strict=True))
         return np.where(fast, C_u, F_u), np.where(fast, C_r, F_r), chosen
 
 

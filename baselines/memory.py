@@ -60,12 +60,13 @@ class Remembering:
             raise ValueError(f"state is of {len(state[0])} vehicles, the observation of {len(rows)}")
         elif episode_start is not None and np.any(episode_start):
             begins = np.broadcast_to(episode_start, len(rows))
-            state = tuple(np.where(_along(begins, a), b, a) for a, b in zip(state, fresh, strict=True))
+            state = tuple(np.where(along(begins, a), b, a) for a, b in zip(state, fresh, strict=True))
         F_u, F_r, state = self.controller.forces(o, state, rows[:, len(o) :])
         action = np.stack((F_u / o.F_u_max, F_r / o.F_r_max), axis=1)
         action = np.clip(action, -1.0, 1.0).astype(np.float32)
         return (action[0] if observation.ndim == 1 else action), state
 
 
-def _along(mask: NDArray[np.bool_], array: NDArray[Any]) -> NDArray[np.bool_]:
+def along(mask: NDArray[np.bool_], array: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return a mask of vehicles, shape (N,), so that it broadcasts along the leading axis of an array."""
     return mask.reshape(mask.shape + (1,) * (array.ndim - 1))

@@ -11,7 +11,7 @@ It is a reference, not a bound: others may be better in single episodes.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from functools import partial
 from types import SimpleNamespace
 from typing import Any, cast
@@ -142,7 +142,7 @@ def true_plan(scenario: Scenario, episodes: Sequence[Episode]) -> TruePlan:
         motion[order] -= V.transpose(1, 0, 2)
         V = np.gradient(V, 0.5 * dt, axis=0)
     along = path_rates(motion)
-    along = _replaced(along, v_p_dot=np.maximum(along.v_p_dot, -HARDEST_BRAKING * along.v_p))
+    along = replace(along, v_p_dot=np.maximum(along.v_p_dot, -HARDEST_BRAKING * along.v_p))
     Y = load[:, 1]
     w = _sine_of_sideslip(along, vehicle, Y, 0.5 * dt)
     R = assemble(times, motion[0], along, w, vehicle, (Y, np.gradient(Y, 0.5 * dt, axis=0)))
@@ -172,10 +172,6 @@ def fleet(vehicles: Sequence[Vehicle]) -> Vehicle:
     """Return N vehicles as one whose parameters are rows (N,), for equations that work on rows."""
     rows = Coefficients(*np.array([vehicle.coefficients for vehicle in vehicles]).T)
     return cast(Vehicle, SimpleNamespace(coefficients=rows, **rows._asdict()))
-
-
-def _replaced(along: PathRates, **changes: Array) -> PathRates:
-    return PathRates(**{field.name: changes.get(field.name, getattr(along, field.name)) for field in fields(PathRates)})
 
 
 def _halfway(rows: Array) -> Array:

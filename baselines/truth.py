@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.envs.lanes import reference_tables
 from auv_gym.episode import Episode
-from auv_gym.planner import plan
 from auv_gym.scenario import Scenario
 from auv_gym.tape import Tape
 
@@ -22,9 +22,9 @@ def samples(scenario: Scenario, episodes: Sequence[Episode]) -> Array:
         InfeasibleReferenceError: an episode's path cannot be followed.
     """
     n, act = len(episodes), scenario.actuators
-    times = scenario.control_dt * np.arange(scenario.steps + 1, dtype=np.float64)
-    table = plan([e.path for e in episodes], scenario.vehicle, times, (act.F_u_max, act.F_r_max)).table
-    tape = Tape(n, len(times))
-    for i, episode in enumerate(episodes):
-        tape.load(i, scenario, episode, np.ascontiguousarray(table[:, :, i]))
-    return tape.read(np.arange(n), len(times))
+    instants = scenario.steps + 1
+    tables = reference_tables(episodes, scenario.control_dt, scenario.steps, scenario.vehicle, act.F_u_max, act.F_r_max)
+    tape = Tape(n, instants)
+    for i, (episode, table) in enumerate(zip(episodes, tables, strict=True)):
+        tape.load(i, scenario, episode, table)
+    return tape.read(np.arange(n), instants)

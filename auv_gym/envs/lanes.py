@@ -167,22 +167,27 @@ class Lanes:
             if episode.path is s.path:
                 fixed = (*plan_of, id(s.path))
                 if fixed not in self._fixed:
-                    self._fixed[fixed] = _plan([episode], *plan_of)[0]
+                    self._fixed[fixed] = reference_tables([episode], *plan_of)[0]
                 tables[j] = self._fixed[fixed]
             else:
                 groups.setdefault(plan_of, []).append(j)
         for plan_of, members in groups.items():
             for first in range(0, len(members), PLANNED_AT_ONCE):
                 batch = members[first : first + PLANNED_AT_ONCE]
-                for j, table in zip(batch, _plan([episodes[j] for j in batch], *plan_of), strict=True):
+                for j, table in zip(batch, reference_tables([episodes[j] for j in batch], *plan_of), strict=True):
                     tables[j] = table
         return tables
 
 
-def _plan(
+def reference_tables(
     episodes: Sequence[Episode], dt: float, steps: int, vehicle: Vehicle, F_u_max: float, F_r_max: float
 ) -> list[Array]:
-    """Return the reference tables of episodes, shape (steps + 1, 8) each."""
+    """Return the reference tables of episodes, shape (steps + 1, 8) each.
+
+    Raises:
+        InfeasibleReferenceError: an episode's path cannot be followed within these limits.
+        ValueError: a reference is beyond what can be observed.
+    """
     paths = [episode.path for episode in episodes]
     reference = plan(paths, vehicle, dt * np.arange(steps + 1, dtype=np.float64), (F_u_max, F_r_max)).table
     check_reference(reference)

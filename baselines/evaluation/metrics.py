@@ -106,7 +106,7 @@ def settling_time(errors: Array, bound: float, dt: float) -> Array:
 
 
 def effort(actions: Array) -> float:
-    """Return mean_k (a_u,k^2 + a_r,k^2) / 2, the mean square of the normalised command of shape (n, 2)."""
+    """Return mean_k (a_u,k^2 + a_r,k^2) / 2, the mean square of normalised commands, shape (n, ..., 2)."""
     return float(np.mean(np.square(actions)))
 
 

@@ -15,12 +15,13 @@ import numpy as np
 import scipy
 
 import auv_gym
+from auv_gym.presets import REGIMES
 from baselines.evaluation.files import finite, json_text
 from baselines.evaluation.metrics import Measures, Spread, Summary, ratio, summarise
 from baselines.evaluation.paper import Reproduction
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import EXPERT, ORACLE, REGIMES, Pooled, Score, lost_share, pooled, regime_of, score
+from baselines.evaluation.score import EXPERT, ORACLE, Pooled, Score, lost_share, pooled, regime_of, score
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from auv_gym.presets import REGIMES
 from baselines.evaluation.metrics import RESAMPLES, Array, Measures
 
 EXPERT, ORACLE = "backstepping", "oracle"
 """The policies that score 0 and 1."""
-REGIMES = ("slow", "cruise")
 """Prefixes of scenario names; each regime has a score of its own."""
 LARGEST_TAIL: Mapping[str, float] = {"slow": 0.6, "cruise": 2.0}
 """Tail RMSE [m] from which an episode counts as lost; the capped score counts no more than that for it."""

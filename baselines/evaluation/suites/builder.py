@@ -14,10 +14,9 @@ from auv_gym.episode import Episode
 from auv_gym.intervals import Interval
 from auv_gym.paths import Path, Spline
 from auv_gym.planner import InfeasibleReferenceError, path_rates, plan
-from auv_gym.presets import CASES, PRESETS
+from auv_gym.presets import CASES, PRESETS, REGIMES
 from auv_gym.scenario import RandomPath, Scenario
 from baselines.evaluation.runner import Cell
-from baselines.evaluation.score import REGIMES
 from baselines.evaluation.suites import rounded
 
 FAMILIES = ("line", "circle", "sine", "figure_eight", "random_smooth")
