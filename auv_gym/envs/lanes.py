@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from auv_gym.planner import plan
 from auv_gym.presets import as_scenario
 from auv_gym.preview import Preview
 from auv_gym.scenario import Scenario
-from auv_gym.simulation import PARAMETERS, SAMPLE, Parameters
+from auv_gym.simulation import PARAMETERS, SAMPLE, Parameters, Parts
 from auv_gym.tape import Tape
 from auv_gym.task import check_reference
 from auv_gym.vehicle import Vehicle
@@ -80,9 +81,8 @@ class Lanes:
         self._fixed: dict[tuple[Any, ...], Array] = {}  # tables of scenarios whose path is not drawn
         self.samples, self.row = np.zeros((block, SAMPLE, num_envs)), 0
         self.constants = np.ones((PARAMETERS, num_envs))
-        self.filtered = any(s.sensors.low_pass is not None for s in self.scenarios)
-        self.substeps = self.scenarios[0].substeps
-        self.parameters = Parameters.of(tuple(self.constants), self.filtered, self.substeps)
+        self.parts = reduce(Parts.joined, {s.parts: None for s in self.scenarios})
+        self.parameters = Parameters.of(tuple(self.constants), self.parts)
         self.k: Indices = np.zeros(num_envs, dtype=np.int64)
 
     @property

@@ -39,7 +39,7 @@ from auv_gym.envs.lanes import Beginning, Indices, Lanes, ScenarioLike
 from auv_gym.errors import to_body
 from auv_gym.namespaces import tensors
 from auv_gym.preview import COS_PSI, SIN_PSI, observation_bounds
-from auv_gym.simulation import PARAMETERS, SAMPLE, Parameters, Plant
+from auv_gym.simulation import MEMORY, PARAMETERS, SAMPLE, Parameters, Parts, Plant
 from auv_gym.task import BOUNDS, INVERSE_SCALES, L
 from auv_gym.vehicle import Vehicle
 
@@ -47,7 +47,8 @@ logger = logging.getLogger(__name__)
 
 TENSORS = tensors()
 ENCODING = list(zip(INVERSE_SCALES.tolist(), BOUNDS.tolist(), strict=True))  # numbers: the graph may hold no NumPy
-STATE = 16  # rows of a `simulation.Plant`
+STATE = 10 + MEMORY  # rows of a `simulation.Plant`
+PLAIN = Parts()
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
 
 
@@ -62,9 +63,7 @@ class Transition(NamedTuple):
     saturated: Tensor  # 1 where an actuator was commanded to its limit, else 0, shape (N,)
 
 
-def simulate(
-    state: Tensor, action: Tensor, sample: Tensor, parameters: Tensor, filtered: bool = False, substeps: int = 1
-) -> Transition:
+def simulate(state: Tensor, action: Tensor, sample: Tensor, parameters: Tensor, parts: Parts = PLAIN) -> Transition:
     """Return what `simulation.step` makes of N vehicles: a pure function, differentiable in state and action.
 
     Args:
@@ -72,10 +71,9 @@ def simulate(
         action: surge and yaw command as fractions of the limits, shape (2, N).
         sample: the rows of a `simulation.Sample`, shape (SAMPLE, N).
         parameters: the rows of `simulation.Parameters`, shape (PARAMETERS, N).
-        filtered: see `simulation.Parameters`.
-        substeps: see `simulation.Parameters`.
+        parts: what is in use.
     """
-    p = Parameters.of(parameters.unbind(), filtered, substeps)
+    p = Parameters.of(parameters.unbind(), parts)
     plant, terms, (reward, lost, squared_error, saturated) = simulation.step(
         _unpacked(state), action.unbind(), sample.unbind(), p, TENSORS
     )
@@ -98,14 +96,12 @@ def _encoded(terms: Sequence[Tensor]) -> Tensor:
 
 
 @cache
-def step_function(
-    device: torch.device, dtype: torch.dtype, filtered: bool, substeps: int, compiled: bool
-) -> Callable[..., Transition]:
+def step_function(device: torch.device, dtype: torch.dtype, parts: Parts, compiled: bool) -> Callable[..., Transition]:
     """Return `simulate` for these constants, compiled if that is wanted and possible on the device.
 
     Compiling takes up to a minute, once a process; torch keeps the result on the disk for the next ones.
     """
-    eager = partial(simulate, filtered=filtered, substeps=substeps)
+    eager = partial(simulate, parts=parts)
     if not (compiled and can_compile(device)):
         return eager
     logger.info("compiling the simulation step for %s, %s; the first time takes up to a minute", device, dtype)
@@ -186,7 +182,7 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
         self.single_observation_space = gym.spaces.Box(-bounds, bounds, dtype=kind)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._step = step_function(self.device, self.dtype, self._lanes.filtered, self._lanes.substeps, compiled)
+        self._step = step_function(self.device, self.dtype, self._lanes.parts, compiled)
         self._samples = self._tensor(self._lanes.samples)
         self._constants = self._tensor(self._lanes.constants)
         self._state: Tensor | None = None
@@ -225,7 +221,7 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
         self._constants = self._constants.index_copy(1, where, self._tensor(constants))  # the graph may need the old
         # Past autograd's eyes: the graph holds views of earlier rows, which stay as they are.
         self._samples.data[host.row + 1 :, :, where] = self._tensor(ahead[1:])
-        p = Parameters.of(self._tensor(constants).unbind(), host.filtered, host.substeps)
+        p = Parameters.of(self._tensor(constants).unbind(), host.parts)
         states = self._tensor(beginning.states).unbind()
         plant, terms = simulation.start(states, self._tensor(ahead[0]).unbind(), p, TENSORS)  # type: ignore[arg-type]
         begun, first = _packed(plant), self._with_preview(_encoded(terms), beginning.lanes).T

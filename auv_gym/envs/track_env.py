@@ -19,7 +19,7 @@ from auv_gym.presets import as_scenario
 from auv_gym.preview import Preview, encode_preview, observation_bounds
 from auv_gym.rendering import Renderer, View
 from auv_gym.scenario import Scenario
-from auv_gym.simulation import Parameters, Terms, ground_state, start, step
+from auv_gym.simulation import Parameters, Terms, current_at, ground_state, start, step
 from auv_gym.tape import Tape
 from auv_gym.task import check_reference, encode_observation
 from auv_gym.vehicle import Vehicle
@@ -174,9 +174,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self._tape.load(0, self.scenario, episode, reference.table)
         self._preview.load((0,), (episode.path,), (self._dt,))
         self._read()
-        self._parameters = Parameters.of(
-            self.scenario.parameters(episode), self.scenario.sensors.low_pass is not None, self.scenario.substeps
-        )
+        self._parameters = Parameters.of(self.scenario.parameters(episode), self.scenario.parts)
         sample = self._rows[0]
         self._plant, terms = start(episode.initial_state(sample), sample, self._parameters, FLOATS)
         self._k, self._row, self._over = 0, 0, False
@@ -230,7 +228,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     @property
     def state(self) -> Array:
         """x, y [m], psi [rad], u, v [m/s] over ground, r [rad/s]; shape (6,)."""
-        return np.array(ground_state(self._plant, self._rows[self._row], FLOATS))
+        return np.array(ground_state(self._plant, self._rows[self._row], self._parameters, FLOATS))
 
     @property
     def reference(self) -> ReferencePoint:
@@ -244,8 +242,9 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
 
     @property
     def current(self) -> Array:
-        """V_x, V_y [m/s] of the water in the world; shape (2,)."""
-        return np.array(self._rows[self._row][8:10])
+        """V_x, V_y [m/s] of the water in the world, where the vehicle is; shape (2,)."""
+        x, y = self._plant[:2]
+        return np.array(current_at(x, y, self._rows[self._row], self._parameters, FLOATS))
 
     @property
     def time(self) -> float:

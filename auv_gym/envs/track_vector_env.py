@@ -16,7 +16,7 @@ from auv_gym.envs.lanes import Beginning, Indices, Lanes, ScenarioLike, checked_
 from auv_gym.envs.track_env import ReferencePoint
 from auv_gym.namespaces import ARRAYS
 from auv_gym.preview import encode_preview, observation_bounds
-from auv_gym.simulation import Parameters, Plant, Terms, ground_state, start, step
+from auv_gym.simulation import Parameters, Plant, Terms, current_at, ground_state, start, step
 from auv_gym.task import encode_rows
 from auv_gym.vehicle import Vehicle
 
@@ -98,8 +98,7 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
     def _begin(self, beginning: Beginning) -> Array:
         """Put vehicles at the start of their episodes; return their first observations (n, columns)."""
         lanes, states, _ = beginning
-        p = self._lanes.parameters
-        there = Parameters.of(tuple(self._lanes.constants[:, lanes]), p.filtered, p.substeps)
+        there = Parameters.of(tuple(self._lanes.constants[:, lanes]), self._lanes.parts)
         begun, terms = start(tuple(states), self._lanes.sample[:, lanes], there, ARRAYS)
         old = begun if self._plant is None else self._plant
         self._plant = (
@@ -158,7 +157,8 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
     @property
     def state(self) -> Array:
         """x, y [m], psi [rad], u, v [m/s] over ground, r [rad/s]; shape (N, 6)."""
-        return np.stack(ground_state(self._running, self._lanes.sample, ARRAYS), axis=1)
+        lanes = self._lanes
+        return np.stack(ground_state(self._running, lanes.sample, lanes.parameters, ARRAYS), axis=1)
 
     @property
     def reference(self) -> ReferencePoint:
@@ -172,8 +172,9 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
 
     @property
     def current(self) -> Array:
-        """V_x, V_y [m/s] of the water in the world; shape (N, 2)."""
-        return np.array(self._lanes.sample[8:10].T)
+        """V_x, V_y [m/s] of the water in the world, where the vehicles are; shape (N, 2)."""
+        lanes, (x, y) = self._lanes, self._running[:2]
+        return np.stack(current_at(x, y, lanes.sample, lanes.parameters, ARRAYS), axis=1)
 
     @property
     def time(self) -> Array:
