@@ -43,7 +43,8 @@ class Options:
     step_limit: float = 0.1
     """Seconds that a policy may take for a decision, on average; a slower one fails."""
     stability: bool = False
-    """Instead of running scenarios, examine where the policies are stable about steady motion in still water."""
+    """Instead of running scenarios, examine where the policies are stable about steady motion in still water, and
+    certify it for references that vary."""
     resume: bool = False
     """Use the finished runs that an interrupted evaluation has left in the folder; policies must be the same still."""
 
@@ -54,7 +55,7 @@ def main(arguments: Sequence[str]) -> int:
     Raises:
         UsageError: the arguments do not make sense.
     """
-    options = parse(Options, arguments, PROGRAM)
+    options, command = parse(Options, arguments, PROGRAM), f"python {PROGRAM} {shlex.join(arguments)}".rstrip()
     from baselines.evaluation.command import evaluate
     from baselines.evaluation.request import Request, checked_folder, checked_policies
     from baselines.evaluation.score import EXPERT
@@ -62,7 +63,7 @@ def main(arguments: Sequence[str]) -> int:
     if options.stability:
         from baselines.evaluation.stability_report import report
 
-        return report(checked_policies(options.policy or (EXPERT,)), checked_folder(options.out))
+        return report(checked_policies(options.policy or (EXPERT,)), checked_folder(options.out), command)
     request = Request.of(
         options.policy,
         options.suite,
@@ -73,7 +74,7 @@ def main(arguments: Sequence[str]) -> int:
         options.out,
         options.step_limit,
         options.resume,
-        f"python {PROGRAM} {shlex.join(arguments)}",
+        command,
     )
     return evaluate(request)
 
