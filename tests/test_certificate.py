@@ -22,7 +22,9 @@ RATES = {
 """Certified rate in each of `BOXES`, the same at every speed."""
 
 
-@pytest.mark.parametrize(("gains", "speed"), [("normalised-paper", 0.1), ("normalised-paper", 1.0), ("normalised", 2.0)])
+@pytest.mark.parametrize(
+    ("gains", "speed"), [("normalised-paper", 0.1), ("normalised-paper", 1.0), ("normalised", 2.0)]
+)
 def test_known_rates(gains, speed):
     found = [certify(PAPER_VEHICLE, Backstepping(gains), speed, box, DT) for box in BOXES]
     np.testing.assert_allclose([c.rate for c in found], RATES[gains], atol=1.5e-4)
