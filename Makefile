@@ -15,9 +15,9 @@ help: ## list the verbs
 	@echo 'make VERB [ARGS="more options"] [PYTHON=python3.12]'
 	@sed -n 's/^\([a-z]*\):.*## /  \1            /p' $(MAKEFILE_LIST) | sed 's/^\(.\{13\}\) */\1/'
 
-demo: $(VENV)/eval.stamp ## recompute the paper, run the expert through every scenario; pictures and results in runs/demo
+demo: $(VENV)/eval.stamp ## recompute the paper, run the expert through every preset; pictures and results in runs/demo
 	$(BIN)/python evaluate.py --suite paper --out runs/demo/paper
-	$(BIN)/python evaluate.py --out runs/demo/scenarios $(ARGS)
+	$(BIN)/python evaluate.py --suite presets --out runs/demo/scenarios $(ARGS)
 
 # One thread a worker and no window: the workers share the machine.
 test: export OMP_NUM_THREADS = 1

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from html import escape
 from string import Template
 
 from baselines.evaluation.metrics import WORST
 from baselines.evaluation.page import figure, number, page, table
-from baselines.evaluation.report import Result, to_record, versions
+from baselines.evaluation.report import Result, recordings, to_record, versions
 from baselines.evaluation.request import Request
-from baselines.evaluation.score import LARGEST_TAIL, Pooled, Score
+from baselines.evaluation.score import LARGEST_TAIL, Pooled, interval_text, score_text
 
 CAPTIONS = {
     "score_by_case": "Scores in each scenario, 95 % intervals of a paired bootstrap over episodes.",
@@ -41,7 +40,7 @@ $scores
 $figures
 <h2>Every scenario</h2>
 <div class="wide">$results</div>
-<p class="note">* recorded earlier, not run now.</p>
+$recorded
 $notes
 <h2>Definitions</h2>
 <dl>$definitions</dl>
@@ -55,25 +54,19 @@ def report_html(
     """Return the text of report.html."""
     episodes = sum(len(cell.episodes) for cell in request.cells)
     setting = f"{len(request.cells)} scenarios, {episodes} episodes of each policy, hash {request.hash}"
+    when = recordings(results)
     body = BODY.substitute(
         command=escape(request.command),
         setting=escape(setting),
         scores=_scores(scores),
         figures="\n".join(figure(CAPTIONS.get(name, name.replace("_", " ")), png) for name, png in figures.items()),
         results=_results(results),
+        recorded=f'<p class="note">* recorded, not run now: {escape(when)}</p>' if when else "",
         notes=_notes(results),
         definitions="".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in DEFINITIONS.items()),
         versions=escape(", ".join(f"{name} {version}" for name, version in versions().items())),
     )
     return page(f"Evaluation: {request.suite or 'scenarios'}", body)
-
-
-def _score(value: Score | None) -> tuple[str, str]:
-    """Return a score and its interval as text."""
-    if value is None or not math.isfinite(value.mean):
-        return "-", "-"
-    low, high = value.ci95
-    return f"{value.mean:.3f}", f"{low:.3f} ... {high:.3f}" if math.isfinite(low) else "-"
 
 
 def _scores(scores: Sequence[Pooled]) -> str:
@@ -82,7 +75,7 @@ def _scores(scores: Sequence[Pooled]) -> str:
     names = ("regime", "policy", "episodes", "tail [m]", "score", "95 % interval", "capped", "lost")
     rows, previous = [], ""
     for s in scores:
-        cells = (*_score(s.score), _score(s.capped)[0], f"{100 * s.lost:.2f} %")
+        cells = (score_text(s.score), interval_text(s.score), score_text(s.capped), f"{100 * s.lost:.2f} %")
         rows.append((s.regime != previous, (s.regime, s.policy, str(s.episodes), number(s.tail_m), *cells)))
         previous = s.regime
     return f"<h2>Score</h2>\n<div class='wide'>{table(names, rows, 2)}</div>"
@@ -103,7 +96,7 @@ def _results(results: Sequence[Result]) -> str:
             continue
         low, high = (number(end) for end in tail["ci95"])
         cells = [number(tail["mean"]), f"{low} ... {high}", number(tail["p95"]), number(tail["cvar95"])]
-        cells += [_score(result.score)[0], number(r["settling_s"])]
+        cells += [score_text(result.score), number(r["settling_s"])]
         cells += [number(r["effort_ratio"]), number(r["smoothness_ratio"]), f"{100 * r['saturation']:.1f} %"]
         rows.append((first, (previous, name, *cells, f"{100 * r['lost']:.1f} %", number(r["decision_ms"], 2))))
     return table(names, rows, 2)
