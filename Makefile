@@ -9,7 +9,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint typecheck format bench docs clean
+.PHONY: help demo test lint typecheck format bench results docs clean
 
 help: ## list the verbs
 	@echo 'make VERB [ARGS="more options"] [PYTHON=python3.12]'
@@ -43,6 +43,9 @@ format: $(VENV)/dev.stamp ## mend the style and the format
 
 bench: $(VENV)/dev.stamp ## measure the speed of the environments
 	$(BIN)/python benchmarks/bench.py $(ARGS)
+
+results: $(VENV)/eval.stamp ## write docs/results.md and its figures from the recorded rows
+	$(BIN)/python -m baselines.evaluation.results $(ARGS)
 
 docs: $(VENV)/eval.stamp $(VENV)/docs.stamp ## build the documentation: build/docs/index.html
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs build/docs $(ARGS)

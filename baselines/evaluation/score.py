@@ -43,6 +43,7 @@ def interval_text(value: Score | None, digits: int = 3) -> str:
 
 
 def _text(value: float, digits: int) -> str:
+    digits = digits if abs(value) < 100 else 0
     return f"{round(value, digits) + 0.0:.{digits}f}"  # no minus before a zero
 
 
