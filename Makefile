@@ -9,15 +9,15 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint typecheck format bench docs clean
+.PHONY: help demo test lint typecheck format bench results docs clean
 
 help: ## list the verbs
 	@echo 'make VERB [ARGS="more options"] [PYTHON=python3.12]'
 	@sed -n 's/^\([a-z]*\):.*## /  \1            /p' $(MAKEFILE_LIST) | sed 's/^\(.\{13\}\) */\1/'
 
-demo: $(VENV)/eval.stamp ## recompute the paper, run the expert through every scenario; pictures and results in runs/demo
+demo: $(VENV)/eval.stamp ## recompute the paper, run the expert through every preset; pictures and results in runs/demo
 	$(BIN)/python evaluate.py --suite paper --out runs/demo/paper
-	$(BIN)/python evaluate.py --out runs/demo/scenarios $(ARGS)
+	$(BIN)/python evaluate.py --suite presets --out runs/demo/scenarios $(ARGS)
 
 # One thread a worker and no window: the workers share the machine.
 test: export OMP_NUM_THREADS = 1
@@ -43,6 +43,9 @@ format: $(VENV)/dev.stamp ## mend the style and the format
 
 bench: $(VENV)/dev.stamp ## measure the speed of the environments
 	$(BIN)/python benchmarks/bench.py $(ARGS)
+
+results: $(VENV)/eval.stamp ## write docs/results.md and its figures from the recorded rows
+	$(BIN)/python -m baselines.evaluation.results $(ARGS)
 
 docs: $(VENV)/eval.stamp $(VENV)/docs.stamp ## build the documentation: build/docs/index.html
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs build/docs $(ARGS)

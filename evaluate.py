@@ -28,8 +28,9 @@ class Options:
     """Policies by name, FILE.py:FACTORY or a FILE.zip of Stable-Baselines3, compared with the expert; without any, the
     expert alone."""
     suite: Annotated[str | None, arg(metavar="S", help_behavior_hint="")] = None
-    """Frozen: "benchmark-v1", "benchmark-v1-validation", "ood-v1" or "unmodelled-v1". Drawn from the seed: "presets"
-    (the default: every preset), or "paper" (the paper's, with its numbers and figures recomputed)."""
+    """Frozen: "benchmark-v1" (the default), "benchmark-v1-validation", "ood-v1" or "unmodelled-v1"; other policies are
+    shown as they were recorded. Drawn from the seed: "presets" (every preset), or "paper" (the paper's, with its
+    numbers and figures recomputed)."""
     scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ()
     """Scenarios in place of a suite: names of presets, or .toml and .json files."""
     episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
@@ -38,14 +39,19 @@ class Options:
     """Seed of the first episode that is drawn; episode i has seed + i, whatever the policy."""
     jobs: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Worker processes; the results are the same for any number. Default: 2, or 1 on a single processor."""
+    cluster: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="")] = None
+    """Run on a Ray cluster, in --jobs processes (default: all that it has): HOST:PORT of its head, "auto" for the one
+    that this machine belongs to, "local" for one made for the occasion."""
     out: Path = Path("runs/evaluate")
     """Folder for the results."""
     step_limit: float = 0.1
     """Seconds that a policy may take for a decision, on average; a slower one fails."""
     stability: bool = False
-    """Instead of running scenarios, examine where the policies are stable about steady motion in still water."""
+    """Instead of running scenarios, examine where the policies are stable about steady motion in still water, and
+    certify it for references that vary."""
     resume: bool = False
-    """Use the finished runs that an interrupted evaluation has left in the folder; policies must be the same still."""
+    """Use the finished runs that an interrupted evaluation has left in the folder; a policy whose file has changed
+    since runs again."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -54,7 +60,7 @@ def main(arguments: Sequence[str]) -> int:
     Raises:
         UsageError: the arguments do not make sense.
     """
-    options = parse(Options, arguments, PROGRAM)
+    options, command = parse(Options, arguments, PROGRAM), f"python {PROGRAM} {shlex.join(arguments)}".rstrip()
     from baselines.evaluation.command import evaluate
     from baselines.evaluation.request import Request, checked_folder, checked_policies
     from baselines.evaluation.score import EXPERT
@@ -62,7 +68,7 @@ def main(arguments: Sequence[str]) -> int:
     if options.stability:
         from baselines.evaluation.stability_report import report
 
-        return report(checked_policies(options.policy or (EXPERT,)), checked_folder(options.out))
+        return report(checked_policies(options.policy or (EXPERT,)), checked_folder(options.out), command)
     request = Request.of(
         options.policy,
         options.suite,
@@ -73,7 +79,8 @@ def main(arguments: Sequence[str]) -> int:
         options.out,
         options.step_limit,
         options.resume,
-        f"python {PROGRAM} {shlex.join(arguments)}",
+        options.cluster,
+        command,
     )
     return evaluate(request)
 

@@ -19,7 +19,7 @@ from auv_gym.presets import PRESETS
 from auv_gym.scenario import Scenario
 from auv_gym.sensors import Sensors
 from baselines.command_line import run
-from baselines.evaluation import metrics
+from baselines.evaluation import metrics, recorded
 from baselines.evaluation.files import write_atomically
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.report import compare
@@ -28,6 +28,7 @@ from baselines.evaluation.rollout import PolicyError, make_env, rollout, run_epi
 from baselines.evaluation.rows import RowStore
 from baselines.evaluation.runner import LANES, drawn, run_all, run_task
 from baselines.evaluation.tables import results_table
+from baselines.workers import Workers
 
 SCRIPT = Path(__file__).parents[1] / "evaluate.py"
 SMALL = Scenario(name="small", sensors=Sensors(position=0.05), steps=45)
@@ -92,6 +93,7 @@ def bad_policies(monkeypatch):
         (["--seed", "-1"], "0 or more"),
         (["--jobs", "0"], "1 or more"),
         (["--step-limit", "0"], "positive"),
+        (["--cluster", "nonsense", "--scenario", "slow-calm"], "Ray"),
         (["--policy", "nobody"], "allowed are backstepping"),
         (["--suite", "nothing"], "allowed are presets, paper"),
         (["--scenario", "nowhere"], "allowed are a .toml or .json file, or one of paper-circle"),
@@ -227,7 +229,18 @@ class Page(html.parser.HTMLParser):
         self.text += data
 
 
-def test_report_is_one_page(call, small, tmp_path, bad_policies):
+@pytest.fixture
+def few_recorded(monkeypatch):
+    """Recorded rows of two policies only."""
+    load = recorded.load
+
+    def few(suite):
+        return recorded.Found(tuple(run for run in load(suite).runs if run.policy in ("ekf", "oracle")), {"lqi": "old"})
+
+    monkeypatch.setattr(recorded, "load", few)
+
+
+def test_report_is_one_page(call, small, tmp_path, bad_policies, few_recorded, capsys):
     assert call("--suite", "benchmark-v1", "--episodes", "2", "--policy", "open-loop", "--jobs", "1", "--out", "a") == 0
     page = Page((tmp_path / "a" / "report.html").read_text(encoding="utf-8"))
     assert page.open == []
@@ -236,7 +249,13 @@ def test_report_is_one_page(call, small, tmp_path, bad_policies):
     for text in ("Score", "oracle*", "cruise-storm", "open-loop", "Definitions", "--episodes 2", "numpy"):
         assert text in page.text
     record = strict_json((tmp_path / "a" / "results.json").read_text())
-    assert {row["recorded"] is None for row in record["results"] if row["policy"] == "oracle"} == {False}
+    live = {row["policy"] for row in record["results"] if row["recorded"] is None}
+    assert live == {"backstepping", "open-loop"}
+    (recorded_on,) = {row["recorded"]["date"] for row in record["results"] if row["policy"] == "oracle"}
+    assert f"({recorded_on}, auv_gym 0.1.0)" in page.text
+    out, err = capsys.readouterr()
+    assert "note: the recorded rows of lqi are left out: old" in err
+    assert f"Recorded, not run now: ekf, oracle ({recorded_on}, auv_gym 0.1.0)" in out
     assert {(p["policy"], p["regime"]) for p in record["pooled"]} >= {("oracle", "slow"), ("open-loop", "cruise")}
     scores = {p["policy"]: p["score"]["mean"] for p in record["pooled"] if p["regime"] == "slow"}
     assert scores["backstepping"] == 0
@@ -278,6 +297,28 @@ def test_results_that_cannot_be_written_are_a_failure(call, small, monkeypatch, 
     assert "No space left on device" in capsys.readouterr().err
 
 
+PUSHES = """
+import numpy as np
+
+
+class Push:
+    def predict(self, observation, *_):
+        return np.full((len(observation), 2), {}), None
+"""
+
+
+def test_a_changed_policy_is_not_taken_for_finished_work(call, small, tmp_path, capsys):
+    common = ("--scenario", small, "--policy", "mine.py:Push", "--episodes", "2", "--jobs", "1", "--resume")
+    tails = []
+    for push, state in ((0.1, "done"), (0.1, "known"), (0.2, "done")):
+        (tmp_path / "mine.py").write_text(PUSHES.format(push))
+        assert call(*common) == 0
+        assert f"mine.py:Push in small: {state}" in capsys.readouterr().err
+        row = json.loads((tmp_path / "runs" / "evaluate" / "results.json").read_text())["results"][1]
+        tails.append(row["tail_rmse_m"]["mean"])
+    assert tails[0] == tails[1] != tails[2]
+
+
 def test_an_unfinished_file_leaves_no_trace(tmp_path, monkeypatch):
     file = tmp_path / "results.json"
     write_atomically(file, "old")
@@ -297,12 +338,18 @@ def test_interruption_is_no_traceback(monkeypatch, capsys):
     assert capsys.readouterr().err == "evaluate.py: interrupted\n"
 
 
-def test_default_is_every_preset_and_the_expert(tmp_path):
-    request = Request.of((), None, (), 20, 0, None, tmp_path / "new" / "folder")
-    assert (request.suite, request.policies) == ("presets", ("backstepping",))
-    assert [scenario.name for scenario in request.scenarios] == list(PRESETS)
-    assert request.jobs in (1, 2)
+def test_default_is_the_benchmark_and_the_expert(tmp_path):
+    request = Request.of((), None, (), None, 0, None, tmp_path / "new" / "folder")
+    assert (request.suite, request.policies) == ("benchmark-v1", ("backstepping",))
+    assert {run.policy for run in request.earlier} == set(baselines.list_policies()) - {"backstepping"}
+    assert request.workers in (Workers(1), Workers(2))
     assert request.out.is_dir()
+
+
+def test_every_preset(tmp_path):
+    request = Request.of((), "presets", (), None, 0, 1, tmp_path)
+    assert [scenario.name for scenario in request.scenarios] == list(PRESETS)
+    assert request.steps == sum(20 * preset.steps for preset in PRESETS.values())
 
 
 def test_hash_tells_tasks_apart(tmp_path):
@@ -372,18 +419,18 @@ def test_a_policy_must_act_for_every_episode():
 
 
 def test_runs_come_cell_by_cell_with_progress():
-    seen, episodes = [], []
+    seen, steps = [], {}
     policies, cells = ("backstepping", "open-loop"), [drawn(s, 6, 7) for s in (SMALL, PRESETS["slow-calm"])]
-    runs = run_all(policies, cells, 1, seen.append, episodes.append)
+    runs = run_all(policies, cells, on_run=seen.append, note=steps.__setitem__)
     assert [(run.scenario.name, run.policy) for run in runs] == [(c.scenario.name, p) for c in cells for p in policies]
     assert seen == runs
-    assert sum(episodes) == 24
+    assert sum(steps.values()) == sum(6 * 2 * cell.scenario.steps for cell in cells)
 
 
 def test_more_episodes_than_lanes():
     short = dataclasses.replace(SMALL, steps=3)
-    many = run_all(("backstepping",), [drawn(short, LANES + 1, 0)], 1)[0].measures
-    few = run_all(("backstepping",), [drawn(short, 2, LANES - 1)], 1)[0].measures
+    many = run_all(("backstepping",), [drawn(short, LANES + 1, 0)])[0].measures
+    few = run_all(("backstepping",), [drawn(short, 2, LANES - 1)])[0].measures
     np.testing.assert_allclose(many.tail[-2:], few.tail, rtol=1e-12)
 
 
@@ -414,15 +461,15 @@ def interrupted_at_second(save):
 
 
 def only_in(name):
-    def checked(policy, scenario, episodes, step_limit):
+    def checked(policy, scenario, *rest):
         assert scenario.name == name
-        return rollout(policy, scenario, episodes, step_limit)
+        return rollout(policy, scenario, *rest)
 
     return checked
 
 
 def test_damaged_rows_run_again(tmp_path):
-    run = run_all(("backstepping",), [drawn(SMALL, 2, 0)], 1)[0]
+    run = run_all(("backstepping",), [drawn(SMALL, 2, 0)])[0]
     store = RowStore(tmp_path / "rows")
     store.save(run)
     again = store.load(run.key)
@@ -460,7 +507,7 @@ def test_saved_scenario_is_the_one_evaluated(small, tmp_path):
 
 
 def test_table_fits_a_narrow_terminal(capsys):
-    results = compare(run_all(("backstepping", "backstepping-normalised"), [drawn(SMALL, 2, 0)], 1))
+    results = compare(run_all(("backstepping", "backstepping-normalised"), [drawn(SMALL, 2, 0)]))
     for width, interval in ((80, False), (160, True)):
         Console(width=width).print(results_table(results, Console(width=width)))
         out = capsys.readouterr().out

@@ -1,6 +1,7 @@
 """evaluate.py --stability: the known figures of the paper's law, and policies that are no formula."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -66,7 +67,26 @@ def test_report(tmp_path, monkeypatch, capsys):
     assert evaluate.main(arguments) == 1
     out, err = capsys.readouterr()
     assert "+0.230" in out
+    assert "0.1459" in out
     assert "oracle: " in err
     paper, loop = json.loads((tmp_path / "out" / "stability.json").read_text())
     assert (paper["policy"], loop["policy"]) == ("backstepping-paper", "open-loop")
+    rates = {(c["speed"], *c["box"].values()): c["rate"] for c in paper["certificates"]}
+    assert rates[0.1, 0.1, 0.22, 0.0] == pytest.approx(0.1459, abs=1e-4)
+    assert rates[1.0, 0.1, 0.22, 0.0] is None
     assert (tmp_path / "out" / "stability.png").stat().st_size > 1000
+    page = (tmp_path / "out" / "stability.html").read_text(encoding="utf-8")
+    assert "0.1459" in page
+    assert "data:image/png;base64," in page
+
+
+def test_report_without_the_solver(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "cvxpy", None)
+    monkeypatch.setattr(stability_report, "STARTS", 2)
+    monkeypatch.setattr(stability_report, "SPEEDS", (0.1,))
+    assert evaluate.main(["--stability", "--policy", "open-loop", "--out", str(tmp_path)]) == 0
+    out, err = capsys.readouterr()
+    assert err == "note: the certificate needs a semidefinite solver: pip install 'auv-gym[certificate]'\n"
+    assert "Certified" not in out
+    assert json.loads((tmp_path / "stability.json").read_text())[0]["certificates"] is None
+    assert "auv-gym[certificate]" in (tmp_path / "stability.html").read_text(encoding="utf-8")

@@ -12,7 +12,7 @@ from auv_gym.paths import PATHS
 from auv_gym.presets import CASES
 from baselines.command_line import UsageError
 from baselines.evaluation import recorded, suites
-from baselines.evaluation.report import versions
+from baselines.evaluation.report import compare, pool, versions
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Cell, drawn, run_all
 from baselines.evaluation.suites.__main__ import main
@@ -100,29 +100,64 @@ def test_a_changed_random_stream_is_noticed(small):
 
 def test_recorded_rows_belong_to_a_hash(small, tmp_path):
     suite = suites.load("small", small)
-    runs = run_all(("open-loop",), suite.cells, 1)
+    runs = run_all(("open-loop",), suite.cells)
     recorded.save(suite, runs, versions(), tmp_path)
     again = recorded.load(suite, tmp_path)
-    assert [(run.policy, run.scenario.name) for run in again] == [("open-loop", c.scenario.name) for c in suite.cells]
-    for run, old in zip(again, runs, strict=True):
+    assert again.refused == {}
+    assert [(r.policy, r.scenario.name) for r in again.runs] == [("open-loop", c.scenario.name) for c in suite.cells]
+    for run, old in zip(again.runs, runs, strict=True):
         np.testing.assert_allclose(run.measures.tail, old.measures.tail, rtol=1e-6)
         assert run.measures.lost.dtype == bool
-        assert len(run.recorded) == len("2000-01-01")
+        assert run.decision_seconds == old.decision_seconds
+        assert run.recorded.versions == versions()
+        assert len(run.recorded.date) == len("2000-01-01")
     other = suites.Suite(suite.name, "0" * 64, suite.cells, suite.digests)
-    assert recorded.load(other, tmp_path) == []
+    found = recorded.load(other, tmp_path)
+    assert found.runs == ()
+    assert found.refused == {"open-loop": f"another small, of hash {suite.hash[:12]}"}
     with pytest.raises(ValueError, match="open-loop has no result in cruise-actuator"):
         recorded.save(suite, runs[:1], versions(), tmp_path)
+    (tmp_path / "small" / "open-loop.npz").write_bytes(b"PK")
+    assert "cannot be read" in recorded.load(suite, tmp_path).refused["open-loop"]
+
+
+def test_recorded_rows_belong_to_an_agents_files(small, tmp_path, monkeypatch):
+    suite, agents = suites.load("small", small), tmp_path / "agents"
+    (agents / "open-loop").mkdir(parents=True)
+    weights = agents / "open-loop" / "weights"
+    weights.write_bytes(b"1")
+    monkeypatch.setattr("baselines.user_policies.AGENTS", agents)
+    recorded.save(suite, run_all(("open-loop",), suite.cells), versions(), tmp_path)
+    assert len(recorded.load(suite, tmp_path).runs) == 2
+    weights.write_bytes(b"2")
+    assert "have changed" in recorded.load(suite, tmp_path).refused["open-loop"]
+
+
+def test_a_slow_policy_is_compared_on_its_first_episodes(small, tmp_path):
+    suite = suites.load("small", small)
+    first = [Cell(cell.scenario, cell.episodes[:2]) for cell in suite.cells]
+    recorded.save(suite, run_all(("open-loop",), first), versions(), tmp_path)
+    few = recorded.load(suite, tmp_path).runs
+    assert [len(run.measures) for run in few] == [2, 2]
+    all_runs = run_all(("backstepping", "oracle"), suite.cells)
+    mixed, alike = compare([*all_runs, *few]), compare(run_all(("backstepping", "oracle", "open-loop"), first))
+    scores = [{r.run.scenario.name: r for r in rows if r.run.policy == "open-loop"} for rows in (mixed, alike)]
+    for name, result in scores[0].items():
+        assert result.score.mean == pytest.approx(scores[1][name].score.mean, rel=1e-5)
+        assert result.effort_ratio == pytest.approx(scores[1][name].effort_ratio, rel=1e-5)
+    pooled = [next(p for p in pool(rows) if p.policy == "open-loop") for rows in ([*all_runs, *few],)]
+    assert pooled[0].episodes == 2
 
 
 def test_the_recorded_oracle_is_that_of_the_frozen_suite():
     suite = suites.load("benchmark-v1")
-    runs = {run.scenario.name: run for run in recorded.load(suite) if run.policy == "oracle"}
+    runs = {run.scenario.name: run for run in recorded.load(suite).runs if run.policy == "oracle"}
     assert set(runs) == {cell.scenario.name for cell in suite.cells}
     for regime, largest in (("slow", 5e-4), ("cruise", 3e-3)):
         tails = [run.measures.tail for name, run in runs.items() if name.startswith(regime)]
         assert np.mean(np.concatenate(tails)) < largest
     cell = suite.cells[7]
-    again = run_all(("oracle",), [Cell(cell.scenario, cell.episodes[:20])], 1)[0]
+    again = run_all(("oracle",), [Cell(cell.scenario, cell.episodes[:20])])[0]
     np.testing.assert_allclose(again.measures.tail, runs[cell.scenario.name].measures.tail[:20], rtol=1e-3)
 
 
@@ -140,7 +175,9 @@ def test_request_of_a_frozen_suite(tmp_path):
         Request.of((), "benchmark-v1", (), None, 1, 1, tmp_path)
 
 
-@pytest.mark.parametrize("arguments", [["build", "nothing"], ["mend", "ood-v1"], ["record", "ood-v1"], []])
+@pytest.mark.parametrize(
+    "arguments", [["build", "nothing"], ["mend", "ood-v1"], ["record", "ood-v1", "--policy", "nobody"], []]
+)
 def test_mistakes_of_the_suites_command(arguments):
     with pytest.raises(UsageError):
         main(arguments)

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from baselines.command_line import DONE, FAILED
 from baselines.evaluation.files import write_atomically
 from baselines.evaluation.html import report_html
 from baselines.evaluation.paper import Reproduction, reproduce
-from baselines.evaluation.report import Result, compare, pool, results_csv, results_json
+from baselines.evaluation.progress import Listener, progress
+from baselines.evaluation.report import Result, compare, pool, recordings, results_csv, results_json
 from baselines.evaluation.request import Request
 from baselines.evaluation.rows import RowStore
 from baselines.evaluation.runner import Run, run_all
-from baselines.evaluation.score import Pooled
+from baselines.evaluation.score import ORACLE, Pooled
 from baselines.evaluation.tables import console, reproduction_tables, results_table, score_table
 
 ROWS = "rows"
@@ -28,11 +25,12 @@ ROWS = "rows"
 def evaluate(request: Request) -> int:
     """Run an evaluation, print its tables, write its files and return the exit status.
 
-    Progress goes to stderr: a bar on a terminal, else a line for each policy and scenario.
+    Progress goes to stderr: a live line on a terminal, else a line for each policy and scenario.
     """
     reproduction, store = None, RowStore(request.out / ROWS)
     try:
-        with _progress(request) as report:
+        runs_to_do, steps = len(request.policies) * len(request.cells), len(request.policies) * request.steps
+        with progress(runs_to_do, steps) as report:
             if request.suite == "paper":
                 reproduction = reproduce(report.message)
             runs = _run(request, store, report)
@@ -46,7 +44,7 @@ def evaluate(request: Request) -> int:
     return FAILED if any(run.error for run in runs) else DONE
 
 
-def _run(request: Request, store: RowStore, report: _Listener) -> list[Run]:
+def _run(request: Request, store: RowStore, report: Listener) -> list[Run]:
     """Return the runs of a request; each is kept in the store when it is complete."""
 
     def on_run(run: Run) -> None:
@@ -56,9 +54,9 @@ def _run(request: Request, store: RowStore, report: _Listener) -> list[Run]:
     live = run_all(
         request.policies,
         request.cells,
-        request.jobs,
+        request.workers,
         on_run,
-        report.episodes,
+        report.board.note,
         request.step_limit,
         store.load if request.resume else lambda _: None,
     )
@@ -85,9 +83,14 @@ def _print(request: Request, results: list[Result], scores: list[Pooled], reprod
     out, err = console(), Console(stderr=True, highlight=False, soft_wrap=True)
     for table in reproduction_tables(reproduction) if reproduction else []:
         out.print(table)
-    out.print(results_table(results, out))
+    shown = [r for r in results if r.run.recorded is None or r.run.policy == ORACLE]
+    out.print(results_table(shown, out))
     if any(entry.score for entry in scores):
         out.print(score_table(scores))
+    if (when := recordings(results)) and shown != results:
+        out.print(f"Recorded, not run now: {when}; case by case in report.html", soft_wrap=True)
+    elif when:
+        out.print(f"Recorded, not run now: {when}", soft_wrap=True)
     out.print(f"Wrote report.html, results.json, results.csv and plots to {request.out}", soft_wrap=True)
     notes: dict[str, list[str]] = {}
     for result in results:
@@ -99,36 +102,3 @@ def _print(request: Request, results: list[Result], scores: list[Pooled], reprod
     for result in results:
         if result.run.error:
             err.print(f"failed: {result.run.policy} in {result.run.scenario.name}, {result.run.error}", markup=False)
-
-
-@dataclass(frozen=True)
-class _Listener:
-    """Where progress is told."""
-
-    message: Callable[[str], None]
-    run: Callable[[Run], None]
-    episodes: Callable[[int], None]
-
-
-@contextmanager
-def _progress(request: Request) -> Iterator[_Listener]:
-    err = Console(stderr=True, highlight=False)
-    total = len(request.policies) * len(request.cells)
-    episodes = len(request.policies) * sum(len(cell.episodes) for cell in request.cells)
-    if not err.is_terminal:
-        done = iter(range(1, total + 1))
-
-        def line(run: Run) -> None:
-            state = "failed" if run.error else "done"
-            print(f"[{next(done)}/{total}] {run.policy} in {run.scenario.name}: {state}", file=sys.stderr, flush=True)
-
-        yield _Listener(lambda text: print(text, file=sys.stderr, flush=True), line, lambda _: None)
-        return
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=err, transient=True) as bar:
-        task = bar.add_task("episodes", total=episodes)
-        yield _Listener(
-            lambda text: bar.update(task, description=text),
-            lambda run: bar.update(task, description=f"{run.policy} in {run.scenario.name}"),
-            lambda n: bar.advance(task, n),
-        )

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import base64
-import math
 from collections.abc import Mapping, Sequence
 from html import escape
 from string import Template
-from typing import Any
 
 from baselines.evaluation.metrics import WORST
-from baselines.evaluation.report import Result, to_record, versions
+from baselines.evaluation.page import figure, number, page, table
+from baselines.evaluation.report import Result, recordings, to_record, versions
 from baselines.evaluation.request import Request
-from baselines.evaluation.score import LARGEST_TAIL, Pooled, Score
+from baselines.evaluation.score import LARGEST_TAIL, Pooled, interval_text, score_text
 
 CAPTIONS = {
     "score_by_case": "Scores in each scenario, 95 % intervals of a paired bootstrap over episodes.",
@@ -36,41 +34,18 @@ DEFINITIONS = {
     "saturated": "share of the steps with an actuator commanded to its limit.",
     "ms": "time of the policy for one decision of one vehicle, many vehicles side by side.",
 }
-PAGE = Template("""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>$title</title>
-<style>
-body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1240px; margin: 2em auto; padding: 0 1em; }
-h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; border-bottom: 1px solid #ddd; }
-table { border-collapse: collapse; font-size: 0.87em; font-variant-numeric: tabular-nums; }
-th, td { padding: 0.15em 0.7em; text-align: right; white-space: nowrap; }
-th { border-bottom: 2px solid #888; } td.name, th.name { text-align: left; }
-tr.first td { border-top: 1px solid #ccc; }
-.wide { overflow-x: auto; } img { max-width: 100%; } figure { margin: 1.5em 0; }
-figcaption, .note { color: #555; font-size: 0.9em; } code { background: #f3f3f3; padding: 0.1em 0.3em; }
-dt { font-weight: 600; } dd { margin: 0 0 0.5em 1.5em; } .failed { color: #b00; }
-</style>
-</head>
-<body>
-<h1>$title</h1>
-<p><code>$command</code></p>
+BODY = Template("""<p><code>$command</code></p>
 <p class="note">$setting</p>
 $scores
 $figures
 <h2>Every scenario</h2>
 <div class="wide">$results</div>
-<p class="note">* recorded earlier, not run now.</p>
+$recorded
 $notes
 <h2>Definitions</h2>
 <dl>$definitions</dl>
 <h2>Versions</h2>
-<p>$versions</p>
-</body>
-</html>
-""")
+<p>$versions</p>""")
 
 
 def report_html(
@@ -79,48 +54,19 @@ def report_html(
     """Return the text of report.html."""
     episodes = sum(len(cell.episodes) for cell in request.cells)
     setting = f"{len(request.cells)} scenarios, {episodes} episodes of each policy, hash {request.hash}"
-    return PAGE.substitute(
-        title=escape(f"Evaluation: {request.suite or 'scenarios'}"),
+    when = recordings(results)
+    body = BODY.substitute(
         command=escape(request.command),
         setting=escape(setting),
         scores=_scores(scores),
-        figures="\n".join(_figure(name, png) for name, png in figures.items()),
+        figures="\n".join(figure(CAPTIONS.get(name, name.replace("_", " ")), png) for name, png in figures.items()),
         results=_results(results),
+        recorded=f'<p class="note">* recorded, not run now: {escape(when)}</p>' if when else "",
         notes=_notes(results),
         definitions="".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in DEFINITIONS.items()),
         versions=escape(", ".join(f"{name} {version}" for name, version in versions().items())),
     )
-
-
-def _figure(name: str, png: bytes) -> str:
-    caption = CAPTIONS.get(name, name.replace("_", " "))
-    data = base64.b64encode(png).decode("ascii")
-    image = f'<img src="data:image/png;base64,{data}" alt="{escape(caption)}">'
-    return f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>"
-
-
-def _table(names: Sequence[str], rows: Sequence[tuple[bool, Sequence[str]]], left: int) -> str:
-    """Return a table; each row says whether a group begins with it; the first `left` columns are names."""
-
-    def line(cells: Sequence[str], tag: str, first: bool) -> str:
-        kinds = [' class="name"' if i < left else "" for i in range(len(cells))]
-        body = "".join(f"<{tag}{kind}>{escape(cell)}</{tag}>" for cell, kind in zip(cells, kinds, strict=True))
-        return f'<tr class="first">{body}</tr>' if first else f"<tr>{body}</tr>"
-
-    body = "\n".join(line(cells, "td", first) for first, cells in rows)
-    return f"<table>\n{line(names, 'th', False)}\n{body}\n</table>"
-
-
-def _number(value: Any, digits: int = 3) -> str:
-    return "-" if value is None or not math.isfinite(value) else f"{value:.{digits}g}"
-
-
-def _score(value: Score | None) -> tuple[str, str]:
-    """Return a score and its interval as text."""
-    if value is None or not math.isfinite(value.mean):
-        return "-", "-"
-    low, high = value.ci95
-    return f"{value.mean:.3f}", f"{low:.3f} ... {high:.3f}" if math.isfinite(low) else "-"
+    return page(f"Evaluation: {request.suite or 'scenarios'}", body)
 
 
 def _scores(scores: Sequence[Pooled]) -> str:
@@ -129,10 +75,10 @@ def _scores(scores: Sequence[Pooled]) -> str:
     names = ("regime", "policy", "episodes", "tail [m]", "score", "95 % interval", "capped", "lost")
     rows, previous = [], ""
     for s in scores:
-        cells = (*_score(s.score), _score(s.capped)[0], f"{100 * s.lost:.2f} %")
-        rows.append((s.regime != previous, (s.regime, s.policy, str(s.episodes), _number(s.tail_m), *cells)))
+        cells = (score_text(s.score), interval_text(s.score), score_text(s.capped), f"{100 * s.lost:.2f} %")
+        rows.append((s.regime != previous, (s.regime, s.policy, str(s.episodes), number(s.tail_m), *cells)))
         previous = s.regime
-    return f"<h2>Score</h2>\n<div class='wide'>{_table(names, rows, 2)}</div>"
+    return f"<h2>Score</h2>\n<div class='wide'>{table(names, rows, 2)}</div>"
 
 
 def _results(results: Sequence[Result]) -> str:
@@ -148,12 +94,12 @@ def _results(results: Sequence[Result]) -> str:
         if tail is None:
             rows.append((first, (previous, name, "failed", *("-",) * 10)))
             continue
-        low, high = (_number(end) for end in tail["ci95"])
-        cells = [_number(tail["mean"]), f"{low} ... {high}", _number(tail["p95"]), _number(tail["cvar95"])]
-        cells += [_score(result.score)[0], _number(r["settling_s"])]
-        cells += [_number(r["effort_ratio"]), _number(r["smoothness_ratio"]), f"{100 * r['saturation']:.1f} %"]
-        rows.append((first, (previous, name, *cells, f"{100 * r['lost']:.1f} %", _number(r["decision_ms"], 2))))
-    return _table(names, rows, 2)
+        low, high = (number(end) for end in tail["ci95"])
+        cells = [number(tail["mean"]), f"{low} ... {high}", number(tail["p95"]), number(tail["cvar95"])]
+        cells += [score_text(result.score), number(r["settling_s"])]
+        cells += [number(r["effort_ratio"]), number(r["smoothness_ratio"]), f"{100 * r['saturation']:.1f} %"]
+        rows.append((first, (previous, name, *cells, f"{100 * r['lost']:.1f} %", number(r["decision_ms"], 2))))
+    return table(names, rows, 2)
 
 
 def _notes(results: Sequence[Result]) -> str:

@@ -43,7 +43,8 @@ def _dot(policy: str, policies: Sequence[str]) -> dict[str, Any]:
 
 def marker(i: int) -> dict[str, Any]:
     """Return the look of the i-th policy's points."""
-    return {"marker": MARKERS[i % len(MARKERS)], "markersize": 5}
+    face = {"markerfacecolor": "white"} if i // len(MARKERS) % 2 else {}  # the second seven are hollow
+    return {"marker": MARKERS[i % len(MARKERS)], "markersize": 5, **face}
 
 
 def tail_error(results: Sequence[Result], policies: Sequence[str]) -> Figure:

@@ -21,7 +21,7 @@ from baselines.evaluation.metrics import Measures, Spread, Summary, ratio, summa
 from baselines.evaluation.paper import Reproduction
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import EXPERT, ORACLE, Pooled, Score, lost_share, pooled, regime_of, score
+from baselines.evaluation.score import EXPERT, ORACLE, Pooled, Score, lost_share, paired, pooled, regime_of, score
 
 
 @dataclass(frozen=True)
@@ -37,20 +37,20 @@ class Result:
 
 def compare(runs: Sequence[Run]) -> list[Result]:
     """Return a result for each run; ratios are nan where one of the two failed."""
-    summaries = [None if run.measures is None else summarise(run.measures) for run in runs]
-    expert = {run.scenario.name: s for run, s in zip(runs, summaries, strict=True) if run.policy == EXPERT}
-    measures = measures_of(runs)
-    results = []
-    for run, summary in zip(runs, summaries, strict=True):
-        base = expert.get(run.scenario.name)
-        known = summary is not None and base is not None
-        effort, smoothness = (
-            ratio(getattr(summary, name), getattr(base, name)) if known else math.nan
-            for name in ("effort", "smoothness")
-        )
+    measures, results = measures_of(runs), []
+    for run in runs:
         case = measures[run.scenario.name]
-        three = [case[name].tail for name in (EXPERT, run.policy, ORACLE) if name in case]
-        value = score(*([tail] for tail in three)) if len(three) == 3 else None
+        effort = smoothness = math.nan
+        value = None
+        if run.measures is not None and EXPERT in case:
+            own, expert = paired(run.measures, case[EXPERT])
+            effort, smoothness = (
+                ratio(float(np.mean(getattr(own, name))), float(np.mean(getattr(expert, name))))
+                for name in ("effort", "smoothness")
+            )
+            if ORACLE in case:
+                value = score(*([m.tail] for m in paired(case[EXPERT], run.measures, case[ORACLE])))
+        summary = None if run.measures is None else summarise(run.measures)
         results.append(Result(run, summary, effort, smoothness, value))
     return results
 
@@ -94,7 +94,7 @@ def to_record(result: Result) -> dict[str, Any]:
         "return_mean": s.return_mean if s else None,
         "seconds": run.seconds if s else None,
         "decision_ms": 1e3 * run.decision_seconds if s else None,
-        "recorded": run.recorded,
+        "recorded": asdict(run.recorded) if run.recorded else None,
         "error": run.error,
         "warnings": list(run.warnings),
     }
@@ -102,6 +102,16 @@ def to_record(result: Result) -> dict[str, Any]:
 
 def _spread(tail: Spread) -> dict[str, Any]:
     return {"mean": tail.mean, "ci95": list(tail.ci95), "p95": tail.p95, "cvar95": tail.cvar95}
+
+
+def recordings(results: Sequence[Result]) -> str:
+    """Return which rows were recorded, when and with what version, in words; "" if none was."""
+    found: dict[str, list[str]] = {}
+    for result in results:
+        if result.run.recorded is not None:
+            policies = found.setdefault(str(result.run.recorded), [])
+            policies += [result.run.policy] if result.run.policy not in policies else []
+    return "; ".join(f"{', '.join(policies)} ({when})" for when, policies in found.items())
 
 
 def versions() -> dict[str, str]:
@@ -139,7 +149,8 @@ def results_csv(results: Sequence[Result]) -> str:
         record = finite(to_record(result))
         flat = {**_flat("tail_rmse_m", record.pop("tail_rmse_m"), "mean", "p95", "cvar95")}
         flat |= _flat("score", record.pop("score"), "mean")
-        lines.append({**record, **flat, "warnings": " | ".join(record["warnings"])})
+        when = result.run.recorded
+        lines.append({**record, **flat, "recorded": when and when.date, "warnings": " | ".join(record["warnings"])})
     text = io.StringIO()
     writer = csv.DictWriter(text, fieldnames=list(lines[0]), lineterminator="\n")
     writer.writeheader()

@@ -23,12 +23,13 @@ from baselines.evaluation.runner import STEP_LIMIT, Cell, Run, drawn
 from baselines.evaluation.score import EXPERT, ORACLE
 from baselines.evaluation.suites import list_suites, load
 from baselines.user_policies import caution
+from baselines.workers import Workers, connect
 
 T = TypeVar("T")
 
 DRAWN: dict[str, tuple[str, ...]] = {"presets": tuple(PRESETS), "paper": ("paper-circle",)}
 """Scenarios of each suite whose episodes are drawn from the seed, by name; the others are frozen."""
-DEFAULT_SUITE, DEFAULT_EPISODES = "presets", 20
+DEFAULT_SUITE, DEFAULT_EPISODES = "benchmark-v1", 20
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Request:
     hash: str  # the same hash, the same task
     cells: tuple[Cell, ...]
     seed: int
-    jobs: int
+    workers: Workers
     out: Path
     step_limit: float = STEP_LIMIT  # [s] largest time of a decision
     resume: bool = False  # whether to use the runs that an interrupted evaluation has left in `out`
@@ -59,6 +60,7 @@ class Request:
         out: Path,
         step_limit: float = STEP_LIMIT,
         resume: bool = False,
+        cluster: str | None = None,
         command: str = "",
     ) -> Request:
         """Return the request of a command line's options; `out` exists and is writable then.
@@ -82,16 +84,27 @@ class Request:
                 names = (*names, ORACLE)
         else:
             cells, digest = _drawn(suite, scenarios, episodes, seed)
+        workers = _workers(jobs, cluster)
         checked_folder(out)
-        jobs = jobs or min(2, os.cpu_count() or 1)
-        return cls(
-            tuple(dict.fromkeys(names)), suite, digest, cells, seed, jobs, out, step_limit, resume, command, earlier
-        )
+        policies = tuple(dict.fromkeys(names))
+        return cls(policies, suite, digest, cells, seed, workers, out, step_limit, resume, command, earlier)
 
     @property
     def scenarios(self) -> tuple[Scenario, ...]:
         """The scenarios of the cells."""
         return tuple(cell.scenario for cell in self.cells)
+
+    @property
+    def steps(self) -> int:
+        """Control steps of each policy, over all episodes."""
+        return sum(len(cell.episodes) * cell.scenario.steps for cell in self.cells)
+
+
+def _workers(jobs: int | None, cluster: str | None) -> Workers:
+    if cluster is None:
+        return Workers(jobs or min(2, os.cpu_count() or 1))
+    processors = _checked(partial(connect, cluster))
+    return Workers(jobs or processors, on_cluster=True)
 
 
 def _frozen(
@@ -101,7 +114,11 @@ def _frozen(
     if seed:
         raise UsageError(f"--seed is {seed}; the episodes of suite {name} are frozen, so it must be 0 or left out")
     suite = _checked(partial(load, name))
-    runs = tuple(run for run in recorded.load(suite) if run.policy not in live)
+    found = recorded.load(suite)
+    for policy, reason in found.refused.items():
+        if policy not in live:
+            print(f"note: the recorded rows of {policy} are left out: {reason}", file=sys.stderr)
+    runs = tuple(run for run in found.runs if run.policy not in live)
     if episodes is None or all(episodes >= len(cell.episodes) for cell in suite.cells):
         return suite.cells, suite.hash, runs
     cells = tuple(Cell(cell.scenario, cell.episodes[:episodes]) for cell in suite.cells)
@@ -113,7 +130,7 @@ def _drawn(suite: str | None, names: Sequence[str], episodes: int | None, seed: 
     """Return what is to run, and its hash."""
     if suite is not None and suite not in DRAWN:
         raise UsageError(f"unknown suite {suite!r}; allowed are {', '.join((*DRAWN, *list_suites()))}")
-    scenarios = _distinct(_scenario(name) for name in names or DRAWN[suite or DEFAULT_SUITE])
+    scenarios = _distinct(_scenario(name) for name in names or DRAWN[suite or ""])
     count = DEFAULT_EPISODES if episodes is None else episodes
     record = {"scenarios": [s.to_dict() for s in scenarios], "episodes": count, "seed": seed}
     text = json.dumps(record, sort_keys=True, separators=(",", ":"), allow_nan=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
@@ -49,7 +49,13 @@ class Rollout:
     decision_seconds: float  # wall time of the policy for one vehicle and control step
 
 
-def rollout(policy: Policy, scenario: Scenario, episodes: Sequence[Episode], step_limit: float) -> Rollout:
+def rollout(
+    policy: Policy,
+    scenario: Scenario,
+    episodes: Sequence[Episode],
+    step_limit: float,
+    on_step: Callable[[int], None] = lambda _: None,
+) -> Rollout:
     """Return N episodes of a policy, side by side; each ends where the scenario ends it.
 
     Args:
@@ -57,6 +63,7 @@ def rollout(policy: Policy, scenario: Scenario, episodes: Sequence[Episode], ste
         scenario: what the episodes are of.
         episodes: what is to run.
         step_limit: largest time for a decision of one vehicle [s], on average since the start.
+        on_step: called after each control step with their number so far.
 
     Raises:
         PolicyError: the policy's actions are not N pairs of finite numbers, or it is too slow.
@@ -88,6 +95,7 @@ def rollout(policy: Policy, scenario: Scenario, episodes: Sequence[Episode], ste
         log.add(k, command, np.where(first, final, info["position_error"]), reward, terminated)
         if log.running[0] and not first[0]:
             log.rows.append(_row(env))
+        on_step(k + 1)
         if not log.running.any():
             break
     return Rollout(

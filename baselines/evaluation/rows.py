@@ -46,6 +46,7 @@ def _packed(run: Run) -> bytes:
     assert run.bands is not None
     record = {
         "policy": run.policy,
+        "fingerprint": run.fingerprint,
         "scenario": run.scenario.to_dict(),
         "cell_hash": run.cell_hash,
         "seconds": run.seconds,
@@ -73,4 +74,5 @@ def unpacked(content: bytes) -> Run:
             record["seconds"],
             record["decision_seconds"],
             warnings=tuple(record["warnings"]),
+            fingerprint=record["fingerprint"],
         )

@@ -6,13 +6,12 @@ import hashlib
 import itertools
 import json
 import math
+import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import Any
 
-import joblib
 import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
@@ -23,6 +22,8 @@ from auv_gym.scenario import Scenario
 from baselines import make_policy
 from baselines.evaluation.metrics import Measures, Track
 from baselines.evaluation.rollout import PolicyError, Rollout, rollout
+from baselines.user_policies import fingerprint
+from baselines.workers import Workers
 
 LANES = 512
 """Most episodes side by side. Fixed, so that no number depends on the number of workers."""
@@ -30,6 +31,9 @@ QUANTILES = (0.1, 0.5, 0.9)
 """Of the position error over episodes, at each control step."""
 STEP_LIMIT = 0.1
 """Default for the largest time of a decision [s]: a control period at cruise."""
+
+NOTE_INTERVAL = 0.5
+"""Seconds after which a task says again how far it is."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,17 @@ def drawn(scenario: Scenario, episodes: int, seed: int) -> Cell:
 
 
 @dataclass(frozen=True)
+class Recorded:
+    """When and with what the episodes of a run were run, if not now."""
+
+    date: str  # ISO 8601
+    versions: Mapping[str, str]
+
+    def __str__(self) -> str:
+        return f"{self.date}, auv_gym {self.versions['auv_gym']}"
+
+
+@dataclass(frozen=True)
 class Run:
     """The episodes of one policy in one cell; or the reason why there are none."""
 
@@ -65,17 +80,19 @@ class Run:
     decision_seconds: float = math.nan  # wall time of the policy for one vehicle and control step
     error: str | None = None
     warnings: tuple[str, ...] = ()
-    recorded: str | None = None  # the date, if the episodes ran at another time
+    recorded: Recorded | None = None  # None: the episodes ran now
+    fingerprint: str = ""  # of the policy's files, see `user_policies.fingerprint`
+    known: bool = False  # left by an evaluation that was interrupted
 
     @property
     def key(self) -> str:
-        """What tells it from other runs: a hash of policy, cell and version of the simulator."""
-        return run_key(self.policy, self.cell_hash)
+        """What tells it from other runs: a hash of policy, its files, cell and version of the simulator."""
+        return run_key(self.policy, self.fingerprint, self.cell_hash)
 
 
-def run_key(policy: str, cell_hash: str) -> str:
-    """Return the key of a policy's run in a cell of that hash."""
-    return hashlib.sha256(f"{policy} {cell_hash} {__version__}".encode()).hexdigest()[:20]
+def run_key(policy: str, digest: str, cell_hash: str) -> str:
+    """Return the key of the run, in a cell of that hash, of a policy whose files have that fingerprint."""
+    return hashlib.sha256(f"{policy} {digest} {cell_hash} {__version__}".encode()).hexdigest()[:20]
 
 
 @dataclass(frozen=True)
@@ -90,9 +107,9 @@ class Part:
 def run_all(
     policies: Sequence[str],
     cells: Sequence[Cell],
-    jobs: int,
+    workers: Workers = Workers(),  # noqa: B008, it is frozen
     on_run: Callable[[Run], None] = lambda _: None,
-    on_episodes: Callable[[int], None] = lambda _: None,
+    note: Callable[[str, int], None] = lambda *_: None,
     step_limit: float = STEP_LIMIT,
     known: Callable[[str], Run | None] = lambda _: None,
 ) -> list[Run]:
@@ -101,32 +118,34 @@ def run_all(
     Args:
         policies: their names, see `baselines.make_policy`.
         cells: what they run in.
-        jobs: worker processes; 1 runs in this one.
+        workers: where they run.
         on_run: called with each run when it is complete.
-        on_episodes: called with the number of episodes whenever some are through.
+        note: called, wherever a task runs, with its name and the control steps that its vehicles have done.
         step_limit: largest time of a decision [s].
         known: returns the run of a key if it is there already.
     """
+    prints = {policy: fingerprint(policy) for policy in policies}  # now: a file may change while its policy runs
     pairs = [(policy, cell) for cell in cells for policy in policies]
-    runs = {i: run for i, (policy, cell) in enumerate(pairs) if (run := known(run_key(policy, cell.hash))) is not None}
-    for run in runs.values():
-        on_episodes(len(run.measures or ()))
-        on_run(run)
+    runs: dict[int, Run] = {}
+    for i, (policy, cell) in enumerate(pairs):
+        if (run := known(run_key(policy, prints[policy], cell.hash))) is not None:
+            runs[i] = replace(run, known=True)
+            note(f"{i}-0", len(cell.episodes) * cell.scenario.steps)
+            on_run(runs[i])
     tasks = [
-        (i, j, policy, cell.scenario, chunk, step_limit)
+        (i, j, policy, cell.scenario, chunk, step_limit, note)
         for i, (policy, cell) in enumerate(pairs)
         if i not in runs
         for j, chunk in enumerate(_chunks(cell.episodes))
     ]
     parts: dict[int, dict[int, Part]] = {}
-    for i, j, part in _parallel(tasks, jobs):
+    for i, j, part in workers.results(_indexed, tasks):
         policy, cell = pairs[i]
         parts.setdefault(i, {})[j] = part
-        chunks = _chunks(cell.episodes)
-        on_episodes(len(chunks[j]))
-        if len(parts[i]) == len(chunks):
+        count = len(_chunks(cell.episodes))
+        if len(parts[i]) == count:
             done = parts.pop(i)
-            runs[i] = _joined(policy, cell, [done[j] for j in range(len(chunks))])
+            runs[i] = replace(_joined(policy, cell, [done[k] for k in range(count)]), fingerprint=prints[policy])
             on_run(runs[i])
     return [runs[i] for i in range(len(pairs))]
 
@@ -137,31 +156,41 @@ def _chunks(episodes: Sequence[Episode]) -> list[Sequence[Episode]]:
     return [episodes[a:b] for a, b in itertools.pairwise(bounds)]
 
 
-def _parallel(tasks: Sequence[tuple[Any, ...]], jobs: int) -> Iterator[tuple[int, int, Part]]:
-    """Yield the result of each task as it arrives. Workers get one thread each: they share the machine."""
-    jobs = min(jobs, len(tasks))
-    if jobs <= 1:
-        yield from (_indexed(*task) for task in tasks)
-        return
-    with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
-        yield from joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(
-            joblib.delayed(_indexed)(*task) for task in tasks
-        )
-
-
 def _indexed(
-    i: int, j: int, policy: str, scenario: Scenario, episodes: Sequence[Episode], step_limit: float
+    i: int,
+    j: int,
+    policy: str,
+    scenario: Scenario,
+    episodes: Sequence[Episode],
+    step_limit: float,
+    note: Callable[[str, int], None],
 ) -> tuple[int, int, Part]:
-    return i, j, run_task(policy, scenario, episodes, step_limit)
+    n, last = len(episodes), time.monotonic()
+
+    def on_step(k: int) -> None:
+        nonlocal last
+        if time.monotonic() - last > NOTE_INTERVAL:
+            note(f"{i}-{j}", n * k)
+            last = time.monotonic()
+
+    part = run_task(policy, scenario, episodes, step_limit, on_step)
+    note(f"{i}-{j}", n * scenario.steps)
+    return i, j, part
 
 
-def run_task(policy: str, scenario: Scenario, episodes: Sequence[Episode], step_limit: float = STEP_LIMIT) -> Part:
+def run_task(
+    policy: str,
+    scenario: Scenario,
+    episodes: Sequence[Episode],
+    step_limit: float = STEP_LIMIT,
+    on_step: Callable[[int], None] = lambda _: None,
+) -> Part:
     """Return some episodes of a policy. An exception of the policy ends them and becomes the `error`."""
     result, error = None, None
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            result = rollout(make_policy(policy), scenario, episodes, step_limit)
+            result = rollout(make_policy(policy), scenario, episodes, step_limit, on_step)
         except PolicyError as exception:
             error = str(exception)
         except Exception as exception:  # noqa: BLE001, whatever a policy raises costs it its row, not the others theirs

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -18,7 +19,6 @@ from baselines.evaluation.metrics import RESAMPLES, Array, Measures
 
 EXPERT, ORACLE = "backstepping", "oracle"
 """The policies that score 0 and 1."""
-"""Prefixes of scenario names; each regime has a score of its own."""
 LARGEST_TAIL: Mapping[str, float] = {"slow": 0.6, "cruise": 2.0}
 """Tail RMSE [m] from which an episode counts as lost; the capped score counts no more than that for it."""
 
@@ -29,6 +29,22 @@ class Score:
 
     mean: float
     ci95: tuple[float, float]
+
+
+def score_text(value: Score | None, digits: int = 3) -> str:
+    """Return a score as text, - if there is none."""
+    return _text(value.mean, digits) if value and math.isfinite(value.mean) else "-"
+
+
+def interval_text(value: Score | None, digits: int = 3) -> str:
+    """Return the interval of a score as text, - if there is none."""
+    known = value is not None and math.isfinite(value.ci95[0])
+    return " ... ".join(_text(end, digits) for end in value.ci95) if value and known else "-"
+
+
+def _text(value: float, digits: int) -> str:
+    digits = digits if abs(value) < 100 else 0
+    return f"{round(value, digits) + 0.0:.{digits}f}"  # no minus before a zero
 
 
 @dataclass(frozen=True)
@@ -42,6 +58,12 @@ class Pooled:
     score: Score | None  # None: expert or oracle are missing
     capped: Score | None  # with every tail RMSE at most `LARGEST_TAIL`
     lost: float  # share of the episodes, see `lost_share`
+
+
+def paired(*measures: Measures) -> list[Measures]:
+    """Return the measures of the episodes that all policies have run: the first ones, where one has run fewer."""
+    shortest = min(map(len, measures))
+    return [m if len(m) == shortest else m[:shortest] for m in measures]
 
 
 def regime_of(scenario: str) -> str | None:
@@ -66,13 +88,11 @@ def score(expert: Sequence[Array], policy: Sequence[Array], oracle: Sequence[Arr
 
     The interval is that of a bootstrap over episodes, the same ones for all three policies, within each case.
     """
-    rng = np.random.default_rng(0)
-    sums = np.zeros((RESAMPLES + 1, 3))  # the first row: every episode once
-    for errors in zip(expert, policy, oracle, strict=True):
-        table = np.stack(errors, axis=1)
-        n = len(table)
-        counts = rng.multinomial(n, np.full(n, 1 / n), RESAMPLES).astype(np.float64)
-        sums += np.vstack((np.ones((1, n)), counts)) @ table
+    sums = np.zeros((RESAMPLES + 1, 3))
+    for weights, errors in zip(
+        _weights(tuple(map(len, expert))), zip(expert, policy, oracle, strict=True), strict=True
+    ):
+        sums += weights @ np.stack(errors, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         values = (sums[:, 0] - sums[:, 1]) / (sums[:, 0] - sums[:, 2])
     if not sums[0, 0] > sums[0, 2]:
@@ -81,6 +101,14 @@ def score(expert: Sequence[Array], policy: Sequence[Array], oracle: Sequence[Arr
         return Score(float(values[0]), (math.nan, math.nan))
     low, high = np.quantile(values[1:], (0.025, 0.975)).tolist()
     return Score(float(values[0]), (low, high))
+
+
+@lru_cache(maxsize=4)
+def _weights(lengths: tuple[int, ...]) -> list[Array]:
+    """Return how often each episode of each case counts: a first row of ones, then one for each bootstrap sample."""
+    rng = np.random.default_rng(0)
+    counts = (rng.multinomial(n, np.full(n, 1 / n), RESAMPLES) for n in lengths)
+    return [np.vstack((np.ones((1, n)), count)) for n, count in zip(lengths, counts, strict=True)]
 
 
 def pooled(policy: str, regime: str, measures: Mapping[str, Mapping[str, Measures]]) -> Pooled | None:
@@ -97,9 +125,9 @@ def pooled(policy: str, regime: str, measures: Mapping[str, Mapping[str, Measure
     own = [case[policy] for case in cases]
     plain = cut = None
     if all(name in case for name in (EXPERT, ORACLE) for case in cases):
-        three = (EXPERT, policy, ORACLE)
-        plain = score(*([case[name].tail for case in cases] for name in three))
-        cut = score(*([capped(case[name], regime) for case in cases] for name in three))
+        three = [paired(case[EXPERT], case[policy], case[ORACLE]) for case in cases]
+        plain = score(*([m.tail for m in column] for column in zip(*three, strict=True)))
+        cut = score(*([capped(m, regime) for m in column] for column in zip(*three, strict=True)))
     return Pooled(
         policy,
         regime,

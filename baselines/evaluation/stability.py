@@ -86,14 +86,28 @@ def linearise(
         step: half width of the differences, in SI units.
     """
     path = Circle(speed, turn_rate) if turn_rate else Line(speed)
-    u_R, v_R, r_R, F_uR, F_rR = plan(path, vehicle, np.array([0.0, 1.0])).table[0, 3:].tolist()
+    return linearise_about(vehicle, feedback, plan(path, vehicle, np.array([0.0, 1.0])).table[0, 3:].tolist(), step)
+
+
+def linearise_about(
+    vehicle: Vehicle, feedback: Feedback, reference: Sequence[float], step: float = STEP
+) -> Linearisation:
+    """Return the loop linearised about an instant of any reference, steady or not: what the reference does cancels.
+
+    Args:
+        vehicle: the vehicle, known exactly.
+        feedback: the forces.
+        reference: u_R, v_R [m/s], r_R [rad/s], F_uR [N], F_rR [N m].
+        step: half width of the differences, in SI units.
+    """
+    u_R, v_R, r_R, F_uR, F_rR = reference
 
     def forces(e: Array) -> Array:
         steady = (np.full(e.shape[1], value) for value in (u_R, v_R, r_R, F_uR, F_rR))
         return np.stack(feedback((*e, *steady)))
 
     def error_rates(e: Array, f: Array) -> Array:
-        """The autonomous error system in the body frame, for errors (6, N) and forces (2, N)."""
+        """The autonomous error system in the body frame, for errors (6, N) and forces (2, N), but for a constant."""
         e_x, e_y, psi_e, u_e, v_e, r_e = e
         u, v, r = u_R + u_e, v_R + v_e, r_R + r_e
         _, _, u_dot, v_dot, r_dot = rates(psi_e, u, v, r, (f[0], 0.0, f[1]), vehicle.coefficients, np)
@@ -116,8 +130,19 @@ def linearise_policy(vehicle: Vehicle, policy: Policy, speed: float, turn_rate: 
     Raises:
         ValueError: the policy has a memory, which this linearisation does not describe.
     """
+    feedback, step = feedback_of(policy, dt)
+    return linearise(vehicle, feedback, speed, turn_rate, step)
+
+
+def feedback_of(policy: Policy, dt: float) -> tuple[Feedback, float]:
+    """Return the forces of a policy without memory, and the half width of differences that suits its precision.
+
+    Args:
+        policy: the policy; the forces raise ValueError where it has a memory.
+        dt: control period that it is told [s].
+    """
     if isinstance(policy, Backstepping):  # in double precision
-        return linearise(vehicle, lambda o: policy.forces(o, ARRAYS), speed, turn_rate)
+        return lambda o: policy.forces(o, ARRAYS), STEP
 
     def feedback(o: Sequence[Array]) -> Force:
         n = len(o[0])
@@ -129,7 +154,7 @@ def linearise_policy(vehicle: Vehicle, policy: Policy, speed: float, turn_rate: 
         F_u, F_r = LIMITS * np.asarray(actions, dtype=np.float64).T
         return F_u, F_r
 
-    return linearise(vehicle, feedback, speed, turn_rate, COARSE_STEP)
+    return feedback, COARSE_STEP
 
 
 def closed_loop_eigenvalues(

@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
-from rich.table import Table
 
 from auv_gym.actuators import Actuators
 from auv_gym.presets import PAPER_SCENARIO
@@ -19,36 +17,35 @@ from auv_gym.scenario import Start
 from auv_gym.vehicle import PAPER_VEHICLE
 from baselines import make_policy
 from baselines.command_line import DONE, FAILED
+from baselines.evaluation.certificate import BOXES, MISSING, certificates, installed
 from baselines.evaluation.files import json_text, write_atomically
 from baselines.evaluation.rollout import PolicyError, rollout
 from baselines.evaluation.runner import drawn
-from baselines.evaluation.stability import LONGEST_PERIOD, linearise_policy
-from baselines.evaluation.style import panels, styled, to_png
-from baselines.evaluation.tables import LOOK, console
+from baselines.evaluation.stability import linearise_policy
+from baselines.evaluation.stability_tables import (
+    DISTANCE,
+    Stability,
+    sheets,
+    stability_html,
+    stability_map,
+    terminal_table,
+)
+from baselines.evaluation.style import styled, to_png
+from baselines.evaluation.tables import console
 
 SPEEDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.75, 1.0, 1.5, 2.0)
 """Path speeds [m/s] of the map ..."""
 TURN_RATES = (0.0, 0.1, 0.2, 0.3)
 """... and turn rates [rad/s]."""
+CERTIFIED_SPEEDS = (0.1, 0.3, 1.0, 2.0)
+"""Path speeds [m/s] of the certificates."""
 LIMITS: dict[str, tuple[float, float]] = {"without limits": (8192.0, 4096.0), "250 N, 120 N m": (250.0, 120.0)}
 """Limits of the actuators [N], [N m] that success is sampled with; none means the largest that can be set."""
-STARTS, DISTANCE = 200, 5.0
-"""Number of random starts, and their largest offset on each axis [m]; any heading."""
+STARTS = 200
+"""Number of random starts."""
 SETTLED = 0.05
 """Position error [m] below which a start has converged after `STEPS`."""
 STEPS = 2000
-
-
-@dataclass(frozen=True)
-class Stability:
-    """What is known of a policy's local stability and of its region of attraction."""
-
-    policy: str
-    speeds: tuple[float, ...]  # [m/s]
-    turn_rates: tuple[float, ...]  # [rad/s]
-    abscissa: list[list[float]]  # [1/s] largest real part, a row for each speed
-    largest_period: list[list[float]]  # [s] the same; 0 where the continuous loop is unstable
-    success: dict[str, float]  # share of the starts that converge on the paper's circle, by limits
 
 
 def examine(name: str) -> Stability:
@@ -58,13 +55,9 @@ def examine(name: str) -> Stability:
         ValueError: the policy has a memory.
         PolicyError: it gives no usable actions.
     """
-    policy = make_policy(name)
+    policy, dt = make_policy(name), PAPER_SCENARIO.control_dt
     loops = [
-        [
-            linearise_policy(PAPER_VEHICLE, policy, speed, turn_rate, PAPER_SCENARIO.control_dt)
-            for turn_rate in TURN_RATES
-        ]
-        for speed in SPEEDS
+        [linearise_policy(PAPER_VEHICLE, policy, speed, turn_rate, dt) for turn_rate in TURN_RATES] for speed in SPEEDS
     ]
     return Stability(
         name,
@@ -72,7 +65,9 @@ def examine(name: str) -> Stability:
         TURN_RATES,
         [[float(loop.eigenvalues[0].real) for loop in row] for row in loops],
         [[loop.largest_period() for loop in row] for row in loops],
+        STARTS,
         {label: success(policy, limits, STARTS) for label, limits in LIMITS.items()},
+        certificates(PAPER_VEHICLE, policy, CERTIFIED_SPEEDS, BOXES, dt) if installed() else None,
     )
 
 
@@ -94,64 +89,25 @@ def success(policy: Policy, limits: tuple[float, float], starts: int) -> float:
     return float(np.mean(result.errors[-1] < SETTLED))
 
 
-def report(names: Sequence[str], out: Path) -> int:
-    """Examine policies, print what is found, write stability.json and stability.png, and return the exit status."""
+def report(names: Sequence[str], out: Path, command: str) -> int:
+    """Examine policies, print what is found, write stability.json, .png and .html, and return the exit status."""
     found, screen = [], console()
+    if not installed():
+        print(f"note: {MISSING}", file=sys.stderr)
     for name in names:
         try:
             found.append(examine(name))
         except (ValueError, RuntimeError, PolicyError) as error:
             print(f"{name}: {error}", file=sys.stderr)
             continue
-        for table in _tables(found[-1]):
-            screen.print(table)
+        for sheet in sheets(found[-1]):
+            screen.print(terminal_table(sheet))
     if not found:
         return FAILED
-    write_atomically(out / "stability.json", json_text([asdict(s) for s in found]))
     with styled():
-        write_atomically(out / "stability.png", to_png(stability_map(found)))
-    screen.print(f"Wrote stability.json and stability.png to {out}", soft_wrap=True)
+        png = to_png(stability_map(found))
+    write_atomically(out / "stability.json", json_text([asdict(s) for s in found]))
+    write_atomically(out / "stability.png", png)
+    write_atomically(out / "stability.html", stability_html(found, png, command))
+    screen.print(f"Wrote stability.html, stability.json and stability.png to {out}", soft_wrap=True)
     return DONE if len(found) == len(names) else FAILED
-
-
-def _tables(s: Stability) -> list[Table]:
-    maps = (
-        (f"{s.policy}: largest real part \\[1/s]", s.abscissa, "{:+.3f}".format),
-        ("Largest control period with a hold \\[s]", s.largest_period, _period),
-    )
-    tables = []
-    for title, rows, text in maps:
-        table = Table(title=title, **LOOK)
-        for heading in ("speed \\[m/s]", *(f"{turn_rate:g} rad/s" for turn_rate in s.turn_rates)):
-            table.add_column(heading, justify="right")
-        for speed, row in zip(s.speeds, rows, strict=True):
-            table.add_row(f"{speed:g}", *(text(value) for value in row))
-        tables.append(table)
-    starts = Table(title=f"Converged, of {STARTS} starts at 0.1 m/s", caption=f"up to {DISTANCE:g} m off", **LOOK)
-    for label in s.success:
-        starts.add_column(label, justify="right")
-    starts.add_row(*(f"{100 * share:.0f} %" for share in s.success.values()))
-    return [*tables, starts]
-
-
-def _period(value: float) -> str:
-    return "unstable" if value == 0 else f"> {LONGEST_PERIOD:g}" if math.isinf(value) else f"{value:.2f}"
-
-
-def stability_map(found: Sequence[Stability]) -> Figure:
-    """Return the largest real part over speed and turn rate, a panel for each policy; unstable is red."""
-    figure, axes = panels(1, len(found), (1.2 + 3.2 * len(found), 3.4), sharey=True)
-    for ax, s in zip(axes[0], found, strict=True):
-        values = np.array(s.abscissa).T
-        image = ax.imshow(values, origin="lower", aspect="auto", cmap="RdBu_r", vmin=-0.4, vmax=0.4)
-        for (i, j), value in np.ndenumerate(values):
-            colour = "white" if abs(value) > 0.28 else "black"
-            ax.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=7, color=colour)
-        ax.set_xticks(range(len(s.speeds)), [f"{speed:g}" for speed in s.speeds])
-        ax.set_yticks(range(len(s.turn_rates)), [f"{turn_rate:g}" for turn_rate in s.turn_rates])
-        ax.grid(visible=False)
-        ax.set_title(s.policy)
-    axes[0][0].set_ylabel("turn rate [rad/s]")
-    figure.supxlabel("path speed [m/s]", fontsize=9)
-    figure.colorbar(image, ax=axes[0], label="largest real part [1/s]")
-    return figure

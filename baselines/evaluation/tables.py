@@ -13,7 +13,7 @@ from rich.table import Table
 
 from baselines.evaluation.paper import Reproduction, Row
 from baselines.evaluation.report import Result
-from baselines.evaluation.score import LARGEST_TAIL, Pooled, Score, lost_share, regime_of
+from baselines.evaluation.score import LARGEST_TAIL, Pooled, interval_text, lost_share, regime_of, score_text
 
 WIDTH = 200
 """Columns of a table that does not go to a terminal."""
@@ -71,7 +71,7 @@ def _cells(result: Result) -> dict[str, str]:
         "95 % interval": interval,
         "p95 [m]": f"{tail.p95:.3g}" if tail else "-",
         "worst 5 %": f"{tail.cvar95:.3g}" if tail else "-",
-        "score": _score(result.score),
+        "score": score_text(result.score),
         "settled": f"{s.settling_s:.3g}" if s else "-",
         "effort": effort,
         "smoothness": smoothness,
@@ -79,14 +79,6 @@ def _cells(result: Result) -> dict[str, str]:
         "lost": f"{round(lost_share(m, regime_of(run.scenario.name)) * len(m))} of {len(m)}" if m else "-",
         "ms": f"{1e3 * run.decision_seconds:.2g}" if s else "-",
     }
-
-
-def _score(value: Score | None) -> str:
-    return f"{value.mean:.3f}" if value and math.isfinite(value.mean) else "-"
-
-
-def _interval(value: Score | None) -> str:
-    return "{:.3f} ... {:.3f}".format(*value.ci95) if value and math.isfinite(value.ci95[0]) else "-"
 
 
 def score_table(scores: Sequence[Pooled]) -> Table:
@@ -102,7 +94,7 @@ def score_table(scores: Sequence[Pooled]) -> Table:
     for name in ("episodes", "tail [m]", "score", "95 % interval", "capped", "lost"):
         table.add_column(escape(name), justify="right", no_wrap=True)
     for entry in scores:
-        cells = (f"{entry.tail_m:.4f}", _score(entry.score), _interval(entry.score), _score(entry.capped))
+        cells = (f"{entry.tail_m:.4f}", score_text(entry.score), interval_text(entry.score), score_text(entry.capped))
         table.add_row(entry.regime, entry.policy, str(entry.episodes), *cells, f"{100 * entry.lost:.2f} %")
     return table
 

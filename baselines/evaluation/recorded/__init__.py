@@ -1,78 +1,111 @@
 """What policies did in the frozen suites when they were last run: rows to compare with, without waiting for slow ones.
 
-One file for each suite, NAME.npz, made by `python -m baselines.evaluation.suites record NAME --policy P ...`. It counts
-only for the suite of the hash that it names.
+A file SUITE/POLICY.npz each, made by `python -m baselines.evaluation.suites record SUITE --policy POLICY ...`. It names
+the suite's hash and the fingerprint of the policy's files; where one of them is another now, its rows do not count. A
+slow policy may have run the first episodes of each cell only.
 """
 
 from __future__ import annotations
 
 import io
 import json
+import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from baselines import list_policies
 from baselines.evaluation.files import write_atomically
 from baselines.evaluation.metrics import Measures
-from baselines.evaluation.runner import Run
+from baselines.evaluation.runner import Recorded, Run
 from baselines.evaluation.suites import Suite
+from baselines.user_policies import fingerprint
 
 FOLDER = Path(__file__).parent
 
 
-def load(suite: Suite, folder: Path = FOLDER) -> list[Run]:
-    """Return the recorded runs of a suite, policy by policy and cell by cell; none if they are of another hash."""
-    record, arrays = _read(folder / f"{suite.name}.npz", suite.hash)
-    bounds = np.cumsum([0, *(len(cell.episodes) for cell in suite.cells)]).tolist()
-    runs = []
-    for policy, entry in record["policies"].items():
-        for i, cell in enumerate(suite.cells):
-            rows = arrays[policy][:, bounds[i] : bounds[i + 1]].astype(np.float64)
-            values: list[Any] = [*rows[:-1], rows[-1] > 0]
-            measures = Measures(*values)
-            seconds, decision = entry["seconds"][i], entry["decision_seconds"][i]
-            run = Run(policy, cell.scenario, cell.hash, measures, seconds=seconds, decision_seconds=decision)
-            runs.append(replace(run, recorded=entry["date"]))
+@dataclass(frozen=True)
+class Found:
+    """The recorded rows of a suite."""
+
+    runs: tuple[Run, ...]  # policy by policy in the order of the registry, cell by cell
+    refused: dict[str, str]  # why the rows of a policy do not count, by its name
+
+
+def load(suite: Suite, folder: Path = FOLDER) -> Found:
+    """Return the recorded runs of a suite."""
+    runs: list[Run] = []
+    refused: dict[str, str] = {}
+    files = {file.stem: file for file in (folder / suite.name).glob("*.npz")}
+    order = list(list_policies())
+    for policy in sorted(files, key=lambda name: (order.index(name) if name in order else len(order), name)):
+        try:
+            record, rows = _read(files[policy])
+            if (reason := _reason(record, suite)) is None:
+                runs += _runs(record, rows, suite)
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            reason = f"cannot be read: {error}"
+        if reason is not None:
+            refused[policy] = reason
+    return Found(tuple(runs), refused)
+
+
+def _reason(record: Mapping[str, Any], suite: Suite) -> str | None:
+    """Return why a record does not count, if so."""
+    if record["suite_hash"] != suite.hash:
+        return f"another {suite.name}, of hash {record['suite_hash'][:12]}"
+    if record["fingerprint"] != fingerprint(record["policy"]):
+        return "the policy's files have changed since"
+    return None
+
+
+def _read(file: Path) -> tuple[dict[str, Any], NDArray[np.float32]]:
+    with np.load(file, allow_pickle=False) as arrays:
+        return json.loads(str(arrays["record"])), arrays["measures"]
+
+
+def _runs(record: Mapping[str, Any], rows: NDArray[np.float32], suite: Suite) -> list[Run]:
+    bounds = np.cumsum([0, *record["episodes"]]).tolist()
+    when, runs = Recorded(record["date"], record["versions"]), []
+    for i, cell in enumerate(suite.cells):
+        *values, lost = rows[:, bounds[i] : bounds[i + 1]].astype(np.float64)
+        measures: Any = (*values, lost > 0)
+        run = Run(record["policy"], cell.scenario, cell.hash, Measures(*measures), recorded=when)
+        times = {name: record[name][i] for name in ("seconds", "decision_seconds")}
+        runs.append(replace(run, fingerprint=record["fingerprint"], **times))
     return runs
 
 
 def save(suite: Suite, runs: Sequence[Run], versions: Mapping[str, str], folder: Path = FOLDER) -> None:
-    """Add the runs of policies in all cells of a suite to its file, in place of what is there of the same policies.
+    """Write the file of one policy's runs, one in each cell of a suite.
 
     Raises:
         ValueError: a run failed, or is missing.
     """
-    file = folder / f"{suite.name}.npz"
-    record, arrays = _read(file, suite.hash)
-    for policy in dict.fromkeys(run.policy for run in runs):
-        own = {run.cell_hash: run for run in runs if run.policy == policy and run.measures is not None}
-        if missing := [cell.scenario.name for cell in suite.cells if cell.hash not in own]:
-            raise ValueError(f"{policy} has no result in {', '.join(missing)}")
-        ordered = [own[cell.hash] for cell in suite.cells]
-        measures = Measures.joined([run.measures for run in ordered if run.measures is not None])
-        arrays[policy] = np.stack([getattr(measures, f.name) for f in fields(Measures)]).astype(np.float32)
-        record["policies"][policy] = {
-            "date": datetime.now(timezone.utc).date().isoformat(),
-            "versions": dict(versions),
-            "seconds": [run.seconds for run in ordered],
-            "decision_seconds": [run.decision_seconds for run in ordered],
-        }
+    policy, own = runs[0].policy, {run.scenario.name: run for run in runs if run.measures is not None}
+    if missing := [cell.scenario.name for cell in suite.cells if cell.scenario.name not in own]:
+        raise ValueError(f"{policy} has no result in {', '.join(missing)}")
+    ordered = [own[cell.scenario.name] for cell in suite.cells]
+    parts = [run.measures for run in ordered if run.measures is not None]
+    measures = Measures.joined(parts)
+    record = {
+        "suite": suite.name,
+        "suite_hash": suite.hash,
+        "policy": policy,
+        "fingerprint": runs[0].fingerprint,
+        "date": datetime.now(timezone.utc).date().isoformat(),
+        "versions": dict(versions),
+        "episodes": [len(part) for part in parts],
+        "seconds": [run.seconds for run in ordered],
+        "decision_seconds": [run.decision_seconds for run in ordered],
+    }
+    rows = np.stack([getattr(measures, f.name) for f in fields(Measures)]).astype(np.float32)
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, **{"": np.array(json.dumps(record)), **arrays})
-    write_atomically(file, buffer.getvalue())
-
-
-def _read(file: Path, suite_hash: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the record and the arrays of a file, empty if there is none for this hash."""
-    empty: dict[str, Any] = {"suite_hash": suite_hash, "policies": {}}
-    if not file.exists():
-        return empty, {}
-    with np.load(file, allow_pickle=False) as arrays:
-        record: dict[str, Any] = json.loads(str(arrays[""]))
-        if record["suite_hash"] != suite_hash:
-            return empty, {}
-        return record, {policy: arrays[policy] for policy in record["policies"]}
+    np.savez_compressed(buffer, record=np.array(json.dumps(record)), measures=rows)
+    (folder / suite.name).mkdir(parents=True, exist_ok=True)
+    write_atomically(folder / suite.name / f"{policy}.npz", buffer.getvalue())

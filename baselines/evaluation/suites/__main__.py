@@ -9,11 +9,14 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from baselines import list_policies
 from baselines.command_line import DONE, FAILED, UsageError, parse, run
 from baselines.evaluation import recorded, suites
+from baselines.evaluation.progress import progress
 from baselines.evaluation.report import versions
-from baselines.evaluation.runner import run_all
+from baselines.evaluation.runner import STEP_LIMIT, Cell, run_all
 from baselines.evaluation.suites.builder import SUITES, build
+from baselines.workers import Workers
 
 PROGRAM = "python -m baselines.evaluation.suites"
 
@@ -30,9 +33,13 @@ class Options:
     name: Annotated[Positional[str], arg(metavar="NAME")]
     """The suite."""
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
-    """Policies to record."""
-    jobs: int = 2
-    """Worker processes."""
+    """Policies to record; without any, all that have a name."""
+    episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
+    """Record the first episodes of each cell only, for a policy that is too slow for all."""
+    step_limit: float = STEP_LIMIT
+    """Seconds that a policy may take for a decision, on average; a slower one fails."""
+    jobs: int = 1
+    """Worker processes. With one the time per decision is that of an idle processor."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -50,7 +57,7 @@ def main(arguments: Sequence[str]) -> int:
     try:
         suite = suites.load(options.name)
         if options.action == "record":
-            return _record(suite, options.policy, options.jobs)
+            return _record(suite, options)
         for cell, recorded in zip(suite.cells, suite.digests, strict=True):
             suites.check_cell(cell, recorded)
     except suites.SuiteError as error:
@@ -61,16 +68,27 @@ def main(arguments: Sequence[str]) -> int:
     return DONE
 
 
-def _record(suite: suites.Suite, policies: Sequence[str], jobs: int) -> int:
-    if not policies:
-        raise UsageError("--policy is missing; name the policies to record")
-    runs = run_all(policies, suite.cells, jobs, lambda run: print(run.policy, run.scenario.name, flush=True))
-    try:
-        recorded.save(suite, runs, versions())
-    except ValueError as error:
-        print(f"{PROGRAM}: {error}", file=sys.stderr)
-        return FAILED
-    return DONE
+def _record(suite: suites.Suite, options: Options) -> int:
+    """Record policy by policy, so that an interruption costs one of them."""
+    policies = options.policy or tuple(list_policies())
+    if unknown := [policy for policy in policies if policy not in list_policies()]:
+        raise UsageError(f"{unknown[0]!r} is not the name of a policy; allowed are {', '.join(list_policies())}")
+    if options.episodes is not None and options.episodes < 1:
+        raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more")
+    cells = tuple(Cell(cell.scenario, cell.episodes[: options.episodes]) for cell in suite.cells)
+    failed = False
+    for policy in policies:
+        steps = sum(len(cell.episodes) * cell.scenario.steps for cell in cells)
+        with progress(len(cells), steps) as report:
+            note = report.board.note
+            runs = run_all((policy,), cells, Workers(options.jobs), report.run, note, options.step_limit)
+        try:
+            recorded.save(suite, runs, versions())
+        except ValueError as error:
+            reasons = dict.fromkeys(run.error for run in runs if run.error)
+            print(f"{PROGRAM}: {error}: {'; '.join(map(str, reasons))}", file=sys.stderr)
+            failed = True
+    return FAILED if failed else DONE
 
 
 if __name__ == "__main__":

@@ -1,0 +1,45 @@
+"""How far an evaluation is: the board that tasks write on, and the time that is left."""
+
+import time
+
+from auv_gym.presets import PRESETS
+from baselines.evaluation.progress import INTERVAL, Board, Clock, progress
+from baselines.evaluation.runner import drawn, run_all
+from baselines.workers import Workers
+
+
+def test_board(tmp_path):
+    board = Board(tmp_path)
+    board.note("0-0", 5)
+    board.note("0-1", 7)
+    board.note("0-0", 6)
+    (tmp_path / "0-2").write_text("")  # just being written
+    assert board.total() == 13
+    Board(tmp_path / "elsewhere").note("0-0", 1)
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_time_that_is_left():
+    now = [0.0]
+    clock = Clock(1000, lambda: now[0])
+    assert clock.left(0) == ""
+    now[0] = 30.0
+    assert clock.left(500) == ", 30 s left"
+    assert clock.left(50) == ", 10 min left"
+    assert clock.left(1000) == ""
+    clock.skip(400)  # left by an earlier evaluation, so 100 steps took the 30 s
+    assert clock.left(500) == ", 150 s left".replace("150 s", "2 min")
+
+
+def test_workers_write_on_the_board(capsys):
+    cells = [drawn(PRESETS["slow-calm"], 3, 0)]
+    steps = 2 * 3 * PRESETS["slow-calm"].steps
+    with progress(2, steps) as report:
+        run_all(("backstepping", "open-loop"), cells, Workers(2), report.run, report.board.note)
+        assert report.board.total() == steps
+        time.sleep(2 * INTERVAL)  # let the watcher look
+    lines = capsys.readouterr().err.splitlines()
+    assert sorted(line.split("] ")[1].split(",")[0] for line in lines) == [
+        "backstepping in slow-calm: done",
+        "open-loop in slow-calm: done",
+    ]

@@ -1,0 +1,107 @@
+"""The results page: what the recorded rows say, in the repository and in the README; the oracle is the best."""
+
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from baselines import list_policies
+from baselines.evaluation import collection, results, results_page
+from baselines.evaluation.collection import SUITES, TOLERANCE, Results, better_than_oracle, collected
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def found():
+    return {name: collected(name) for name in SUITES}
+
+
+@pytest.fixture(scope="module")
+def benchmark(found):
+    return found["benchmark-v1"][0]
+
+
+def test_the_page_is_what_the_rows_say(found):
+    whole = [entry for entry, _ in found.values() if entry is not None]
+    missing = [name for name, (entry, _) in found.items() if entry is None]
+    text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    assert text == results_page.page(whole, missing), "run `make results`"
+    assert {name: refused for name, (_, refused) in found.items() if refused} == {}
+    for image in re.findall(r"\]\((images/.+?)\)", text):
+        assert (ROOT / "docs" / image).stat().st_size > 1e4
+
+
+def test_every_policy_is_there(benchmark):
+    assert benchmark.policies == list(list_policies())
+    assert {run.recorded.versions["auv_gym"] for run in benchmark.runs} == {"0.1.0"}
+
+
+def test_the_oracle_is_the_best_of_all(found):
+    for entry in (entry for entry, _ in found.values() if entry is not None):
+        worst = max((gain for *_, gain in better_than_oracle(entry)), default=0.0)
+        assert worst < TOLERANCE
+
+
+def test_the_readme_shows_the_same(benchmark):
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\S+)` \| (-?[\d.]+ \(.*?%) \| (-?[\d.]+ \(.*?%) \|$", readme, re.MULTILINE)
+    assert len(rows) >= 7
+    for policy, *shown in rows:
+        for regime, text in zip(("slow", "cruise"), shown, strict=True):
+            entry = next(p for p in benchmark.pooled if (p.policy, p.regime) == (policy, regime))
+            low, high = entry.score.ci95
+            assert text == f"{entry.score.mean:.2f} ({low:.2f} ... {high:.2f}), {100 * entry.lost:.1f} %", policy
+
+
+def test_figures_of_the_table_by_hand(benchmark):
+    """One row, from its rows, without the functions that make the page."""
+    cells = [i for i, cell in enumerate(benchmark.suite.cells) if cell.scenario.name.startswith("cruise-")]
+    raw = {p: np.load(ROOT / f"baselines/evaluation/recorded/benchmark-v1/{p}.npz") for p in ("ekf", "backstepping")}
+    own, expert = (raw[p]["measures"].reshape(9, 16, 260)[:, cells].reshape(9, -1) for p in ("ekf", "backstepping"))
+    text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8").split("### cruise")[1]
+    row = re.search(r"^\| `ekf` \| (.*) \|$", text, re.MULTILINE)[1].split(" | ")
+    tail = own[1].astype(float)
+    worst = np.sort(tail)[-104:].mean()
+    assert [float(row[i]) for i in (4, 5, 6)] == pytest.approx([tail.mean(), np.quantile(tail, 0.95), worst], rel=5e-3)
+    ratios = [own[i].astype(float).mean() / expert[i].astype(float).mean() for i in (3, 4)]
+    assert [float(row[i]) for i in (7, 8)] == pytest.approx(ratios, abs=6e-3)
+    assert row[-1] == "2080"
+
+
+def test_an_oracle_that_is_worse_is_an_error(benchmark, monkeypatch, tmp_path, capsys):
+    runs = [
+        replace(run, measures=replace(run.measures, tail=run.measures.tail + 1.0)) if run.policy == "oracle" else run
+        for run in benchmark.runs
+        if run.policy in ("backstepping", "ekf", "oracle")
+    ]
+    bad = Results.of(benchmark.suite, runs)
+    assert len({case for case, *_ in better_than_oracle(bad)}) == 16
+    monkeypatch.setattr(results, "collected", lambda name: (bad if name == "benchmark-v1" else None, {"lqi": "old"}))
+    assert results.main(["--out", str(tmp_path)]) == 1
+    err = capsys.readouterr().err
+    assert "ekf is better than the oracle in slow-calm by " in err
+    assert "lqi in ood-v1: old; left out" in err
+    assert "Not recorded yet" in (tmp_path / "results.md").read_text(encoding="utf-8")
+
+
+def test_further_sections(benchmark, monkeypatch):
+    monkeypatch.setattr(results_page, "SECTIONS", (lambda found: f"## Agents\n\n{len(found)} suite",))
+    assert results_page.page([benchmark], []).endswith("## Agents\n\n1 suite\n")
+
+
+def test_a_suite_without_the_oracle_is_missing(monkeypatch):
+    found = collection.recorded.load(collection.suites.load("benchmark-v1"))
+    few = replace(found, runs=tuple(run for run in found.runs if run.policy != "oracle"))
+    monkeypatch.setattr(collection.recorded, "load", lambda _: few)
+    assert collected("benchmark-v1") == (None, {})
+
+
+def test_as_a_process():
+    command = [sys.executable, "-m", "baselines.evaluation.results", "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
+    assert "results.md" in done.stdout

@@ -1,0 +1,77 @@
+"""Where tasks run: the same results from this process, worker processes and a pool of Ray's kind; clear refusals."""
+
+import json
+import multiprocessing.pool
+import socket
+import sys
+import types
+
+import pytest
+
+import evaluate
+from baselines.command_line import UsageError
+from baselines.workers import ClusterError, Workers, connect
+
+
+@pytest.fixture
+def ray(monkeypatch):
+    """A stand-in for Ray with the calls that are used, its pool one of threads."""
+    module, util, pool = (types.ModuleType(name) for name in ("ray", "ray.util", "ray.util.multiprocessing"))
+    module.addresses = []
+
+    def init(address, **_):
+        if address == "auto":
+            raise SystemExit(15)
+        module.addresses.append(address)
+
+    module.init, module.cluster_resources = init, lambda: {"CPU": 3.0}
+    pool.Pool = multiprocessing.pool.ThreadPool
+    for part in (module, util, pool):
+        monkeypatch.setitem(sys.modules, part.__name__, part)
+    return module
+
+
+def power(base, exponent):
+    return base**exponent
+
+
+@pytest.mark.parametrize("workers", [Workers(), Workers(2), Workers(3, on_cluster=True)])
+def test_results_are_the_same_everywhere(ray, workers):
+    tasks = [(base, exponent) for base in range(5) for exponent in range(3)]
+    assert sorted(workers.results(power, tasks)) == sorted(power(*task) for task in tasks)
+    assert list(workers.results(power, [])) == []
+
+
+def test_an_evaluation_on_a_cluster_is_that_of_one_machine(ray, tmp_path):
+    common = ["--scenario", "slow-calm", "--policy", "open-loop", "--episodes", "2", "--out"]
+    assert evaluate.main([*common, str(tmp_path / "a"), "--jobs", "1"]) == 0
+    assert evaluate.main([*common, str(tmp_path / "b"), "--cluster", "local"]) == 0
+    assert ray.addresses == ["local"]
+    a, b = (json.loads((tmp_path / name / "results.json").read_text())["results"] for name in "ab")
+    for row in (*a, *b):
+        del row["seconds"], row["decision_ms"]
+    assert a == b
+
+
+def test_an_address_that_answers(ray):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+        assert connect(address) == 3
+        assert connect(f"ray://{address}") == 3
+    with pytest.raises(ClusterError, match="cannot reach the Ray cluster 127"):
+        connect(address)
+    assert ray.addresses == [address, f"ray://{address}"]
+
+
+@pytest.mark.parametrize("address", ["nonsense", "nowhere:x", "host:99999", ":1"])
+def test_an_address_that_is_none(ray, address):
+    with pytest.raises(ClusterError, match="cannot reach the Ray cluster"):
+        connect(address)
+
+
+def test_ray_fails_or_is_missing(ray, monkeypatch, tmp_path):
+    with pytest.raises(ClusterError, match="cannot use the Ray cluster auto"):
+        connect("auto")
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(UsageError, match=r"pip install 'auv-gym\[cluster\]'"):
+        evaluate.main(["--cluster", "local", "--scenario", "slow-calm", "--out", str(tmp_path)])
