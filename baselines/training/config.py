@@ -15,6 +15,7 @@ from auv_gym.scenario import Scenario
 from baselines import make_policy
 from baselines.evaluation.rollout import Privileged
 from baselines.evaluation.score import EXPERT
+from baselines.user_policies import is_path
 from baselines.zero import NO_EXPERT, Zero
 
 ALGORITHMS: Mapping[str, str] = {
@@ -44,7 +45,7 @@ class Config:
 
     algo: str = "apg"  # one of `ALGORITHMS`
     scenarios: tuple[tuple[Scenario, float], ...] = ()  # what is trained on, with weights
-    expert: str = EXPERT  # name or path of the policy whose action is corrected, or `NO_EXPERT`
+    expert: str = EXPERT  # name of the policy whose action is corrected, or `NO_EXPERT`
     authority: tuple[float, float] = (0.5, 0.5)  # largest correction of surge and yaw, fractions of the limits, (0, 2]
     seed: int = 0
     timesteps: int = 1_000_000  # control steps, summed over vehicles
@@ -69,11 +70,14 @@ class Config:
         """Return the policy whose action is corrected.
 
         Raises:
-            OSError: its file cannot be read.
             ValueError: it is unknown, or may not be an expert.
         """
         if self.expert == NO_EXPERT:
             return Zero()
+        if is_path(self.expert):
+            raise ValueError(
+                f"expert is {self.expert!r}; an agent's expert must be a policy's name, since paths run code"
+            )
         policy = make_policy(self.expert)
         if isinstance(policy, Privileged):
             raise ValueError(f"expert {self.expert!r} looks behind the observation; choose one that does not")

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import TYPE_CHECKING, Any
 
 from auv_gym.residual import Policy
@@ -23,6 +24,12 @@ if TYPE_CHECKING:
 CONFIG, PROGRESS, CHECKPOINT, AGENT = "config.json", "progress.csv", "checkpoint.pt", "agent"
 """What a run folder holds; besides `EVENTS`, `validation.YARDSTICKS` and the learning curve."""
 EVENTS = "tensorboard"
+VALIDATIONS = 20
+"""How often in a run an agent is validated; as often a checkpoint is kept."""
+
+
+class TrainingError(Exception):
+    """A training cannot go on; the message says why and what to change."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +38,7 @@ class State:
 
     timesteps: int  # control steps, summed over vehicles
     total: int
-    score: float | None  # of the last validation
-    best: float | None  # of all validations
+    scores: tuple[float, ...]  # of all validations so far
     seconds: float  # wall time, that before a resumption included
     seconds_left: float | None
 
@@ -88,6 +94,10 @@ class Run:
         for name, value in values.items():
             self._events.add_scalar(name, float(value), timesteps)
         self._events.flush()
+        self.report(timesteps)
+
+    def report(self, timesteps: int) -> None:
+        """Tell how far the run is."""
         self._on_state(self._state(timesteps))
 
     def validate(self, policy: Policy, timesteps: int) -> float:
@@ -124,13 +134,17 @@ class Run:
 
         Raises:
             OSError: the folder cannot be read.
+            TrainingError: the checkpoint is damaged, or of other versions of the libraries.
         """
         import torch
 
         file = self.folder / CHECKPOINT
         if not file.exists():
             return None
-        record = torch.load(file, map_location="cpu", weights_only=False)
+        try:
+            record = torch.load(file, map_location="cpu", weights_only=False)
+        except (AttributeError, EOFError, ImportError, KeyError, RuntimeError, ValueError, UnpicklingError) as error:
+            raise TrainingError(f"cannot go on from {file}: {error}; begin again in another folder") from error
         self._earlier, self._begin, self._start = record["seconds"], time.monotonic(), record["timesteps"]
         self._rows = [row for row in read_progress(self.folder) if row["timesteps"] <= self._start]
         state: dict[str, Any] = record["state"]
@@ -148,10 +162,10 @@ class Run:
         return SummaryWriter(str(self.folder / EVENTS), purge_step=self._start + 1 if self._start else None)
 
     def _state(self, timesteps: int) -> State:
-        scores = [row["score"] for row in self._rows if "score" in row]
+        scores = tuple(row["score"] for row in self._rows if "score" in row)
         done, total = timesteps - self._start, self.config.timesteps
         left = (time.monotonic() - self._begin) * max(0, total - timesteps) / done if done > 0 else None
-        return State(timesteps, total, scores[-1] if scores else None, max(scores, default=None), self.seconds, left)
+        return State(timesteps, total, scores, self.seconds, left)
 
 
 def read_progress(folder: Path) -> list[dict[str, float]]:
