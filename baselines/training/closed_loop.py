@@ -40,8 +40,10 @@ class Carried(NamedTuple):
     @classmethod
     def zeros(cls, n: int, hidden: int, dtype: torch.dtype) -> Carried:
         """Return what n vehicles begin with, but for state and observation."""
-        rows = (torch.zeros(rows, n, dtype=dtype) for rows in (STATE, SIZE, INTEGRALS, ACTIONS))
-        return cls(*rows, torch.zeros(n, hidden, dtype=dtype))
+        state, observation, integrals, correction = (
+            torch.zeros(rows, n, dtype=dtype) for rows in (STATE, SIZE, INTEGRALS, ACTIONS)
+        )
+        return cls(state, observation, integrals, correction, torch.zeros(n, hidden, dtype=dtype))
 
     def detach(self) -> Carried:
         """Return the same without the graph behind it."""
@@ -58,8 +60,8 @@ class Loss:
     def of(self, squared_error: Tensor, scale: Tensor, command: Tensor, previous: Tensor) -> Tensor:
         """Return the loss of a step, shape (N,).
 
-        Near the reference it is e + 0.3 e^2 for an error of e scales; far from it, it grows as a logarithm does, so that
-        a vehicle that is lost neither outweighs all others nor ceases to be pulled back.
+        Near the reference it is e + 0.3 e^2 for an error of e scales; far from it, it grows like a logarithm, so that a
+        vehicle that is lost neither outweighs all others nor ceases to be pulled back.
 
         Args:
             squared_error: of the position [m^2], shape (N,).
@@ -120,8 +122,10 @@ def law_of(expert: Policy) -> Law:
         ValueError: the expert does not compute on tensors.
     """
     if isinstance(expert, Zero):
-        return lambda o, ns: (0.0 * o[13], 0.0 * o[14])
+        return lambda o, _: (0.0 * o[13], 0.0 * o[14])
     forces: Law | None = getattr(expert, "forces", None)
     if forces is None:
-        raise ValueError("the analytic gradient needs an expert that computes on tensors: a backstepping policy, or none")
+        raise ValueError(
+            "the analytic gradient needs an expert that computes on tensors: a backstepping policy, or none"
+        )
     return forces

@@ -25,7 +25,9 @@ class Fleet:
     first episodes are cut short by different amounts, so that not all end at once.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], seed: int, window: int, dtype: torch.dtype = torch.float32) -> None:
+    def __init__(
+        self, scenarios: Sequence[Scenario], seed: int, window: int, dtype: torch.dtype = torch.float32
+    ) -> None:
         """Make the fleet; `window` control steps are run between beginnings."""
         self._lanes = Lanes(len(scenarios), scenarios, None, None)
         self._seed, self._window, self._dtype = seed, window, dtype
