@@ -1,4 +1,4 @@
-"""Thruster and rudder: limits, first-order lag, rate limit and loss of the surge force and the yaw torque."""
+"""Thruster and rudder: limits, first-order lag, rate limit, delay and loss of the surge force and the yaw torque."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from typing import NamedTuple
 from auv_gym.dynamics import Force
 from auv_gym.intervals import Interval, check_interval, check_number
 from auv_gym.namespaces import Namespace, Number
+
+LONGEST_DELAY = 3
+"""Most control periods that a command may be late."""
 
 
 @dataclass(frozen=True)
@@ -21,6 +24,8 @@ class Actuators:
     F_u_rate: float = math.inf  # [N/s]
     F_r_rate: float = math.inf  # [N m/s]
     effectiveness: Interval = 1.0  # share of the commanded force that acts, drawn for each of the two; nobody is told
+    reach: Interval = 1.0  # action at which an actuator really saturates, drawn for each of the two; nobody is told
+    delay: Interval = 0.0  # control periods until a command acts, drawn and rounded; nobody is told
 
     def __post_init__(self) -> None:
         check_number("actuators F_u_max", self.F_u_max, 1e-3, 8192)
@@ -29,6 +34,8 @@ class Actuators:
         check_number("actuators F_u_rate", self.F_u_rate, 1e-3)
         check_number("actuators F_r_rate", self.F_r_rate, 1e-3)
         check_interval("actuators effectiveness", self.effectiveness, 1e-3, 1)
+        check_interval("actuators reach", self.reach, 1e-3, 1)
+        check_interval("actuators delay", self.delay, 0, LONGEST_DELAY)
 
 
 class Response(NamedTuple):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from auv_gym.intervals import Interval, Uniform, check_interval, check_number, draw
 from auv_gym.vehicle import MIN_MASS_RATIO, Vehicle
@@ -15,10 +16,11 @@ from auv_gym.vehicle import MIN_MASS_RATIO, Vehicle
 
 @dataclass(frozen=True)
 class Current:
-    """An irrotational current, uniform in space: a mean plus a first-order Gauss-Markov gust on each axis.
+    """A current: a mean that may turn, a first-order Gauss-Markov gust on each axis, and a shear in space.
 
     The gust is an Ornstein-Uhlenbeck process smoothed by a first-order filter, as Fossen (2021, section 10.3) models
-    slowly varying currents.
+    slowly varying currents. The shear is a parallel flow whose speed is a sine across it, so that it is free of
+    divergence; a vehicle is small beside its wave length and feels the current at its centre.
     """
 
     V_x: float = 0.0  # [m/s] mean, in the world
@@ -27,6 +29,8 @@ class Current:
     gust_time: float = 20.0  # [s] its correlation time
     smoothing: float = 2.0  # [s] time constant of the filter behind it
     cap: float = math.inf  # largest speed of mean plus gust, as a fraction of the path's slowest speed
+    turn: float = 0.0  # [rad/s] how fast the mean turns
+    shear: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)  # see `simulation.Shear`
 
 
 @dataclass(frozen=True)
@@ -40,9 +44,15 @@ class RandomCurrent:
     smoothing: float = 2.0  # [s]
     cap: float = math.inf  # largest speed of mean plus gust, always as a fraction of the path's slowest speed
     relative: bool = True
+    turn: Interval = 0.0  # [rad/s] how fast the mean turns
+    shear: Interval = 0.0  # amplitude of a flow that varies like a sine across itself, of any direction
+    wavelength: Interval = 40.0  # [m] of it
 
     def __post_init__(self) -> None:
         check_interval("current speed", self.speed, 0)
+        check_interval("current turn", self.turn, -10, 10)
+        check_interval("current shear", self.shear, 0)
+        check_interval("current wavelength", self.wavelength, 1.0, 1e6)
         check_interval("current direction", self.direction)
         check_number("current gust", self.gust, 0, 1e3)
         check_number("current gust_time", self.gust_time, 1e-3, 1e6)
@@ -55,6 +65,14 @@ class RandomCurrent:
         """Return one current for a path of this nominal speed [m/s]."""
         unit = speed if self.relative else 1.0
         V, direction = draw(self.speed, uniform) * unit, draw(self.direction, uniform)
+        drawn: dict[str, Any] = {}
+        if self.turn != 0:
+            drawn["turn"] = draw(self.turn, uniform)
+        if self.shear != 0:
+            amplitude, across = draw(self.shear, uniform) * unit, 2 * math.pi * uniform()
+            k, phase = 2 * math.pi / draw(self.wavelength, uniform), 2 * math.pi * uniform()
+            c, s = math.cos(across), math.sin(across)
+            drawn["shear"] = (-amplitude * s, amplitude * c, k * c, k * s, phase)
         return Current(
             V * math.cos(direction),
             V * math.sin(direction),
@@ -62,6 +80,7 @@ class RandomCurrent:
             self.gust_time,
             self.smoothing,
             self.cap,
+            **drawn,
         )
 
 

@@ -30,6 +30,9 @@ class Episode:
     noise_seed: int
     initial_velocity: tuple[float, float, float] | None = None  # u, v [m/s], r [rad/s]; overrides `surge`
     effectiveness: tuple[float, float] = (1.0, 1.0)  # share of the commanded surge force and yaw torque that acts
+    reach: tuple[float, float] = (1.0, 1.0)  # actions at which the actuators really saturate
+    delay: int = 0  # control periods until a command acts
+    outages: tuple[tuple[float, float], ...] = ()  # [s] begin and end of the times without a position fix
 
     def initial_state(self, reference: Sequence[float]) -> State:
         """Return the first state, velocities relative to the water, for the reference's x, y, psi, u, ... there."""

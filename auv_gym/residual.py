@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from auv_gym.envs.lanes import checked_actions, replaced
 from auv_gym.envs.track_env import checked_action
 from auv_gym.namespaces import FLOATS
-from auv_gym.task import BOUNDS
 
 
 class Policy(Protocol):
@@ -27,6 +26,11 @@ class Policy(Protocol):
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
         """Return the action and the memory to hand in at the next call."""
+
+
+def preview_of(policy: Any) -> tuple[int, ...]:
+    """Return the preview that a policy's observations need, its attribute `preview`; most policies need none."""
+    return tuple(getattr(policy, "preview", ()))
 
 
 class ResidualAction(gym.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArray[np.float64], NDArray[np.float32]]):
@@ -48,8 +52,7 @@ class ResidualAction(gym.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArr
         super().__init__(env)
         self.expert = expert
         self.authority = checked_authority(authority)
-        bounds = np.append(BOUNDS, (1.0, 1.0))
-        self.observation_space = gym.spaces.Box(-bounds, bounds, dtype=np.float64)
+        self.observation_space = with_action(env.observation_space)
         self._memory: tuple[NDArray[Any], ...] | None = None
         self._base = np.zeros(2, dtype=np.float32)
 
@@ -102,8 +105,7 @@ class VectorResidualAction(
         super().__init__(env)
         self.expert = expert
         self.authority = checked_authority(authority)
-        bounds = np.append(BOUNDS, (1.0, 1.0))
-        self.single_observation_space = gym.spaces.Box(-bounds, bounds, dtype=np.float64)
+        self.single_observation_space = with_action(env.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
         self._memory: tuple[NDArray[Any], ...] | None = None
         self._base = np.zeros((env.num_envs, 2), dtype=np.float32)
@@ -150,6 +152,12 @@ class VectorResidualAction(
         """Return the expert's actions and memory for the n observations of the lanes where the mask is True."""
         memory = None if self._memory is None else tuple(m[mask] for m in self._memory)
         return self.expert.predict(observation, memory, np.full(len(observation), fresh))
+
+
+def with_action(space: Any) -> Any:
+    """Return the space of observations that an action is appended to."""
+    bounds = np.append(space.high, np.ones(2, dtype=space.dtype))
+    return gym.spaces.Box(-bounds, bounds, dtype=space.dtype)
 
 
 def checked_authority(authority: float | Sequence[float]) -> tuple[float, float]:

@@ -19,6 +19,7 @@ from auv_gym.intervals import Interval, check_interval, check_number, draw
 from auv_gym.paths import PAPER_CIRCLE, PATHS, Path
 from auv_gym.records import from_record, to_record
 from auv_gym.sensors import Sensors
+from auv_gym.simulation import Parts
 from auv_gym.vehicle import PAPER_VEHICLE, VEHICLES, Vehicle
 
 if sys.version_info >= (3, 11):
@@ -152,17 +153,33 @@ class Scenario:
         error = [draw(x, uniform) for x in (start.x_e, start.y_e, start.psi_e)]
         if start.random_signs:
             error = [e if uniform() < 0.5 else -e for e in error]
+        act = self.actuators
         return Episode(
             path=path,
             vehicle=vehicle,
             current=self.current.draw(uniform, path.speed) if self.current else Current(),
             waves=self.waves.draw(uniform, path.speed, self.vehicle) if self.waves else None,
             bias=self.sensors.draw_bias(uniform),
-            lag=draw(self.actuators.lag, uniform),
+            lag=draw(act.lag, uniform),
             initial_error=(error[0], error[1], error[2]),
             surge=draw(start.surge, uniform),
             noise_seed=noise_seed,
-            effectiveness=(draw(self.actuators.effectiveness, uniform), draw(self.actuators.effectiveness, uniform)),
+            effectiveness=(draw(act.effectiveness, uniform), draw(act.effectiveness, uniform)),
+            reach=(draw(act.reach, uniform), draw(act.reach, uniform)),
+            delay=round(draw(act.delay, uniform)),
+            outages=self.sensors.draw_outages(np.random.default_rng([noise_seed, 1]), self.duration),
+        )
+
+    @property
+    def parts(self) -> Parts:
+        """What the simulation of its episodes needs."""
+        return Parts(
+            self.substeps,
+            filtered=self.sensors.low_pass is not None,
+            outages=self.sensors.outages > 0,
+            delayed=self.actuators.delay != 0,
+            weak=self.actuators.reach != 1,
+            sheared=self.current is not None and self.current.shear != 0,
         )
 
     def changed(
@@ -182,8 +199,20 @@ class Scenario:
         return scenario
 
     def parameters(self, episode: Episode) -> tuple[float, ...]:
-        """Return the constants of an episode in the order of `simulation.Parameters`, its numbers only."""
-        act = self.actuators
+        """Return the constants of an episode in the order of `simulation.Parameters`, its numbers only.
+
+        Raises:
+            ValueError: the episode has what this scenario's episodes cannot have.
+        """
+        act, parts = self.actuators, self.parts
+        for part, there, what in (
+            (parts.outages, episode.outages, "outages of the position fix"),
+            (parts.delayed, episode.delay, "a delay"),
+            (parts.weak, episode.reach != (1.0, 1.0), "actuators that saturate early"),
+            (parts.sheared, any(episode.current.shear[:2]), "a sheared current"),
+        ):
+            if there and not part:
+                raise ValueError(f"the episode has {what}, which scenario {self.name!r} has not: give it one that has")
         return (
             self.control_dt / self.substeps,
             *episode.vehicle.coefficients,
@@ -196,6 +225,9 @@ class Scenario:
             self.lost_distance,
             act.F_u_max * episode.effectiveness[0],
             act.F_r_max * episode.effectiveness[1],
+            *episode.reach,
+            float(episode.delay),
+            *episode.current.shear,
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from auv_gym.dynamics import State
 from auv_gym.intervals import Interval, Uniform, check_interval, check_number, draw
 from auv_gym.namespaces import Namespace, Number, wrap_angle
@@ -14,7 +16,8 @@ from auv_gym.namespaces import Namespace, Number, wrap_angle
 class Sensors:
     """Errors of the six measurements x, y, psi, u, v, r, the velocities over ground.
 
-    Noise is white from control step to control step. A bias is drawn once an episode for each measurement.
+    Noise is white from control step to control step. A bias is drawn once an episode for each measurement. While the
+    position fix fails, x and y keep their last measured values.
     """
 
     position: float = 0.0  # [m] standard deviation of the noise on x and on y
@@ -25,12 +28,16 @@ class Sensors:
     heading_bias: Interval = 0.0  # [rad]
     velocity_bias: Interval = 0.0  # [m/s]
     yaw_rate_bias: Interval = 0.0  # [rad/s]
+    outages: float = 0.0  # [1/min] how often the position fix fails, on average
+    outage_time: Interval = (2.0, 10.0)  # [s] for how long
     low_pass: float | None = None  # [Hz] cut-off of the filter on the measured tracking errors; None: no filter
 
     def __post_init__(self) -> None:
         for name in ("position", "heading", "velocity", "yaw_rate"):
             check_number(f"sensors {name}", getattr(self, name), 0, 1e3)
             check_interval(f"sensors {name}_bias", getattr(self, f"{name}_bias"))
+        check_number("sensors outages", self.outages, 0, 60)
+        check_interval("sensors outage_time", self.outage_time, 0, 1e4)
         if self.low_pass is not None:
             check_number("sensors low_pass", self.low_pass, 1e-6, 1e6)
 
@@ -44,6 +51,12 @@ class Sensors:
         p, v = self.position_bias, self.velocity_bias
         x, y, psi, u, v_, r = (draw(b, uniform) for b in (p, p, self.heading_bias, v, v, self.yaw_rate_bias))
         return x, y, psi, u, v_, r
+
+    def draw_outages(self, rng: np.random.Generator, duration: float) -> tuple[tuple[float, float], ...]:
+        """Return begin and end [s] of the outages in an episode, in their order; they may overlap."""
+        count = int(rng.poisson(self.outages * duration / 60))
+        begins = np.sort(rng.uniform(0.0, duration, count)).tolist()
+        return tuple((begin, begin + draw(self.outage_time, rng.random)) for begin in begins)
 
     def filter_gain(self, dt: float) -> float:
         """Return the share of a new measurement that the low-pass takes on in one control step of dt [s]."""

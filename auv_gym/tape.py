@@ -15,6 +15,7 @@ from scipy.signal import lfilter
 
 from auv_gym.disturbances import Current, Waves
 from auv_gym.episode import Episode
+from auv_gym.errors import to_world
 from auv_gym.namespaces import ARRAYS
 from auv_gym.scenario import Scenario
 from auv_gym.simulation import SAMPLE
@@ -35,6 +36,7 @@ class Tape:
         self._drawn: list[tuple[np.random.Generator, int, int] | None] = [None] * lanes
         self._next = np.zeros(lanes, dtype=np.int64)
         self._noise, self._bias = np.zeros((lanes, 6)), np.zeros((lanes, 6))
+        self._fixes: dict[int, Array] = {}  # of the lanes that lack some
         self._gusts = _Gusts(lanes)
         self._waves = _Waves(lanes, block)
 
@@ -48,6 +50,9 @@ class Tape:
         self._drawn[lane] = None
         if first < end:
             self._drawn[lane] = np.random.Generator(np.random.SFC64(episode.noise_seed)), first, end
+        self._fixes.pop(lane, None)
+        if episode.outages:
+            self._fixes[lane] = _fixes(episode.outages, scenario.control_dt, len(table))
         self._gusts.load(lane, episode.current, scenario.control_dt, table)
         self._waves.load(lane, episode.waves, scenario.control_dt)
 
@@ -66,15 +71,21 @@ class Tape:
         first = self._next[lanes]
         _transpose(self._references(lanes, len(out)), out[:, :8])
         normals = self._normals(lanes, len(out))
-        self._gusts.read(lanes, normals, first == 0, out[:, 8:10])
+        self._gusts.read(lanes, normals, first, out[:, 8:10])
         self._waves.read(lanes, first, out[:, 10:13])
         bias = self._bias[lanes].T
         if normals is None:
-            out[:, 13:] = bias
+            out[:, 13:19] = bias
         else:
-            _transpose(normals[:, :, :6], out[:, 13:])
-            out[:, 13:] *= self._noise[lanes].T
-            out[:, 13:] += bias
+            _transpose(normals[:, :, :6], out[:, 13:19])
+            out[:, 13:19] *= self._noise[lanes].T
+            out[:, 13:19] += bias
+        out[:, 19] = 1.0
+        if self._fixes:
+            for i, lane in enumerate(lanes.tolist()):
+                if lane in self._fixes:
+                    part = self._fixes[lane][first[i] : first[i] + len(out)]
+                    out[: len(part), 19, i] = part
         self._next[lanes] += len(out)
 
     def _references(self, lanes: Lanes, n: int) -> Array:
@@ -110,6 +121,16 @@ def _transpose(rows: Array, out: Array) -> None:
         out[:, :, first : first + TILE] = rows[first : first + TILE].transpose(1, 2, 0)
 
 
+def _fixes(outages: Sequence[tuple[float, float]], dt: float, instants: int) -> Array:
+    """Return 1 for each control instant with a position fix, else 0; the first one always has it."""
+    times = dt * np.arange(instants, dtype=np.float64)
+    fixes = np.ones(instants)
+    for begin, end in outages:
+        fixes[(times >= begin) & (times < end)] = 0.0
+    fixes[0] = 1.0
+    return fixes
+
+
 class _Gusts:
     """Mean current plus smoothed Ornstein-Uhlenbeck gusts, see `disturbances.Current`.
 
@@ -118,22 +139,30 @@ class _Gusts:
     """
 
     def __init__(self, lanes: int) -> None:
-        self._mean = np.zeros((lanes, 2))
+        self._mean, self._turn = np.zeros((lanes, 2)), np.zeros(lanes)  # [rad] per control step
         self._sigma, self._cap = np.zeros(lanes), np.full(lanes, np.inf)
         self._decay = np.zeros((lanes, 2))  # a and b
         self._state = np.zeros((lanes, 2, 2))  # of the filter, (order, axis)
 
     def load(self, lane: int, current: Current, dt: float, table: Array) -> None:
         self._mean[lane] = current.V_x, current.V_y
+        self._turn[lane] = current.turn * dt
         self._sigma[lane] = current.gust
         smoothing = math.exp(-dt / current.smoothing) if current.smoothing > 0 else 0.0
         self._decay[lane] = math.exp(-dt / current.gust_time), smoothing
         slowest = math.sqrt((table[:, 3] ** 2 + table[:, 4] ** 2).min()) if math.isfinite(current.cap) else 1.0
         self._cap[lane] = current.cap * slowest
 
-    def read(self, lanes: Lanes, normals: Array | None, fresh: NDArray[np.bool_], out: Array) -> None:
-        """Write the current, shape (n, 2, lanes), driven by the last two of standard normals (lanes, n, 8)."""
+    def read(self, lanes: Lanes, normals: Array | None, first: Lanes, out: Array) -> None:
+        """Write the current from step `first` of each lane on, shape (n, 2, lanes).
+
+        It is driven by the last two of standard normals (lanes, n, 8).
+        """
+        fresh = first == 0
         out[:] = self._mean[lanes].T
+        if self._turn[lanes].any():
+            angle = self._turn[lanes] * (first + np.arange(len(out))[:, None])
+            out[:] = np.stack(to_world(out[:, 0], out[:, 1], np.cos(angle), np.sin(angle)), axis=1)
         windy = self._sigma[lanes].nonzero()[0]
         if normals is not None and len(windy):
             decay = self._decay[lanes[windy]]

@@ -10,7 +10,7 @@ import gymnasium as gym
 from auv_gym.envs import make_track_vector_env
 from auv_gym.envs.lanes import ScenarioLike
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.residual import Policy, ResidualAction, VectorResidualAction
+from auv_gym.residual import Policy, ResidualAction, VectorResidualAction, preview_of
 from auv_gym.scenario import Scenario
 from auv_gym.vehicle import Vehicle
 from baselines.backstepping import Backstepping
@@ -99,11 +99,12 @@ def make_residual_env(
         vehicle: likewise.
         control_dt: likewise.
         render_mode: likewise.
-        expert: a policy or the name of one.
+        expert: a policy or the name of one; the observation has the preview that it needs.
         authority: see `ResidualAction`.
     """
-    env = UnderactuatedAUVTrackEnv(scenario, vehicle, control_dt, render_mode)
-    return ResidualAction(env, make_policy(expert) if isinstance(expert, str) else expert, authority)
+    policy = make_policy(expert) if isinstance(expert, str) else expert
+    env = UnderactuatedAUVTrackEnv(scenario, vehicle, control_dt, render_mode, preview_of(policy))
+    return ResidualAction(env, policy, authority)
 
 
 def make_residual_vector_env(
@@ -132,8 +133,9 @@ def make_residual_vector_env(
         device: likewise.
         dtype: likewise.
     """
-    env = make_track_vector_env(num_envs, scenario, vehicle, control_dt, render_mode, backend, device, dtype)
     policy: Any = make_policy(expert) if isinstance(expert, str) else expert
+    preview = preview_of(policy)
+    env = make_track_vector_env(num_envs, scenario, vehicle, control_dt, render_mode, backend, device, dtype, preview)
     if backend == "numpy":
         return VectorResidualAction(env, policy, authority)
     from auv_gym.envs.torch_residual import TorchResidualAction

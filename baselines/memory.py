@@ -7,6 +7,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.residual import preview_of
 from auv_gym.task import Observation, decode_observation
 
 Array = NDArray[np.float64]
@@ -34,8 +35,9 @@ class Remembering:
     """A controller with memory as a policy with Stable-Baselines3's `predict`."""
 
     def __init__(self, controller: Controller) -> None:
-        """Wrap a controller; it stays reachable as `controller`."""
+        """Wrap a controller; it stays reachable as `controller`, what it wants to see ahead as `preview`."""
         self.controller = controller
+        self.preview = preview_of(controller)
 
     def predict(
         self,

@@ -3,7 +3,8 @@
 It plans in the water frame with the true vehicle: where the water moves with c(t), the vehicle has to move through it
 with p_R' - c, whose rates are p_R'' - c', p_R''' - c''. The waves' sway force enters the equation of the sideslip,
 the rest of them is cancelled by the forces. Errors of the true state are fed back by a linear-quadratic regulator for
-the true vehicle. A command is such that the mean force over the period is the wanted one in spite of the lag.
+the true vehicle. A command is such that the mean force over the period is the wanted one in spite of the lag; where it
+comes late, it is made for the state foretold. The current of a shear is that on the path.
 
 It is a reference, not a bound: others may be better in single episodes.
 """
@@ -19,7 +20,6 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.actuators import Response
 from auv_gym.episode import Episode
 from auv_gym.errors import to_body, tracking_errors
 from auv_gym.namespaces import ARRAYS
@@ -28,7 +28,7 @@ from auv_gym.planner import PathRates, assemble, path_rates, sideslip_rest, side
 from auv_gym.scenario import Scenario
 from auv_gym.vehicle import Coefficients, Vehicle
 from baselines.backstepping import CRUISE_SPEED
-from baselines.truth import Array, samples
+from baselines.truth import Array, Truth, nothing_sent
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,7 @@ class TruePlan:
 
     state: Array  # x, y, psi, u, v, r relative to the water at the instants, shape (K + 1, 6, N)
     force: Array  # F_u [N], F_r [N m], means over the periods, shape (K, 2, N)
-    vehicle: Vehicle  # true parameters as rows (N,)
-    response: Response  # of the actuators, rows (N,)
+    truth: Truth
 
 
 class Oracle:
@@ -83,27 +82,32 @@ class Oracle:
             ]
         )
         self._dt = scenario.control_dt
-        limits = scenario.actuators.F_u_max, scenario.actuators.F_r_max
-        self._limits = np.array([e.effectiveness for e in episodes]) * limits  # [N], [N m], shape (N, 2)
+        p = self._plan.truth.parameters
+        self._limits, self._reach = np.stack((p.thrust_u, p.thrust_r)), np.stack((p.reach_u, p.reach_r))
+        self._sent = nothing_sent(len(episodes))
 
     def observe(self, env: Any) -> None:
         """Decide on the true state of the vector environment."""
         if self._plan is None:
             raise RuntimeError(BLIND)
-        plan = self._plan
-        k = np.minimum(np.rint(env.time / self._dt).astype(int), len(plan.force) - 1)
+        plan, p = self._plan, self._plan.truth.parameters
+        k = np.rint(env.time / self._dt).astype(int)
         lanes = np.arange(len(k))
-        reference, F_R = plan.state[k, :, lanes].T, plan.force[k, :, lanes].T
         x, y, psi, u, v, r = env.state.T
         V_x, V_y = env.current.T
         V_u, V_v = to_body(V_x, V_y, np.cos(psi), np.sin(psi))
-        state = x, y, psi, u - V_u, v - V_v, r
-        x_e, y_e, *others = tracking_errors(state, cast(Any, tuple(reference)), ARRAYS)
-        errors = np.stack((*to_body(x_e, y_e, np.cos(psi), np.sin(psi)), *others))
+        now = x, y, psi, u - V_u, v - V_v, r
+        *state, F_u, F_r = plan.truth.foretell(now, env.force.T, self._sent, k)
+        then = np.minimum(k + p.delay.astype(int), len(plan.force) - 1)
+        reference, F_R = plan.state[then, :, lanes].T, plan.force[then, :, lanes].T
+        x_e, y_e, *others = tracking_errors(cast(Any, tuple(state)), cast(Any, tuple(reference)), ARRAYS)
+        errors = np.stack((*to_body(x_e, y_e, np.cos(state[2]), np.sin(state[2])), *others))
         wanted = F_R + np.einsum("nij,jn->in", self._gains, errors)
-        force = env.force.T
-        command = force + (wanted - force) / (plan.response.gain * plan.response.mean)
-        self._action = np.clip(command.T / self._limits, -1.0, 1.0).astype(np.float32)
+        force = np.stack((F_u, F_r))
+        command = force + (wanted - force) / (p.response.gain * p.response.mean)
+        action = np.clip(command / self._limits, -self._reach, self._reach)
+        self._sent = np.concatenate((action[None], self._sent[:-1]))
+        self._action = action.T.astype(np.float32)
 
     def predict(
         self,
@@ -130,14 +134,14 @@ def true_plan(scenario: Scenario, episodes: Sequence[Episode]) -> TruePlan:
     """
     from scipy.ndimage import gaussian_filter1d
 
-    dt, lag = scenario.control_dt, np.array([e.lag for e in episodes])
-    act = scenario.actuators
+    dt, truth = scenario.control_dt, Truth.of(scenario, episodes)
     vehicle = fleet([e.vehicle for e in episodes])
-    outside = samples(scenario, episodes)[:, 8:13]
+    outside = truth.samples[:, 8:13]
     V, load = _halfway(outside[:, :2]), _halfway(outside[:, 2:])  # on a grid of half periods
     V = gaussian_filter1d(V, SMOOTHING / (0.5 * dt), axis=0, mode="nearest")
     times: Array = 0.5 * dt * np.arange(len(V), dtype=np.float64)
     motion = evaluate([e.path for e in episodes], times)
+    V += np.stack(truth.parameters.shear.velocity(motion[0, 0], motion[0, 1], ARRAYS), axis=1)
     for order in range(1, 4):
         motion[order] -= V.transpose(1, 0, 2)
         V = np.gradient(V, 0.5 * dt, axis=0)
@@ -146,12 +150,10 @@ def true_plan(scenario: Scenario, episodes: Sequence[Episode]) -> TruePlan:
     Y = load[:, 1]
     w = _sine_of_sideslip(along, vehicle, Y, 0.5 * dt)
     R = assemble(times, motion[0], along, w, vehicle, (Y, np.gradient(Y, 0.5 * dt, axis=0)))
-    response = Response(*np.array([Response.of(T, act.F_u_rate, act.F_r_rate, dt) for T in lag.tolist()]).T)
     return TruePlan(
         np.stack((R.x, R.y, R.psi, R.u, R.v, R.r), axis=1)[::2],
         np.stack((R.F_u - load[:, 0], R.F_r - load[:, 2]), axis=1)[1::2],
-        vehicle,
-        response,
+        truth,
     )
 
 

@@ -142,9 +142,9 @@ def test_fleet_begins_anew_where_a_vehicle_is_lost():
 
 
 def configuration(**changes):
-    scenarios = tuple((replace(PRESETS[name], steps=60), 1.0) for name in ("cruise-current", "cruise-storm"))
-    settings = {"n_envs": 8, "n_steps": 20, "hidden_size": 16, "compiled": False, "learning_rate": 5e-3}
-    given = {"authority": (0.5, 0.5), "timesteps": 8 * 20 * 40, "hyperparameters": settings}
+    scenarios = tuple((replace(PRESETS[name], steps=50), 1.0) for name in ("cruise-current", "cruise-storm"))
+    settings = {"n_envs": 8, "n_steps": 10, "hidden_size": 16, "compiled": False, "learning_rate": 5e-3}
+    given = {"authority": (0.5, 0.5), "timesteps": 8 * 10 * 30, "hyperparameters": settings}
     return Config(scenarios=scenarios, **(given | changes))
 
 
@@ -180,7 +180,7 @@ def test_interrupted_run_gives_the_same_agent(trained, tmp_path):
     class Interrupted(Run):
         def save_checkpoint(self, state):
             super().save_checkpoint(state)
-            if state["updates"] == 14:
+            if state["updates"] == 15:
                 raise StopRunError
 
     first = Interrupted(configuration(), tmp_path)
@@ -208,7 +208,7 @@ def test_best_agent_is_returned(trained):
         ({"n_env": 8}, "no entry 'n_env'"),
         ({"n_envs": 1}, "1 vehicles are too few for 2 scenarios"),
         ({"n_envs": 0}, "n_envs is 0"),
-        ({"n_steps": 61}, "at most 60"),
+        ({"n_steps": 51}, "at most 50"),
         ({"learning_rate": -1.0}, "learning_rate is -1.0"),
         ({"hidden_size": 0}, "is 0; it must be an integer"),
         ({"compiled": "yes"}, "true or false"),

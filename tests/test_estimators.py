@@ -14,7 +14,7 @@ from auv_gym.paths import Circle, FigureEight, Sine
 from auv_gym.planner import plan
 from auv_gym.presets import CASES, PRESETS
 from auv_gym.scenario import RandomPath, Scenario, Start
-from auv_gym.simulation import Parameters, start, step
+from auv_gym.simulation import Parameters, Parts, start, step
 from auv_gym.task import Observation, decode_observation
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 from baselines import make_policy
@@ -173,8 +173,9 @@ def test_filter_finds_lag_and_load():
     reference = plan(Circle(1.0, 0.15), PAPER_VEHICLE, dt * np.arange(steps + 1)).table
     rows = [np.full(n, x) for x in (dt, *PAPER_VEHICLE.coefficients, 400.0, 200.0)]
     responses = np.array([Response.of(lag, np.inf, np.inf, dt) for lag in lags]).T
-    p = Parameters.of((*rows, *responses, *(np.ones(n) for _ in range(4)), *rows[-2:]), False, 1)
-    sample = [np.concatenate((row, (0.0, 0.0), load, np.zeros(6)))[:, None] * np.ones(n) for row in reference]
+    rest = (*(np.ones(n) for _ in range(4)), *rows[-2:], *(np.ones(n) for _ in range(8)))
+    p = Parameters.of((*rows, *responses, *rest), Parts())
+    sample = [np.concatenate((row, (0.0, 0.0), load, np.zeros(6), [1.0]))[:, None] * np.ones(n) for row in reference]
     plant, terms = start(tuple(np.zeros((6, n)) + np.array([0, 0, 0, 1.0, 0, 0])[:, None]), sample[0], p, ARRAYS)
     estimator = ExtendedKalmanFilter()
     memory, z = estimator.update(estimator.start(n), Observation(*terms))

@@ -32,7 +32,7 @@ def test_the_true_plan_is_followed_open_loop():
     state = tuple(plan.state[100])
     for k in range(100, 150):
         F_u, F_r = plan.force[k]
-        state = rk4_step(state, (F_u, 0.0, F_r), plan.vehicle.coefficients, scenario.control_dt, ns=ARRAYS)
+        state = rk4_step(state, (F_u, 0.0, F_r), plan.truth.parameters.coefficients, scenario.control_dt, ns=ARRAYS)
     np.testing.assert_allclose(np.array(state)[:2], plan.state[150, :2], atol=2e-3)
 
 

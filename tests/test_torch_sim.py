@@ -15,7 +15,7 @@ from auv_gym import simulation
 from auv_gym.envs.torch_sim import TorchSimulator, simulate, step_function
 from auv_gym.namespaces import ARRAYS, tensors
 from auv_gym.presets import PRESETS
-from auv_gym.simulation import SAMPLE, Parameters
+from auv_gym.simulation import SAMPLE, Parameters, Parts
 from auv_gym.task import SCALES, SIZE
 from auv_gym.vehicle import PAPER_VEHICLE
 from baselines.backstepping import GAINS, tracking_forces
@@ -145,7 +145,7 @@ def test_gradients_through_50_steps_equal_finite_differences_of_numpy():
 
     def total(state, samples, rows, ns, x, stack):
         """Return the sum of rewards where x perturbs every command; rows of any kind of number."""
-        p = Parameters.of(rows, True, 1)
+        p = Parameters.of(rows, Parts(filtered=True))
         plant, action, result = state, (x[0] * 0, x[1] * 0), 0.0
         for sample in samples[1:]:
             plant, terms, (reward, *_) = simulation.step(plant, action, sample, p, ns)
@@ -279,5 +279,5 @@ def test_without_a_compiler_one_warning_and_an_eager_step(tmp_path):
 def test_compiling_is_announced(caplog, monkeypatch):
     monkeypatch.setattr(torch, "compile", lambda function, **_: function)
     with caplog.at_level(logging.INFO, logger="auv_gym"):
-        step_function.__wrapped__(torch.device("cpu"), torch.float64, False, 1, compiled=True)
+        step_function.__wrapped__(torch.device("cpu"), torch.float64, Parts(), compiled=True)
     assert "compiling the simulation step" in caplog.text

@@ -22,6 +22,7 @@ def make_track_vector_env(
     backend: str = "numpy",
     device: Any = None,
     dtype: Any = None,
+    preview: Sequence[int] = (),
 ) -> gym.vector.VectorEnv[Any, Any, Any]:
     """Return the vector environment of `UnderactuatedAUVTrack-v0`.
 
@@ -34,6 +35,7 @@ def make_track_vector_env(
         backend: "numpy" for arrays of float64, or "torch" for tensors, see `TorchSimulator`.
         device: where the tensors live, "cpu" or "cuda"; with backend "torch" only.
         dtype: their type, "float32" or "float64"; with backend "torch" only.
+        preview: see `UnderactuatedAUVTrackVectorEnv`.
 
     Raises:
         ValueError: the back end is unknown, does not take such options, or the device is not available.
@@ -44,7 +46,7 @@ def make_track_vector_env(
             raise ValueError("device and dtype are options of backend='torch'; backend 'numpy' computes in float64")
         from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 
-        return UnderactuatedAUVTrackVectorEnv(num_envs, scenario, vehicle, control_dt, render_mode)
+        return UnderactuatedAUVTrackVectorEnv(num_envs, scenario, vehicle, control_dt, render_mode, preview)
     if backend != "torch":
         raise ValueError(f"unknown backend {backend!r}; allowed are 'numpy' and 'torch'")
     if render_mode is not None:
@@ -53,4 +55,4 @@ def make_track_vector_env(
         raise ImportError("backend 'torch' needs torch: pip install 'auv-gym[train]', or choose backend='numpy'")
     from auv_gym.envs.torch_sim import TorchSimulator
 
-    return TorchSimulator(num_envs, scenario, vehicle, control_dt, device or "cpu", dtype or "float32")
+    return TorchSimulator(num_envs, scenario, vehicle, control_dt, device or "cpu", dtype or "float32", preview=preview)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,8 +13,9 @@ from numpy.typing import NDArray
 from auv_gym.episode import Episode, checked_options, with_options
 from auv_gym.planner import plan
 from auv_gym.presets import as_scenario
+from auv_gym.preview import Preview
 from auv_gym.scenario import Scenario
-from auv_gym.simulation import PARAMETERS, SAMPLE, Parameters
+from auv_gym.simulation import PARAMETERS, SAMPLE, Parameters, Parts
 from auv_gym.tape import Tape
 from auv_gym.task import check_reference
 from auv_gym.vehicle import Vehicle
@@ -43,6 +45,7 @@ class Lanes:
         scenario: a scenario, or a sequence of N.
         vehicle: in place of the scenarios' known vehicle.
         control_dt: control period [s] in place of the scenarios'.
+        preview: control periods ahead, see `Preview`.
 
     Attributes:
         scenarios: one for each lane.
@@ -50,6 +53,7 @@ class Lanes:
         row: the present row of the block.
         constants: the rows of `parameters`, shape (PARAMETERS, N).
         k: control steps since each lane's reset, shape (N,).
+        preview: the references' positions ahead.
 
     Raises:
         ValueError: a wrong number of lanes or scenarios, or whatever a scenario refuses.
@@ -61,6 +65,7 @@ class Lanes:
         scenario: ScenarioLike | Sequence[ScenarioLike],
         vehicle: Vehicle | str | Mapping[str, Any] | None,
         control_dt: float | None,
+        preview: Sequence[int] = (),
     ) -> None:
         if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
             raise ValueError(f"num_envs is {num_envs!r}; it must be an integer of at least 1")
@@ -72,12 +77,12 @@ class Lanes:
         self._steps = np.array([s.steps for s in self.scenarios])
         block = max(1, min(LARGEST_BLOCK, BLOCK_SAMPLES // num_envs))
         self._tape = Tape(num_envs, block)
+        self.preview = Preview(num_envs, preview, int(self._steps.max()))
         self._fixed: dict[tuple[Any, ...], Array] = {}  # tables of scenarios whose path is not drawn
         self.samples, self.row = np.zeros((block, SAMPLE, num_envs)), 0
         self.constants = np.ones((PARAMETERS, num_envs))
-        self.filtered = any(s.sensors.low_pass is not None for s in self.scenarios)
-        self.substeps = self.scenarios[0].substeps
-        self.parameters = Parameters.of(tuple(self.constants), self.filtered, self.substeps)
+        self.parts = reduce(Parts.joined, {s.parts: None for s in self.scenarios})
+        self.parameters = Parameters.of(tuple(self.constants), self.parts)
         self.k: Indices = np.zeros(num_envs, dtype=np.int64)
 
     @property
@@ -149,6 +154,7 @@ class Lanes:
         for i, episode, table in zip(lanes.tolist(), episodes, self._tables(lanes, episodes), strict=True):
             self._tape.load(i, self.scenarios[i], episode, table)
             self.constants[:, i] = self.scenarios[i].parameters(episode)
+        self.preview.load(lanes, [episode.path for episode in episodes], self._dt[lanes])
         self.begun = True
         self.k[lanes] = 0
         self.samples[self.row :, :, lanes] = self._tape.read(lanes, len(self.samples) - self.row)

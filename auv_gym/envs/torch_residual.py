@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 import gymnasium as gym
-import numpy as np
 import torch
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from auv_gym.envs.torch_sim import TENSORS, TorchSimulator
 from auv_gym.namespaces import Namespace
-from auv_gym.residual import checked_authority
+from auv_gym.residual import checked_authority, with_action
 from auv_gym.task import SCALES, SIZE
 
 
@@ -48,9 +47,7 @@ class TorchResidualAction(gym.vector.VectorWrapper[Tensor, Tensor, Tensor, Tenso
         self.expert = expert
         self.authority = torch.tensor(checked_authority(authority), dtype=env.dtype, device=env.device)
         self._scales = torch.tensor(SCALES, dtype=env.dtype, device=env.device)
-        inner: Any = env.single_observation_space
-        bounds = np.append(inner.high, np.ones(2, dtype=inner.dtype))
-        self.single_observation_space = gym.spaces.Box(-bounds, bounds, dtype=inner.dtype)
+        self.single_observation_space = with_action(env.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
 
     def reset(
@@ -67,7 +64,7 @@ class TorchResidualAction(gym.vector.VectorWrapper[Tensor, Tensor, Tensor, Tenso
             return self.env.step(actions)  # which refuses them
         corrections = actions.to(self.env.device, self.env.dtype).clamp(-1.0, 1.0)
         observation, reward, terminated, truncated, info = self.env.step(
-            self._observation[:, SIZE:] + self.authority * corrections
+            self._observation[:, -2:] + self.authority * corrections
         )
         if "final_obs" in info:
             info["final_obs"] = self._extended(info["final_obs"])
@@ -81,8 +78,8 @@ class TorchResidualAction(gym.vector.VectorWrapper[Tensor, Tensor, Tensor, Tenso
         return self._observation
 
     def _extended(self, observation: Tensor) -> Tensor:
-        """Return observations (N, SIZE + 2) with the expert's actions, in float32 as every policy's are."""
-        o = (observation * self._scales).unbind(dim=1)
+        """Return observations (N, columns + 2) with the expert's actions, in float32 as every policy's are."""
+        o = (observation[:, :SIZE] * self._scales).unbind(dim=1)
         F_u, F_r = self.expert.forces(o, TENSORS)
         base = torch.stack((F_u / o[13], F_r / o[14]), dim=1).clamp(-1.0, 1.0)
         return torch.cat((observation, base.to(torch.float32).to(observation.dtype)), dim=1)

@@ -35,17 +35,20 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from auv_gym import simulation
-from auv_gym.envs.lanes import Beginning, Lanes, ScenarioLike
+from auv_gym.envs.lanes import Beginning, Indices, Lanes, ScenarioLike
+from auv_gym.errors import to_body
 from auv_gym.namespaces import tensors
-from auv_gym.simulation import PARAMETERS, SAMPLE, Parameters, Plant
-from auv_gym.task import BOUNDS, INVERSE_SCALES
+from auv_gym.preview import COS_PSI, SIN_PSI, observation_bounds
+from auv_gym.simulation import MEMORY, PARAMETERS, SAMPLE, Parameters, Parts, Plant
+from auv_gym.task import BOUNDS, INVERSE_SCALES, L
 from auv_gym.vehicle import Vehicle
 
 logger = logging.getLogger(__name__)
 
 TENSORS = tensors()
 ENCODING = list(zip(INVERSE_SCALES.tolist(), BOUNDS.tolist(), strict=True))  # numbers: the graph may hold no NumPy
-STATE = 16  # rows of a `simulation.Plant`
+STATE = 10 + MEMORY  # rows of a `simulation.Plant`
+PLAIN = Parts()
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
 
 
@@ -60,9 +63,7 @@ class Transition(NamedTuple):
     saturated: Tensor  # 1 where an actuator was commanded to its limit, else 0, shape (N,)
 
 
-def simulate(
-    state: Tensor, action: Tensor, sample: Tensor, parameters: Tensor, filtered: bool = False, substeps: int = 1
-) -> Transition:
+def simulate(state: Tensor, action: Tensor, sample: Tensor, parameters: Tensor, parts: Parts = PLAIN) -> Transition:
     """Return what `simulation.step` makes of N vehicles: a pure function, differentiable in state and action.
 
     Args:
@@ -70,10 +71,9 @@ def simulate(
         action: surge and yaw command as fractions of the limits, shape (2, N).
         sample: the rows of a `simulation.Sample`, shape (SAMPLE, N).
         parameters: the rows of `simulation.Parameters`, shape (PARAMETERS, N).
-        filtered: see `simulation.Parameters`.
-        substeps: see `simulation.Parameters`.
+        parts: what is in use.
     """
-    p = Parameters.of(parameters.unbind(), filtered, substeps)
+    p = Parameters.of(parameters.unbind(), parts)
     plant, terms, (reward, lost, squared_error, saturated) = simulation.step(
         _unpacked(state), action.unbind(), sample.unbind(), p, TENSORS
     )
@@ -96,14 +96,12 @@ def _encoded(terms: Sequence[Tensor]) -> Tensor:
 
 
 @cache
-def step_function(
-    device: torch.device, dtype: torch.dtype, filtered: bool, substeps: int, compiled: bool
-) -> Callable[..., Transition]:
+def step_function(device: torch.device, dtype: torch.dtype, parts: Parts, compiled: bool) -> Callable[..., Transition]:
     """Return `simulate` for these constants, compiled if that is wanted and possible on the device.
 
     Compiling takes up to a minute, once a process; torch keeps the result on the disk for the next ones.
     """
-    eager = partial(simulate, filtered=filtered, substeps=substeps)
+    eager = partial(simulate, parts=parts)
     if not (compiled and can_compile(device)):
         return eager
     logger.info("compiling the simulation step for %s, %s; the first time takes up to a minute", device, dtype)
@@ -140,7 +138,7 @@ def _runs(function: Callable[..., Any], *inputs: Tensor) -> bool:
 class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
     """The vector environment with tensors in and out; see `UnderactuatedAUVTrackVectorEnv` for what it runs.
 
-    Where an episode ends, `info["final_obs"]` (N, SIZE) holds the observations before the reset and
+    Where an episode ends, `info["final_obs"]` (N, columns) holds the observations before the reset and
     `info["_final_obs"]` (N,) says where they differ from those returned. Seeds give the NumPy environment's episodes.
 
     Gradients flow from observations and rewards to the actions of every step since the last `reset` or `detach`; an
@@ -154,6 +152,7 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
         device: a torch device, "cpu" or "cuda".
         dtype: "float32" or "float64", or the torch type.
         compiled: whether to compile the step.
+        preview: control periods ahead, see `UnderactuatedAUVTrackEnv`.
 
     Raises:
         ValueError: an unknown type, an unavailable device, or whatever the scenarios refuse.
@@ -170,23 +169,24 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
         device: str | torch.device = "cpu",
         dtype: str | torch.dtype = "float32",
         compiled: bool = True,
+        preview: Sequence[int] = (),
     ) -> None:
         self.device, self.dtype = checked_device(device), checked_dtype(dtype)
-        self._lanes = Lanes(num_envs, scenario, vehicle, control_dt)
+        self._lanes = Lanes(num_envs, scenario, vehicle, control_dt, preview)
         self.num_envs = num_envs
         self.render_mode = None
         self.scenarios = self._lanes.scenarios
         kind: Any = np.float32 if self.dtype == torch.float32 else np.float64
-        bounds: Any = BOUNDS.astype(kind)
+        bounds: Any = observation_bounds(self._lanes.preview.periods).astype(kind)
         self.single_action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.single_observation_space = gym.spaces.Box(-bounds, bounds, dtype=kind)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._step = step_function(self.device, self.dtype, self._lanes.filtered, self._lanes.substeps, compiled)
+        self._step = step_function(self.device, self.dtype, self._lanes.parts, compiled)
         self._samples = self._tensor(self._lanes.samples)
         self._constants = self._tensor(self._lanes.constants)
         self._state: Tensor | None = None
-        self._observation = self._tensor(np.zeros((num_envs, len(BOUNDS))))
+        self._observation = self._tensor(np.zeros((num_envs, len(bounds))))
 
     def _tensor(self, array: np.typing.ArrayLike) -> Tensor:
         return torch.tensor(np.asarray(array), dtype=self.dtype, device=self.device)
@@ -214,19 +214,28 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
         return self._observation, self._info(self._tensor(errors), torch.zeros_like(self._observation[:, 0]))
 
     def _begin(self, beginning: Beginning, observation: Tensor) -> Tensor:
-        """Put vehicles at the start of their episodes; return the observations (N, SIZE) with their first ones."""
+        """Put vehicles at the start of their episodes; return the observations (N, columns) with their first ones."""
         host = self._lanes
         where = torch.as_tensor(beginning.lanes, device=self.device)
         constants, ahead = host.constants[:, beginning.lanes], host.samples[host.row :, :, beginning.lanes]
         self._constants = self._constants.index_copy(1, where, self._tensor(constants))  # the graph may need the old
         # Past autograd's eyes: the graph holds views of earlier rows, which stay as they are.
         self._samples.data[host.row + 1 :, :, where] = self._tensor(ahead[1:])
-        p = Parameters.of(self._tensor(constants).unbind(), host.filtered, host.substeps)
+        p = Parameters.of(self._tensor(constants).unbind(), host.parts)
         states = self._tensor(beginning.states).unbind()
         plant, terms = simulation.start(states, self._tensor(ahead[0]).unbind(), p, TENSORS)  # type: ignore[arg-type]
-        begun, first = _packed(plant), _encoded(terms).T
+        begun, first = _packed(plant), self._with_preview(_encoded(terms), beginning.lanes).T
         self._state = begun if self._state is None else self._state.index_copy(1, where, begun)
         return observation.index_copy(0, where, first)
+
+    def _with_preview(self, rows: Tensor, lanes: Indices) -> Tensor:
+        """Return the observations (columns, n) of n lanes, whose terms are given, with their previews."""
+        host = self._lanes
+        if not host.preview.periods:
+            return rows
+        ahead = self._tensor(host.preview.ahead(lanes, host.k[lanes]))
+        turned = torch.stack(to_body(ahead[:, 0], ahead[:, 1], rows[COS_PSI], rows[SIN_PSI]), dim=1)
+        return torch.cat((rows, turned.clamp(-L, L).flatten(0, 1)))
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
         """Advance every vehicle by one control period; start the next episode where one ends.
@@ -247,7 +256,7 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
         inputs = state, commands.T.contiguous(), sample, self._constants
         with torch.set_grad_enabled(graph):
             self._state, rows, reward, lost, squared, saturated = self._step(*inputs)
-        observation, errors = rows.T, squared.detach().sqrt()
+        observation, errors = self._with_preview(rows, host.all).T, squared.detach().sqrt()
         terminated = lost > 0.5
         truncated = torch.as_tensor(host.truncated, device=self.device)
         done = terminated | truncated
@@ -264,7 +273,7 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
         return observation, reward, terminated, truncated, info
 
     def detach(self) -> Tensor:
-        """Cut the graph here and return the last observation, shape (N, SIZE), without it."""
+        """Cut the graph here and return the last observation, shape (N, columns), without it."""
         self._state, self._observation = self.state.detach(), self._observation.detach()
         return self._observation
 

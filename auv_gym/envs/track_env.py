@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -16,11 +16,12 @@ from auv_gym.namespaces import FLOATS
 from auv_gym.paths import Path
 from auv_gym.planner import Reference, plan
 from auv_gym.presets import as_scenario
+from auv_gym.preview import Preview, encode_preview, observation_bounds
 from auv_gym.rendering import Renderer, View
 from auv_gym.scenario import Scenario
-from auv_gym.simulation import Parameters, ground_state, start, step
+from auv_gym.simulation import Parameters, Terms, current_at, ground_state, start, step
 from auv_gym.tape import Tape
-from auv_gym.task import BOUNDS, check_reference, encode_observation
+from auv_gym.task import check_reference, encode_observation
 from auv_gym.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -106,6 +107,9 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     - `vehicle`: a `Vehicle`, a dict, or a name, in place of the scenario's known vehicle.
     - `control_dt`: control period [s] in place of the scenario's; the episode's duration stays.
     - `render_mode`: `"human"`, `"rgb_array"` or None.
+    - `preview`: for policies that look ahead, ascending numbers of control periods. For each of them two columns are
+      appended to the observation: the displacement x, y [m] of the reference from now to then, along the measured body
+      axes, clipped to +-64.
 
     `reset(options=...)` takes `initial_error` (x_e, y_e [m], psi_e [rad]), `initial_velocity` (u, v [m/s] relative to
     the water, r [rad/s]) and `episode` (an `Episode` to run as it is).
@@ -125,6 +129,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         vehicle: Vehicle | str | Mapping[str, Any] | None = None,
         control_dt: float | None = None,
         render_mode: str | None = None,
+        preview: Sequence[int] = (),
     ) -> None:
         """See the class; raises ValueError for whatever it does not know or cannot plan."""
         self.scenario = as_scenario(scenario).changed(vehicle, control_dt)
@@ -135,7 +140,9 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self.render_mode: Any = render_mode
         self.metadata = {**self.metadata, "render_fps": max(1, round(1 / self.scenario.control_dt))}
         self.action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
-        self.observation_space = gym.spaces.Box(-BOUNDS, BOUNDS, dtype=np.float64)
+        self._preview = Preview(1, preview, self.scenario.steps)
+        bounds = observation_bounds(self._preview.periods)
+        self.observation_space = gym.spaces.Box(-bounds, bounds, dtype=np.float64)
         self._dt, self._steps = self.scenario.control_dt, self.scenario.steps
         self._times: Array = self._dt * np.arange(self._steps + 1, dtype=np.float64)
         self._planned: tuple[Path, Reference] | None = None
@@ -165,10 +172,9 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         )
         reference = self._plan(episode.path)
         self._tape.load(0, self.scenario, episode, reference.table)
+        self._preview.load((0,), (episode.path,), (self._dt,))
         self._read()
-        self._parameters = Parameters.of(
-            self.scenario.parameters(episode), self.scenario.sensors.low_pass is not None, self.scenario.substeps
-        )
+        self._parameters = Parameters.of(self.scenario.parameters(episode), self.scenario.parts)
         sample = self._rows[0]
         self._plant, terms = start(episode.initial_state(sample), sample, self._parameters, FLOATS)
         self._k, self._row, self._over = 0, 0, False
@@ -177,7 +183,13 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self._trail = [self._plant[:2]]
         if self.render_mode == "human":
             self.render()
-        return encode_observation(terms), self._info
+        return self._encoded(terms), self._info
+
+    def _encoded(self, terms: Terms) -> Array:
+        observation = encode_observation(terms)
+        if not self._preview.periods:
+            return observation
+        return np.append(observation, encode_preview(self._preview.ahead((0,), self._k), terms))
 
     def _read(self) -> None:
         self._rows = self._tape.read((0,), BLOCK)[:, :, 0].tolist()
@@ -211,12 +223,12 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
             self._trail.append(self._plant[:2])
             if self.render_mode == "human":
                 self.render()
-        return encode_observation(terms), reward, lost, truncated, self._info
+        return self._encoded(terms), reward, lost, truncated, self._info
 
     @property
     def state(self) -> Array:
         """x, y [m], psi [rad], u, v [m/s] over ground, r [rad/s]; shape (6,)."""
-        return np.array(ground_state(self._plant, self._rows[self._row], FLOATS))
+        return np.array(ground_state(self._plant, self._rows[self._row], self._parameters, FLOATS))
 
     @property
     def reference(self) -> ReferencePoint:
@@ -230,8 +242,9 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
 
     @property
     def current(self) -> Array:
-        """V_x, V_y [m/s] of the water in the world; shape (2,)."""
-        return np.array(self._rows[self._row][8:10])
+        """V_x, V_y [m/s] of the water in the world, where the vehicle is; shape (2,)."""
+        x, y = self._plant[:2]
+        return np.array(current_at(x, y, self._rows[self._row], self._parameters, FLOATS))
 
     @property
     def time(self) -> float:

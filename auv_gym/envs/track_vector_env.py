@@ -12,11 +12,12 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from auv_gym.envs.lanes import Beginning, Lanes, ScenarioLike, checked_actions, replaced
+from auv_gym.envs.lanes import Beginning, Indices, Lanes, ScenarioLike, checked_actions, replaced
 from auv_gym.envs.track_env import ReferencePoint
 from auv_gym.namespaces import ARRAYS
-from auv_gym.simulation import Parameters, Plant, ground_state, start, step
-from auv_gym.task import BOUNDS, SIZE, encode_rows
+from auv_gym.preview import encode_preview, observation_bounds
+from auv_gym.simulation import Parameters, Plant, Terms, current_at, ground_state, start, step
+from auv_gym.task import encode_rows
 from auv_gym.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -36,6 +37,8 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
             may be an object, a dict or a preset's name.
         vehicle: in place of the scenarios' known vehicle.
         control_dt: control period [s] in place of the scenarios'.
+        render_mode: None; the scalar environment draws.
+        preview: control periods ahead, see the scalar environment.
 
     `reset(options=...)` takes what the scalar environment does: `initial_error` and `initial_velocity` of shape (3,)
     for all or (N, 3), `episode` as a sequence of N; and Gymnasium's `reset_mask` (N,).
@@ -56,22 +59,24 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
         vehicle: Vehicle | str | Mapping[str, Any] | None = None,
         control_dt: float | None = None,
         render_mode: str | None = None,
+        preview: Sequence[int] = (),
     ) -> None:
         """See the class."""
         if render_mode is not None:
             raise ValueError(
                 f"render_mode is {render_mode!r}; the vector environment does not draw, the scalar one does"
             )
-        self._lanes = Lanes(num_envs, scenario, vehicle, control_dt)
+        self._lanes = Lanes(num_envs, scenario, vehicle, control_dt, preview)
         self.num_envs = num_envs
         self.render_mode = None
         self.scenarios = self._lanes.scenarios
+        bounds = observation_bounds(self._lanes.preview.periods)
         self.single_action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
-        self.single_observation_space = gym.spaces.Box(-BOUNDS, BOUNDS, dtype=np.float64)
+        self.single_observation_space = gym.spaces.Box(-bounds, bounds, dtype=np.float64)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._plant: Plant | None = None
-        self._observation = np.zeros((num_envs, SIZE))
+        self._observation = np.zeros((num_envs, len(bounds)))
         self._everywhere = np.ones(num_envs, dtype=bool)
 
     def reset(
@@ -91,17 +96,23 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
         return self._observation.copy(), self._info(errors, ~self._everywhere, begun)
 
     def _begin(self, beginning: Beginning) -> Array:
-        """Put vehicles at the start of their episodes; return their first observations (n, SIZE)."""
+        """Put vehicles at the start of their episodes; return their first observations (n, columns)."""
         lanes, states, _ = beginning
-        p = self._lanes.parameters
-        there = Parameters.of(tuple(self._lanes.constants[:, lanes]), p.filtered, p.substeps)
+        there = Parameters.of(tuple(self._lanes.constants[:, lanes]), self._lanes.parts)
         begun, terms = start(tuple(states), self._lanes.sample[:, lanes], there, ARRAYS)
         old = begun if self._plant is None else self._plant
         self._plant = (
             *(replaced(a, lanes, b) for a, b in zip(old[:-1], begun[:-1], strict=True)),
             tuple(replaced(a, lanes, b) for a, b in zip(old[-1], begun[-1], strict=True)),
         )
-        return encode_rows(terms)
+        return self._encoded(terms, lanes)
+
+    def _encoded(self, terms: Terms, lanes: Indices) -> Array:
+        """Return the observations of n lanes, shape (n, columns)."""
+        preview = self._lanes.preview
+        if not preview.periods:
+            return encode_rows(terms)
+        return np.hstack((encode_rows(terms), encode_preview(preview.ahead(lanes, self._lanes.k[lanes]), terms)))
 
     def step(self, actions: NDArray[Any]) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
         """Advance every vehicle by one control period; start the next episode where one ends.
@@ -116,7 +127,7 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
         self._plant, terms, (reward, lost, squared, saturated) = step(
             plant, commands, lanes.sample, lanes.parameters, ARRAYS
         )
-        observation, errors, truncated = encode_rows(terms), np.sqrt(squared), lanes.truncated
+        observation, errors, truncated = self._encoded(terms, lanes.all), np.sqrt(squared), lanes.truncated
         done = lost | truncated
         info: dict[str, Any] = {}
         if done.any():
@@ -146,7 +157,8 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
     @property
     def state(self) -> Array:
         """x, y [m], psi [rad], u, v [m/s] over ground, r [rad/s]; shape (N, 6)."""
-        return np.stack(ground_state(self._running, self._lanes.sample, ARRAYS), axis=1)
+        lanes = self._lanes
+        return np.stack(ground_state(self._running, lanes.sample, lanes.parameters, ARRAYS), axis=1)
 
     @property
     def reference(self) -> ReferencePoint:
@@ -160,8 +172,9 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
 
     @property
     def current(self) -> Array:
-        """V_x, V_y [m/s] of the water in the world; shape (N, 2)."""
-        return np.array(self._lanes.sample[8:10].T)
+        """V_x, V_y [m/s] of the water in the world, where the vehicles are; shape (N, 2)."""
+        lanes, (x, y) = self._lanes, self._running[:2]
+        return np.stack(current_at(x, y, lanes.sample, lanes.parameters, ARRAYS), axis=1)
 
     @property
     def time(self) -> Array:

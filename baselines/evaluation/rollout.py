@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.episode import Episode
 from auv_gym.paths import Line
-from auv_gym.residual import Policy
+from auv_gym.residual import Policy, preview_of
 from auv_gym.scenario import Scenario
 from baselines.evaluation.metrics import Array, Measures, Track, effort, rmse, settling_time, smoothness, tail_rmse
 
@@ -63,7 +63,9 @@ def rollout(policy: Policy, scenario: Scenario, episodes: Sequence[Episode], ste
     """
     begin, n = time.perf_counter(), len(episodes)
     # What an environment begins where an episode has ended is left alone: a straight line, which costs nothing to plan.
-    env = UnderactuatedAUVTrackVectorEnv(n, replace(scenario, path=Line(episodes[0].path.speed)))
+    env = UnderactuatedAUVTrackVectorEnv(
+        n, replace(scenario, path=Line(episodes[0].path.speed)), preview=preview_of(policy)
+    )
     privileged = policy if isinstance(policy, Privileged) else None
     if privileged:
         privileged.prepare(scenario, episodes)

@@ -124,7 +124,7 @@ class Trainer:
             self._restore(state)
         law = law_of(config.make_expert())
         loss = Loss(settings.effort_weight, settings.rate_weight)
-        loop = ClosedLoop(law, config.authority, loss, self.fleet.filtered, self.fleet.substeps)
+        loop = ClosedLoop(law, config.authority, loss, self.fleet.parts)
         self._step = compiled(loop) if settings.compiled else loop.step
 
     @property

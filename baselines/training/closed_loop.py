@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from auv_gym.envs.torch_sim import STATE, TENSORS, simulate
+from auv_gym.envs.torch_sim import PLAIN, STATE, TENSORS, simulate
 from auv_gym.namespaces import Namespace
 from auv_gym.residual import Policy
+from auv_gym.simulation import Parts
 from auv_gym.task import SCALES, SIZE
 from baselines import features
 from baselines.features import INTEGRALS
@@ -84,8 +85,7 @@ class ClosedLoop:
     law: Law
     authority: tuple[float, float]
     loss: Loss
-    filtered: bool = False  # see `simulation.Parameters`
-    substeps: int = 1
+    parts: Parts = PLAIN  # of the simulation that are in use
 
     def act(self, network: nn.Module, carried: Carried) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return the command, shape (ACTIONS, N), integrals, correction and hidden state."""
@@ -110,7 +110,7 @@ class ClosedLoop:
             parameters: the rows of `simulation.Parameters`, shape (PARAMETERS, N).
         """
         command, integrals, correction, hidden = self.act(network, carried)
-        t = simulate(carried.state, command, sample, parameters, self.filtered, self.substeps)
+        t = simulate(carried.state, command, sample, parameters, self.parts)
         loss = self.loss.of(t.squared_error, parameters[17], command, carried.state[8:10])
         return Carried(t.state, t.observation, integrals, correction, hidden), loss, t.squared_error
 

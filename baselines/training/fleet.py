@@ -33,7 +33,7 @@ class Fleet:
         self._seed, self._window, self._dtype = seed, window, dtype
         self._steps = np.array([s.steps for s in scenarios])
         self._lost = torch.tensor([s.lost_distance**2 for s in scenarios], dtype=dtype)
-        self.filtered, self.substeps = self._lanes.filtered, self._lanes.substeps
+        self.parts = self._lanes.parts
         self.parameters = self._tensor(self._lanes.constants)
         self._ends = self._steps.copy()  # of the running episodes
 
@@ -60,7 +60,7 @@ class Fleet:
     def _begun(self, beginning: Beginning, carried: Carried) -> Carried:
         lanes, host = beginning.lanes, self._lanes
         constants = host.constants[:, lanes]
-        p = Parameters.of(tuple(constants), host.filtered, host.substeps)
+        p = Parameters.of(tuple(constants), host.parts)
         plant, terms = simulation.start(tuple(beginning.states), host.sample[:, lanes], p, ARRAYS)
         where = torch.as_tensor(lanes)
         state, observation, integrals, correction, hidden = (x.clone() for x in carried)

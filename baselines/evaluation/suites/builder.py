@@ -32,6 +32,16 @@ LOSS = (0.6, 0.9)
 """Share of the commanded force that is left."""
 SLUGGISH, RAMP = (0.4, 0.7), 0.5
 """Time constants [s] of the actuators, and their time [s] from zero to the limit."""
+DELAY = (1.0, 3.0)
+"""Control periods until a command acts."""
+SHORT = (0.45, 0.75)
+"""Share of the told limits at which the actuators saturate."""
+OUTAGES, OUTAGE_TIME = 4.0, {"slow": (0.5, 2.5), "cruise": (0.3, 1.5)}
+"""Outages of the position fix per minute, and how long they last [s]."""
+SHEAR, WAVELENGTHS = (0.1, 0.25), {"slow": (5.0, 15.0), "cruise": (20.0, 60.0)}
+"""Amplitude of a sheared current as a share of the path's speed, and its wave length [m]."""
+TURN = {"slow": (-0.02, 0.02), "cruise": (-0.05, 0.05)}
+"""How fast a turning current turns [rad/s]."""
 
 PathOf = Callable[[np.random.Generator, RandomPath, float], Path | None]
 """Returns a path for a duration [s], or None to let the scenario draw one."""
@@ -58,11 +68,14 @@ def _out_of_distribution() -> list[Recipe]:
         current, storm = PRESETS[f"{regime}-current"], PRESETS[f"{regime}-storm"]
         assert current.current is not None
         stronger = replace(current.current, speed=_scaled(current.current.speed, STRONGER))
+        turning = replace(current.current, turn=TURN[regime])
         recipes += [
             Recipe(replace(current, name=f"{regime}-current-x1.5", current=stronger)),
             Recipe(_worse(storm)),
             Recipe(replace(storm, name=f"{regime}-lawnmower"), families=("lawnmower",)),
             Recipe(replace(storm, name=f"{regime}-waypoints"), path=waypoints),
+            Recipe(replace(current, name=f"{regime}-current-sheared", current=_sheared(current, regime))),
+            Recipe(replace(current, name=f"{regime}-current-turning", current=turning)),
         ]
     return recipes
 
@@ -83,16 +96,29 @@ def _unmodelled() -> list[Recipe]:
         swell = replace(waves, band=SWELL)
         weak = replace(act, effectiveness=LOSS)
         slow = replace(act, lag=SLUGGISH, F_u_rate=act.F_u_max / RAMP, F_r_rate=act.F_r_max / RAMP)
+        patchy = replace(storm.sensors, outages=OUTAGES, outage_time=OUTAGE_TIME[regime])
+        sheared = _sheared(storm, regime)
+        broken = replace(act, effectiveness=LOSS, delay=DELAY)
         changes: dict[str, dict[str, Any]] = {
             "bias": {"sensors": biased},
             "swell": {"waves": swell},
             "thruster-loss": {"actuators": weak},
             "sluggish": {"actuators": slow},
-            "everything": {"sensors": biased, "waves": swell, "actuators": replace(slow, effectiveness=LOSS)},
+            "dropout": {"sensors": patchy},
+            "delay": {"actuators": replace(act, delay=DELAY)},
+            "short-limits": {"actuators": replace(act, reach=SHORT)},
+            "shear": {"current": sheared},
+            "everything": {"sensors": biased, "waves": swell, "actuators": broken, "current": sheared},
         }
         count = UNMODELLED_EPISODES * len(FAMILIES)
         recipes += [Recipe(replace(storm, name=f"{regime}-{n}", **c), episodes=count) for n, c in changes.items()]
     return recipes
+
+
+def _sheared(scenario: Scenario, regime: str) -> RandomCurrent:
+    """Return the scenario's current with a shear."""
+    assert isinstance(scenario.current, RandomCurrent)
+    return replace(scenario.current, shear=SHEAR, wavelength=WAVELENGTHS[regime])
 
 
 def _worse(storm: Scenario) -> Scenario:

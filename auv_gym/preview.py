@@ -1,0 +1,102 @@
+"""Preview: further columns of the observation that say where the reference will be, for policies that look ahead."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_gym.errors import to_body
+from auv_gym.paths import Path, evaluate
+from auv_gym.task import BOUNDS, L, Observation
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+COS_PSI, SIN_PSI = (Observation._fields.index(name) for name in ("cos_psi", "sin_psi"))
+FARTHEST = 1000
+"""Most control periods that a preview may look ahead."""
+
+
+def checked_preview(preview: Any) -> tuple[int, ...]:
+    """Return a preview as a tuple of ascending numbers of control periods.
+
+    Raises:
+        ValueError: it is no sequence of integers in [1, `FARTHEST`], or they do not ascend.
+    """
+    periods = tuple(preview) if isinstance(preview, Sequence) and not isinstance(preview, str) else (None,)
+    if not all(isinstance(n, int) and 1 <= n <= FARTHEST for n in periods) or list(periods) != sorted(set(periods)):
+        raise ValueError(
+            f"preview is {preview!r}; it must be ascending numbers of control periods, integers in [1, {FARTHEST}]"
+        )
+    return tuple(map(int, periods))
+
+
+def observation_bounds(preview: tuple[int, ...]) -> Array:
+    """Return the bounds of an observation with a preview, shape (SIZE + 2 P,)."""
+    return np.append(BOUNDS, np.full(2 * len(preview), L))
+
+
+class Preview:
+    """Positions of the references of N lanes, up to P control periods ahead.
+
+    A preview's columns are, for each of its times, the displacement x, y [m] of the reference from where it is now to
+    where it will be, along the measured body axes; the scale is 1 and the bound `task.L`. Behind an episode's last
+    instant the path goes on, and behind a path's end it goes straight on at its last velocity.
+    """
+
+    def __init__(self, lanes: int, periods: Sequence[int], steps: int) -> None:
+        """Make room for lanes whose episodes have up to `steps` control steps.
+
+        Raises:
+            ValueError: see `checked_preview`.
+        """
+        self.periods = checked_preview(periods)
+        self._ahead = np.array(self.periods, dtype=np.int64)
+        self._instants = steps + 1 + max(self.periods, default=0)
+        self._positions = np.zeros((lanes if self.periods else 0, self._instants, 2))
+
+    @property
+    def columns(self) -> int:
+        """How many columns it adds to an observation."""
+        return 2 * len(self.periods)
+
+    def load(self, lanes: Sequence[int] | Indices, paths: Sequence[Path], dt: Sequence[float] | Array) -> None:
+        """Take up the paths of new episodes, whose control periods are dt [s]."""
+        if not self.periods:
+            return
+        clocks = np.asarray(dt)
+        for period in set(clocks.tolist()):
+            members = (clocks == period).nonzero()[0].tolist()
+            times = period * np.arange(self._instants, dtype=np.float64)
+            self._positions[np.asarray(lanes)[members]] = _positions([paths[j] for j in members], times)
+
+    def ahead(self, lanes: Sequence[int] | Indices, k: int | Indices) -> Array:
+        """Return the displacements in the world [m] from control step k of n lanes on, shape (P, 2, n)."""
+        lanes, k = np.asarray(lanes), np.broadcast_to(k, len(lanes))
+        now = self._positions[lanes, k]
+        later = self._positions[lanes[:, None], k[:, None] + self._ahead]
+        return np.asarray((later - now[:, None]).transpose(1, 2, 0))
+
+
+def encode_preview(ahead: Array, terms: Sequence[Any]) -> Array:
+    """Return a preview's columns, shape (n, 2 P), for displacements in the world, shape (P, 2, n), and `task.TERMS`."""
+    c, s = terms[COS_PSI], terms[SIN_PSI]
+    rows = np.stack(to_body(ahead[:, 0], ahead[:, 1], c, s), axis=1)
+    columns: Array = np.clip(rows, -L, L).reshape(-1, rows.shape[-1]).T
+    return columns
+
+
+def _positions(paths: Sequence[Path], t: Array) -> Array:
+    """Return the positions [m] of N paths at T times, shape (N, T, 2)."""
+    out = np.empty((len(paths), len(t), 2))
+    endless = [i for i, path in enumerate(paths) if path.end >= t[-1]]
+    if endless:
+        out[endless] = evaluate([paths[i] for i in endless], t)[0].transpose(2, 1, 0)
+    for i in set(range(len(paths))) - set(endless):
+        known = np.minimum(t, paths[i].end)
+        position, velocity = paths[i].derivatives(known)[:2]
+        out[i] = (position + velocity * (t - known)).T
+    return out

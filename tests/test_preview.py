@@ -1,0 +1,128 @@
+"""The preview of the reference: geometry from the path itself, and one answer from every back end."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import baselines
+from auv_gym import PRESETS, Scenario
+from auv_gym.envs.torch_sim import TorchSimulator
+from auv_gym.paths import Spline
+from auv_gym.preview import checked_preview
+from auv_gym.scenario import RandomPath, Start
+from auv_gym.sensors import Sensors
+from auv_gym.task import SIZE, decode_observation
+
+PERIODS = (1, 5, 40)
+NOISY = Scenario(
+    path=RandomPath(speed=(0.5, 1.5), turn_rate=0.12),
+    start=Start(x_e=(0.0, 1.0), y_e=(0.0, 1.0), psi_e=(0.0, 0.4), random_signs=True),
+    sensors=Sensors(position=0.05, heading=0.1),
+    steps=12,
+)
+
+
+def geometry(path, o, k, dt):
+    """Return what the preview should be for a path that goes on for ever, shape (P, 2)."""
+    times = dt * np.array([k, *(k + n for n in PERIODS)])
+    positions = path.derivatives(times)[0].T
+    turn = np.array([[o.cos_psi, o.sin_psi], [-o.sin_psi, o.cos_psi]])
+    return (positions[1:] - positions[0]) @ turn.T
+
+
+def test_preview_is_the_path_ahead_along_the_measured_axes():
+    env = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario=NOISY, preview=PERIODS)
+    episode = NOISY.draw(np.random.default_rng(5))
+    observation, _ = env.reset(seed=0, options={"episode": episode})
+    for k in range(NOISY.steps + 1):
+        assert observation in env.observation_space
+        seen = observation[SIZE:].reshape(-1, 2)
+        expected = geometry(episode.path, decode_observation(observation), k, NOISY.control_dt)
+        np.testing.assert_allclose(seen, expected, atol=1e-12)
+        if k < NOISY.steps:
+            observation, *_ = env.step(np.array([0.3, 0.1], dtype=np.float32))
+
+
+@given(seed=st.integers(0, 2**31 - 1))
+@settings(max_examples=10, deadline=None)
+def test_back_ends_agree_across_autoresets(seed):
+    torch.set_num_threads(1)
+    options = {"scenario": NOISY, "preview": PERIODS}
+    vector = gym.make_vec("auv_gym:UnderactuatedAUVTrack-v0", 2, vectorization_mode="vector_entry_point", **options)
+    tensors = TorchSimulator(2, dtype="float64", compiled=False, **options)
+    scalars = [gym.make("auv_gym:UnderactuatedAUVTrack-v0", **options) for _ in range(2)]
+    rows, _ = vector.reset(seed=seed)
+    columns, _ = tensors.reset(seed=seed)
+    single = [env.reset(seed=seed + i)[0] for i, env in enumerate(scalars)]
+    rng = np.random.default_rng(seed)
+    for _ in range(NOISY.steps + 3):
+        np.testing.assert_allclose(rows, np.stack(single), atol=1e-12)
+        np.testing.assert_allclose(columns.numpy(), rows, atol=1e-12)
+        actions = rng.uniform(-1, 1, (2, 2)).astype(np.float32)
+        rows, _, _, done, info = vector.step(actions)
+        columns, _, _, _, tensor_info = tensors.step(torch.tensor(actions))
+        results = [env.step(a) for env, a in zip(scalars, actions, strict=True)]
+        single = [result[0] for result in results]
+        if done.any():
+            np.testing.assert_allclose(np.stack(info["final_obs"]), np.stack(single), atol=1e-12)
+            np.testing.assert_allclose(tensor_info["final_obs"].numpy(), np.stack(single), atol=1e-12)
+            single = [env.reset()[0] for env in scalars]
+
+
+def test_the_terms_do_not_depend_on_the_preview():
+    plain = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="cruise-storm")
+    ahead = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="cruise-storm", preview=PERIODS)
+    np.testing.assert_array_equal(plain.reset(seed=3)[0], ahead.reset(seed=3)[0][:SIZE])
+    action = np.array([0.5, -0.5], dtype=np.float32)
+    np.testing.assert_array_equal(plain.step(action)[0], ahead.step(action)[0][:SIZE])
+
+
+def test_behind_its_end_a_path_goes_straight_on():
+    spline = Spline(waypoints=((0.0, 0.0), (6.0, 0.0), (12.0, 2.0), (18.0, 3.0)), speed=1.0)
+    steps = int(spline.end / 0.1)
+    env = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario=Scenario(path=spline, steps=steps), preview=(50, 100))
+    observation, _ = env.reset(seed=0)
+    for _ in range(steps - 1):
+        observation, *_ = env.step(np.zeros(2, dtype=np.float32))
+    near, far = np.linalg.norm(observation[SIZE:].reshape(2, 2), axis=1)
+    last = spline.derivatives(np.array([spline.end]))[1, :, 0]
+    assert far - near == pytest.approx(5 * np.hypot(*last), rel=1e-3)
+
+
+def test_gradients_flow_through_the_measured_heading():
+    torch.set_num_threads(1)
+    sim = TorchSimulator(1, "cruise-calm", dtype="float64", compiled=False, preview=(10,))
+    sim.reset(seed=0)
+    action = torch.zeros(1, 2, dtype=torch.float64, requires_grad=True)
+    sim.step(action)
+    observation, *_ = sim.step(torch.zeros(1, 2, dtype=torch.float64))
+    observation[0, -1].backward()
+    assert action.grad is not None
+    assert action.grad[0, 1] != 0
+
+
+def test_residual_environments_keep_the_experts_preview():
+    class Looking:
+        preview = PERIODS
+
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            return np.clip(observation[..., SIZE : SIZE + 2], -1, 1).astype(np.float32), None
+
+    env = baselines.make_residual_env("cruise-noise", expert=Looking())
+    observation, _ = env.reset(seed=1)
+    assert observation in env.observation_space
+    assert observation.shape == (SIZE + 2 * len(PERIODS) + 2,)
+    np.testing.assert_allclose(observation[-2:], np.clip(observation[SIZE : SIZE + 2], -1, 1), atol=1e-6)
+    rows, _ = baselines.make_residual_vector_env(1, "cruise-noise", expert=Looking()).reset(seed=1)
+    np.testing.assert_allclose(rows[0], observation, atol=1e-12)
+
+
+@pytest.mark.parametrize("preview", [(0,), (5, 5), (5, 2), (1.5,), "12", 7, (10_000,), None])
+def test_wrong_previews_are_refused(preview):
+    with pytest.raises(ValueError, match=r"preview is .* ascending numbers of control periods"):
+        checked_preview(preview)
+    with pytest.raises(ValueError, match="preview is"):
+        gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario=PRESETS["cruise-calm"], preview=preview)
