@@ -21,7 +21,7 @@ from baselines.los_pid import make_los_pid
 from baselines.lqi import make_lqi
 from baselines.open_loop import OpenLoop
 from baselines.oracle import Oracle
-from baselines.user_policies import is_path, load_policy
+from baselines.user_policies import AGENTS, is_path, load_policy, shipped_agents
 
 POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
     "backstepping": (
@@ -54,13 +54,15 @@ POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
 
 def list_policies() -> dict[str, str]:
     """Return the names of the policies with a line about each."""
-    return {name: text for name, (_, _, text) in POLICIES.items()}
+    agents = {name: f"a trained agent, see baselines/agents/{name}/card.md" for name in shipped_agents()}
+    return {name: text for name, (_, _, text) in POLICIES.items()} | agents
 
 
 def make_policy(name: str, **options: Any) -> Policy:
     """Return a policy by name or path; options override those of the entry.
 
-    A path is FILE.py:FACTORY or a FILE.zip of Stable-Baselines3, which can run any code when it is loaded.
+    A path is FILE.py:FACTORY or a FILE.zip of Stable-Baselines3, which can run any code when it is loaded, or the
+    folder of a trained agent, which cannot.
 
     Raises:
         OSError: the file cannot be read.
@@ -68,9 +70,13 @@ def make_policy(name: str, **options: Any) -> Policy:
     """
     if is_path(name):
         return load_policy(name, **options)
+    if name in shipped_agents():
+        return load_policy(str(AGENTS / name), **options)
     if name not in POLICIES:
-        known = ", ".join(POLICIES)
-        raise ValueError(f"unknown policy {name!r}; allowed are {known}, FILE.py:FACTORY or a FILE.zip")
+        known = ", ".join(list_policies())
+        raise ValueError(
+            f"unknown policy {name!r}; allowed are {known}, FILE.py:FACTORY, a FILE.zip or an agent's folder"
+        )
     factory, defaults, _ = POLICIES[name]
     try:
         return factory(**{**defaults, **options})

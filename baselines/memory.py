@@ -55,18 +55,32 @@ class Remembering:
         """
         rows = observation[None] if observation.ndim == 1 else observation
         o = decode_observation(rows)
-        fresh = self.controller.start(len(rows))
-        if state is None:
-            state = fresh
-        elif any(len(a) != len(rows) for a in state):
-            raise ValueError(f"state is of {len(state[0])} vehicles, the observation of {len(rows)}")
-        elif episode_start is not None and np.any(episode_start):
-            begins = np.broadcast_to(episode_start, len(rows))
-            state = tuple(np.where(along(begins, a), b, a) for a, b in zip(state, fresh, strict=True))
+        state = renewed(state, self.controller.start(len(rows)), episode_start)
         F_u, F_r, state = self.controller.forces(o, state, rows[:, len(o) :])
         action = np.stack((F_u / o.F_u_max, F_r / o.F_r_max), axis=1)
         action = np.clip(action, -1.0, 1.0).astype(np.float32)
         return (action[0] if observation.ndim == 1 else action), state
+
+
+def renewed(state: Memory | None, fresh: Memory, episode_start: NDArray[np.bool_] | None) -> Memory:
+    """Return the memory of N vehicles, begun anew where `state` is None or `episode_start` is True.
+
+    Args:
+        state: as the last control instant left it.
+        fresh: that of episodes which begin, arrays of the same shapes.
+        episode_start: shape (N,), or one for all.
+
+    Raises:
+        ValueError: `state` is of another number of vehicles or arrays.
+    """
+    if state is None:
+        return fresh
+    if len(state) != len(fresh) or any(len(a) != len(b) for a, b in zip(state, fresh, strict=True)):
+        raise ValueError(f"state is of {len(state[0])} vehicles, the observation of {len(fresh[0])}")
+    if episode_start is None or not np.any(episode_start):
+        return state
+    begins = np.broadcast_to(episode_start, len(fresh[0]))
+    return tuple(np.where(along(begins, a), b, a) for a, b in zip(state, fresh, strict=True))
 
 
 def along(mask: NDArray[np.bool_], array: NDArray[Any]) -> NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""Policies from users' own files: `path/to/module.py:factory`, or a `path/to/model.zip` of Stable-Baselines3."""
+"""Policies from files: `path/to/module.py:factory`, a `model.zip` of Stable-Baselines3, or the folder of an agent."""
 
 from __future__ import annotations
 
@@ -27,9 +27,18 @@ AGENTS = Path(__file__).parent / "agents"
 """Folder of the trained agents, one folder each."""
 
 
+AGENTS = Path(__file__).parent / "agents"
+"""Where the agents are that ship with the package, a folder each."""
+
+
+def shipped_agents() -> list[str]:
+    """Return the names of the agents in `AGENTS`."""
+    return sorted(file.parent.name for file in AGENTS.glob("*/agent.json"))
+
+
 def is_path(name: str) -> bool:
     """Return whether a policy's name is a path to one."""
-    return name.endswith(".zip") or ".py:" in name
+    return name.endswith(".zip") or ".py:" in name or "/" in name or "\\" in name or Path(name, "agent.json").is_file()
 
 
 def caution(name: str) -> str | None:
@@ -61,19 +70,25 @@ def load_policy(path: str, **options: Any) -> Policy:
     """Return the policy of a path, see the module.
 
     Args:
-        path: "FILE.py:FACTORY", whose factory is called with the options, or "FILE.zip".
-        options: of the factory; a zip takes none.
+        path: "FILE.py:FACTORY", whose factory is called with the options, "FILE.zip", or an agent's folder.
+        options: of the factory; the others take none.
 
     Raises:
         OSError: the file cannot be read.
         ValueError: it holds no such policy.
     """
-    if path.endswith(".zip"):
+    if ".py:" not in path:
         if options:
             raise ValueError(f"policy {path!r} takes no options")
-        return _model(Path(path))
+        return _model(Path(path)) if path.endswith(".zip") else _agent(Path(path))
     file, _, factory = path.rpartition(":")
     return _made(Path(file), factory, options)
+
+
+def _agent(folder: Path) -> Policy:
+    from baselines.agent import Agent
+
+    return Agent.load(folder).policy()
 
 
 def _made(file: Path, factory: str, options: dict[str, Any]) -> Policy:

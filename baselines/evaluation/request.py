@@ -103,7 +103,7 @@ class Request:
 def _workers(jobs: int | None, cluster: str | None) -> Workers:
     if cluster is None:
         return Workers(jobs or min(2, os.cpu_count() or 1))
-    processors = _checked(partial(connect, cluster))
+    processors = checked(partial(connect, cluster))
     return Workers(jobs or processors, on_cluster=True)
 
 
@@ -113,7 +113,7 @@ def _frozen(
     """Return the cells of a frozen suite, or the first episodes of each; its hash; recorded runs of other policies."""
     if seed:
         raise UsageError(f"--seed is {seed}; the episodes of suite {name} are frozen, so it must be 0 or left out")
-    suite = _checked(partial(load, name))
+    suite = checked(partial(load, name))
     found = recorded.load(suite)
     for policy, reason in found.refused.items():
         if policy not in live:
@@ -130,15 +130,19 @@ def _drawn(suite: str | None, names: Sequence[str], episodes: int | None, seed: 
     """Return what is to run, and its hash."""
     if suite is not None and suite not in DRAWN:
         raise UsageError(f"unknown suite {suite!r}; allowed are {', '.join((*DRAWN, *list_suites()))}")
-    scenarios = _distinct(_scenario(name) for name in names or DRAWN[suite or ""])
+    scenarios = _distinct(checked_scenario(name) for name in names or DRAWN[suite or ""])
     count = DEFAULT_EPISODES if episodes is None else episodes
     record = {"scenarios": [s.to_dict() for s in scenarios], "episodes": count, "seed": seed}
     text = json.dumps(record, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return tuple(drawn(s, count, seed) for s in scenarios), hashlib.sha256(text.encode()).hexdigest()
 
 
-def _checked(make: Callable[[], T]) -> T:
-    """Return what `make` returns, its complaints about the user's input as a UsageError."""
+def checked(make: Callable[[], T]) -> T:
+    """Return what `make` returns.
+
+    Raises:
+        UsageError: it complains about the user's input, or a file cannot be read.
+    """
     try:
         return make()
     except OSError as error:
@@ -147,16 +151,23 @@ def _checked(make: Callable[[], T]) -> T:
         raise UsageError(str(error)) from error
 
 
-def _scenario(name: str) -> Scenario:
-    """Return the scenario of a preset's name or a file, once it is known that its environment can be made."""
+def checked_scenario(name: str, others: Iterable[str] = ()) -> Scenario:
+    """Return the scenario of a preset's name or a file, once it is known that its environment can be made.
+
+    Args:
+        name: of the preset, or path of the file.
+        others: names that the caller takes, for the message.
+
+    Raises:
+        UsageError: there is none, or it cannot be used.
+    """
     if name in PRESETS:
         return PRESETS[name]
     if not name.endswith((".toml", ".json")):
-        raise UsageError(
-            f"unknown scenario {name!r}; allowed are a .toml or .json file, or one of {', '.join(PRESETS)}"
-        )
-    scenario = _checked(partial(Scenario.load, name))
-    _checked(partial(make_env, scenario))
+        known = ", ".join((*others, *PRESETS))
+        raise UsageError(f"unknown scenario {name!r}; allowed are a .toml or .json file, or one of {known}")
+    scenario = checked(partial(Scenario.load, name))
+    checked(partial(make_env, scenario))
     return scenario
 
 
@@ -178,7 +189,7 @@ def checked_policies(names: Sequence[str]) -> tuple[str, ...]:
     for name in names:
         if (note := caution(name)) is not None:
             print(f"note: {note}", file=sys.stderr)
-        _checked(partial(make_policy, name))
+        checked(partial(make_policy, name))
     return tuple(dict.fromkeys(names))
 
 

@@ -1,0 +1,95 @@
+"""What a trained policy sees: an observation and its expert's action, scaled by what is observed, plus slow memory.
+
+One copy of the equations for NumPy rows and torch tensors. Lengths are in units of the way that the reference covers in
+a second and forces in units of the actuators' limits, so one policy can serve every speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
+
+from auv_gym.errors import to_body, to_world
+from auv_gym.namespaces import Namespace, Number
+from baselines.backstepping import MIN_SPEED
+
+BOUND = 8.0
+"""Largest magnitude of a feature."""
+FAST, SLOW = 0.1, 0.015
+"""Rates [1/s] at which the two integrals of the position error forget."""
+FAR = 4.0
+"""Largest position error that is integrated, in units of U * 1 s: a vehicle that is lost must not wind them up."""
+
+
+class Feature(NamedTuple):
+    """One entry of the policy's input: the quantity divided by `scale`, clipped to +-`BOUND`."""
+
+    name: str
+    unit: str
+    scale: str  # U: the reference's speed, at least `MIN_SPEED`; F_u_max, F_r_max: the actuators' limits
+    meaning: str
+
+
+FEATURES = (
+    Feature("e_x", "m", "U * 1 s", "measured position error along the body's surge axis"),
+    Feature("e_y", "m", "U * 1 s", "the same along the sway axis"),
+    Feature("psi_e", "rad", "0.5 rad", "measured heading error"),
+    Feature("u_e", "m/s", "0.5 U", "measured surge velocity error, over ground"),
+    Feature("v_e", "m/s", "0.5 U", "measured sway velocity error, over ground"),
+    Feature("r_e", "rad/s", "0.125 rad/s", "measured yaw rate error"),
+    Feature("u_R", "m/s", "1 m/s", "reference surge velocity"),
+    Feature("v_R", "m/s", "0.25 U", "reference sway velocity"),
+    Feature("r_R", "rad/s", "0.125 rad/s", "reference yaw rate"),
+    Feature("F_uR", "N", "F_u_max", "reference surge force"),
+    Feature("F_rR", "N m", "F_r_max", "reference yaw torque"),
+    Feature("base_u", "1", "1", "the expert's action, surge"),
+    Feature("base_r", "1", "1", "the expert's action, yaw"),
+    Feature("fast_x", "m s", "U * 4 s^2", "integral of the position error in the world, forgotten at FAST, surge axis"),
+    Feature("fast_y", "m s", "U * 4 s^2", "the same along the sway axis"),
+    Feature("slow_x", "m s", "U * 10 s^2", "integral forgotten at SLOW, surge axis"),
+    Feature("slow_y", "m s", "U * 10 s^2", "the same along the sway axis"),
+    Feature("c_u", "1", "1", "previous correction, surge, in [-1, 1]"),
+    Feature("c_r", "1", "1", "previous correction, yaw"),
+    Feature("a_u", "1", "1", "previous command, surge"),
+    Feature("a_r", "1", "1", "previous command, yaw"),
+    Feature("F_u_max", "N", "256 N", "surge force that action 1 commands"),
+    Feature("F_r_max", "N m", "128 N m", "yaw torque that action 1 commands"),
+    Feature("dt", "s", "0.125 s", "control period"),
+)
+INTEGRALS = 4
+"""Rows that are remembered: the two integrals, scaled by U * 1 s, each with its x and y in the world."""
+
+
+def update(
+    o: Sequence[Number],
+    base: Iterable[Number],
+    correction: Iterable[Number],
+    integrals: Iterable[Number],
+    ns: Namespace,
+) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    """Return the features, one row for each of `FEATURES`, and the integrals to hand in at the next control instant.
+
+    Args:
+        o: the terms of an observation in SI units, see `auv_gym.task.TERMS`.
+        base: the expert's action at this instant, surge and yaw.
+        correction: the policy's own action before this instant, surge and yaw; zero at an episode's start.
+        integrals: as the last call returned them, `INTEGRALS` rows; zero at an episode's start.
+        ns: the namespace of the numbers.
+    """
+    e_x, e_y, psi_e, u_e, v_e, r_e, u_R, v_R, r_R, F_uR, F_rR, c, s, F_u_max, F_r_max, a_u, a_r, dt = o[:18]
+    x1, y1, x2, y2 = integrals
+    per_U = 1 / ns.sqrt(ns.clip(u_R * u_R + v_R * v_R, MIN_SPEED * MIN_SPEED, 1e6))
+    ahead, aside = e_x * per_U, e_y * per_U
+    x, y = ns.clip(ahead, -FAR, FAR), ns.clip(aside, -FAR, FAR)
+    x, y = to_world(x, y, c, s)
+    x1, y1 = x1 + dt * (x - FAST * x1), y1 + dt * (y - FAST * y1)
+    x2, y2 = x2 + dt * (x - SLOW * x2), y2 + dt * (y - SLOW * y2)
+    fast_x, fast_y = to_body(x1, y1, c, s)
+    slow_x, slow_y = to_body(x2, y2, c, s)
+    rows = (
+        ahead, aside, 2 * psi_e, 2 * u_e * per_U, 2 * v_e * per_U, 8 * r_e,
+        u_R, 4 * v_R * per_U, 8 * r_R, F_uR / F_u_max, F_rR / F_r_max, *base,
+        0.25 * fast_x, 0.25 * fast_y, 0.1 * slow_x, 0.1 * slow_y,
+        *correction, a_u, a_r, F_u_max / 256, F_r_max / 128, 8 * dt,
+    )  # fmt: skip
+    return tuple(ns.clip(row, -BOUND, BOUND) for row in rows), (x1, y1, x2, y2)

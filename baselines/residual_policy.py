@@ -1,0 +1,59 @@
+"""A trained agent as a policy: an expert's action plus a bounded correction by a network, on NumPy alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_gym.namespaces import ARRAYS
+from auv_gym.residual import Policy
+from auv_gym.task import decode_observation
+from baselines.features import INTEGRALS, update
+from baselines.memory import Memory, renewed
+from baselines.networks import Network, Weights
+
+
+class ResidualPolicy:
+    """command = clip(expert + authority * network(features)), with Stable-Baselines3's `predict`.
+
+    Its memory: the integrals of the features, (N, INTEGRALS); the last correction, (N, 2); the network's hidden state,
+    (N, hidden); and behind them whatever the expert remembers. A network that gives zero leaves the expert's actions as
+    they are, bit for bit.
+    """
+
+    OWN = 3
+    """Arrays of its memory in front of the expert's."""
+
+    def __init__(self, expert: Policy, network: Network, weights: Weights, authority: tuple[float, float]) -> None:
+        """Make the policy of checked weights."""
+        self.expert, self.network, self.authority = expert, network, np.array(authority)
+        self.weights = {name: np.asarray(w, dtype=np.float64) for name, w in weights.items()}
+
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: Memory | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], Memory | None]:
+        """Return the action (2,) or actions (N, 2) and the memory, its arrays with leading axis N (1 for one).
+
+        Memory begins anew where `state` is None or `episode_start`, shape (N,), is True.
+
+        Raises:
+            ValueError: the observation has the wrong shape, or `state` is of another number of vehicles.
+        """
+        rows = observation[None] if observation.ndim == 1 else observation
+        o, n = decode_observation(rows), len(rows)
+        fresh = np.zeros((n, INTEGRALS)), np.zeros((n, 2)), np.zeros((n, self.network.memory))
+        integrals, correction, hidden = renewed(state and state[: self.OWN], fresh, episode_start)
+        past: Memory | None = state[self.OWN :] if state else ()
+        action, past = self.expert.predict(observation, past or None, episode_start)
+        base = action.reshape(n, 2).astype(np.float64)
+        features, sums = update(o, base.T, correction.T, integrals.T, ARRAYS)
+        correction, hidden = self.network.forward(self.weights, np.array(features).T, hidden)
+        action = np.clip(base + self.authority * correction, -1.0, 1.0).astype(np.float32)
+        memory = np.array(sums).T, correction, hidden, *(past or ())
+        return (action[0] if observation.ndim == 1 else action), memory

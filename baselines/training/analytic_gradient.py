@@ -1,0 +1,211 @@
+"""Analytic policy gradient: back-propagation through the simulator, a window of control steps at a time.
+
+The network corrects an expert. What it remembers is carried from window to window without the graph behind it, and the
+loss is the tracking error itself: no value function, no exploration, no reward.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from auv_gym.envs.torch_sim import can_compile
+from auv_gym.intervals import check_number
+from auv_gym.records import from_record
+from baselines.agent import Agent
+from baselines.features import FEATURES
+from baselines.networks import Gru
+from baselines.training.closed_loop import Carried, ClosedLoop, Loss, law_of
+from baselines.training.config import Config
+from baselines.training.fleet import Fleet
+from baselines.training.run import VALIDATIONS, Run, TrainingError
+from baselines.training.torch_network import TorchGru
+
+logger = logging.getLogger(__name__)
+
+LOGS = 200
+"""How often in a run its progress is logged."""
+Step = Callable[[nn.Module, Carried, Tensor, Tensor], tuple[Carried, Tensor, Tensor]]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Hyper-parameters of the analytic gradient."""
+
+    n_envs: int = 128  # vehicles side by side
+    n_steps: int = 50  # control steps of a window
+    learning_rate: float = 2e-3  # at the start ...
+    final_learning_rate: float = 1e-4  # ... falling to this along a cosine
+    max_grad_norm: float = 1.0
+    hidden_size: int = 64  # of each layer of the network
+    effort_weight: float = 0.003  # see `closed_loop.Loss`
+    rate_weight: float = 0.3  # likewise
+    compiled: bool = True  # whether torch compiles the step, which takes a minute once
+
+    def __post_init__(self) -> None:
+        for name, high in (("n_envs", 2**16), ("n_steps", 10**4)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= high:
+                raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")
+        for name in ("learning_rate", "final_learning_rate", "max_grad_norm"):
+            check_number(name, getattr(self, name), 1e-9, 1e6)
+        for name in ("effort_weight", "rate_weight"):
+            check_number(name, getattr(self, name), 0, 1e6)
+        if not isinstance(self.compiled, bool):
+            raise ValueError(f"compiled is {self.compiled!r}; it must be true or false")
+        _ = self.network
+
+    @property
+    def network(self) -> Gru:
+        """The sizes of the network."""
+        return Gru(len(FEATURES), self.hidden_size, self.hidden_size, self.hidden_size)
+
+    def rate_at(self, progress: float) -> float:
+        """Return the learning rate after a share `progress` of the run."""
+        first, last = self.learning_rate, self.final_learning_rate
+        return last + (first - last) * 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
+
+
+def check(config: Config) -> Settings:
+    """Return the settings of a configuration.
+
+    Raises:
+        ValueError: a hyper-parameter is unknown or wrong, or the expert does not compute on tensors.
+    """
+    settings = from_record(Settings, config.hyperparameters, "hyper-parameters of apg")
+    law_of(config.make_expert())
+    config.lanes(settings.n_envs)
+    shortest = min(scenario.steps for scenario, _ in config.scenarios)
+    if settings.n_steps > shortest:
+        raise ValueError(f"n_steps is {settings.n_steps}; it must be at most {shortest}, the steps of an episode")
+    return settings
+
+
+def train(run: Run) -> Agent:
+    """Train an agent and return the best one on the validation episodes.
+
+    Raises:
+        OSError: the run's folder cannot be written to.
+        TrainingError: the gradient is not finite any more.
+        ValueError: see `check`.
+    """
+    trainer = Trainer(run)
+    while trainer.updates < trainer.total:
+        trainer.update()
+    return trainer.agent(trainer.best)
+
+
+class Trainer:
+    """Network, optimiser and vehicles of a run; goes on from the run's checkpoint, if there is one."""
+
+    PATIENCE = 50
+    """Updates in a row that may be skipped for a gradient that is not finite."""
+
+    def __init__(self, run: Run) -> None:
+        """Begin a run, or take it up."""
+        self.run, self.settings = run, check(run.config)
+        config, settings = run.config, self.settings
+        self.total = max(1, math.ceil(config.timesteps / (settings.n_envs * settings.n_steps)))
+        torch.manual_seed(config.seed)
+        self.network = TorchGru(settings.network)
+        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=settings.learning_rate)
+        self.fleet = Fleet(config.lanes(settings.n_envs), config.episode_seed, settings.n_steps)
+        self.updates, self.skipped, self.score = 0, 0, -math.inf
+        self.best = self.network.weights()
+        if (state := run.load_checkpoint()) is None:
+            self.carried = self.fleet.reset(settings.hidden_size)
+        else:
+            self._restore(state)
+        law = law_of(config.make_expert())
+        loss = Loss(settings.effort_weight, settings.rate_weight)
+        loop = ClosedLoop(law, config.authority, loss, self.fleet.parts)
+        self._step = compiled(loop) if settings.compiled else loop.step
+
+    @property
+    def timesteps(self) -> int:
+        """Control steps so far, summed over vehicles."""
+        return self.updates * self.settings.n_envs * self.settings.n_steps
+
+    def update(self) -> None:
+        """Run one window, follow its gradient, and log, validate and save where it is time to."""
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.settings.rate_at(self.updates / self.total)
+        loss, error = self._window()
+        self.optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        norm = float(nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.max_grad_norm))
+        if math.isfinite(norm):
+            self.optimizer.step()
+            self.skipped = 0
+        elif self.skipped >= self.PATIENCE:
+            raise TrainingError(f"{self.skipped} gradients in a row were not finite; lower learning_rate or n_steps")
+        else:
+            self.skipped += 1
+        self.updates += 1
+        if self._due(LOGS):
+            self.run.log(self.timesteps, loss=float(loss.detach()), window_error_m=error, gradient_norm=norm)
+        if self._due(VALIDATIONS):
+            self._validate()
+
+    def _due(self, times: int) -> bool:
+        """Return whether one of so many moments, spread evenly over the run, has come; the last one is its end."""
+        return self.updates * times // self.total > (self.updates - 1) * times // self.total
+
+    def _window(self) -> tuple[Tensor, float]:
+        """Return the mean loss of a window and its mean position error [m]; begin new episodes behind it."""
+        carried = Carried(*(x.detach().requires_grad_() for x in self.carried))  # as compiled, from the first step on
+        loss, distance = torch.zeros(()), torch.zeros(())
+        for sample in self.fleet.samples():
+            carried, losses, squared_error = self._step(self.network, carried, sample, self.fleet.parameters)
+            loss = loss + losses.mean()
+            distance = distance + squared_error.detach().sqrt().mean()
+        self.carried = self.fleet.renew(carried.detach(), squared_error.detach())
+        return loss / self.settings.n_steps, float(distance) / self.settings.n_steps
+
+    def _validate(self) -> None:
+        weights = self.network.weights()
+        score = self.run.validate(self.agent(weights).policy(), self.timesteps)
+        if score > self.score:
+            self.score, self.best = score, weights
+        self.run.save_checkpoint(self._state())
+
+    def agent(self, weights: Any) -> Agent:
+        """Return the agent of these weights."""
+        config = self.run.config
+        names = tuple(scenario.name for scenario, _ in config.scenarios)
+        return Agent(self.settings.network, weights, config.expert, config.authority, names)
+
+    def _state(self) -> dict[str, Any]:
+        return {
+            "timesteps": self.timesteps,
+            "updates": self.updates,
+            "skipped": self.skipped,
+            "score": self.score,
+            "best": self.best,
+            "network": self.network.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "fleet": self.fleet,
+            "carried": self.carried,
+        }
+
+    def _restore(self, state: dict[str, Any]) -> None:
+        self.updates, self.skipped = state["updates"], state["skipped"]
+        self.score, self.best = state["score"], state["best"]
+        self.network.load_state_dict(state["network"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.fleet, self.carried = state["fleet"], state["carried"]
+
+
+def compiled(loop: ClosedLoop) -> Step:
+    """Return the step compiled, or as it is where torch cannot compile."""
+    if not can_compile(torch.device("cpu")):
+        return loop.step
+    logger.info("compiling the control step; the first time takes about a minute")
+    step: Step = torch.compile(loop.step, fullgraph=True, dynamic=False)
+    return step

@@ -1,0 +1,81 @@
+"""How a correction of an expert is learned without destroying it first: callbacks that rl_zoo3 takes by name too."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from stable_baselines3.common.callbacks import BaseCallback
+from torch import nn
+
+
+class ZeroCorrection(BaseCallback):
+    """Makes the untrained actor's correction zero, so that training starts at the expert.
+
+    Args:
+        std: standard deviation of the first corrections, before they are bounded; None leaves it as it is. TD3's
+            actor has none, its noise comes from outside.
+    """
+
+    def __init__(self, std: float | None = None) -> None:
+        super().__init__()
+        self.std = std
+
+    def _on_training_start(self) -> None:
+        if self.num_timesteps > 0:  # resumed
+            return
+        policy: Any = self.model.policy
+        with torch.no_grad():
+            for actor in (policy, getattr(policy, "actor", None), getattr(policy, "actor_target", None)):
+                for layer in last_layers(actor):
+                    layer.weight.zero_()
+                    layer.bias.zero_()
+                if self.std is not None:
+                    self._spread(actor, math.log(self.std))
+
+    def _spread(self, actor: Any, log_std: float) -> None:
+        spread = getattr(actor, "log_std", None)
+        if isinstance(spread, nn.Parameter):  # PPO: a number for each action
+            spread.fill_(log_std)
+        elif isinstance(spread, nn.Linear):  # SAC and TQC: a function of the input
+            spread.weight.zero_()
+            spread.bias.fill_(log_std)
+
+    def _on_step(self) -> bool:
+        return True
+
+
+def last_layers(actor: Any) -> list[nn.Linear]:
+    """Return the layer that an actor's mean action comes from, in a list; none if it has none of its own."""
+    if isinstance(getattr(actor, "action_net", None), nn.Linear):  # PPO's policy
+        return [actor.action_net]
+    mean = getattr(actor, "mu", None)  # a layer in SAC's and TQC's actor, the whole network in TD3's
+    if isinstance(mean, nn.Linear):
+        return [mean]
+    return [layer for layer in mean if isinstance(layer, nn.Linear)][-1:] if isinstance(mean, nn.Sequential) else []
+
+
+class FrozenActor(BaseCallback):
+    """Keeps the actor of SAC, TQC or TD3 as it is until the critic has learned what the expert's actions are worth.
+
+    Args:
+        steps: control steps, summed over vehicles, for which it is kept.
+    """
+
+    def __init__(self, steps: int) -> None:
+        super().__init__()
+        self.steps = steps
+
+    def _on_training_start(self) -> None:
+        self._set()
+
+    def _on_rollout_start(self) -> None:
+        self._set()
+
+    def _set(self) -> None:
+        policy: Any = self.model.policy
+        policy.actor.requires_grad_(self.num_timesteps >= self.steps)
+
+    def _on_step(self) -> bool:
+        return True

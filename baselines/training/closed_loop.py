@@ -1,0 +1,131 @@
+"""One control step of expert, network and vehicle together, with its loss: a pure function for torch to compile."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from auv_gym.envs.torch_sim import PLAIN, STATE, TENSORS, simulate
+from auv_gym.namespaces import Namespace
+from auv_gym.residual import Policy
+from auv_gym.simulation import Parts
+from auv_gym.task import SCALES, SIZE
+from baselines import features
+from baselines.features import INTEGRALS
+from baselines.networks import ACTIONS
+from baselines.zero import Zero
+
+Law = Callable[[Sequence[Any], Namespace], tuple[Any, Any]]
+"""Forces F_u [N], F_r [N m] from the terms of an observation in SI units, as `Backstepping.forces`."""
+
+NEAR, CURVE = 2.0, 0.3
+"""Where the error's loss turns from a parabola into a logarithm, in units of its scale, and how curved the first is."""
+DECODING: list[float] = SCALES.tolist()  # the graph may hold no NumPy
+TINY = 1e-6
+"""Added to the squared error, in units of the scale's square: the distance has no slope at zero."""
+
+
+class Carried(NamedTuple):
+    """What goes from one control step to the next: tensors whose last axis counts the N vehicles, but `hidden`'s."""
+
+    state: Tensor  # rows of a `simulation.Plant`, shape (STATE, N)
+    observation: Tensor  # shape (SIZE, N)
+    integrals: Tensor  # of the features, shape (INTEGRALS, N)
+    correction: Tensor  # the last one, shape (ACTIONS, N)
+    hidden: Tensor  # of the network, shape (N, hidden)
+
+    @classmethod
+    def zeros(cls, n: int, hidden: int, dtype: torch.dtype) -> Carried:
+        """Return what n vehicles begin with, but for state and observation."""
+        state, observation, integrals, correction = (
+            torch.zeros(rows, n, dtype=dtype) for rows in (STATE, SIZE, INTEGRALS, ACTIONS)
+        )
+        return cls(state, observation, integrals, correction, torch.zeros(n, hidden, dtype=dtype))
+
+    def detach(self) -> Carried:
+        """Return the same without the graph behind it."""
+        return Carried(*(x.detach() for x in self))
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Weights of the loss of a control step."""
+
+    effort: float = 0.003  # of the squared command
+    rate: float = 0.3  # of its squared change
+
+    def of(self, squared_error: Tensor, scale: Tensor, command: Tensor, previous: Tensor) -> Tensor:
+        """Return the loss of a step, shape (N,).
+
+        Near the reference it is e + 0.3 e^2 for an error of e scales; far from it, it grows like a logarithm, so that a
+        vehicle that is lost neither outweighs all others nor ceases to be pulled back.
+
+        Args:
+            squared_error: of the position [m^2], shape (N,).
+            scale: of the error [m], shape (N,).
+            command: in [-1, 1], shape (ACTIONS, N).
+            previous: the one before.
+        """
+        e = torch.sqrt(squared_error / (scale * scale) + TINY)
+        near, far = e.clamp(max=NEAR), e.clamp(min=NEAR)
+        slope = NEAR * (1 + 2 * CURVE * NEAR)
+        error = near + CURVE * near * near + slope * torch.log(far / NEAR)
+        change = command - previous
+        return error + self.effort * (command * command).sum(0) + self.rate * (change * change).sum(0)
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """Expert, network and vehicle; `step` is one control step of N of them."""
+
+    law: Law
+    authority: tuple[float, float]
+    loss: Loss
+    parts: Parts = PLAIN  # of the simulation that are in use
+
+    def act(self, network: nn.Module, carried: Carried) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return the command, shape (ACTIONS, N), integrals, correction and hidden state."""
+        o = [x * k for x, k in zip(carried.observation.unbind(), DECODING, strict=True)]
+        F_u, F_r = self.law(o, TENSORS)
+        base = (F_u / o[13]).clamp(-1.0, 1.0), (F_r / o[14]).clamp(-1.0, 1.0)
+        rows, integrals = features.update(o, base, carried.correction.unbind(), carried.integrals.unbind(), TENSORS)
+        correction, hidden = network(torch.stack(rows, dim=1), carried.hidden)
+        c_u, c_r = correction.unbind(dim=1)
+        command = torch.stack((base[0] + self.authority[0] * c_u, base[1] + self.authority[1] * c_r)).clamp(-1.0, 1.0)
+        return command, torch.stack(integrals), torch.stack((c_u, c_r)), hidden
+
+    def step(
+        self, network: nn.Module, carried: Carried, sample: Tensor, parameters: Tensor
+    ) -> tuple[Carried, Tensor, Tensor]:
+        """Return what is carried on, the loss and the squared position error [m^2], shape (N,).
+
+        Args:
+            network: see `TorchGru`.
+            carried: from the step before.
+            sample: the rows of a `simulation.Sample`, shape (SAMPLE, N).
+            parameters: the rows of `simulation.Parameters`, shape (PARAMETERS, N).
+        """
+        command, integrals, correction, hidden = self.act(network, carried)
+        t = simulate(carried.state, command, sample, parameters, self.parts)
+        loss = self.loss.of(t.squared_error, parameters[17], command, carried.state[8:10])
+        return Carried(t.state, t.observation, integrals, correction, hidden), loss, t.squared_error
+
+
+def law_of(expert: Policy) -> Law:
+    """Return an expert's law on tensors.
+
+    Raises:
+        ValueError: the expert does not compute on tensors.
+    """
+    if isinstance(expert, Zero):
+        return lambda o, _: (0.0 * o[13], 0.0 * o[14])
+    forces: Law | None = getattr(expert, "forces", None)
+    if forces is None:
+        raise ValueError(
+            "the analytic gradient needs an expert that computes on tensors: a backstepping policy, or none"
+        )
+    return forces

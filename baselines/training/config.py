@@ -1,0 +1,143 @@
+"""What determines a training run, as one checked value that JSON holds."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from auv_gym.records import from_record
+from auv_gym.residual import Policy, checked_authority
+from auv_gym.scenario import Scenario
+from baselines import make_policy
+from baselines.evaluation.rollout import Privileged
+from baselines.evaluation.score import EXPERT
+from baselines.user_policies import is_path
+from baselines.zero import NO_EXPERT, Zero
+
+ALGORITHMS: Mapping[str, str] = {
+    "apg": "baselines.training.analytic_gradient",
+    "ppo": "baselines.training.stable_baselines",
+    "sac": "baselines.training.stable_baselines",
+    "td3": "baselines.training.stable_baselines",
+    "tqc": "baselines.training.stable_baselines",
+}
+"""The module of each algorithm: `check(config)` raises ValueError for what it cannot train, `train(run)` does.
+
+apg: analytic policy gradient, back-propagation through the simulator; the others are Stable-Baselines3's.
+"""
+TRAINING_SEED = 1_000_000_000
+"""First seed of all episodes that are trained on; those of tuning, validation and evaluation begin far below."""
+LARGEST_SEED = 10_000
+_LANES = 2**20  # seeds reserved for the vehicles of one run
+
+
+@dataclass(frozen=True)
+class Config:
+    """A training run: the same one, on as many threads with the same libraries, gives the same agent.
+
+    Raises:
+        ValueError: an entry is not what it must be; the message says what is allowed.
+    """
+
+    algo: str = "apg"  # one of `ALGORITHMS`
+    scenarios: tuple[tuple[Scenario, float], ...] = ()  # what is trained on, with weights
+    expert: str = EXPERT  # name of the policy whose action is corrected, or `NO_EXPERT`
+    authority: tuple[float, float] = (0.5, 0.5)  # largest correction of surge and yaw, fractions of the limits, (0, 2]
+    seed: int = 0
+    timesteps: int = 1_000_000  # control steps, summed over vehicles
+    hyperparameters: Mapping[str, Any] = field(default_factory=dict)  # of the algorithm, plain JSON values
+
+    def __post_init__(self) -> None:
+        if self.algo not in ALGORITHMS:
+            raise ValueError(f"unknown algorithm {self.algo!r}; allowed are {', '.join(ALGORITHMS)}")
+        _check_scenarios(self.scenarios)
+        object.__setattr__(self, "authority", checked_authority(self.authority))
+        for name, least, most in (("seed", 0, LARGEST_SEED), ("timesteps", 1, 10**12)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+                raise ValueError(f"{name} is {value!r}; it must be an integer in [{least}, {most}]")
+        try:
+            json.dumps(dict(self.hyperparameters), allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"the hyper-parameters must be numbers, strings, lists and tables: {error}") from error
+        self.make_expert()
+
+    def make_expert(self) -> Policy:
+        """Return the policy whose action is corrected.
+
+        Raises:
+            ValueError: it is unknown, or may not be an expert.
+        """
+        if self.expert == NO_EXPERT:
+            return Zero()
+        if is_path(self.expert):
+            raise ValueError(
+                f"expert is {self.expert!r}; an agent's expert must be a policy's name, since paths run code"
+            )
+        policy = make_policy(self.expert)
+        if isinstance(policy, Privileged):
+            raise ValueError(f"expert {self.expert!r} looks behind the observation; choose one that does not")
+        return policy
+
+    @property
+    def episode_seed(self) -> int:
+        """The seed of the training environment: vehicle i gets this + i, no other run or suite the same."""
+        return TRAINING_SEED + self.seed * _LANES
+
+    def lanes(self, n: int) -> list[Scenario]:
+        """Return the scenarios of n vehicles side by side, in proportion to their weights, each at least once.
+
+        Raises:
+            ValueError: there are fewer vehicles than scenarios.
+        """
+        if n < len(self.scenarios):
+            raise ValueError(f"{n} vehicles are too few for {len(self.scenarios)} scenarios; raise n_envs")
+        total = math.fsum(weight for _, weight in self.scenarios)
+        counts = [1] * len(self.scenarios)
+        while sum(counts) < n:  # one more where most is missing
+            missing = [n * weight / total - count for (_, weight), count in zip(self.scenarios, counts, strict=True)]
+            counts[missing.index(max(missing))] += 1
+        return [scenario for (scenario, _), count in zip(self.scenarios, counts, strict=True) for _ in range(count)]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the configuration as plain dicts, lists, numbers and strings."""
+        record = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        record["scenarios"] = [{"weight": weight, "scenario": s.to_dict()} for s, weight in self.scenarios]
+        record["authority"] = list(self.authority)
+        plain: dict[str, Any] = json.loads(json.dumps(record | {"hyperparameters": dict(self.hyperparameters)}))
+        return plain
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any]) -> Config:
+        """Return the configuration of a dict as `to_dict` gives it.
+
+        Raises:
+            ValueError: an unknown or wrong entry, named together with what is allowed.
+        """
+        same = {"hyperparameters": dict, "expert": str, "algo": str}
+        return from_record(cls, record, "configuration", {"scenarios": _scenarios_of, "authority": tuple, **same})
+
+
+def _check_scenarios(scenarios: Sequence[tuple[Scenario, float]]) -> None:
+    if not scenarios:
+        raise ValueError("there is no scenario to train on; name at least one")
+    names = [scenario.name for scenario, _ in scenarios]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"scenario {name!r} is given twice; give it once, with a weight, or rename one of them")
+    for scenario, weight in scenarios:
+        if isinstance(weight, bool) or not isinstance(weight, (int, float)) or not 0 < weight <= 1000:
+            raise ValueError(f"the weight of scenario {scenario.name} is {weight!r}; it must be a number in (0, 1000]")
+    if len({scenario.substeps for scenario, _ in scenarios}) > 1:
+        raise ValueError("the scenarios differ in substeps; trained side by side they must have the same number")
+
+
+def _scenarios_of(entries: Any) -> tuple[tuple[Scenario, float], ...]:
+    try:
+        return tuple((Scenario.from_dict(entry["scenario"]), entry["weight"]) for entry in entries)
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"configuration scenarios is {entries!r}; it must be a list of scenario and weight") from error

@@ -1,0 +1,60 @@
+"""Hyper-parameters in rl_zoo3's YAML format: a table for each environment id.
+
+`n_timesteps` and, of `env_kwargs`, `expert` and `authority` are defaults of the command line's options. The rest is
+what the algorithm gets. YAML reads 3e-4 as a word; write 0.0003 or !!float 3e-4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+FOLDER = Path(__file__).parent
+ENV_ID = "UnderactuatedAUVTrackResidual-v0"
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """What a file says about an environment."""
+
+    values: Mapping[str, Any]  # for the algorithm
+    timesteps: int | None
+    expert: str | None
+    authority: tuple[float, ...] | None
+
+
+def load_hyperparameters(file: Path) -> Hyperparameters:
+    """Return the hyper-parameters of a YAML file for the residual environment.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is no such file.
+    """
+    import yaml
+
+    try:
+        tables = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ValueError(f"{file} is not valid YAML: {error}") from error
+    table = tables.get(ENV_ID) if isinstance(tables, Mapping) else None
+    if not isinstance(table, Mapping) or not all(isinstance(key, str) for key in table):
+        raise ValueError(f"{file} has no table of hyper-parameters under {ENV_ID}")
+    values = dict(table)
+    env = values.pop("env_kwargs", {})
+    if not isinstance(env, Mapping):
+        raise ValueError(f"{file}: env_kwargs is {env!r}; it must be a table")
+    authority = env.get("authority")
+    if isinstance(authority, (int, float)):
+        authority = (authority,)
+    if authority is not None and not isinstance(authority, (list, tuple)):
+        raise ValueError(f"{file}: authority is {authority!r}; it must be a number, or one each for surge and yaw")
+    return Hyperparameters(
+        values, values.pop("n_timesteps", None), env.get("expert"), None if authority is None else tuple(authority)
+    )
+
+
+def shipped(algo: str) -> Path:
+    """Return the file of an algorithm."""
+    return FOLDER / f"{algo}.yml"

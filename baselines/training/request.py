@@ -1,0 +1,153 @@
+"""What to train: a command line's words, checked and resolved before anything is written."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from auv_gym.presets import CASES, PRESETS, REGIMES
+from auv_gym.scenario import Scenario
+from baselines.command_line import UsageError
+from baselines.evaluation.request import checked, checked_folder, checked_scenario
+from baselines.evaluation.score import EXPERT
+from baselines.training.config import ALGORITHMS, Config
+from baselines.training.hyperparameters import load_hyperparameters, shipped
+from baselines.training.run import AGENT, read_config
+
+CASE_WEIGHTS: Mapping[str, float] = {"actuator": 3.0, "storm": 2.0}
+"""Weights of a regime's cases, the others have 1: a few episodes with slow actuators decide much of the score."""
+DEFAULT_AUTHORITY = (0.5,)
+DEFAULT_TIMESTEPS = 1_000_000
+
+
+@dataclass(frozen=True)
+class Request:
+    """Trainings that can run: configurations that differ in the seed, a folder each."""
+
+    configs: tuple[Config, ...]
+    folders: tuple[Path, ...]
+    out: Path
+    jobs: int
+    command: str = ""  # as the user gave it
+
+    @classmethod
+    def of(
+        cls,
+        algo: str,
+        scenarios: Sequence[str],
+        expert: str | None = None,
+        authority: Sequence[float] = (),
+        seed: int = 0,
+        seeds: int = 1,
+        jobs: int | None = None,
+        timesteps: int | None = None,
+        hyperparameters: Path | None = None,
+        out: Path | None = None,
+        resume: bool = False,
+        command: str = "",
+    ) -> Request:
+        """Return the request of a command line's options; its folders exist and are writable then.
+
+        Raises:
+            UsageError: an option is wrong, or a folder holds something else; the message says what is allowed.
+        """
+        for name, value in (("--seeds", seeds), ("--jobs", jobs)):
+            if value is not None and value < 1:
+                raise UsageError(f"{name} is {value}; it must be 1 or more")
+        if algo not in ALGORITHMS:
+            raise UsageError(f"unknown algorithm {algo!r}; allowed are {', '.join(ALGORITHMS)}")
+        found = checked(partial(load_hyperparameters, hyperparameters or shipped(algo)))
+        config = checked(
+            lambda: Config(
+                algo,
+                resolved(scenarios),
+                expert or found.expert or EXPERT,
+                _pair(authority or found.authority or DEFAULT_AUTHORITY),
+                seed,
+                next(n for n in (timesteps, found.timesteps, DEFAULT_TIMESTEPS) if n is not None),
+                found.values,
+            )
+        )
+        configs = tuple(checked(partial(replace, config, seed=seed + i)) for i in range(seeds))
+        checked(partial(check, config))
+        out = out or Path("runs/train") / f"{algo}-{'-'.join(name_of(s) for s in scenarios)}"
+        folders = (out,) if seeds == 1 else tuple(out / f"seed-{c.seed}" for c in configs)
+        for each, folder in zip(configs, folders, strict=True):
+            _check_contents(each, folder, resume)
+        for folder in folders:
+            checked_folder(folder)
+        return cls(configs, folders, out, jobs or min(2, os.cpu_count() or 1), command)
+
+
+def resolved(words: Sequence[str]) -> tuple[tuple[Scenario, float], ...]:
+    """Return the scenarios with weights that a command line's words name.
+
+    Raises:
+        UsageError: a word names none, or a weight is no positive number.
+    """
+    found: list[tuple[Scenario, float]] = []
+    for word in words:
+        name, weight = _split(word)
+        if name in REGIMES:
+            found += [(PRESETS[f"{name}-{case}"], weight * CASE_WEIGHTS.get(case, 1.0)) for case in CASES]
+        else:
+            found.append((checked_scenario(name, REGIMES), weight))
+    return tuple(found)
+
+
+def name_of(word: str) -> str:
+    """Return the name that a word of `--scenario` gives a run folder."""
+    return Path(_split(word)[0]).stem
+
+
+def _split(word: str) -> tuple[str, float]:
+    """Return name and weight of NAME or NAME:WEIGHT."""
+    name, colon, text = word.rpartition(":")
+    if not colon:
+        return word, 1.0
+    try:
+        weight = float(text)
+    except ValueError:
+        weight = math.nan
+    if not 0 < weight < math.inf:
+        raise UsageError(f"scenario {word!r} has weight {text!r}; it must be a positive number")
+    return name, weight
+
+
+def _pair(authority: Sequence[float]) -> Any:
+    return (*authority, *authority) if len(authority) == 1 else tuple(authority)
+
+
+def check(config: Config) -> None:
+    """Raise ValueError if the algorithm cannot train the configuration."""
+    try:
+        module = importlib.import_module(ALGORITHMS[config.algo])
+    except ImportError as error:
+        raise ValueError(f"{error}; training needs more packages: pip install 'auv-gym[train]'") from error
+    module.check(config)
+
+
+def _check_contents(config: Config, folder: Path, resume: bool) -> None:
+    """Raise UsageError if a folder holds something other than a run to go on with."""
+    there = checked(partial(read_config, folder))
+    if there is None:
+        if folder.is_dir() and any(folder.iterdir()):
+            raise UsageError(f"--out {folder} is not empty and holds no run of train.py; choose another folder")
+        return
+    if (mine := config.to_dict()) != (theirs := there.to_dict()):
+        name = next(key for key in mine if mine[key] != theirs[key])
+        change = f": {theirs[name]} instead of {mine[name]}" if name not in ("scenarios", "hyperparameters") else ""
+        raise UsageError(f"--out {folder} holds a run with other {name}{change}; choose another folder")
+    finished = (folder / AGENT).exists()
+    if not resume:
+        state = "finished" if finished else "unfinished"
+        advice = (
+            "choose another folder, or delete it" if finished else "add --resume to go on, or choose another folder"
+        )
+        raise UsageError(f"--out {folder} holds this run already, {state}; {advice}")

@@ -1,0 +1,87 @@
+"""All that a Stable-Baselines3 model needs to go on as if it had never stopped."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvWrapper
+
+_KEPT = (
+    "action_space",
+    "action_noise",
+    "num_timesteps",
+    "ep_info_buffer",
+    "ep_success_buffer",
+    "_episode_num",
+    "_n_updates",
+    "_num_timesteps_at_start",
+    "_current_progress_remaining",
+    "_last_obs",
+    "_last_original_obs",
+    "_last_episode_starts",
+)
+"""Attributes beside the parameters; each algorithm has some of them."""
+
+
+def snapshot(model: BaseAlgorithm) -> dict[str, Any]:
+    """Return networks, optimisers, vehicles, replay buffer, counters and random generators, to be pickled at once."""
+    _, variables = model._get_torch_save_params()
+    return {
+        "timesteps": model.num_timesteps,
+        "parameters": model.get_parameters(),
+        "variables": {name: getattr(model, name).detach().clone() for name in variables if hasattr(model, name)},
+        "attributes": {name: vars(model)[name] for name in _KEPT if name in vars(model)},
+        "experience": _experience(model),
+        "vehicles": [_own(layer) for layer in _layers(model.get_env())],
+        "numpy": np.random.get_state(),  # noqa: NPY002, Stable-Baselines3 draws from it
+        "torch": torch.get_rng_state(),
+        "python": random.getstate(),
+    }
+
+
+def restore(model: BaseAlgorithm, state: dict[str, Any]) -> None:
+    """Put a model of the same configuration where `snapshot` has left it."""
+    model.set_parameters(state["parameters"], exact_match=True, device="cpu")
+    with torch.no_grad():
+        for name, value in state["variables"].items():
+            getattr(model, name).copy_(value)
+    vars(model).update(state["attributes"])
+    buffer: Any = getattr(model, "replay_buffer", None)
+    if buffer is not None:
+        buffer.pos, buffer.full = state["experience"]["pos"], state["experience"]["full"]
+        for name, rows in state["experience"]["arrays"].items():
+            vars(buffer)[name][: len(rows)] = rows
+    for layer, values in zip(_layers(model.get_env()), state["vehicles"], strict=True):
+        vars(layer).update(values)
+    np.random.set_state(state["numpy"])  # noqa: NPY002
+    torch.set_rng_state(state["torch"])
+    random.setstate(state["python"])
+
+
+def _experience(model: BaseAlgorithm) -> dict[str, Any] | None:
+    """Return the filled part of a replay buffer, None if there is none."""
+    buffer: Any = getattr(model, "replay_buffer", None)
+    if buffer is None:
+        return None
+    filled = buffer.buffer_size if buffer.full else buffer.pos
+    arrays = {name: value for name, value in vars(buffer).items() if isinstance(value, np.ndarray)}
+    return {"pos": buffer.pos, "full": buffer.full, "arrays": {k: v[:filled].copy() for k, v in arrays.items()}}
+
+
+def _layers(env: VecEnv | None) -> Iterator[VecEnv]:
+    """Yield an environment's wrappers from the outside in, and then the environment itself."""
+    while isinstance(env, VecEnvWrapper):
+        yield env
+        env = env.venv
+    if env is not None:
+        yield env
+
+
+def _own(layer: VecEnv) -> dict[str, Any]:
+    """Return a layer's own attributes; a wrapper also holds its class's, which cannot be pickled."""
+    return {name: value for name, value in vars(layer).items() if name not in ("venv", "class_attributes")}

@@ -1,0 +1,85 @@
+"""What happens beside the learning of a Stable-Baselines3 model: validation, logging, checkpoints, the best agent."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
+
+from baselines.agent import Agent
+from baselines.training.export import exported
+from baselines.training.run import VALIDATIONS, Run, TrainingError
+from baselines.training.snapshot import snapshot
+
+
+class Tracker(BaseCallback):
+    """Validates a model at the start, `VALIDATIONS` times a run and at the end; each time keeps a checkpoint.
+
+    Args:
+        run: where it is told.
+        state: the checkpoint that the model has been put back to, if any.
+    """
+
+    def __init__(self, run: Run, state: Mapping[str, Any] | None = None) -> None:
+        super().__init__()
+        self.run = run
+        self._agent: Agent | None = state["agent"] if state else None
+        self._best: float = state["best"] if state else -math.inf
+        self._validated: int = state["timesteps"] if state else -1
+
+    @property
+    def agent(self) -> Agent:
+        """The agent that validated best."""
+        assert self._agent is not None
+        return self._agent
+
+    def _init_callback(self) -> None:
+        self.model.set_logger(Logger(None, []))
+
+    def _on_training_start(self) -> None:
+        if self._validated < 0:
+            self._validate()
+
+    def _on_rollout_start(self) -> None:
+        every = self.run.config.timesteps / VALIDATIONS
+        if self.num_timesteps // every > self._validated // every:
+            self._validate()
+        else:
+            self.run.report(self.num_timesteps)
+
+    def _on_training_end(self) -> None:
+        if self.num_timesteps > self._validated:
+            self._validate()
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _validate(self) -> None:
+        if not finite(self.model):
+            raise TrainingError(f"training diverged after {self.num_timesteps} steps: lower learning_rate")
+        self.run.log(self.num_timesteps, **self._learned())
+        agent = exported(self.model.policy, self.run.config)
+        score = self.run.validate(agent.policy(), self.num_timesteps)
+        if score > self._best:
+            self._best, self._agent = score, agent
+        self._validated = self.num_timesteps
+        self.run.save_checkpoint({**snapshot(self.model), "agent": self._agent, "best": self._best})
+
+    def _learned(self) -> dict[str, float]:
+        """Return what the algorithm has logged since the last time, and the mean return of the latest episodes."""
+        values = {k: float(v) for k, v in self.logger.name_to_value.items() if isinstance(v, (int, float, np.number))}
+        self.logger.dump()
+        if self.model.ep_info_buffer:
+            values["return"] = float(np.mean([episode["r"] for episode in self.model.ep_info_buffer]))
+        return values
+
+
+def finite(model: BaseAlgorithm) -> bool:
+    """Return whether all weights of a model are finite."""
+    return all(bool(torch.isfinite(p).all()) for p in model.policy.parameters())

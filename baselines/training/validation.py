@@ -1,0 +1,143 @@
+"""Episodes that no agent is trained on, run again and again while one is trained."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from auv_gym import __version__
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.paths import Line
+from auv_gym.residual import Policy
+from auv_gym.scenario import Scenario
+from baselines import make_policy
+from baselines.evaluation.files import json_text, write_atomically
+from baselines.evaluation.metrics import Array, tail_rmse
+from baselines.evaluation.rollout import PolicyError, rollout
+from baselines.evaluation.runner import Cell, drawn
+from baselines.evaluation.score import EXPERT, LARGEST_TAIL, ORACLE, capped, regime_of
+from baselines.evaluation.suites import load
+
+SUITE = "benchmark-v1-validation"
+VALIDATION_SEED = 30_000_000
+"""First seed of the episodes of scenarios that the suite does not hold."""
+EPISODES = 64
+"""Of each such scenario."""
+YARDSTICKS = "validation.json"
+"""File of a run folder that keeps what expert and oracle do."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a policy does on the validation episodes."""
+
+    score: float  # 0: the expert, 1: the oracle; from tails of at most the cap
+    error_m: float  # mean capped tail RMSE [m]
+    lost: float  # share of the episodes that were lost, or whose tail reaches the cap
+
+
+def validation_cell(scenario: Scenario) -> Cell:
+    """Return the validation episodes of a scenario: those of the frozen suite for its scenarios, else drawn ones."""
+    frozen = next((cell for cell in load(SUITE).cells if cell.scenario == scenario), None)
+    return frozen or drawn(scenario, EPISODES, VALIDATION_SEED)
+
+
+class Validation:
+    """Validation episodes of some scenarios, all side by side.
+
+    Args:
+        cells: episodes of scenarios with the same number of substeps.
+        folder: where what expert and oracle do is kept, for the next time; None: nowhere.
+    """
+
+    def __init__(self, cells: Sequence[Cell], folder: Path | None = None) -> None:
+        self.cells = cells
+        self._of = np.repeat(np.arange(len(cells)), [len(cell.episodes) for cell in cells])
+        self._caps = [_cap(cell.scenario) for cell in cells]
+        self.steps = max(cell.scenario.steps for cell in cells)
+        episodes = [episode for cell in cells for episode in cell.episodes]
+        # What begins where an episode has ended is left alone: a straight line, which costs nothing to plan.
+        begun = [replace(cell.scenario, path=Line(cell.episodes[0].path.speed)) for cell in cells]
+        scenarios = [begun[i] for i in self._of.tolist()]
+        self._env = UnderactuatedAUVTrackVectorEnv(len(episodes), scenarios)
+        self._observation, _ = self._env.reset(seed=0, options={"episode": episodes})
+        self.expert_m, self.oracle_m = _yardsticks(cells, folder)
+
+    def run(self, policy: Policy) -> Verdict:
+        """Return what a policy does, the mean over scenarios.
+
+        Raises:
+            ValueError: its actions are not finite.
+        """
+        env, observation, n = copy.deepcopy(self._env), self._observation, len(self._of)
+        memory, first = None, np.ones(n, dtype=bool)
+        running, lost = np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
+        errors = np.zeros((self.steps, n))
+        for k in range(self.steps):
+            action, memory = policy.predict(observation, memory, first)
+            observation, _, terminated, truncated, info = env.step(action)
+            first = terminated | truncated
+            errors[k] = info["position_error"]
+            if first.any():
+                errors[k, first] = info["final_info"]["position_error"][first]
+            lost |= running & terminated
+            running &= ~first
+        tails = []
+        for i, (cell, cap) in enumerate(zip(self.cells, self._caps, strict=True)):
+            tail = tail_rmse(errors[: cell.scenario.steps, self._of == i])
+            tails.append(np.where(lost[self._of == i] | ~(tail < cap), cap, tail))
+        error = _mean(tails)
+        return Verdict(self.score(error), error, _mean([t >= c for t, c in zip(tails, self._caps, strict=True)]))
+
+    def score(self, error_m: float) -> float:
+        """Return the score of a mean capped tail [m]; where the oracle is no better than the expert, 1 is no error."""
+        best = self.oracle_m if self.oracle_m < self.expert_m else 0.0
+        return (self.expert_m - error_m) / (self.expert_m - best) if self.expert_m > 0 else math.nan
+
+
+def _cap(scenario: Scenario) -> float:
+    regime = regime_of(scenario.name)
+    return LARGEST_TAIL[regime] if regime else scenario.lost_distance
+
+
+def _mean(cells: Sequence[Any]) -> float:
+    return float(np.mean([np.mean(cell) for cell in cells]))
+
+
+def _yardsticks(cells: Sequence[Cell], folder: Path | None) -> tuple[float, float]:
+    """Return the mean capped tails [m] of expert and oracle, from the folder if it has them."""
+    file = folder / YARDSTICKS if folder else None
+    key = hashlib.sha256(" ".join([__version__, *(cell.hash for cell in cells)]).encode()).hexdigest()
+    if file and (record := _kept(file)).get("hash") == key:
+        return record["expert_m"], record["oracle_m"]
+    expert_m, oracle_m = (_mean([_capped_tail(name, cell) for cell in cells]) for name in (EXPERT, ORACLE))
+    if file:
+        write_atomically(file, json_text({"hash": key, "expert_m": expert_m, "oracle_m": oracle_m}))
+    return expert_m, oracle_m
+
+
+def _kept(file: Path) -> Mapping[str, Any]:
+    try:
+        record: Mapping[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return record
+
+
+def _capped_tail(name: str, cell: Cell) -> Array:
+    """Return the capped tails [m] of a policy; infinite where the oracle does not know how."""
+    try:
+        measures = rollout(make_policy(name), cell.scenario, cell.episodes, math.inf).measures
+    except (PolicyError, ValueError):
+        if name == EXPERT:
+            raise
+        return np.full(len(cell.episodes), math.inf)
+    return capped(measures, regime_of(cell.scenario.name))

@@ -1,0 +1,226 @@
+"""Agents as artefacts: networks against torch, round trips, refusals, and a zero correction."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import torch
+from safetensors.numpy import save_file
+from torch import nn
+
+import baselines
+from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from baselines import list_policies, make_policy
+from baselines.agent import Agent
+from baselines.features import FEATURES
+from baselines.networks import Gru, Mlp, network_of, network_record
+
+N = len(FEATURES)
+SIZES = Gru(N, encoder=12, hidden=10, decoder=8)
+
+
+def weights_of(network, seed=0, scale=0.5):
+    rng = np.random.default_rng(seed)
+    return {name: scale * rng.standard_normal(shape).astype(np.float32) for name, shape in network.shapes.items()}
+
+
+def agent(network=SIZES, expert="backstepping", **changes):
+    return Agent(network, weights_of(network), expert, (0.3, 0.5), ("cruise-storm",), {"seed": 3}, **changes)
+
+
+def loaded(module, weights, prefix):
+    module.load_state_dict(
+        {k.removeprefix(prefix): torch.tensor(w) for k, w in weights.items() if k.startswith(prefix)}
+    )
+    return module.double()
+
+
+@torch.no_grad()
+def test_gru_equals_torch():
+    w, rng = weights_of(SIZES), np.random.default_rng(1)
+    encoder, decoder, head = (
+        loaded(nn.Linear(a, b), w, name) for a, b, name in ((N, 12, "encoder."), (10, 8, "decoder."), (8, 2, "head."))
+    )
+    cell = loaded(nn.GRUCell(12, 10), w, "gru.")
+    hidden, peer = np.zeros((5, 10)), torch.zeros(5, 10, dtype=torch.float64)
+    for _ in range(20):
+        x = rng.standard_normal((5, N))
+        action, hidden = SIZES.forward(w, x, hidden)
+        peer = cell(torch.tanh(encoder(torch.tensor(x))), peer)
+        np.testing.assert_allclose(hidden, peer.numpy(), atol=1e-6)
+        np.testing.assert_allclose(action, torch.tanh(head(torch.tanh(decoder(peer)))).numpy(), atol=1e-6)
+
+
+@pytest.mark.parametrize(("activation", "layer"), [("tanh", nn.Tanh()), ("relu", nn.ReLU())])
+@torch.no_grad()
+def test_mlp_equals_torch(activation, layer):
+    network = Mlp(N, (16, 8), activation, "clip")
+    w = weights_of(network)
+    modules = [loaded(nn.Linear(a, b), w, f"layers.{i}.") for i, (a, b) in enumerate(((N, 16), (16, 8), (8, 2)))]
+    peer = nn.Sequential(modules[0], layer, modules[1], layer, modules[2], nn.Hardtanh())
+    x = np.random.default_rng(1).standard_normal((6, N))
+    action, _ = network.forward(w, x, np.zeros((6, 0)))
+    np.testing.assert_allclose(action, peer(torch.tensor(x)).numpy(), atol=1e-6)
+    assert np.abs(action).max() <= 1
+
+
+@pytest.mark.parametrize("network", [SIZES, Mlp(N, (16,), "relu", "tanh")])
+def test_round_trip(network, tmp_path):
+    mine = agent(network)
+    mine.save(tmp_path / "a", curve=b"png")
+    theirs = Agent.load(tmp_path / "a")
+    assert network_of(json.loads(json.dumps(network_record(network)))) == theirs.network == network
+    assert (theirs.expert, theirs.authority, theirs.scenarios) == (mine.expert, mine.authority, mine.scenarios)
+    assert theirs.training == mine.training
+    for name, w in mine.weights.items():
+        np.testing.assert_array_equal(theirs.weights[name], w)
+    card = (tmp_path / "a" / "card.md").read_text()
+    assert "backstepping" in card
+    assert "cruise-storm" in card
+    assert "learning_curve.png" in card
+    mine.save(tmp_path / "a")  # in place of the first
+    assert sorted(file.name for file in (tmp_path / "a").iterdir()) == ["agent.json", "card.md", "weights.safetensors"]
+    assert [file.name for file in tmp_path.iterdir()] == ["a"]
+
+
+def test_does_not_replace_what_is_no_agent(tmp_path):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(ValueError, match="no agent's folder"):
+        agent().save(tmp_path)
+    assert (tmp_path / "thesis.tex").exists()
+
+
+def edited(**changes):
+    def edit(folder):
+        record = json.loads((folder / "agent.json").read_text())
+        (folder / "agent.json").write_text(json.dumps(record | changes))
+
+    return edit
+
+
+def damaged(folder):
+    data = bytearray((folder / "weights.safetensors").read_bytes())
+    data[-3] ^= 1
+    (folder / "weights.safetensors").write_bytes(bytes(data))
+
+
+def reweighted(**changes):
+    """Other weights, with their right hash."""
+
+    def edit(folder):
+        save_file({**weights_of(SIZES), **changes}, folder / "weights.safetensors")
+        rehashed(folder)
+
+    return edit
+
+
+def truncated(folder):
+    data = (folder / "weights.safetensors").read_bytes()
+    (folder / "weights.safetensors").write_bytes(data[: len(data) // 2])
+    rehashed(folder)
+
+
+def rehashed(folder):
+    import hashlib
+
+    digest = hashlib.sha256((folder / "weights.safetensors").read_bytes()).hexdigest()
+    edited(weights_sha256=digest)(folder)
+
+
+REFUSALS = {
+    "damaged weights": (damaged, "SHA-256 differs"),
+    "truncated weights": (truncated, "no safetensors file"),
+    "no weights": (lambda folder: (folder / "weights.safetensors").write_bytes(b""), "SHA-256 differs"),
+    "shape": (reweighted(**{"head.weight": np.zeros((2, 9), np.float32)}), "weight head.weight has shape"),
+    "missing": (lambda f: (save_file({"x": np.zeros(1)}, f / "weights.safetensors"), rehashed(f)), "differ from"),
+    "not finite": (reweighted(**{"head.bias": np.array([0, np.nan], np.float32)}), "not finite"),
+    "integers": (reweighted(**{"head.bias": np.zeros(2, np.int32)}), "not finite numbers"),
+    "format": (edited(format=2), "its format is 2"),
+    "features": (edited(features=[["e_x", "1 m"]]), "other features"),
+    "observation": (edited(observation=[]), "other observation"),
+    "network kind": (edited(network={"kind": "lstm"}), "one of gru, mlp"),
+    "network sizes": (edited(network={"kind": "gru", "inputs": N, "hidden": -1}), "network hidden is -1"),
+    "network size unknown": (edited(network={"kind": "gru", "inputs": N, "depth": 2}), "its sizes are"),
+    "network inputs": (edited(network={"kind": "gru", "inputs": 3}), "has 3 inputs"),
+    "authority": (edited(authority=[0, 1]), "authority is"),
+    "authority's type": (edited(authority="all"), "list of two numbers"),
+    "expert's type": (edited(expert=3), "expert must be a name"),
+    "expert runs code": (edited(expert="evil.py:run"), "must be a policy's name"),
+    "unknown expert": (edited(expert="magic"), "unknown policy 'magic'"),
+    "scenarios": (edited(scenarios=[1]), "list of names"),
+    "entries": (edited(more=1), "must have the entries"),
+    "no JSON": (lambda folder: (folder / "agent.json").write_bytes(b"\xff{"), "not valid JSON"),
+    "a list": (lambda folder: (folder / "agent.json").write_text("[]"), "must have the entries"),
+}
+
+
+@pytest.mark.parametrize("damage", REFUSALS)
+def test_refuses(damage, tmp_path):
+    agent().save(tmp_path / "a")
+    edit, says = REFUSALS[damage]
+    edit(tmp_path / "a")
+    with pytest.raises(ValueError, match=says) as error:
+        make_policy(str(tmp_path / "a"))
+    assert "\n" not in str(error.value)
+
+
+def test_missing_folder():
+    with pytest.raises(FileNotFoundError):
+        make_policy("runs/nothing-here")
+
+
+@pytest.mark.parametrize("expert", ["backstepping", "ekf", "none"])
+def test_zero_head_reproduces_the_expert(expert):
+    weights = weights_of(SIZES) | {"head.weight": np.zeros((2, 8)), "head.bias": np.zeros(2)}
+    policy = Agent(SIZES, weights, expert, (0.5, 0.5)).policy()
+    peer = baselines.zero.Zero() if expert == "none" else make_policy(expert)
+    env = UnderactuatedAUVTrackVectorEnv(3, ["cruise-storm", "slow-noise", "cruise-actuator"])
+    observation, _ = env.reset(seed=0)
+    state, other, first = None, None, np.ones(3, dtype=bool)
+    for k in range(20):
+        action, state = policy.predict(observation, state, first)
+        wanted, other = peer.predict(observation, other, first)
+        np.testing.assert_array_equal(action, wanted)
+        assert action.dtype == np.float32
+        observation, *_ = env.step(action)
+        first = np.array([k == 7, False, False])
+
+
+def test_memory_is_each_vehicles_own():
+    """Side by side, one by one and with a restart in between: the same actions."""
+    policy = agent(expert="ekf").policy()
+    rng = np.random.default_rng(0)
+    env = UnderactuatedAUVTrackEnv("cruise-storm")
+    first, _ = env.reset(seed=0)
+    observations = np.stack([first, *(env.step(rng.uniform(-1, 1, 2))[0] for _ in range(12))])
+    state, single, kept = None, None, []
+    for k, o in enumerate(observations):
+        batch = np.stack((o, observations[k - 6] if k >= 6 else o))
+        action, state = policy.predict(batch, state, np.array([k == 0, k == 6]))
+        alone, single = policy.predict(o, single)
+        np.testing.assert_allclose(action[0], alone, atol=1e-6)
+        if k < 6:
+            np.testing.assert_array_equal(action[0], action[1])
+            kept.append(alone)
+        elif k < 12:
+            np.testing.assert_allclose(action[1], kept[k - 6], atol=1e-6)
+    with pytest.raises(ValueError, match="of 2 vehicles"):
+        policy.predict(observations[0], state)
+
+
+def test_shipped_agents_are_policies_by_name(tmp_path, monkeypatch):
+    from baselines import user_policies
+
+    agent().save(tmp_path / "mine")
+    monkeypatch.setattr(user_policies, "AGENTS", tmp_path)
+    monkeypatch.setattr(baselines, "AGENTS", tmp_path)
+    assert "card.md" in list_policies()["mine"]
+    observation = UnderactuatedAUVTrackEnv("cruise-storm").reset(seed=0)[0]
+    mine = make_policy("mine").predict(observation)[0]
+    np.testing.assert_array_equal(mine, make_policy(str(tmp_path / "mine")).predict(observation)[0])
+    with pytest.raises(ValueError, match="takes no options"):
+        make_policy("mine", gains="paper")
+    shutil.rmtree(tmp_path / "mine")
+    assert "mine" not in list_policies()

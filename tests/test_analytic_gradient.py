@@ -1,0 +1,256 @@
+"""Training by the analytic gradient: gradients, what the network becomes on NumPy, determinism, and going on."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.presets import PRESETS
+from auv_gym.simulation import PARAMETERS
+from baselines import make_policy
+from baselines.agent import Agent
+from baselines.features import FEATURES
+from baselines.networks import Gru
+from baselines.training.analytic_gradient import Trainer, check, train
+from baselines.training.closed_loop import CURVE, NEAR, Carried, ClosedLoop, Loss, law_of
+from baselines.training.config import Config
+from baselines.training.fleet import Fleet
+from baselines.training.run import Run
+from baselines.training.torch_network import TorchGru
+from baselines.zero import Zero
+
+SIZES = Gru(len(FEATURES), 8, 8, 8)
+AUTHORITY = (0.3, 0.6)
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    torch.set_num_threads(1)
+    torch.manual_seed(0)
+
+
+def network(head=0.5):
+    made = TorchGru(SIZES).double()
+    torch.nn.init.normal_(made.head.weight, std=head)
+    return made
+
+
+def fleet(names, window=5):
+    return Fleet([PRESETS[name] for name in names], 7, window, torch.float64)
+
+
+def unrolled(loop, net, vehicles, carried, windows=1):
+    """Return the mean loss of some windows, and where they end."""
+    total = torch.zeros((), dtype=torch.float64)
+    for _ in range(windows):
+        for sample in vehicles.samples():
+            carried, loss, squared_error = loop.step(net, carried, sample, vehicles.parameters)
+            total = total + loss.mean()
+    return total, carried, squared_error
+
+
+def test_begins_as_its_expert():
+    assert not TorchGru(SIZES).head.weight.any()
+    assert not TorchGru(SIZES).head.bias.any()
+
+
+@pytest.mark.parametrize("expert", ["backstepping", "none"])
+def test_equals_the_policy_in_the_environment(expert):
+    """Expert, features, network and vehicle in one graph do what the NumPy policy does in the NumPy environment."""
+    names, net = ["slow-storm", "cruise-actuator", "cruise-storm"], network()
+    law = Zero() if expert == "none" else make_policy(expert)
+    loop = ClosedLoop(law_of(law), AUTHORITY, Loss())
+    vehicles = fleet(names)
+    env = UnderactuatedAUVTrackVectorEnv(3, names)
+    weights = {name: w.double().numpy() for name, w in net.state_dict().items()}
+    policy = Agent(SIZES, weights, expert, AUTHORITY).policy()
+    carried, (observation, _), memory = vehicles.reset(8), env.reset(seed=7), None
+    for _ in range(8):
+        with torch.no_grad():
+            _, carried, squared_error = unrolled(loop, net, vehicles, carried)
+        for _ in range(5):
+            action, memory = policy.predict(observation, memory)
+            observation, *_, info = env.step(action)
+        np.testing.assert_allclose(carried.observation.numpy().T, observation, atol=2e-6)  # actions are in float32
+        np.testing.assert_allclose(squared_error.sqrt().numpy(), info["position_error"], atol=2e-6)
+
+
+def test_gradient_equals_finite_differences():
+    names = ["cruise-storm", "slow-mismatch", "cruise-gauss-markov"]
+    loop, net = ClosedLoop(law_of(make_policy("backstepping")), AUTHORITY, Loss(effort=0.1, rate=1.0)), network(0.1)
+
+    def loss():
+        vehicles = fleet(names, 12)
+        return unrolled(loop, net, vehicles, vehicles.reset(8))[0]
+
+    net.zero_grad()
+    loss().backward()
+    rng = np.random.default_rng(0)
+    for name, parameter in net.named_parameters():
+        direction = torch.tensor(rng.standard_normal(parameter.shape))
+        slope, step = float((parameter.grad * direction).sum()), 1e-5
+        with torch.no_grad():
+            sides = []
+            for sign in (1, -1):
+                parameter.add_(sign * step * direction)
+                sides.append(float(loss()))
+                parameter.sub_(sign * step * direction)
+        assert slope == pytest.approx((sides[0] - sides[1]) / (2 * step), rel=1e-4, abs=1e-7), name
+
+
+def test_loss_has_no_kink_and_a_slope_everywhere():
+    e = torch.tensor([0.0, 1e-3, NEAR - 1e-6, NEAR + 1e-6, 50.0], dtype=torch.float64, requires_grad=True)
+    still = torch.zeros(2, 5, dtype=torch.float64)
+    values = Loss().of(e * e, torch.ones(5, dtype=torch.float64), still, still)
+    values.sum().backward()
+    values = values.detach()
+    assert torch.isfinite(e.grad).all()
+    assert (e.grad[1:] > 0).all()
+    assert float(e.grad[2]) == pytest.approx(float(e.grad[3]), rel=1e-4)
+    assert float(values[2]) == pytest.approx(NEAR + CURVE * NEAR**2, rel=1e-4)
+    moved = Loss(effort=0.5, rate=2.0).of(torch.zeros(5), torch.ones(5), still + 0.1, still)
+    assert float(moved[0]) == pytest.approx(1e-3 + 0.5 * 0.02 + 2 * 0.02, rel=1e-4)
+
+
+def test_fleet_begins_episodes_between_windows():
+    short = replace(PRESETS["slow-calm"], steps=20)
+    vehicles = Fleet([short] * 4, 0, 6)
+    carried = vehicles.reset(3)._replace(hidden=torch.ones(4, 3), integrals=torch.ones(4, 4))
+    assert vehicles.parameters.shape == (PARAMETERS, 4)
+    begun = []
+    for _ in range(9):
+        assert vehicles.samples().shape[0] == 6
+        marked = carried._replace(hidden=torch.ones(4, 3), integrals=torch.ones(4, 4))
+        carried = vehicles.renew(marked, torch.zeros(4))
+        fresh = carried.hidden[:, 0] == 0
+        assert (carried.integrals[0] == 0).tolist() == fresh.tolist()
+        assert (carried.state[:, fresh] != marked.state[:, fresh]).any(dim=0).all()
+        assert (carried.state[:, ~fresh] == marked.state[:, ~fresh]).all()
+        begun.append(fresh.nonzero()[:, 0].tolist())
+    # The first episodes are 6, 12, 18 and 6 steps long, all others 18: three windows.
+    assert begun == [[0, 3], [1], [2], [0, 3], [1], [2], [0, 3], [1], [2]]
+
+
+def test_fleet_begins_anew_where_a_vehicle_is_lost():
+    vehicles = Fleet([PRESETS["slow-calm"]] * 4, 0, 6)
+    carried = vehicles.reset(3)
+    vehicles.samples()
+    begun = vehicles.renew(carried, torch.tensor([0.0, 0.0, 1e6, torch.nan]))
+    assert (begun.state != carried.state).any(dim=0).tolist() == [True, False, True, True]  # the first was to end here
+
+
+def configuration(**changes):
+    scenarios = tuple((replace(PRESETS[name], steps=50), 1.0) for name in ("cruise-current", "cruise-storm"))
+    settings = {"n_envs": 8, "n_steps": 10, "hidden_size": 16, "compiled": False, "learning_rate": 5e-3}
+    given = {"authority": (0.5, 0.5), "timesteps": 8 * 10 * 30, "hyperparameters": settings}
+    return Config(scenarios=scenarios, **(given | changes))
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """One whole run."""
+    torch.set_num_threads(1)
+    run = Run(configuration(), tmp_path_factory.mktemp("run"))
+    agent = train(run)
+    run.close()
+    return run, agent
+
+
+def rows(run):
+    return [{k: v for k, v in row.items() if k != "seconds"} for row in run._rows]
+
+
+def test_training_improves(trained):
+    run, _ = trained
+    scores = [row["score"] for row in rows(run) if "score" in row]
+    losses = [row["loss"] for row in rows(run)]
+    assert len(scores) == 20
+    assert max(scores) > 0.03
+    assert np.mean(losses[-10:]) < np.mean(losses[:10])
+
+
+def test_interrupted_run_gives_the_same_agent(trained, tmp_path):
+    run, agent = trained
+
+    class StopRunError(Exception):
+        pass
+
+    class Interrupted(Run):
+        def save_checkpoint(self, state):
+            super().save_checkpoint(state)
+            if state["updates"] == 15:
+                raise StopRunError
+
+    first = Interrupted(configuration(), tmp_path)
+    with pytest.raises(StopRunError):
+        train(first)
+    first.close()
+    torch.rand(3)  # another state of torch's generator
+    second = Run(configuration(), tmp_path)
+    again = train(second)
+    second.close()
+    assert rows(second) == rows(run)
+    for name, weights in agent.weights.items():
+        np.testing.assert_array_equal(again.weights[name], weights)
+
+
+def test_best_agent_is_returned(trained):
+    run, agent = trained
+    best = max(row["score"] for row in rows(run) if "score" in row)
+    assert run.validation.run(agent.policy()).score == best
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        ({"n_env": 8}, "no entry 'n_env'"),
+        ({"n_envs": 1}, "1 vehicles are too few for 2 scenarios"),
+        ({"n_envs": 0}, "n_envs is 0"),
+        ({"n_steps": 51}, "at most 50"),
+        ({"learning_rate": -1.0}, "learning_rate is -1.0"),
+        ({"hidden_size": 0}, "is 0; it must be an integer"),
+        ({"compiled": "yes"}, "true or false"),
+    ],
+)
+def test_refuses_settings(settings, says):
+    with pytest.raises(ValueError, match=says):
+        check(configuration(hyperparameters=settings))
+
+
+def test_refuses_an_expert_that_is_not_differentiable():
+    with pytest.raises(ValueError, match="computes on tensors"):
+        check(configuration(expert="lqi"))
+
+
+def test_gradients_that_are_not_finite_are_skipped(tmp_path, monkeypatch):
+    run = Run(configuration(), tmp_path)
+    trainer = Trainer(run)
+    monkeypatch.setattr(
+        Trainer, "_window", lambda self: (sum(p.sum() for p in self.network.parameters()) * torch.nan, 0.0)
+    )
+    before = trainer.network.weights()
+    trainer.update()
+    run.close()
+    assert trainer.skipped == 1
+    for name, weights in trainer.network.weights().items():
+        np.testing.assert_array_equal(weights, before[name])
+
+
+@pytest.mark.slow
+def test_compiled_step_equals_eager():
+    from baselines.training.analytic_gradient import compiled
+
+    loop, net = ClosedLoop(law_of(make_policy("backstepping")), AUTHORITY, Loss()), network()
+    gradients = []
+    for step in (loop.step, compiled(loop)):
+        vehicles = fleet(["cruise-storm", "slow-current"])
+        carried = Carried(*(x.requires_grad_() for x in vehicles.reset(8)))
+        net.zero_grad()
+        for sample in vehicles.samples():
+            carried, loss, _ = step(net, carried, sample, vehicles.parameters)
+        loss.sum().backward()
+        gradients.append([parameter.grad.clone() for parameter in net.parameters()])
+    for mine, theirs in zip(*gradients, strict=True):
+        torch.testing.assert_close(mine, theirs)

@@ -1,0 +1,85 @@
+"""The inputs of a trained policy: one copy for NumPy and torch, what each is, and what it remembers."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.namespaces import ARRAYS, tensors
+from auv_gym.task import SIZE, Observation, decoded_terms
+from baselines.backstepping import Backstepping
+from baselines.features import BOUND, FAST, FEATURES, INTEGRALS, SLOW, update
+
+NAMES = [feature.name for feature in FEATURES]
+
+
+def observation(**changes):
+    """A vehicle heading along the world's x, one metre ahead of its reference at 2 m/s."""
+    terms = dict.fromkeys(Observation._fields, 0.0)
+    terms |= {"e_x": 1.0, "u_R": 2.0, "cos_psi": 1.0, "F_u_max": 400.0, "F_r_max": 200.0, "dt": 0.1}
+    return [np.array([value]) for value in (terms | changes).values()]
+
+
+def features(o, integrals=None, base=(0.0, 0.0), correction=(0.0, 0.0)):
+    sums = np.zeros((INTEGRALS, 1)) if integrals is None else integrals
+    rows, sums = update(o, np.reshape(base, (2, 1)), np.reshape(correction, (2, 1)), sums, ARRAYS)
+    return dict(zip(NAMES, np.array(rows)[:, 0].tolist(), strict=True)), sums
+
+
+def test_numpy_equals_torch_along_an_episode():
+    env = UnderactuatedAUVTrackVectorEnv(4, ["slow-storm", "cruise-actuator", "cruise-storm", "slow-current"])
+    law, rng = Backstepping(), np.random.default_rng(0)
+    observation, _ = env.reset(seed=0)
+    sums = np.zeros((INTEGRALS, 4))
+    peer = list(torch.zeros(INTEGRALS, 4, dtype=torch.float64))
+    for _ in range(50):
+        base, _ = law.predict(observation)
+        o, base, correction = decoded_terms(observation), base.T.astype(float), rng.uniform(-1, 1, (2, 4))
+        rows, sums = update(o, base, correction, sums, ARRAYS)
+        inputs = (torch.tensor(np.array(x)) for x in (o, base, correction))
+        others, peer = update(*inputs, peer, tensors())
+        np.testing.assert_allclose(torch.stack(others).numpy(), rows, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(torch.stack(peer).numpy(), sums, rtol=1e-12, atol=1e-12)
+        assert np.abs(rows).max() <= BOUND
+        observation, *_ = env.step(rng.uniform(-1, 1, (4, 2)))
+
+
+def test_scales_are_those_of_the_table():
+    got, _ = features(
+        observation(psi_e=0.1, u_e=0.2, v_R=0.0, F_uR=100.0, F_rR=-20.0, r_e=0.05, a_u=0.3),
+        base=(0.5, -0.25),
+        correction=(0.1, 0.2),
+    )
+    wanted = {"e_x": 0.5, "psi_e": 0.2, "u_e": 0.2, "r_e": 0.4, "u_R": 2.0, "F_uR": 0.25, "F_rR": -0.1}
+    wanted |= {"base_u": 0.5, "base_r": -0.25, "c_u": 0.1, "c_r": 0.2, "a_u": 0.3, "F_u_max": 1.5625, "dt": 0.8}
+    assert {name: got[name] for name in wanted} == pytest.approx(wanted)
+    assert len(set(NAMES)) == len(FEATURES)
+    assert len(decoded_terms(np.zeros(SIZE))) == len(Observation._fields)
+
+
+@pytest.mark.parametrize(("name", "rate", "scale"), [("fast_x", FAST, 4.0), ("slow_x", SLOW, 10.0)])
+def test_integral_of_a_constant_error(name, rate, scale):
+    sums = None
+    for _ in range(400):
+        got, sums = features(observation(), sums)
+    exact = 0.5 * (1 - math.exp(-rate * 40.0)) / rate / scale
+    assert got[name] == pytest.approx(exact, rel=0.01)
+    assert got[name.replace("x", "y")] == 0.0
+
+
+def test_integrals_stay_where_they_are_in_the_world():
+    _, sums = features(observation())
+    ahead, _ = features(observation(e_x=0.0), sums)
+    aside, _ = features(observation(e_x=0.0, cos_psi=0.0, sin_psi=1.0), sums)  # heading along the world's y
+    assert aside["fast_y"] == pytest.approx(-ahead["fast_x"])
+    assert aside["slow_y"] == pytest.approx(-ahead["slow_x"])
+    assert aside["fast_x"] == aside["slow_x"] == 0.0
+
+
+def test_same_motion_at_another_speed_has_the_same_features():
+    slow, _ = features(observation(e_x=0.1, e_y=-0.05, u_R=0.2, u_e=0.02))
+    fast, _ = features(observation(e_x=1.0, e_y=-0.5, u_R=2.0, u_e=0.2))
+    same = [name for name in NAMES if name != "u_R"]
+    assert {n: slow[n] for n in same} == pytest.approx({n: fast[n] for n in same})
