@@ -21,7 +21,7 @@ from baselines.los_pid import make_los_pid
 from baselines.lqi import make_lqi
 from baselines.open_loop import OpenLoop
 from baselines.oracle import Oracle
-from baselines.user_policies import AGENTS, is_path, load_policy, shipped_agents
+from baselines.user_policies import AGENTS, FADING, is_path, load_policy, shipped_agents
 
 POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
     "backstepping": (
@@ -62,12 +62,14 @@ def make_policy(name: str, **options: Any) -> Policy:
     """Return a policy by name or path; options override those of the entry.
 
     A path is FILE.py:FACTORY or a FILE.zip of Stable-Baselines3, which can run any code when it is loaded, or the
-    folder of a trained agent, which cannot.
+    folder of a trained agent, which cannot. An agent's name or folder may be followed by `FADING`.
 
     Raises:
         OSError: the file cannot be read.
         ValueError: the name is unknown, the file holds no policy, or the policy does not take such options.
     """
+    if name.endswith(FADING):
+        return make_policy(name.removesuffix(FADING), **{"fade": True, **options})
     if is_path(name):
         return load_policy(name, **options)
     if name in shipped_agents():

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import shutil
 import tempfile
 from collections.abc import Mapping
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 from auv_gym.residual import Policy, checked_authority
 from auv_gym.task import TERMS
-from baselines.features import FEATURES
+from baselines.features import ERRORS, FEATURES
 from baselines.model_card import CURVE, model_card
 from baselines.networks import Network, Weights, check_weights, network_of, network_record
 from baselines.residual_policy import ResidualPolicy
@@ -43,6 +44,7 @@ ENTRIES = (
     "expert",
     "authority",
     "scenarios",
+    "region",
     "weights_sha256",
     "training",
 )
@@ -53,7 +55,8 @@ class Agent:
     """A network that corrects an expert, and where it comes from.
 
     Raises:
-        ValueError: the weights do not fit the network, the expert is a path, or an authority is not in (0, 2].
+        ValueError: the weights do not fit the network, the expert is a path, an authority is not in (0, 2], or the
+            region is not of positive numbers.
     """
 
     network: Network
@@ -62,6 +65,7 @@ class Agent:
     authority: tuple[float, float]  # largest correction of surge and yaw, fractions of the limits
     scenarios: tuple[str, ...] = ()  # names of what it was trained on
     training: Mapping[str, Any] = field(default_factory=dict)  # command, configuration, versions, scores: plain JSON
+    region: tuple[float, ...] | None = None  # largest errors in its validation episodes, see `residual_policy.trust`
 
     def __post_init__(self) -> None:
         if self.network.inputs != len(FEATURES):
@@ -71,18 +75,28 @@ class Agent:
                 f"expert is {self.expert!r}; an agent's expert must be a policy's name, since paths run code"
             )
         object.__setattr__(self, "authority", checked_authority(self.authority))
+        if self.region is not None:
+            object.__setattr__(self, "region", tuple(self.region))
+            if len(self.region) != ERRORS or not all(isinstance(x, float) and 0 < x < math.inf for x in self.region):
+                raise ValueError(f"region is {self.region!r}; it must be {ERRORS} positive numbers")
         check_weights(self.network, self.weights)
 
-    def policy(self) -> Policy:
+    def policy(self, fade: bool = False) -> Policy:
         """Return the policy: expert and network together.
 
+        Args:
+            fade: whether corrections fade to the expert's bare action where an error leaves the region that was seen in
+                training; at twice its size nothing of them is left.
+
         Raises:
-            ValueError: the expert is unknown.
+            ValueError: the expert is unknown, or corrections are to fade and no region is known.
         """
+        if fade and self.region is None:
+            raise ValueError("the agent does not know the region that it has seen, so it cannot fade; train it again")
         from baselines import make_policy
 
         expert = Zero() if self.expert == NO_EXPERT else make_policy(self.expert)
-        return ResidualPolicy(expert, self.network, self.weights, self.authority)
+        return ResidualPolicy(expert, self.network, self.weights, self.authority, self.region if fade else None)
 
     def save(self, folder: str | Path, curve: bytes | None = None) -> None:
         """Write the agent to a folder, in place of what is there; it appears complete or not at all.
@@ -118,6 +132,7 @@ class Agent:
             "expert": self.expert,
             "authority": list(self.authority),
             "scenarios": list(self.scenarios),
+            "region": None if self.region is None else list(self.region),
             "weights_sha256": hashlib.sha256(weights).hexdigest(),
             "training": dict(self.training),
         }
@@ -143,6 +158,7 @@ class Agent:
                 _pair(record["authority"]),
                 tuple(record["scenarios"]),
                 record["training"],
+                record["region"],
             )
         except ValueError as error:
             raise ValueError(f"agent {folder}: {error}") from error
@@ -171,6 +187,8 @@ def _checked_record(data: bytes) -> dict[str, Any]:
             raise ValueError(f"it was trained on other {name} than this version has; train it again")
     if not isinstance(record["expert"], str) or not isinstance(record["training"], dict):
         raise ValueError(f"{RECORD}: expert must be a name, training a table")
+    if not isinstance(record["region"], (list, type(None))):
+        raise ValueError(f"{RECORD}: region must be a list of numbers, or null")
     if not isinstance(record["scenarios"], list) or not all(isinstance(s, str) for s in record["scenarios"]):
         raise ValueError(f"{RECORD}: scenarios must be a list of names")
     return record

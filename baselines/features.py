@@ -56,8 +56,21 @@ FEATURES = (
     Feature("F_r_max", "N m", "128 N m", "yaw torque that action 1 commands"),
     Feature("dt", "s", "0.125 s", "control period"),
 )
+ERRORS = 6
+"""How many of the features, the first ones, are errors of the vehicle."""
 INTEGRALS = 4
 """Rows that are remembered: the two integrals, scaled by U * 1 s, each with its x and y in the world."""
+
+
+def scaled_errors(o: Sequence[Number], ns: Namespace) -> tuple[Any, ...]:
+    """Return the first `ERRORS` features before they are clipped."""
+    e_x, e_y, psi_e, u_e, v_e, r_e, u_R, v_R = o[:8]
+    per_U = _per_speed(u_R, v_R, ns)
+    return e_x * per_U, e_y * per_U, 2 * psi_e, 2 * u_e * per_U, 2 * v_e * per_U, 8 * r_e
+
+
+def _per_speed(u_R: Number, v_R: Number, ns: Namespace) -> Any:
+    return 1 / ns.sqrt(ns.clip(u_R * u_R + v_R * v_R, MIN_SPEED * MIN_SPEED, 1e6))
 
 
 def update(
@@ -76,10 +89,10 @@ def update(
         integrals: as the last call returned them, `INTEGRALS` rows; zero at an episode's start.
         ns: the namespace of the numbers.
     """
-    e_x, e_y, psi_e, u_e, v_e, r_e, u_R, v_R, r_R, F_uR, F_rR, c, s, F_u_max, F_r_max, a_u, a_r, dt = o[:18]
+    u_R, v_R, r_R, F_uR, F_rR, c, s, F_u_max, F_r_max, a_u, a_r, dt = o[6:18]
     x1, y1, x2, y2 = integrals
-    per_U = 1 / ns.sqrt(ns.clip(u_R * u_R + v_R * v_R, MIN_SPEED * MIN_SPEED, 1e6))
-    ahead, aside = e_x * per_U, e_y * per_U
+    errors = scaled_errors(o, ns)
+    ahead, aside = errors[:2]
     x, y = ns.clip(ahead, -FAR, FAR), ns.clip(aside, -FAR, FAR)
     x, y = to_world(x, y, c, s)
     x1, y1 = x1 + dt * (x - FAST * x1), y1 + dt * (y - FAST * y1)
@@ -87,8 +100,7 @@ def update(
     fast_x, fast_y = to_body(x1, y1, c, s)
     slow_x, slow_y = to_body(x2, y2, c, s)
     rows = (
-        ahead, aside, 2 * psi_e, 2 * u_e * per_U, 2 * v_e * per_U, 8 * r_e,
-        u_R, 4 * v_R * per_U, 8 * r_R, F_uR / F_u_max, F_rR / F_r_max, *base,
+        *errors, u_R, 4 * v_R * _per_speed(u_R, v_R, ns), 8 * r_R, F_uR / F_u_max, F_rR / F_r_max, *base,
         0.25 * fast_x, 0.25 * fast_y, 0.1 * slow_x, 0.1 * slow_y,
         *correction, a_u, a_r, F_u_max / 256, F_r_max / 128, 8 * dt,
     )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,8 @@ from numpy.typing import NDArray
 from auv_gym.namespaces import ARRAYS
 from auv_gym.residual import Policy
 from auv_gym.task import decode_observation
-from baselines.features import INTEGRALS, update
-from baselines.memory import Memory, renewed
+from baselines.features import INTEGRALS, scaled_errors, update
+from baselines.memory import Array, Memory, renewed
 from baselines.networks import Network, Weights
 
 
@@ -26,8 +27,16 @@ class ResidualPolicy:
     OWN = 3
     """Arrays of its memory in front of the expert's."""
 
-    def __init__(self, expert: Policy, network: Network, weights: Weights, authority: tuple[float, float]) -> None:
-        """Make the policy of checked weights."""
+    def __init__(
+        self,
+        expert: Policy,
+        network: Network,
+        weights: Weights,
+        authority: tuple[float, float],
+        region: Sequence[float] | None = None,
+    ) -> None:
+        """Make the policy of checked weights; with a region, see `trust`, corrections fade outside of it."""
+        self.region = None if region is None else np.array(region)
         self.expert, self.network, self.authority = expert, network, np.array(authority)
         self.weights = {name: np.asarray(w, dtype=np.float64) for name, w in weights.items()}
 
@@ -54,6 +63,19 @@ class ResidualPolicy:
         base = action.reshape(n, 2).astype(np.float64)
         features, sums = update(o, base.T, correction.T, integrals.T, ARRAYS)
         correction, hidden = self.network.forward(self.weights, np.array(features).T, hidden)
+        if self.region is not None:
+            correction *= trust(np.array(scaled_errors(o, ARRAYS)), self.region)[:, None]
         action = np.clip(base + self.authority * correction, -1.0, 1.0).astype(np.float32)
         memory = np.array(sums).T, correction, hidden, *(past or ())
         return (action[0] if observation.ndim == 1 else action), memory
+
+
+def trust(errors: Array, region: Array) -> Array:
+    """Return the share of a correction that is applied, shape (N,): 1 inside a region, falling to 0 at twice its size.
+
+    Args:
+        errors: the first features, `features.ERRORS` rows of shape (N,).
+        region: the largest magnitude of each that the network has learned from, shape (ERRORS,).
+    """
+    farthest = (np.abs(errors) / region[:, None]).max(axis=0)
+    return np.asarray(np.clip(2.0 - farthest, 0.0, 1.0))

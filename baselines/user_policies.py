@@ -24,11 +24,11 @@ ALGORITHMS = {
 """Which class loads a model, by the module of its network; A2C, TRPO and DDPG act as their relatives here do."""
 
 AGENTS = Path(__file__).parent / "agents"
-"""Folder of the trained agents, one folder each."""
-
-
-AGENTS = Path(__file__).parent / "agents"
 """Where the agents are that ship with the package, a folder each."""
+
+
+FADING = ":fade"
+"""Behind an agent's name: its corrections fade where it leaves what it has seen, see `baselines.agent.Agent.policy`."""
 
 
 def shipped_agents() -> list[str]:
@@ -54,6 +54,7 @@ def fingerprint(name: str) -> str:
     Of a path that is the file, or what is in the folder; of an agent's name its folder. What a module imports does not
     count.
     """
+    name = name.removesuffix(FADING)
     path = Path(name.rpartition(":")[0] if ".py:" in name else name)
     if not is_path(name) and not path.is_dir():
         path = AGENTS / name
@@ -71,24 +72,25 @@ def load_policy(path: str, **options: Any) -> Policy:
 
     Args:
         path: "FILE.py:FACTORY", whose factory is called with the options, "FILE.zip", or an agent's folder.
-        options: of the factory; the others take none.
+        options: of the factory, or `fade` of an agent, see `baselines.agent.Agent.policy`; a model takes none.
 
     Raises:
         OSError: the file cannot be read.
         ValueError: it holds no such policy.
     """
     if ".py:" not in path:
-        if options:
-            raise ValueError(f"policy {path!r} takes no options")
-        return _model(Path(path)) if path.endswith(".zip") else _agent(Path(path))
+        model = path.endswith(".zip")
+        if unknown := [name for name in options if model or name != "fade"]:
+            raise ValueError(f"policy {path!r} takes no option {unknown[0]!r}" + ("" if model else ", only fade"))
+        return _model(Path(path)) if model else _agent(Path(path), **options)
     file, _, factory = path.rpartition(":")
     return _made(Path(file), factory, options)
 
 
-def _agent(folder: Path) -> Policy:
+def _agent(folder: Path, fade: bool = False) -> Policy:
     from baselines.agent import Agent
 
-    return Agent.load(folder).policy()
+    return Agent.load(folder).policy(fade)
 
 
 def _made(file: Path, factory: str, options: dict[str, Any]) -> Policy:

@@ -220,7 +220,45 @@ def test_shipped_agents_are_policies_by_name(tmp_path, monkeypatch):
     observation = UnderactuatedAUVTrackEnv("cruise-storm").reset(seed=0)[0]
     mine = make_policy("mine").predict(observation)[0]
     np.testing.assert_array_equal(mine, make_policy(str(tmp_path / "mine")).predict(observation)[0])
-    with pytest.raises(ValueError, match="takes no options"):
+    with pytest.raises(ValueError, match="takes no option 'gains'"):
         make_policy("mine", gains="paper")
     shutil.rmtree(tmp_path / "mine")
     assert "mine" not in list_policies()
+
+
+REGION = (1.0, 1.0, 0.8, 2.0, 2.0, 1.5)
+
+
+def test_corrections_fade_outside_of_the_region_and_nowhere_else(tmp_path):
+    """An observation is scaled up: the correction is whole inside the region, and gone at twice its size."""
+    whole, fading = agent(region=REGION).policy(), agent(region=REGION).policy(fade=True)
+    expert = make_policy("backstepping")
+    env = UnderactuatedAUVTrackEnv("cruise-calm")
+    calm, _ = env.reset(seed=0, options={"initial_error": (0.0, 0.0, 0.0)})
+    calm[:6] = 0.0
+    U = np.hypot(*(0.5 * calm[6:8]))
+    for size, share in ((0.0, 1.0), (0.99, 1.0), (1.5, 0.5), (2.0, 0.0), (7.0, 0.0)):
+        observation = calm.copy()
+        observation[1] = size * U  # e_y [m]
+        base, bent, faded = (p.predict(observation)[0].astype(float) for p in (expert, whole, fading))
+        if np.abs(bent).max() < 1:  # where nothing is clipped
+            np.testing.assert_allclose(faded - base, share * (bent - base), atol=1e-6)
+        if share == 0:
+            np.testing.assert_array_equal(faded, base)
+    agent(region=REGION).save(tmp_path / "a")
+    assert Agent.load(tmp_path / "a").region == REGION
+    np.testing.assert_array_equal(make_policy(f"{tmp_path}/a:fade").predict(observation)[0], faded)
+
+
+@pytest.mark.parametrize("region", [(1.0,) * 5, (1.0, 1.0, 1.0, 0.0, 1.0, 1.0), (1.0, 1.0, np.inf, 1.0, 1.0, 1.0)])
+def test_impossible_regions_are_refused(region):
+    with pytest.raises(ValueError, match=r"region is .*; it must be 6 positive numbers"):
+        agent(region=region)
+
+
+def test_without_a_region_nothing_can_fade(tmp_path):
+    agent().save(tmp_path / "a")
+    with pytest.raises(ValueError, match="does not know the region"):
+        make_policy(f"{tmp_path}/a:fade")
+    with pytest.raises(ValueError, match="takes no option 'gains', only fade"):
+        make_policy(str(tmp_path / "a"), gains="paper")

@@ -15,9 +15,11 @@ import numpy as np
 
 from auv_gym import __version__
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.namespaces import ARRAYS
 from auv_gym.paths import Line
 from auv_gym.residual import Policy
 from auv_gym.scenario import Scenario
+from auv_gym.task import decode_observation
 from baselines import make_policy
 from baselines.evaluation.files import json_text, write_atomically
 from baselines.evaluation.metrics import Array, tail_rmse
@@ -25,6 +27,7 @@ from baselines.evaluation.rollout import PolicyError, rollout
 from baselines.evaluation.runner import Cell, drawn
 from baselines.evaluation.score import EXPERT, LARGEST_TAIL, ORACLE, capped, regime_of
 from baselines.evaluation.suites import load
+from baselines.features import ERRORS, scaled_errors
 
 SUITE = "benchmark-v1-validation"
 VALIDATION_SEED = 30_000_000
@@ -42,6 +45,7 @@ class Verdict:
     score: float  # 0: the expert, 1: the oracle; from tails of at most the cap
     error_m: float  # mean capped tail RMSE [m]
     lost: float  # share of the episodes that were lost, or whose tail reaches the cap
+    region: tuple[float, ...]  # largest scaled errors, see `baselines.features.scaled_errors`
 
 
 def validation_cell(scenario: Scenario) -> Cell:
@@ -80,8 +84,10 @@ class Validation:
         env, observation, n = copy.deepcopy(self._env), self._observation, len(self._of)
         memory, first = None, np.ones(n, dtype=bool)
         running, lost = np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
-        errors = np.zeros((self.steps, n))
+        errors, region = np.zeros((self.steps, n)), np.zeros(ERRORS)
         for k in range(self.steps):
+            scaled = np.abs(scaled_errors(decode_observation(observation), ARRAYS)) * running
+            region = np.maximum(region, scaled.max(axis=1))
             action, memory = policy.predict(observation, memory, first)
             observation, _, terminated, truncated, info = env.step(action)
             first = terminated | truncated
@@ -95,7 +101,12 @@ class Validation:
             tail = tail_rmse(errors[: cell.scenario.steps, self._of == i])
             tails.append(np.where(lost[self._of == i] | ~(tail < cap), cap, tail))
         error = _mean(tails)
-        return Verdict(self.score(error), error, _mean([t >= c for t, c in zip(tails, self._caps, strict=True)]))
+        return Verdict(
+            self.score(error),
+            error,
+            _mean([t >= c for t, c in zip(tails, self._caps, strict=True)]),
+            tuple(region.tolist()),
+        )
 
     def score(self, error_m: float) -> float:
         """Return the score of a mean capped tail [m]; where the oracle is no better than the expert, 1 is no error."""
