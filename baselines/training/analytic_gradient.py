@@ -46,6 +46,7 @@ class Settings:
     hidden_size: int = 64  # of each layer of the network
     effort_weight: float = 0.003  # see `closed_loop.Loss`
     rate_weight: float = 0.3  # likewise
+    estimate_weight: float = 0.0  # likewise
     compiled: bool = True  # whether torch compiles the step, which takes a minute once
 
     def __post_init__(self) -> None:
@@ -55,7 +56,7 @@ class Settings:
                 raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")
         for name in ("learning_rate", "final_learning_rate", "max_grad_norm"):
             check_number(name, getattr(self, name), 1e-9, 1e6)
-        for name in ("effort_weight", "rate_weight"):
+        for name in ("effort_weight", "rate_weight", "estimate_weight"):
             check_number(name, getattr(self, name), 0, 1e6)
         if not isinstance(self.compiled, bool):
             raise ValueError(f"compiled is {self.compiled!r}; it must be true or false")
@@ -123,8 +124,8 @@ class Trainer:
         else:
             self._restore(state)
         law = law_of(config.make_expert())
-        loss = Loss(settings.effort_weight, settings.rate_weight)
-        loop = ClosedLoop(law, config.authority, loss, self.fleet.parts)
+        loss = Loss.weighted(settings.effort_weight, settings.rate_weight, settings.estimate_weight)
+        loop = ClosedLoop(law, torch.tensor(config.authority), loss, self.fleet.parts)
         self._step = compiled(loop) if settings.compiled else loop.step
 
     @property

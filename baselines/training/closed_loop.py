@@ -10,11 +10,13 @@ import torch
 from torch import Tensor, nn
 
 from auv_gym.envs.torch_sim import PLAIN, STATE, TENSORS, simulate
+from auv_gym.errors import to_body
 from auv_gym.namespaces import Namespace
 from auv_gym.residual import Policy
-from auv_gym.simulation import Parts
+from auv_gym.simulation import Parameters, Parts, current_at
 from auv_gym.task import SCALES, SIZE
 from baselines import features
+from baselines.backstepping import MIN_SPEED
 from baselines.features import INTEGRALS
 from baselines.networks import ACTIONS
 from baselines.zero import Zero
@@ -24,6 +26,8 @@ Law = Callable[[Sequence[Any], Namespace], tuple[Any, Any]]
 
 NEAR, CURVE = 2.0, 0.3
 """Where the error's loss turns from a parabola into a logarithm, in units of its scale, and how curved the first is."""
+TRUTHS = 10
+"""Rows of `ClosedLoop._truth`."""
 DECODING: list[float] = SCALES.tolist()  # the graph may hold no NumPy
 TINY = 1e-6
 """Added to the squared error, in units of the scale's square: the distance has no slope at zero."""
@@ -53,10 +57,16 @@ class Carried(NamedTuple):
 
 @dataclass(frozen=True)
 class Loss:
-    """Weights of the loss of a control step."""
+    """Weights of the loss of a control step: tensors, as a number would be compiled into the step."""
 
-    effort: float = 0.003  # of the squared command
-    rate: float = 0.3  # of its squared change
+    effort: Tensor  # of the squared command
+    rate: Tensor  # of its squared change
+    estimate: Tensor | None = None  # of the squared error of what the network says of `ClosedLoop._truth`; None: unused
+
+    @classmethod
+    def weighted(cls, effort: float = 0.003, rate: float = 0.3, estimate: float = 0.0) -> Loss:
+        """Return the loss with these weights."""
+        return cls(torch.tensor(effort), torch.tensor(rate), torch.tensor(estimate) if estimate else None)
 
     def of(self, squared_error: Tensor, scale: Tensor, command: Tensor, previous: Tensor) -> Tensor:
         """Return the loss of a step, shape (N,).
@@ -83,7 +93,7 @@ class ClosedLoop:
     """Expert, network and vehicle; `step` is one control step of N of them."""
 
     law: Law
-    authority: tuple[float, float]
+    authority: Tensor  # shape (2,)
     loss: Loss
     parts: Parts = PLAIN  # of the simulation that are in use
 
@@ -95,7 +105,8 @@ class ClosedLoop:
         rows, integrals = features.update(o, base, carried.correction.unbind(), carried.integrals.unbind(), TENSORS)
         correction, hidden = network(torch.stack(rows, dim=1), carried.hidden)
         c_u, c_r = correction.unbind(dim=1)
-        command = torch.stack((base[0] + self.authority[0] * c_u, base[1] + self.authority[1] * c_r)).clamp(-1.0, 1.0)
+        a_u, a_r = self.authority.unbind()
+        command = torch.stack((base[0] + a_u * c_u, base[1] + a_r * c_r)).clamp(-1.0, 1.0)
         return command, torch.stack(integrals), torch.stack((c_u, c_r)), hidden
 
     def step(
@@ -112,7 +123,27 @@ class ClosedLoop:
         command, integrals, correction, hidden = self.act(network, carried)
         t = simulate(carried.state, command, sample, parameters, self.parts)
         loss = self.loss.of(t.squared_error, parameters[17], command, carried.state[8:10])
+        if self.loss.estimate is not None:
+            truth = self._truth(carried.state, sample, parameters).detach()
+            loss = loss + self.loss.estimate * (network.get_submodule("estimator")(hidden).T - truth).square().mean(0)
         return Carried(t.state, t.observation, integrals, correction, hidden), loss, t.squared_error
+
+    def _truth(self, state: Tensor, sample: Tensor, parameters: Tensor) -> Tensor:
+        """Return what an agent would like to know, in units of order one, shape (TRUTHS, N).
+
+        Position error, sway velocity and current along the body axes; loads; actuator forces.
+        """
+        p = Parameters.of(parameters.unbind(), self.parts)
+        x, y, psi, _, v, _, F_u, F_r = state[:8]
+        s = sample.unbind()
+        per_U = 1 / torch.sqrt(s[3] * s[3] + s[4] * s[4] + MIN_SPEED * MIN_SPEED)
+        c, sin = torch.cos(psi), torch.sin(psi)
+        error = to_body(x - s[0], y - s[1], c, sin)
+        current = to_body(*current_at(x, y, s, p, TENSORS), c, sin)
+        drag = p.coefficients[3:6]
+        loads = (4 * load * per_U / d for load, d in zip(s[10:13], drag, strict=True))
+        rows = (*(2 * e * per_U for e in error), 2 * v * per_U, *(3 * V * per_U for V in current), *loads)
+        return torch.stack((*(row.clamp(-4.0, 4.0) for row in rows), F_u / p.F_u_max, F_r / p.F_r_max))
 
 
 def law_of(expert: Policy) -> Law:
