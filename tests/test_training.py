@@ -2,6 +2,7 @@
 
 import errno
 import json
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from auv_gym.presets import CASES, PRESETS
 from auv_gym.scenario import Scenario
 from baselines.agent import Agent
 from baselines.command_line import UsageError, run
+from baselines.evaluation.runner import drawn
 from baselines.training import command, request, shipped
 from baselines.training.config import ALGORITHMS, LARGEST_SEED, TRAINING_SEED, Config
 from baselines.training.hyperparameters import ENV_ID, load_hyperparameters
@@ -27,6 +29,7 @@ from baselines.tuning import VALIDATION_EPISODES
 from baselines.tuning import VALIDATION_SEED as TUNING_VALIDATION_SEED
 
 torch.set_num_threads(1)
+ROOT = Path(__file__).parents[1]
 SMALL = replace(PRESETS["cruise-current"], name="small", steps=15)
 OFF_POLICY = {"buffer_size": 2000, "batch_size": 16, "learning_starts": 0, "train_freq": 8, "gradient_steps": 1}
 TINY = {
@@ -47,7 +50,7 @@ def call(monkeypatch, tmp_path):
     monkeypatch.setattr("baselines.training.tracker.VALIDATIONS", 5)
     SMALL.save("small.toml")
     for algo, values in TINY.items():
-        Path(f"{algo}.yml").write_text(yaml.safe_dump({ENV_ID: {"n_envs": 4, **values}}), encoding="utf-8")
+        Path(f"{algo}.yml").write_text(yaml.safe_dump({ENV_ID: {"n_envs": 8, **values}}), encoding="utf-8")
 
     def call(*arguments):
         monkeypatch.setattr(sys, "argv", ["train.py", *map(str, arguments)])
@@ -200,7 +203,7 @@ def test_impossible_hyperparameters_are_one_line(values, message, call, capsys):
 
 @pytest.mark.parametrize("algo", ["ppo", "td3"])
 def test_divergence_is_one_line(algo, call, capsys):
-    values = TINY[algo] | {"learning_rate": 1e30, "n_envs": 4}
+    values = TINY[algo] | {"learning_rate": 1e30, "n_envs": 8}
     Path(f"{algo}.yml").write_text(yaml.safe_dump({ENV_ID: values}), encoding="utf-8")
     assert call(*tiny(algo)) == 1
     err = capsys.readouterr().err
@@ -341,3 +344,17 @@ def test_shipped_agents_are_installed_and_unknown_ones_refused(call, monkeypatch
     assert same(weights("agents/ppo-small"), weights("runs/shipped/ppo-small/agent"))
     with pytest.raises(UsageError, match="no agent 'dqn-small' ships with the package; allowed are ppo-small"):
         shipped.main(["dqn-small"])
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/training.md"])
+def test_documented_commands_run(page, call, monkeypatch):
+    """In their order, in one folder, with small networks for a moment; hyper-parameter files are those of the page."""
+    monkeypatch.setattr("baselines.training.run.validation_cell", lambda s: drawn(replace(s, steps=15), 1, 0))
+    monkeypatch.setattr(request, "shipped", lambda algo: Path(f"{algo}.yml"))
+    text = (ROOT / page).read_text(encoding="utf-8")
+    for name, content in re.findall(r"^```(?:toml|yaml)\n# (\S+)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+        Path(name).write_text(content, encoding="utf-8")
+    lines = re.findall(r"^python train.py ?([^#\n]*)", text, re.MULTILINE)
+    assert lines
+    for line in lines:
+        assert call(*line.split(), "--timesteps", STEPS, "--jobs", 1) == 0, line

@@ -25,7 +25,7 @@ from baselines.training.config import Config
 from baselines.training.run import Run, TrainingError
 from baselines.training.sb3 import SB3VecEnv
 from baselines.training.snapshot import restore
-from baselines.training.tracker import Tracker, finite
+from baselines.training.tracker import Tracker, sound
 from baselines.training.vec_features import VecFeatures
 
 MODELS: Mapping[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "td3": TD3, "tqc": TQC}
@@ -48,7 +48,7 @@ def train(run: Run) -> Agent:
 
     Raises:
         OSError: the run's folder cannot be written to.
-        TrainingError: the networks' weights are no longer finite.
+        TrainingError: the networks' weights have diverged.
     """
     config = run.config
     state = run.load_checkpoint()
@@ -62,7 +62,7 @@ def train(run: Run) -> Agent:
         try:
             model.learn(rest, callbacks, log_interval=None, reset_num_timesteps=state is None)  # type: ignore[arg-type]
         except ValueError as error:  # torch refuses a distribution of numbers that are not finite
-            if finite(model):
+            if sound(model):
                 raise
             raise TrainingError(f"training diverged after {model.num_timesteps} steps: lower learning_rate") from error
     return tracker.agent
