@@ -1,6 +1,9 @@
 """How far an evaluation is: the board that tasks write on, and the time that is left."""
 
+import io
 import time
+
+from rich.console import Console
 
 from auv_gym.presets import PRESETS
 from baselines.evaluation import progress as module
