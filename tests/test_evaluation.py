@@ -319,6 +319,15 @@ def test_a_changed_policy_is_not_taken_for_finished_work(call, small, tmp_path, 
     assert tails[0] == tails[1] != tails[2]
 
 
+def test_a_policy_that_changes_while_it_runs_is_refused(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text(PUSHES.format(0.1))
+    cells = [drawn(SMALL, 1, 0)]
+    (run,) = run_all((f"{file}:Push",), cells, note=lambda *_: file.write_text(PUSHES.format(0.2)))
+    assert (run.measures, run.error) == (None, "its files changed while it ran")
+    assert run_all((f"{file}:Push",), cells)[0].error is None
+
+
 def test_an_unfinished_file_leaves_no_trace(tmp_path, monkeypatch):
     file = tmp_path / "results.json"
     write_atomically(file, "old")

@@ -124,7 +124,7 @@ def run_all(
         step_limit: largest time of a decision [s].
         known: returns the run of a key if it is there already.
     """
-    prints = {policy: fingerprint(policy) for policy in policies}  # now: a file may change while its policy runs
+    prints = {policy: fingerprint(policy) for policy in policies}
     pairs = [(policy, cell) for cell in cells for policy in policies]
     runs: dict[int, Run] = {}
     for i, (policy, cell) in enumerate(pairs):
@@ -145,7 +145,9 @@ def run_all(
         count = len(_chunks(cell.episodes))
         if len(parts[i]) == count:
             done = parts.pop(i)
-            runs[i] = replace(_joined(policy, cell, [done[k] for k in range(count)]), fingerprint=prints[policy])
+            run = replace(_joined(policy, cell, [done[k] for k in range(count)]), fingerprint=prints[policy])
+            changed = fingerprint(policy) != prints[policy]
+            runs[i] = replace(run, measures=None, error="its files changed while it ran") if changed else run
             on_run(runs[i])
     return [runs[i] for i in range(len(pairs))]
 
