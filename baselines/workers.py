@@ -75,7 +75,8 @@ def connect(address: str) -> int:
         ray.init(address=address, log_to_driver=False, logging_level="ERROR")
         return int(ray.cluster_resources()["CPU"])
     except (Exception, SystemExit) as error:
-        raise ClusterError(f"cannot use the Ray cluster {address}: {error}") from error
+        hint = "; if it asks for a token, set RAY_AUTH_TOKEN" if address not in NAMED else ""
+        raise ClusterError(f"cannot use the Ray cluster {address}: {error}{hint}") from error
 
 
 def _reach(address: str) -> None:

@@ -17,10 +17,10 @@ from baselines.workers import ClusterError, Workers, connect
 def ray(monkeypatch):
     """A stand-in for Ray with the calls that are used, its pool one of threads."""
     module, util, pool = (types.ModuleType(name) for name in ("ray", "ray.util", "ray.util.multiprocessing"))
-    module.addresses = []
+    module.addresses, module.locked = [], False
 
     def init(address, **_):
-        if address == "auto":
+        if address == "auto" or module.locked:
             raise SystemExit(15)
         module.addresses.append(address)
 
@@ -58,6 +58,9 @@ def test_an_address_that_answers(ray):
         address = f"127.0.0.1:{server.getsockname()[1]}"
         assert connect(address) == 3
         assert connect(f"ray://{address}") == 3
+        ray.locked = True
+        with pytest.raises(ClusterError, match="set RAY_AUTH_TOKEN"):
+            connect(address)
     with pytest.raises(ClusterError, match="cannot reach the Ray cluster 127"):
         connect(address)
     assert ray.addresses == [address, f"ray://{address}"]
