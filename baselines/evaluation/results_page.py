@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -10,12 +10,9 @@ from baselines.evaluation.collection import TOLERANCE, Results, better_than_orac
 from baselines.evaluation.metrics import Measures, cvar, ratio
 from baselines.evaluation.score import EXPERT, ORACLE, Pooled, interval_text, paired, regime_of, score_text
 
-SECTIONS: tuple[Callable[[Sequence[Results]], str], ...] = ()
-"""Further sections of the page, behind the suites: each returns Markdown. A place for curves of learned agents."""
 
-
-def page(found: Sequence[Results], missing: Sequence[str]) -> str:
-    """Return the text of docs/results.md."""
+def page(found: Sequence[Results], missing: Sequence[str], learned: str = "") -> str:
+    """Return the text of docs/results.md, with a section on learned agents, if there is one, behind the suites."""
     parts = [INTRODUCTION]
     for results in found:
         regimes = list(dict.fromkeys(entry.regime for entry in results.pooled))
@@ -23,7 +20,7 @@ def page(found: Sequence[Results], missing: Sequence[str]) -> str:
         parts += [_cases(results, regimes), _oracle(results)]
     for name in missing:
         parts.append(f"## {name}\n\nNot recorded yet: `python -m baselines.evaluation.suites record {name}`.")
-    return "\n\n".join([*parts, *(section(found) for section in SECTIONS)]) + "\n"
+    return "\n\n".join([*parts, *([learned] if learned else [])]) + "\n"
 
 
 INTRODUCTION = """# Results

@@ -103,6 +103,39 @@ def score(expert: Sequence[Array], policy: Sequence[Array], oracle: Sequence[Arr
     return Score(float(values[0]), (low, high))
 
 
+def seeds_score(expert: Sequence[Array], seeds: Sequence[Array], oracle: Sequence[Array]) -> Score:
+    """Return the score of agents that differ in the training seed alone; the interval is over seeds and episodes.
+
+    Args:
+        expert: tail errors [m] of paired episodes, shape (M,) for each case.
+        seeds: those of the agents, shape (S, M) for each case.
+        oracle: as `expert`.
+    """
+    return lead(expert, expert, seeds, oracle)
+
+
+def lead(expert: Sequence[Array], rival: Sequence[Array], seeds: Sequence[Array], oracle: Sequence[Array]) -> Score:
+    """Return by how much agents' score is above a rival's, with its interval over training seeds and episodes.
+
+    Args:
+        expert: see `seeds_score`.
+        rival: as `expert`.
+        seeds: see `seeds_score`.
+        oracle: as `expert`.
+    """
+    count, weights = len(seeds[0]), _weights(tuple(map(len, expert)))
+    above, span = np.zeros((RESAMPLES + 1, count)), np.zeros(RESAMPLES + 1)
+    for w, e, r, p, o in zip(weights, expert, rival, seeds, oracle, strict=True):
+        above += w @ (r - p).T
+        span += w @ (e - o)
+    drawn = np.random.default_rng(1).multinomial(count, np.full(count, 1 / count), RESAMPLES) / count
+    shares = np.vstack((np.full((1, count), 1 / count), drawn))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        values = (above * shares).sum(axis=1) / span
+    low, high = np.quantile(values[1:], (0.025, 0.975)).tolist()
+    return Score(float(values[0]), (low, high))
+
+
 @lru_cache(maxsize=4)
 def _weights(lengths: tuple[int, ...]) -> list[Array]:
     """Return how often each episode of each case counts: a first row of ones, then one for each bootstrap sample."""

@@ -1,0 +1,151 @@
+"""What is kept of a study: tail errors of every episode and seed, learning curves, and how it was made."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.evaluation import suites
+from baselines.evaluation.files import write_atomically
+from baselines.evaluation.metrics import Array, Measures
+from baselines.evaluation.report import versions
+from baselines.evaluation.runner import Run
+from baselines.evaluation.score import LARGEST_TAIL
+
+FOLDER = Path(__file__).parent / "studies"
+SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1")
+"""The suites that agents are measured on."""
+CURVE = ("timesteps", "seconds", "score")
+"""Columns of a learning curve."""
+
+
+@dataclass(frozen=True)
+class InSuite:
+    """What S agents do in the M episodes of a suite's cells."""
+
+    hash: str  # of the suite
+    cells: tuple[str, ...]  # names of their scenarios
+    tails: tuple[Array, ...]  # [m] tail RMSE, shape (S, M) for each cell
+    lost: tuple[NDArray[np.bool_], ...]  # ended beyond the lost distance, likewise
+    effort: Array  # means over all episodes, shape (S,); see `metrics`, as the next two
+    smoothness: Array
+    decision_seconds: float
+
+    @classmethod
+    def of(cls, suite: str, runs: Sequence[Sequence[Run]]) -> InSuite:
+        """Return what the runs of each agent in each cell tell.
+
+        Raises:
+            ValueError: one failed.
+        """
+        if failed := [run for own in runs for run in own if run.measures is None]:
+            raise ValueError(f"{failed[0].policy} failed in {failed[0].scenario.name}: {failed[0].error}")
+        measures = [[run.measures for run in own if run.measures is not None] for own in runs]
+        whole = [Measures.joined(own) for own in measures]
+        by_cell = list(zip(*measures, strict=True))
+        return cls(
+            suites.load(suite).hash,
+            tuple(run.scenario.name for run in runs[0]),
+            tuple(np.stack([m.tail for m in cell]) for cell in by_cell),
+            tuple(np.stack([m.lost for m in cell]) for cell in by_cell),
+            np.array([m.effort.mean() for m in whole]),
+            np.array([m.smoothness.mean() for m in whole]),
+            float(np.mean([run.decision_seconds for own in runs for run in own])),
+        )
+
+    def capped(self, regime: str) -> tuple[Array, ...]:
+        """Return the tails with that of an episode that was lost cut at `score.LARGEST_TAIL`."""
+        cap = LARGEST_TAIL[regime]
+        return tuple(np.where(gone, cap, tail) for gone, tail in zip(self._gone(cap), self.tails, strict=True))
+
+    def losses(self, regime: str) -> int:
+        """Return how many episodes of all seeds were lost, as `score.lost_share` counts."""
+        return sum(int(gone.sum()) for gone in self._gone(LARGEST_TAIL[regime]))
+
+    def _gone(self, cap: float) -> list[NDArray[np.bool_]]:
+        return [lost | ~(tail < cap) for lost, tail in zip(self.lost, self.tails, strict=True)]
+
+
+@dataclass(frozen=True)
+class Study:
+    """Agents that differ in the training seed alone."""
+
+    about: str
+    regime: str
+    command: str
+    date: str  # ISO 8601
+    versions: Mapping[str, str]
+    suites: Mapping[str, InSuite]
+    curves: tuple[Array, ...]  # of each seed, columns `CURVE`
+
+    @classmethod
+    def of(
+        cls,
+        about: str,
+        regime: str,
+        command: str,
+        runs: Mapping[str, Sequence[Sequence[Run]]],
+        curves: Sequence[Sequence[Mapping[str, float]]],
+    ) -> Study:
+        """Return the study of what agents did, suite by suite, and of their learning curves.
+
+        Raises:
+            ValueError: an agent failed somewhere.
+        """
+        return cls(
+            about,
+            regime,
+            command,
+            datetime.now(timezone.utc).date().isoformat(),
+            versions(),
+            {name: InSuite.of(name, own) for name, own in runs.items()},
+            tuple(np.array([[row[key] for key in CURVE] for row in rows]) for rows in curves),
+        )
+
+
+def save(name: str, study: Study, folder: Path = FOLDER) -> None:
+    """Write a study to its file."""
+    arrays: dict[str, Any] = {f"curve/{i}": curve for i, curve in enumerate(study.curves)}
+    record: dict[str, Any] = {key: getattr(study, key) for key in ("about", "regime", "command", "date")}
+    record |= {"versions": dict(study.versions), "suites": {}}
+    for suite, found in study.suites.items():
+        entry = asdict(found)
+        for key in ("tails", "lost"):
+            kind = np.float32 if key == "tails" else np.bool_
+            arrays[f"{suite}/{key}"] = np.concatenate(entry.pop(key), axis=1).astype(kind)
+        lengths = [tail.shape[1] for tail in found.tails]
+        entry |= {"effort": found.effort.tolist(), "smoothness": found.smoothness.tolist(), "lengths": lengths}
+        record["suites"][suite] = entry
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, record=np.array(json.dumps(record)), **arrays)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomically(folder / f"{name}.npz", buffer.getvalue())
+
+
+def load_all(folder: Path = FOLDER) -> dict[str, Study]:
+    """Return the studies that are kept, by name; what they say of a suite that has changed since is left out."""
+    return {file.stem: _load(file) for file in sorted(folder.glob("*.npz"))}
+
+
+def _load(file: Path) -> Study:
+    with np.load(file, allow_pickle=False) as arrays:
+        record = json.loads(str(arrays["record"]))
+        found = {}
+        for suite, entry in record.pop("suites").items():
+            if entry["hash"] != suites.load(suite).hash:
+                continue
+            bounds = np.cumsum(entry.pop("lengths"))[:-1]
+            tails, lost = (tuple(np.split(arrays[f"{suite}/{key}"], bounds, axis=1)) for key in ("tails", "lost"))
+            values: dict[str, Any] = {key: np.array(entry.pop(key)) for key in ("effort", "smoothness")}
+            entry["cells"] = tuple(entry["cells"])
+            found[suite] = InSuite(tails=tuple(t.astype(np.float64) for t in tails), lost=lost, **entry, **values)
+        curves = [arrays[f"curve/{i}"] for i in range(sum(name.startswith("curve/") for name in arrays.files))]
+    return Study(**record, suites=found, curves=tuple(curves))

@@ -1,0 +1,146 @@
+"""The study of learned agents: its scores against the evaluation's own, its files, its section of the results page."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from baselines.agent import Agent
+from baselines.evaluation import study_page
+from baselines.evaluation.collection import collected
+from baselines.evaluation.score import EXPERT, ORACLE, lead, score, seeds_score
+from baselines.evaluation.study_files import InSuite, Study, load_all, save
+from baselines.features import FEATURES
+from baselines.networks import Gru
+from baselines.training import study
+from baselines.training.run import AGENT, PROGRESS
+
+REGIME, SUITE = "cruise", "benchmark-v1"
+
+
+@pytest.fixture(scope="module")
+def results():
+    found, _ = collected(SUITE)
+    return found
+
+
+def runs_of(results, policy):
+    return [r for r in results.runs if r.policy == policy and r.scenario.name.startswith(REGIME)]
+
+
+def tails(results, policy):
+    return [run.measures.tail for run in runs_of(results, policy)]
+
+
+@pytest.fixture(scope="module")
+def made(results):
+    """Two agents, of which one does what the filter's law does and the other what the integral law does."""
+    own = {SUITE: [runs_of(results, "ekf"), runs_of(results, "integral")]}
+    curve = [{"timesteps": 1000 * k, "seconds": 2.0 * k, "score": 0.1 * k} for k in range(5)]
+    return Study.of("A test.", REGIME, "python train.py", own, [curve, curve])
+
+
+def test_score_of_equal_seeds_is_the_score(results):
+    expert, ekf, oracle = (tails(results, p) for p in (EXPERT, "ekf", ORACLE))
+    one = score(expert, ekf, oracle)
+    same = seeds_score(expert, [np.stack((t, t, t)) for t in ekf], oracle)
+    assert same.mean == pytest.approx(one.mean, abs=1e-12)
+    np.testing.assert_allclose(same.ci95, one.ci95, atol=1e-12)
+
+
+def test_lead_is_the_difference_of_scores_and_none_over_oneself(results):
+    expert, ekf, lqi, oracle = (tails(results, p) for p in (EXPERT, "ekf", "lqi", ORACLE))
+    above = lead(expert, lqi, [t[None] for t in ekf], oracle)
+    assert above.mean == pytest.approx(score(expert, ekf, oracle).mean - score(expert, lqi, oracle).mean, abs=1e-12)
+    assert above.ci95[0] < above.mean < above.ci95[1]
+    assert lead(expert, ekf, [t[None] for t in ekf], oracle).ci95 == (0.0, 0.0)
+
+
+def test_seeds_that_differ_widen_the_interval(results, made):
+    expert, oracle = tails(results, EXPERT), tails(results, ORACLE)
+    mixed = seeds_score(expert, made.suites[SUITE].tails, oracle)
+    alone = [score(expert, tails(results, p), oracle).mean for p in ("ekf", "integral")]
+    assert mixed.mean == pytest.approx(np.mean(alone))
+    assert mixed.ci95[0] < min(alone) + 0.1
+    assert mixed.ci95[1] > max(alone) - 0.1
+
+
+def test_files_give_back_what_they_were_given(made, tmp_path):
+    save("a", made, tmp_path)
+    back = load_all(tmp_path)["a"]
+    assert (back.about, back.regime, back.command, back.date) == (made.about, made.regime, made.command, made.date)
+    np.testing.assert_array_equal(back.curves, made.curves)
+    before, after = made.suites[SUITE], back.suites[SUITE]
+    assert after.cells == before.cells
+    for a, b in zip(after.tails, before.tails, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-6)
+    np.testing.assert_array_equal(np.concatenate(after.lost, axis=1), np.concatenate(before.lost, axis=1))
+    np.testing.assert_array_equal(after.effort, before.effort)
+
+
+def test_what_was_measured_on_another_suite_does_not_count(made, tmp_path):
+    old = replace(made, suites={SUITE: replace(made.suites[SUITE], hash="0" * 64)})
+    save("a", old, tmp_path)
+    assert load_all(tmp_path)["a"].suites == {}
+
+
+def test_section_has_a_row_for_each_agent_and_its_curves(results, made, monkeypatch):
+    monkeypatch.setattr(study_page, "RIVAL", "lqi")
+    text = study_page.section({"mine": made}, [results])
+    (row,) = [line for line in text.splitlines() if line.startswith("| `mine`")]
+    cells = [cell.strip() for cell in row.strip("|").split("|")]
+    expert, oracle, lqi = (tails(results, p) for p in (EXPERT, ORACLE, "lqi"))
+    own = made.suites[SUITE]
+    assert cells[1:3] == ["2", f"{seeds_score(expert, own.tails, oracle).mean:.3f}"]
+    assert cells[4] == f"{lead(expert, lqi, own.tails, oracle).mean:.3f}"
+    lost = sum(
+        int((r.measures.lost | (r.measures.tail >= 2.0)).sum())
+        for p in ("ekf", "integral")
+        for r in runs_of(results, p)
+    )
+    assert cells[7] == f"{lost} of {2 * sum(map(len, expert))}"
+    assert "`python train.py`" in text
+    assert len(study_page.curves_figure({"mine": made}, REGIME).axes) == 2
+    assert study_page.section({}, [results]) == ""
+
+
+def test_a_policy_that_failed_is_no_result(results):
+    bad = replace(runs_of(results, "ekf")[0], measures=None, error="it broke")
+    with pytest.raises(ValueError, match="failed in cruise-calm: it broke"):
+        InSuite.of(SUITE, [[bad]])
+
+
+def test_trained_agents_are_run_on_the_cells_of_their_regime(tmp_path, monkeypatch):
+    """Two agents whose networks give zero do in every episode what their expert does."""
+    network = Gru(len(FEATURES), 2, 2, 2)
+    zeros = {name: np.zeros(shape, np.float32) for name, shape in network.shapes.items()}
+    folders = [tmp_path / f"seed-{i}" for i in range(2)]
+    for folder in folders:
+        Agent(network, zeros, "backstepping", (0.3, 0.3)).save(folder / AGENT)
+        (folder / PROGRESS).write_text("timesteps,seconds,score\n10,1.0,0.5\n20,2.0,\n30,3.0,0.7\n")
+    few = [replace(cell, episodes=cell.episodes[:2]) for cell in study.cells_of(SUITE, REGIME)[:2]]
+    monkeypatch.setattr(study, "cells_of", lambda suite, regime: few)
+    variant = study.Variant("A test.", "apg", REGIME, suites=(SUITE,))
+    request = SimpleNamespace(folders=folders, command="python train.py")
+    found = study.studied(variant, request, 1)
+    first, _ = collected(SUITE)
+    for cell, own in zip(few, found.suites[SUITE].tails, strict=True):
+        expert = next(r for r in first.runs if r.policy == EXPERT and r.scenario.name == cell.scenario.name)
+        np.testing.assert_allclose(own, np.stack([expert.measures.tail[:2]] * 2), rtol=1e-5)
+    np.testing.assert_array_equal(found.curves[0], [[10, 1.0, 0.5], [30, 3.0, 0.7]])
+
+
+def test_variants_are_trainings_that_train_py_can_repeat(tmp_path):
+    variant = study.Variant("A test.", "ppo", REGIME, authority=(0.2, 0.4), timesteps=5000, seeds=2)
+    request = variant.request("a", tmp_path, 1)
+    assert [config.seed for config in request.configs] == [0, 1]
+    assert request.configs[0].authority == (0.2, 0.4)
+    assert f"--hyperparameters {tmp_path / 'a.yml'} --authority 0.2 0.4 --timesteps 5000" in request.command
+
+
+def test_unknown_variants_are_named(capsys):
+    from baselines.command_line import run
+
+    assert run(study.main, study.PROGRAM, ["nonsense"]) == 2
+    assert "the study has no 'nonsense'" in capsys.readouterr().err
