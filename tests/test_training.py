@@ -47,7 +47,8 @@ def call(monkeypatch, tmp_path):
     """Run the script in-process in an empty folder and return its exit status."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("baselines.training.validation.EPISODES", 4)
-    monkeypatch.setattr("baselines.training.tracker.VALIDATIONS", 5)
+    for name in ("tracker.VALIDATIONS", "analytic_gradient.VALIDATIONS", "analytic_gradient.LOGS"):
+        monkeypatch.setattr(f"baselines.training.{name}", 5)
     SMALL.save("small.toml")
     for algo, values in TINY.items():
         Path(f"{algo}.yml").write_text(yaml.safe_dump({ENV_ID: {"n_envs": 8, **values}}), encoding="utf-8")
