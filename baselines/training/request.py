@@ -5,23 +5,21 @@ from __future__ import annotations
 import importlib
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from auv_gym.presets import CASES, PRESETS, REGIMES
 from auv_gym.scenario import Scenario
 from baselines.command_line import UsageError
 from baselines.evaluation.request import checked, checked_folder, checked_scenario
 from baselines.evaluation.score import EXPERT
 from baselines.training.config import ALGORITHMS, Config
 from baselines.training.hyperparameters import load_hyperparameters, shipped
+from baselines.training.mixtures import MIXTURES
 from baselines.training.run import AGENT, read_config
 
-CASE_WEIGHTS: Mapping[str, float] = {"actuator": 3.0, "storm": 2.0}
-"""Weights of a regime's cases, the others have 1: a few episodes with slow actuators decide much of the score."""
 DEFAULT_AUTHORITY = (0.5,)
 DEFAULT_TIMESTEPS = 1_000_000
 
@@ -94,10 +92,10 @@ def resolved(words: Sequence[str]) -> tuple[tuple[Scenario, float], ...]:
     found: list[tuple[Scenario, float]] = []
     for word in words:
         name, weight = _split(word)
-        if name in REGIMES:
-            found += [(PRESETS[f"{name}-{case}"], weight * CASE_WEIGHTS.get(case, 1.0)) for case in CASES]
+        if name in MIXTURES:
+            found += [(scenario, weight * share) for scenario, share in MIXTURES[name]]
         else:
-            found.append((checked_scenario(name, REGIMES), weight))
+            found.append((checked_scenario(name, tuple(MIXTURES)), weight))
     return tuple(found)
 
 

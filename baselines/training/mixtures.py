@@ -1,0 +1,59 @@
+"""What agents are trained on when a command line names no single scenario: weighted mixtures of scenarios."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from auv_gym.actuators import Actuators
+from auv_gym.disturbances import RandomCurrent, RandomWaves
+from auv_gym.presets import CASES, PRESETS, REGIMES
+from auv_gym.scenario import Scenario
+
+Mixture = tuple[tuple[Scenario, float], ...]
+
+CASE_WEIGHTS: Mapping[str, float] = {"actuator": 3.0, "storm": 2.0}
+"""Weights of a regime's cases, the others have 1: a few episodes with slow actuators decide much of the score."""
+ADVERSE_WEIGHT = 8.0
+WAVELENGTHS = {"slow": (5.0, 20.0), "cruise": (20.0, 80.0)}
+OUTAGE_TIMES = {"slow": (0.5, 3.0), "cruise": (0.3, 2.0)}
+
+
+def regime_mixture(regime: str) -> Mixture:
+    """Return the eight cases of a regime."""
+    return tuple((PRESETS[f"{regime}-{case}"], CASE_WEIGHTS.get(case, 1.0)) for case in CASES)
+
+
+def adverse(regime: str) -> Scenario:
+    """Return a storm in which anything may be wrong, and mostly a little: sensors, commands, actuators and current.
+
+    The kinds of trouble are those of unmodelled-v1, all at once and each down to none; the ranges are a little wider.
+    """
+    storm = PRESETS[f"{regime}-storm"]
+    act, waves, current, noise = storm.actuators, storm.waves, storm.current, storm.sensors
+    assert isinstance(waves, RandomWaves)
+    assert isinstance(current, RandomCurrent)
+    return replace(
+        storm,
+        name=f"{regime}-adverse",
+        sensors=replace(
+            noise,
+            heading_bias=(-0.06, 0.06),
+            velocity_bias=(-3 * noise.velocity, 3 * noise.velocity),
+            yaw_rate_bias=(-0.006, 0.006),
+            outages=1.0,
+            outage_time=OUTAGE_TIMES[regime],
+        ),
+        current=replace(current, shear=(0.0, 0.25), wavelength=WAVELENGTHS[regime], speed=(0.05, 0.35)),
+        waves=replace(waves, band=(0.15, 1.1)),
+        actuators=Actuators(
+            act.F_u_max, act.F_r_max, lag=(0.0, 0.7), effectiveness=(0.6, 1.0), reach=(0.45, 1.0), delay=(0.0, 3.0)
+        ),
+    )
+
+
+MIXTURES: Mapping[str, Mixture] = {
+    **{regime: regime_mixture(regime) for regime in REGIMES},
+    **{f"{regime}-adverse": (*regime_mixture(regime), (adverse(regime), ADVERSE_WEIGHT)) for regime in REGIMES},
+}
+"""Mixtures by name."""
