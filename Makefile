@@ -9,11 +9,11 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint typecheck format bench docs clean
+.PHONY: help demo test lint typecheck format bench train train-all docs clean
 
 help: ## list the verbs
 	@echo 'make VERB [ARGS="more options"] [PYTHON=python3.12]'
-	@sed -n 's/^\([a-z]*\):.*## /  \1            /p' $(MAKEFILE_LIST) | sed 's/^\(.\{13\}\) */\1/'
+	@sed -n 's/^\([a-z-]*\):.*## /  \1            /p' $(MAKEFILE_LIST) | sed 's/^\(.\{13\}\) */\1/'
 
 demo: $(VENV)/eval.stamp ## recompute the paper, run the expert through every scenario; pictures and results in runs/demo
 	$(BIN)/python evaluate.py --suite paper --out runs/demo/paper
@@ -44,7 +44,13 @@ format: $(VENV)/dev.stamp ## mend the style and the format
 bench: $(VENV)/dev.stamp ## measure the speed of the environments
 	$(BIN)/python benchmarks/bench.py $(ARGS)
 
-docs: $(VENV)/eval.stamp $(VENV)/docs.stamp ## build the documentation: build/docs/index.html
+train: $(VENV)/train.stamp ## train an agent, into runs/train: ARGS="--algo ppo --scenario slow"
+	$(BIN)/python train.py $(ARGS)
+
+train-all: $(VENV)/train.stamp ## train every agent that ships with the package, into runs/shipped; goes on if interrupted
+	$(BIN)/python -m baselines.training.shipped $(ARGS)
+
+docs: $(VENV)/train.stamp $(VENV)/docs.stamp ## build the documentation: build/docs/index.html
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs build/docs $(ARGS)
 
 clean: ## remove what was built, the environment included; runs/ stays

@@ -80,6 +80,7 @@ def _finish(run: Run, agent: Agent, command: str) -> float:
         "config": run.config.to_dict(),
         "seconds": round(run.seconds, 1),
         "versions": {**versions(), **{name: version(name) for name in ("stable-baselines3", "torch")}},
+        "scores": {"validation episodes": round(best["score"], 3)},
         "validation": {name: best[name] for name in ("timesteps", "score", "error_m", "lost")},
     }
     replace(agent, training={**training, **agent.training}).save(run.folder / AGENT, curve)

@@ -41,15 +41,15 @@ class Request:
         cls,
         algo: str,
         scenarios: Sequence[str],
-        expert: str | None,
-        authority: Sequence[float],
-        seed: int,
-        seeds: int,
-        jobs: int | None,
-        timesteps: int | None,
-        hyperparameters: Path | None,
-        out: Path | None,
-        resume: bool,
+        expert: str | None = None,
+        authority: Sequence[float] = (),
+        seed: int = 0,
+        seeds: int = 1,
+        jobs: int | None = None,
+        timesteps: int | None = None,
+        hyperparameters: Path | None = None,
+        out: Path | None = None,
+        resume: bool = False,
         command: str = "",
     ) -> Request:
         """Return the request of a command line's options; its folders exist and are writable then.
@@ -75,7 +75,7 @@ class Request:
             )
         )
         configs = tuple(checked(partial(replace, config, seed=seed + i)) for i in range(seeds))
-        checked(partial(_check, config))
+        checked(partial(check, config))
         out = out or Path("runs/train") / f"{algo}-{'-'.join(name_of(s) for s in scenarios)}"
         folders = (out,) if seeds == 1 else tuple(out / f"seed-{c.seed}" for c in configs)
         for each, folder in zip(configs, folders, strict=True):
@@ -124,7 +124,7 @@ def _pair(authority: Sequence[float]) -> Any:
     return (*authority, *authority) if len(authority) == 1 else tuple(authority)
 
 
-def _check(config: Config) -> None:
+def check(config: Config) -> None:
     """Raise ValueError if the algorithm cannot train the configuration."""
     try:
         module = importlib.import_module(ALGORITHMS[config.algo])

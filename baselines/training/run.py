@@ -187,7 +187,7 @@ def read_config(folder: Path) -> Config | None:
     """
     try:
         text = (folder / CONFIG).read_text(encoding="utf-8")
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return None
     try:
         return Config.from_dict(json.loads(text))

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
@@ -16,6 +15,9 @@ from baselines.agent import Agent
 from baselines.training.export import exported
 from baselines.training.run import VALIDATIONS, Run, TrainingError
 from baselines.training.snapshot import snapshot
+
+LARGEST_WEIGHT = 1e6
+"""Beyond that, and where a weight is no number at all, training has diverged."""
 
 
 class Tracker(BaseCallback):
@@ -61,7 +63,7 @@ class Tracker(BaseCallback):
         return True
 
     def _validate(self) -> None:
-        if not finite(self.model):
+        if not sound(self.model):
             raise TrainingError(f"training diverged after {self.num_timesteps} steps: lower learning_rate")
         self.run.log(self.num_timesteps, **self._learned())
         agent = exported(self.model.policy, self.run.config)
@@ -80,6 +82,6 @@ class Tracker(BaseCallback):
         return values
 
 
-def finite(model: BaseAlgorithm) -> bool:
-    """Return whether all weights of a model are finite."""
-    return all(bool(torch.isfinite(p).all()) for p in model.policy.parameters())
+def sound(model: BaseAlgorithm) -> bool:
+    """Return whether all weights of a model are numbers that it can go on with."""
+    return all(bool((p.abs() < LARGEST_WEIGHT).all()) for p in model.policy.parameters())

@@ -1,0 +1,218 @@
+"""What Stable-Baselines3 trains on and what is exported from it, held against the environment and its own predict."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from stable_baselines3.common.vec_env import DummyVecEnv
+from torch import nn
+
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.presets import PRESETS
+from auv_gym.scenario import Scenario
+from baselines import make_policy
+from baselines.evaluation.rollout import rollout
+from baselines.evaluation.runner import drawn
+from baselines.features import FEATURES
+from baselines.training.callbacks import FrozenActor, ZeroCorrection
+from baselines.training.config import Config
+from baselines.training.export import exported
+from baselines.training.sb3 import SB3VecEnv
+from baselines.training.stable_baselines import MODELS, make_model, make_training_env
+from baselines.training.validation import Validation, validation_cell
+from baselines.training.vec_features import VecFeatures
+from baselines.training.vec_reward import LINEAR
+
+torch.set_num_threads(1)
+STORM = Scenario.from_dict({**PRESETS["cruise-storm"].to_dict(), "name": "short", "steps": 30})
+COST = "baselines.training.vec_reward.VecErrorCost"
+RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"
+SIZES = {"ppo": {"pi": [16, 8], "vf": [8]}} | {key: {"pi": [16, 8], "qf": [8]} for key in ("sac", "td3", "tqc")}
+
+
+def configuration(algo="ppo", steps=30, **values):
+    more = {"n_steps": 8, "batch_size": 24} if algo == "ppo" else {"buffer_size": 1000}
+    scenario = Scenario.from_dict({**STORM.to_dict(), "steps": steps})
+    values = {"n_envs": 3, "policy_kwargs": {"net_arch": SIZES[algo]}, **more, **values}
+    return Config(algo, ((scenario, 1.0),), authority=(0.4, 0.8), hyperparameters=values)
+
+
+def untrained(algo, **values):
+    """Return a model with random weights of which the actor's last layer is not small."""
+    model = make_model(configuration(algo, **values))
+    torch.manual_seed(1)
+    for layer in model.policy.modules():
+        if isinstance(layer, nn.Linear):
+            nn.init.normal_(layer.weight, std=0.3)
+    return model
+
+
+@pytest.mark.parametrize("algo", MODELS)
+def test_exported_actor_is_the_models_predict(algo):
+    model = untrained(algo)
+    agent = exported(model.policy, configuration(algo))
+    x = np.random.default_rng(0).uniform(-2, 2, (200, len(FEATURES))).astype(np.float32)
+    expected, _ = model.predict(x, deterministic=True)
+    actions, _ = agent.network.forward(agent.weights, x.astype(np.float64), np.zeros((200, 0)))
+    np.testing.assert_allclose(actions, expected, rtol=0, atol=1e-6)
+    assert 0.05 < np.abs(expected).mean() < 0.95
+    assert (np.abs(expected) == 1).any() == (algo == "ppo")  # clipped, the others bounded by tanh
+
+
+def test_other_networks_are_refused():
+    model = make_model(configuration("ppo"))
+    model.policy.mlp_extractor.policy_net = nn.Sequential(nn.Linear(24, 8), nn.ELU())
+    with pytest.raises(ValueError, match="no chain of linear layers"):
+        exported(model.policy, configuration())
+
+
+def test_agent_acts_on_the_track_as_its_model_does_in_training():
+    """Across the ends of episodes too: features, memory, expert and authority are the same on both ways."""
+    config = configuration()
+    model = untrained("ppo")
+    env = model.get_env()
+    policy = exported(model.policy, config).policy()
+    track = UnderactuatedAUVTrackVectorEnv(3, STORM)
+    features, (observation, _) = env.reset(), track.reset(seed=config.episode_seed)
+    memory, first = None, np.ones(3, dtype=bool)
+    for _ in range(70):
+        features, _, _, infos = env.step(model.predict(features, deterministic=True)[0])
+        action, memory = policy.predict(observation, memory, first)
+        observation, _, terminated, truncated, info = track.step(action)
+        first = terminated | truncated
+        errors = np.where(first, info["final_info"]["position_error"] if first.any() else 0, info["position_error"])
+        np.testing.assert_allclose([i["position_error"] for i in infos], errors, rtol=0, atol=1e-4)
+
+
+def test_features_are_the_same_on_scalar_environments():
+    ours = make_training_env(configuration(), 2)
+    theirs = VecFeatures(DummyVecEnv([lambda: gym.make(RESIDUAL, scenario=STORM, authority=(0.4, 0.8))] * 2))
+    for env in (ours, theirs):
+        env.seed(5)
+    np.testing.assert_allclose(ours.reset(), theirs.reset(), rtol=0, atol=1e-6)
+    rng = np.random.default_rng(0)
+    for _ in range(65):
+        actions = rng.uniform(-1.5, 1.5, (2, 2)).astype(np.float32)
+        (x, _, _, infos), (y, _, _, others) = ours.step(actions), theirs.step(np.clip(actions, -1, 1))
+        np.testing.assert_allclose(x, y, rtol=0, atol=1e-4)
+        for a, b in zip(infos, others, strict=True):
+            assert ("terminal_observation" in a) == ("terminal_observation" in b)
+            if "terminal_observation" in a:
+                np.testing.assert_allclose(a["terminal_observation"], b["terminal_observation"], rtol=0, atol=1e-4)
+
+
+def test_last_features_of_an_episode_are_what_it_would_have_gone_on_with():
+    short, long = (make_training_env(configuration(steps=steps), 1) for steps in (30, 31))
+    for env in (short, long):
+        env.seed(3)
+        env.reset()
+    action = np.full((1, 2), 0.3, dtype=np.float32)
+    for _ in range(30):
+        (x, _, _, infos), (y, *_) = short.step(action), long.step(action)
+    np.testing.assert_allclose(infos[0]["terminal_observation"], y[0], rtol=0, atol=1e-6)
+    names = [feature.name for feature in FEATURES]
+    assert x[0, names.index("c_u")] == 0
+    assert y[0, names.index("c_u")] == np.float32(0.3)
+    assert 0 < abs(x[0, names.index("slow_x")]) < abs(y[0, names.index("slow_x")])
+
+
+def test_features_are_of_the_residual_environment_only():
+    track = gym.make_vec("auv_gym:UnderactuatedAUVTrack-v0", num_envs=1, vectorization_mode="vector_entry_point")
+    with pytest.raises(ValueError, match=r"those of the residual environment have \(20,\)"):
+        VecFeatures(SB3VecEnv(track))
+
+
+@pytest.mark.parametrize("algo", MODELS)
+def test_training_starts_at_the_expert_with_the_spread_that_was_asked_for(algo):
+    model = untrained(algo)
+    callback = ZeroCorrection(0.05)
+    callback.init_callback(model)
+    callback.on_training_start({}, {})
+    x = model.observation_space.sample()[None].repeat(4000, axis=0)
+    assert (model.predict(x, deterministic=True)[0] == 0).all()
+    if algo != "td3":
+        np.testing.assert_allclose(model.predict(x, deterministic=False)[0].std(axis=0), 0.05, rtol=0.1)
+    else:
+        assert (model.policy.actor_target(torch.tensor(x)) == 0).all()
+    model.num_timesteps = 1
+    before = exported(untrained(algo).policy, configuration(algo)).weights
+    model = untrained(algo)
+    model.num_timesteps = 1
+    callback.init_callback(model)
+    callback.on_training_start({}, {})
+    after = exported(model.policy, configuration(algo)).weights
+    assert all(np.array_equal(before[name], after[name]) for name in before)
+
+
+@pytest.mark.parametrize("algo", ["sac", "td3", "tqc"])
+def test_frozen_actor_keeps_still_while_the_critic_learns(algo):
+    model = make_model(configuration(algo, learning_starts=0, train_freq=1, gradient_steps=2, batch_size=16))
+
+    def parameters(net):
+        return [p.detach().clone() for p in net.parameters()]
+
+    actor, critic = parameters(model.actor), parameters(model.critic)
+    model.learn(60, FrozenActor(60), log_interval=None)
+    assert all(torch.equal(a, b) for a, b in zip(actor, parameters(model.actor), strict=True))
+    assert not any(torch.equal(a, b) for a, b in zip(critic, parameters(model.critic), strict=True))
+    model.learn(30, FrozenActor(60), log_interval=None, reset_num_timesteps=False)
+    assert not all(torch.equal(a, b) for a, b in zip(actor, parameters(model.actor), strict=True))
+
+
+def test_validation_is_what_an_evaluation_measures(tmp_path):
+    """Scenarios of different lengths, one in which vehicles are lost, against `rollout` of each alone."""
+    scenarios = [
+        Scenario.from_dict({**STORM.to_dict(), "name": "cruise-short"}),
+        Scenario.from_dict({**PRESETS["cruise-current"].to_dict(), "name": "own", "steps": 60, "lost_distance": 2.0}),
+    ]
+    cells = [drawn(scenario, 6, 11) for scenario in scenarios]
+    validation = Validation(cells, tmp_path)
+    assert validation.run(make_policy("backstepping")).score == pytest.approx(0, abs=1e-12)
+    verdict = validation.run(make_policy("open-loop"))
+    results = [rollout(make_policy("open-loop"), cell.scenario, cell.episodes, 1.0).measures for cell in cells]
+    assert results[1].lost.any()
+    capped = [np.minimum(m.tail, 2.0) for m in results]
+    capped[1][results[1].lost] = 2.0
+    assert verdict.error_m == pytest.approx(np.mean([c.mean() for c in capped]), rel=1e-5)
+    assert verdict.lost == pytest.approx(np.mean([(c == 2.0).mean() for c in capped]))
+    assert validation.score(validation.oracle_m) == 1
+    assert 0 < validation.oracle_m < validation.expert_m
+
+
+def test_yardsticks_are_kept_and_belong_to_the_episodes(tmp_path, monkeypatch):
+    cells = [drawn(STORM, 3, 0)]
+    first = Validation(cells, tmp_path)
+    monkeypatch.setattr("baselines.training.validation.rollout", None)
+    second = Validation(cells, tmp_path)
+    assert (first.expert_m, first.oracle_m) == (second.expert_m, second.oracle_m)
+    with pytest.raises(TypeError):
+        Validation([drawn(STORM, 3, 1)], tmp_path)
+
+
+def test_presets_are_validated_on_the_frozen_suite():
+    assert len(validation_cell(PRESETS["slow-storm"]).episodes) == 50
+    assert len(validation_cell(PRESETS["paper-circle"]).episodes) == 64
+
+
+def test_error_costs_the_lag_in_seconds_and_its_logarithm_from_there():
+    """Against the integral of the cost's slope, 1 up to LINEAR and LINEAR / t beyond it."""
+    plain, dear = (make_training_env(configuration(steps=200), 4, wrappers) for wrappers in ([], [{COST: {}}]))
+    for env in (plain, dear):
+        env.seed(3)
+        env.reset()
+    track = dear.get_attr("reference")
+    lags = []
+    for _ in range(120):
+        speed = np.hypot(track[0].u, track[0].v)
+        (_, r, _, infos), (_, r_dear, *_) = (env.step(np.full((4, 2), -1, dtype=np.float32)) for env in (plain, dear))
+        for lag, a, b in zip([i["position_error"] for i in infos] / speed, r, r_dear, strict=True):
+            t = np.linspace(0, lag, 20001)
+            assert a - b == pytest.approx(
+                np.trapezoid(np.where(t < LINEAR, 1, LINEAR / np.maximum(t, 1e-9)), t), abs=1e-3
+            )
+            lags.append(lag)
+        track = dear.get_attr("reference")
+    assert min(lags) < LINEAR < 2 * LINEAR < max(lags)
+    none = make_training_env(configuration(), 1, [{COST: {"weight": 0.0, "share": 0.0}}])
+    none.reset()
+    assert (none.step(np.zeros((1, 2), dtype=np.float32))[1] == 0).all()

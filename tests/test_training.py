@@ -1,0 +1,361 @@
+"""train.py: mistakes in one line, the run folder, and the same agent however often a run was interrupted."""
+
+import errno
+import json
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+
+import train
+from auv_gym.presets import CASES, PRESETS
+from auv_gym.scenario import Scenario
+from baselines.agent import Agent
+from baselines.command_line import UsageError, run
+from baselines.evaluation.runner import drawn
+from baselines.training import command, request, shipped
+from baselines.training.config import ALGORITHMS, LARGEST_SEED, TRAINING_SEED, Config
+from baselines.training.hyperparameters import ENV_ID, load_hyperparameters
+from baselines.training.hyperparameters import shipped as shipped_file
+from baselines.training.run import Run, read_config, read_progress
+from baselines.training.shipped import SHIPPED
+from baselines.training.validation import VALIDATION_SEED
+from baselines.tuning import VALIDATION_EPISODES
+from baselines.tuning import VALIDATION_SEED as TUNING_VALIDATION_SEED
+
+torch.set_num_threads(1)
+ROOT = Path(__file__).parents[1]
+SMALL = replace(PRESETS["cruise-current"], name="small", steps=15)
+OFF_POLICY = {"buffer_size": 2000, "batch_size": 16, "learning_starts": 0, "train_freq": 8, "gradient_steps": 1}
+TINY = {
+    "apg": {"n_steps": 5, "hidden_size": 8, "compiled": False},
+    "ppo": {"n_steps": 16, "batch_size": 32, "learning_rate": "lin_0.01"},
+    "sac": OFF_POLICY | {"callback": [{"baselines.training.callbacks.ZeroCorrection": {"std": 0.1}}]},
+    "td3": OFF_POLICY | {"noise_type": "normal", "noise_std": 0.1},
+    "tqc": OFF_POLICY | {"callback": [{"baselines.training.callbacks.FrozenActor": {"steps": 100}}]},
+}
+STEPS = 320
+
+
+@pytest.fixture
+def call(monkeypatch, tmp_path):
+    """Run the script in-process in an empty folder and return its exit status."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("baselines.training.validation.EPISODES", 4)
+    for name in ("tracker.VALIDATIONS", "analytic_gradient.VALIDATIONS", "analytic_gradient.LOGS"):
+        monkeypatch.setattr(f"baselines.training.{name}", 5)
+    SMALL.save("small.toml")
+    for algo, values in TINY.items():
+        Path(f"{algo}.yml").write_text(yaml.safe_dump({ENV_ID: {"n_envs": 8, **values}}), encoding="utf-8")
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["train.py", *map(str, arguments)])
+        return run(train.main, train.PROGRAM)
+
+    return call
+
+
+def tiny(algo, *more):
+    words = ("--algo", algo, "--scenario", "small.toml", "--hyperparameters", f"{algo}.yml", "--timesteps", STEPS)
+    return (*words, "--out", "out", *more)
+
+
+def weights(folder):
+    return dict(Agent.load(folder).weights)
+
+
+def same(a, b):
+    return a.keys() == b.keys() and all(np.array_equal(a[name], b[name]) for name in a)
+
+
+@pytest.mark.parametrize("algo", ALGORITHMS)
+def test_every_algorithm_trains_and_goes_on_after_an_interruption_as_if_there_had_been_none(
+    algo, call, capsys, monkeypatch
+):
+    assert call(*tiny(algo)) == 0
+    out, err = capsys.readouterr()
+    assert out.count("\n") == 1
+    assert "agent: out/agent" in out
+    assert err.splitlines()[-1].startswith("100%")
+    assert {"agent", "checkpoint.pt", "config.json", "learning_curve.png", "progress.csv", "tensorboard"} < {
+        file.name for file in Path("out").iterdir()
+    }
+    assert any(Path("out/tensorboard").iterdir())
+    rows = read_progress(Path("out"))
+    assert [row["timesteps"] for row in rows] == sorted({row["timesteps"] for row in rows})
+    assert rows[-1]["timesteps"] >= STEPS
+
+    keep = Run.save_checkpoint
+
+    def interrupted(self, state):
+        keep(self, state)
+        if state["timesteps"] > STEPS / 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Run, "save_checkpoint", interrupted)
+    assert call(*tiny(algo), "--out", "other") == 1
+    assert "--resume goes on" in capsys.readouterr().err
+    assert not Path("other/agent").exists()
+    assert call(*tiny(algo), "--out", "other") == 2
+    assert "unfinished; add --resume" in capsys.readouterr().err
+    monkeypatch.setattr(Run, "save_checkpoint", keep)
+    assert call(*tiny(algo), "--out", "other", "--resume") == 0
+    assert same(weights("other/agent"), weights("out/agent"))
+    again = read_progress(Path("other"))
+    for row in (*rows, *again):
+        del row["seconds"]
+    assert again == rows
+
+
+def test_folder_of_a_run_is_used_for_nothing_else(call, capsys):
+    assert call(*tiny("ppo")) == 0
+    before = {file: file.stat().st_mtime_ns for file in Path("out").rglob("*")}
+    capsys.readouterr()
+    for more, message in (
+        ((), "finished; choose another folder, or delete it"),
+        (("--seed", 1), "a run with other seed: 0 instead of 1"),
+        (("--seed", 1, "--resume"), "a run with other seed: 0 instead of 1"),
+        (("--authority", 0.1), "a run with other authority: [0.5, 0.5] instead of [0.1, 0.1]"),
+        (("--scenario", "small.toml:2"), "a run with other scenarios; choose"),
+    ):
+        assert call(*tiny("ppo"), *more) == 2
+        err = capsys.readouterr().err
+        assert message in err
+        assert err.count("\n") == 1
+    assert call(*tiny("ppo"), "--resume") == 0
+    assert "holds the finished agent" in capsys.readouterr().out
+    assert before == {file: file.stat().st_mtime_ns for file in Path("out").rglob("*")}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--algo", "dqn"), "unknown algorithm 'dqn'; allowed are apg, ppo"),
+        (
+            ("--scenario", "cruse"),
+            "unknown scenario 'cruse'; allowed are a .toml or .json file, or one of slow, cruise",
+        ),
+        (("--scenario", "none.toml"), "cannot read none.toml: No such file"),
+        (("--scenario", "cruise:much"), "'cruise:much' has weight 'much'; it must be a positive number"),
+        (("--scenario", "cruise", "cruise-calm"), "scenario 'cruise-calm' is given twice"),
+        (("--expert", "pid"), "unknown policy 'pid'; allowed are backstepping"),
+        (("--expert", "oracle"), "expert 'oracle' looks behind the observation"),
+        (("--expert", "mine.py:Mine"), "must be a policy's name"),
+        (("--authority", "3"), "authority is (3.0, 3.0); it must be a number in (0, 2]"),
+        (("--authority", "0"), "authority is (0.0, 0.0)"),
+        (("--authority", "1", "1", "1"), "authority is (1.0, 1.0, 1.0)"),
+        (("--seed", "-1"), "seed is -1; it must be an integer in [0, 10000]"),
+        (("--seeds", "0"), "--seeds is 0; it must be 1 or more"),
+        (("--seed", str(LARGEST_SEED), "--seeds", "2"), "seed is 10001"),
+        (("--jobs", "0"), "--jobs is 0"),
+        (("--timesteps", "0"), "timesteps is 0; it must be an integer"),
+        (("--timesteps", "many"), "see train.py --help"),
+        (("--hyperparameters", "none.yml"), "cannot read none.yml"),
+        (("--hyperparameters", "small.toml"), "small.toml has no table of hyper-parameters"),
+        (("--hyperparameters", "broken.yml"), "broken.yml is not valid YAML"),
+        (("--scenario", "small.toml", "--hyperparameters", "sac.yml"), "'buffer_size' of ppo; allowed are batch_size"),
+        (("--out", "small.toml/run"), "is not a folder that can be written to"),
+        (("--out", "full"), "--out full is not empty and holds no run"),
+        (("--speed", "1"), "see train.py --help"),
+    ],
+)
+def test_mistakes_are_one_line_and_leave_nothing_behind(arguments, message, call, capsys):
+    Path("broken.yml").write_text("a: [", encoding="utf-8")
+    Path("full").mkdir()
+    Path("full/file").touch()
+    before = set(Path().rglob("*"))
+    assert call("--algo", "ppo", "--out", "out", *arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert message in err
+    assert err.count("\n") == 1
+    assert set(Path().rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"n_envs": 0}, "n_envs is 0"),
+        ({"n_envs": 2}, "2 vehicles are too few for 8 scenarios"),
+        ({"n_envs": 8, "policy": "CnnPolicy"}, "it must be MlpPolicy"),
+        ({"n_envs": 8, "vec_env_wrapper": "os.system"}, "unknown vec_env_wrapper 'os.system'; allowed are"),
+        ({"n_envs": 8, "callback": "os.system"}, "unknown callback 'os.system'; allowed are"),
+        ({"n_envs": 8, "callback": [{"baselines.training.callbacks.FrozenActor": {"step": 1}}]}, "it takes steps"),
+        ({"n_envs": 8, "learning_rate": "3e-4"}, "a number, or lin_NUMBER falling to zero"),
+        ({"n_envs": 8, "batch_size": 1000}, "hyper-parameters of ppo: You have specified a mini-batch size of 1000"),
+        ({"n_envs": 8, "policy_kwargs": {"net": 1}}, "hyper-parameters of ppo: "),
+        ({"n_envs": 8, "env_kwargs": 1}, "env_kwargs is 1; it must be a table"),
+        ({"n_envs": 8, "noise_type": "pink"}, "noise is 'pink'"),
+    ],
+)
+def test_impossible_hyperparameters_are_one_line(values, message, call, capsys):
+    Path("h.yml").write_text(yaml.safe_dump({ENV_ID: values}), encoding="utf-8")
+    assert call("--algo", "ppo", "--hyperparameters", "h.yml", "--out", "out") == 2
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1
+    assert not Path("out").exists()
+
+
+@pytest.mark.parametrize("algo", ["ppo", "td3"])
+def test_divergence_is_one_line(algo, call, capsys):
+    values = TINY[algo] | {"learning_rate": 1e30, "n_envs": 8}
+    Path(f"{algo}.yml").write_text(yaml.safe_dump({ENV_ID: values}), encoding="utf-8")
+    assert call(*tiny(algo)) == 1
+    err = capsys.readouterr().err
+    assert err.splitlines()[-1].startswith("training diverged after ")
+    assert "Traceback" not in err
+
+
+def test_full_disk_is_one_line_and_leaves_the_last_checkpoint_whole(call, capsys, monkeypatch):
+    replace_file, count = Path.replace, 0
+
+    def full(self, target):
+        nonlocal count
+        count += target.name == "checkpoint.pt"
+        if count == 3:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return replace_file(self, target)
+
+    monkeypatch.setattr(Path, "replace", full)
+    assert call(*tiny("ppo")) == 1
+    assert capsys.readouterr().err.splitlines()[-1] == "cannot write to out: No space left on device"
+    monkeypatch.setattr(Path, "replace", replace_file)
+    assert call(*tiny("ppo"), "--resume") == 0
+    assert call(*tiny("ppo"), "--out", "other") == 0
+    assert same(weights("out/agent"), weights("other/agent"))
+
+
+def test_kill_in_the_middle_of_a_write_leaves_a_folder_to_go_on_with(call, capsys):
+    assert call(*tiny("ppo")) == 0
+    (Path("out/agent")).rename("agent")
+    Path("out/.checkpoint.pt.1.tmp").write_bytes(b"half")
+    assert call(*tiny("ppo"), "--resume") == 0
+    assert not list(Path("out").glob(".*"))
+    assert same(weights("out/agent"), weights("agent"))
+    Path("out/agent").rename("again")
+    Path("out/checkpoint.pt").write_bytes(Path("out/checkpoint.pt").read_bytes()[:1000])
+    capsys.readouterr()
+    assert call(*tiny("ppo"), "--resume") == 1
+    assert "cannot go on from out/checkpoint.pt" in capsys.readouterr().err
+
+
+def test_seeds_differ_and_each_has_a_folder(call, capsys):
+    assert call(*tiny("ppo"), "--seed", 3, "--seeds", 2, "--jobs", 1) == 0
+    assert "seed-3: 100%" in capsys.readouterr().err
+    assert {file.name for file in Path("out").iterdir()} == {"seed-3", "seed-4", "learning_curve.png"}
+    assert not same(weights("out/seed-3/agent"), weights("out/seed-4/agent"))
+    assert [read_config(Path(f"out/seed-{i}")).seed for i in (3, 4)] == [3, 4]
+    assert call(*tiny("ppo"), "--seed", 3, "--out", "one") == 0
+    assert same(weights("out/seed-3/agent"), weights("one/agent"))
+
+
+def test_agent_says_where_it_comes_from(call):
+    assert call(*tiny("ppo"), "--authority", 0.2, 0.4, "--expert", "none") == 0
+    agent = Agent.load("out/agent")
+    assert (agent.expert, agent.authority, agent.scenarios) == ("none", (0.2, 0.4), ("small",))
+    assert Config.from_dict(agent.training["config"]) == read_config(Path("out"))
+    assert agent.training["command"].startswith("python train.py --algo ppo")
+    scores = [row["score"] for row in read_progress(Path("out")) if "score" in row]
+    assert agent.training["validation"]["score"] == max(scores)
+
+
+def configuration(**changes):
+    return Config(**{"scenarios": ((SMALL, 1.0),), "algo": "ppo"} | changes)
+
+
+def test_configuration_survives_json():
+    config = configuration(
+        scenarios=((SMALL, 2.0), (Scenario("other", steps=100), 0.5)),
+        expert="lqi",
+        authority=(0.3, 2.0),
+        seed=7,
+        timesteps=12345,
+        hyperparameters={"gamma": 0.9, "net": {"pi": [3, 4]}, "lr": "lin_0.1"},
+    )
+    assert Config.from_dict(json.loads(json.dumps(config.to_dict()))) == config
+
+
+@pytest.mark.parametrize(
+    ("record", "message"),
+    [
+        ({"scenarios": []}, "no scenario to train on"),
+        ({"scenarios": [{"scenario": {"name": "a"}}]}, "a list of scenario and weight"),
+        ({"scenarios": [{"scenario": {"name": "a"}, "weight": 0}]}, "weight of scenario a is 0"),
+        ({"scenarios": 3}, "a list of scenario and weight"),
+        ({"speed": 3}, "no entry 'speed'"),
+        ({"hyperparameters": {"a": float("nan")}}, "must be numbers, strings, lists and tables"),
+        ({"seed": True}, "seed is True"),
+    ],
+)
+def test_damaged_configuration_is_refused(record, message):
+    with pytest.raises(ValueError, match=message):
+        Config.from_dict(configuration().to_dict() | record)
+
+
+def test_vehicles_are_shared_out_by_weight():
+    regime = request.resolved(["cruise:0.5"])
+    config = configuration(scenarios=regime)
+    counts = [config.lanes(110).count(PRESETS[f"cruise-{case}"]) for case in CASES]
+    assert counts == [10, 10, 10, 10, 10, 10, 30, 20]
+    assert sum(weight for _, weight in regime) == 5.5
+    assert {s.name for s in config.lanes(8)} == {f"cruise-{case}" for case in CASES}
+    with pytest.raises(ValueError, match="7 vehicles are too few for 8 scenarios"):
+        config.lanes(7)
+
+
+def test_no_episode_of_training_is_one_of_tuning_or_validation():
+    assert VALIDATION_SEED > TUNING_VALIDATION_SEED + VALIDATION_EPISODES
+    assert configuration().episode_seed == TRAINING_SEED > VALIDATION_SEED + 10**6
+    assert configuration(seed=1).episode_seed - configuration().episode_seed >= 2**20
+
+
+@pytest.mark.parametrize("algo", ALGORITHMS)
+def test_shipped_hyperparameters_are_used_as_they_are(algo):
+    found = load_hyperparameters(shipped_file(algo))
+    assert found.timesteps >= 100_000
+    for regime in ("slow", "cruise"):
+        scenarios = request.resolved([regime])
+        config = Config(algo, scenarios, authority=found.authority, hyperparameters=found.values)
+        request.check(config)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_agents_can_be_trained_again(name, call, monkeypatch):
+    made = []
+    monkeypatch.setattr(shipped, "train", lambda r: made.append(r) or 1)
+    assert shipped.main([name, "--timesteps", "100", "--out", "out"]) == 1
+    [config] = made[0].configs
+    assert name == f"{config.algo}-{config.scenarios[0][0].name.split('-')[0]}"
+    monkeypatch.setattr(command, "train", lambda r: made.append(r) or 0)
+    assert call(*made[0].command.split()[2:], "--out", f"out/{name}") == 0
+    assert made[1].configs == (config,)
+
+
+def test_shipped_agents_are_installed_and_unknown_ones_refused(call, monkeypatch, tmp_path):
+    monkeypatch.setattr(shipped, "AGENTS", tmp_path / "agents")
+    monkeypatch.setattr(shipped, "SHIPPED", {"ppo-small": ("ppo", "small.toml")})
+    monkeypatch.setattr(request, "shipped", lambda algo: tmp_path / f"{algo}.yml")
+    assert shipped.main(["--timesteps", "64", "--install"]) == 0
+    assert same(weights("agents/ppo-small"), weights("runs/shipped/ppo-small/agent"))
+    with pytest.raises(UsageError, match="no agent 'dqn-small' ships with the package; allowed are ppo-small"):
+        shipped.main(["dqn-small"])
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/training.md"])
+def test_documented_commands_run(page, call, monkeypatch):
+    """In their order, in one folder, with small networks for a moment; hyper-parameter files are those of the page."""
+    monkeypatch.setattr("baselines.training.run.validation_cell", lambda s: drawn(replace(s, steps=15), 1, 0))
+    monkeypatch.setattr(request, "shipped", lambda algo: Path(f"{algo}.yml"))
+    text = (ROOT / page).read_text(encoding="utf-8")
+    for name, content in re.findall(r"^```(?:toml|yaml)\n# (\S+)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+        Path(name).write_text(content, encoding="utf-8")
+    lines = re.findall(r"^python train.py ?([^#\n]*)", text, re.MULTILINE)
+    assert lines
+    for line in lines:
+        assert call(*line.split(), "--timesteps", STEPS, "--jobs", 1) == 0, line
