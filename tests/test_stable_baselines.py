@@ -21,9 +21,11 @@ from baselines.training.sb3 import SB3VecEnv
 from baselines.training.stable_baselines import MODELS, make_model, make_training_env
 from baselines.training.validation import Validation, validation_cell
 from baselines.training.vec_features import VecFeatures
+from baselines.training.vec_reward import LINEAR
 
 torch.set_num_threads(1)
 STORM = Scenario.from_dict({**PRESETS["cruise-storm"].to_dict(), "name": "short", "steps": 30})
+COST = "baselines.training.vec_reward.VecErrorCost"
 RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"
 SIZES = {"ppo": {"pi": [16, 8], "vf": [8]}} | {key: {"pi": [16, 8], "qf": [8]} for key in ("sac", "td3", "tqc")}
 
@@ -190,3 +192,27 @@ def test_yardsticks_are_kept_and_belong_to_the_episodes(tmp_path, monkeypatch):
 def test_presets_are_validated_on_the_frozen_suite():
     assert len(validation_cell(PRESETS["slow-storm"]).episodes) == 50
     assert len(validation_cell(PRESETS["paper-circle"]).episodes) == 64
+
+
+def test_error_costs_the_lag_in_seconds_and_its_logarithm_from_there():
+    """Against the integral of the cost's slope, 1 up to LINEAR and LINEAR / t beyond it."""
+    plain, dear = (make_training_env(configuration(steps=200), 4, wrappers) for wrappers in ([], [{COST: {}}]))
+    for env in (plain, dear):
+        env.seed(3)
+        env.reset()
+    track = dear.get_attr("reference")
+    lags = []
+    for _ in range(120):
+        speed = np.hypot(track[0].u, track[0].v)
+        (_, r, _, infos), (_, r_dear, *_) = (env.step(np.full((4, 2), -1, dtype=np.float32)) for env in (plain, dear))
+        for lag, a, b in zip([i["position_error"] for i in infos] / speed, r, r_dear, strict=True):
+            t = np.linspace(0, lag, 20001)
+            assert a - b == pytest.approx(
+                np.trapezoid(np.where(t < LINEAR, 1, LINEAR / np.maximum(t, 1e-9)), t), abs=1e-3
+            )
+            lags.append(lag)
+        track = dear.get_attr("reference")
+    assert min(lags) < LINEAR < 2 * LINEAR < max(lags)
+    none = make_training_env(configuration(), 1, [{COST: {"weight": 0.0, "share": 0.0}}])
+    none.reset()
+    assert (none.step(np.zeros((1, 2), dtype=np.float32))[1] == 0).all()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
@@ -16,8 +17,10 @@ from auv_gym.residual import Policy
 from auv_gym.simulation import Parameters, Parts, current_at
 from auv_gym.task import SCALES, SIZE
 from baselines import features
-from baselines.backstepping import MIN_SPEED
+from baselines.backstepping import CRUISE_SPEED, MIN_SPEED, tracking_forces
+from baselines.ekf_law import EkfLaw
 from baselines.features import INTEGRALS
+from baselines.gain_files import BySpeed
 from baselines.networks import ACTIONS
 from baselines.zero import Zero
 
@@ -97,11 +100,15 @@ class ClosedLoop:
     loss: Loss
     parts: Parts = PLAIN  # of the simulation that are in use
 
-    def act(self, network: nn.Module, carried: Carried) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return the command, shape (ACTIONS, N), integrals, correction and hidden state."""
+    def act(
+        self, network: nn.Module, carried: Carried, outside: Tensor | None = None
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return the command, shape (ACTIONS, N), integrals, correction and hidden state; see `step`."""
         o = [x * k for x, k in zip(carried.observation.unbind(), DECODING, strict=True)]
         F_u, F_r = self.law(o, TENSORS)
         base = (F_u / o[13]).clamp(-1.0, 1.0), (F_r / o[14]).clamp(-1.0, 1.0)
+        if outside is not None:  # the expert's value, the law's slope
+            base = (outside[0] + (base[0] - base[0].detach()), outside[1] + (base[1] - base[1].detach()))
         rows, integrals = features.update(o, base, carried.correction.unbind(), carried.integrals.unbind(), TENSORS)
         correction, hidden = network(torch.stack(rows, dim=1), carried.hidden)
         c_u, c_r = correction.unbind(dim=1)
@@ -110,7 +117,7 @@ class ClosedLoop:
         return command, torch.stack(integrals), torch.stack((c_u, c_r)), hidden
 
     def step(
-        self, network: nn.Module, carried: Carried, sample: Tensor, parameters: Tensor
+        self, network: nn.Module, carried: Carried, sample: Tensor, parameters: Tensor, outside: Tensor | None = None
     ) -> tuple[Carried, Tensor, Tensor]:
         """Return what is carried on, the loss and the squared position error [m^2], shape (N,).
 
@@ -119,8 +126,9 @@ class ClosedLoop:
             carried: from the step before.
             sample: the rows of a `simulation.Sample`, shape (SAMPLE, N).
             parameters: the rows of `simulation.Parameters`, shape (PARAMETERS, N).
+            outside: the action of an expert that does not compute on tensors, shape (ACTIONS, N); `law` has its slope.
         """
-        command, integrals, correction, hidden = self.act(network, carried)
+        command, integrals, correction, hidden = self.act(network, carried, outside)
         t = simulate(carried.state, command, sample, parameters, self.parts)
         loss = self.loss.of(t.squared_error, parameters[17], command, carried.state[8:10])
         if self.loss.estimate is not None:
@@ -142,21 +150,34 @@ class ClosedLoop:
         current = to_body(*current_at(x, y, s, p, TENSORS), c, sin)
         drag = p.coefficients[3:6]
         loads = (4 * load * per_U / d for load, d in zip(s[10:13], drag, strict=True))
-        rows = (*(2 * e * per_U for e in error), 2 * v * per_U, *(3 * V * per_U for V in current), *loads)
+        rows = (*(8 * e * per_U for e in error), 2 * v * per_U, *(3 * V * per_U for V in current), *loads)
         return torch.stack((*(row.clamp(-4.0, 4.0) for row in rows), F_u / p.F_u_max, F_r / p.F_r_max))
 
 
-def law_of(expert: Policy) -> Law:
-    """Return an expert's law on tensors.
+def law_of(expert: Policy) -> tuple[Law, bool]:
+    """Return an expert's law on tensors, and whether that is the expert itself.
+
+    The law on an extended Kalman filter has the slope of the same law on the measurements.
 
     Raises:
-        ValueError: the expert does not compute on tensors.
+        ValueError: the expert neither computes on tensors nor is near a law that does.
     """
     if isinstance(expert, Zero):
-        return lambda o, _: (0.0 * o[13], 0.0 * o[14])
+        return lambda o, _: (0.0 * o[13], 0.0 * o[14]), True
+    controller = getattr(expert, "controller", None)
+    if (
+        isinstance(controller, BySpeed)
+        and isinstance(controller.slow, EkfLaw)
+        and isinstance(controller.cruise, EkfLaw)
+    ):
+        return partial(_by_speed, controller.slow, controller.cruise), False
     forces: Law | None = getattr(expert, "forces", None)
     if forces is None:
-        raise ValueError(
-            "the analytic gradient needs an expert that computes on tensors: a backstepping policy, or none"
-        )
-    return forces
+        raise ValueError("the analytic gradient needs a backstepping policy, ekf or none as its expert")
+    return forces, True
+
+
+def _by_speed(slow: EkfLaw, cruise: EkfLaw, o: Sequence[Any], ns: Namespace) -> tuple[Any, Any]:
+    fast = o[6] * o[6] + o[7] * o[7] > CRUISE_SPEED * CRUISE_SPEED
+    slow_forces, cruise_forces = (tracking_forces(o, law.vehicle, law.gains, ns) for law in (slow, cruise))
+    return ns.where(fast, cruise_forces[0], slow_forces[0]), ns.where(fast, cruise_forces[1], slow_forces[1])

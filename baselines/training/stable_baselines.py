@@ -5,8 +5,9 @@ from __future__ import annotations
 import inspect
 import math
 import warnings
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, TypeVar
 
 import gymnasium as gym
 import numpy as np
@@ -17,6 +18,7 @@ from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecMonitor
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvWrapper
 
 from auv_gym.residual import VectorResidualAction
 from baselines.agent import Agent
@@ -27,12 +29,17 @@ from baselines.training.sb3 import SB3VecEnv
 from baselines.training.snapshot import restore
 from baselines.training.tracker import Tracker, sound
 from baselines.training.vec_features import VecFeatures
+from baselines.training.vec_reward import VecErrorCost
+
+T = TypeVar("T")
 
 MODELS: Mapping[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "td3": TD3, "tqc": TQC}
 CALLBACKS: Mapping[str, type[BaseCallback]] = {
     f"{cls.__module__}.{cls.__name__}": cls for cls in (ZeroCorrection, FrozenActor)
 }
-WRAPPER = f"{VecFeatures.__module__}.{VecFeatures.__name__}"
+WRAPPERS: Mapping[str, type[VecEnvWrapper]] = {
+    f"{cls.__module__}.{cls.__name__}": cls for cls in (VecErrorCost, VecFeatures)
+}
 _OURS = {"self", "policy", "env", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model"}
 _SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf")
 
@@ -76,15 +83,13 @@ def make_model(config: Config) -> BaseAlgorithm:
     """
     cls, values = MODELS[config.algo], dict(config.hyperparameters)
     values.pop("callback", None)
-    if (wrapper := values.pop("vec_env_wrapper", WRAPPER)) != WRAPPER:
-        raise ValueError(f"hyper-parameter vec_env_wrapper is {wrapper!r}; here it must be {WRAPPER}")
     if (policy := values.pop("policy", "MlpPolicy")) != "MlpPolicy":
         raise ValueError(f"hyper-parameter policy is {policy!r}; here it must be MlpPolicy")
     n_envs, noise = values.pop("n_envs", 1), _noise(values)
+    env = make_training_env(config, n_envs, values.pop("vec_env_wrapper", []))
     allowed = sorted(set(inspect.signature(cls).parameters) - _OURS)
     if unknown := [name for name in values if name not in allowed]:
         raise ValueError(f"unknown hyper-parameter {unknown[0]!r} of {config.algo}; allowed are {', '.join(allowed)}")
-    env = make_training_env(config, n_envs)
     if noise is not None:
         values["action_noise"] = noise
     values |= {name: _schedule(name, values[name]) for name in _SCHEDULED if name in values}
@@ -100,8 +105,17 @@ def make_model(config: Config) -> BaseAlgorithm:
     return model
 
 
-def make_training_env(config: Config, n_envs: int) -> VecFeatures:
-    """Return the vehicles that a configuration is trained on, as Stable-Baselines3 wants them."""
+def make_training_env(config: Config, n_envs: int, wrappers: Any = ()) -> VecFeatures:
+    """Return the vehicles that a configuration is trained on, as Stable-Baselines3 wants them.
+
+    Args:
+        config: the configuration.
+        n_envs: how many.
+        wrappers: as rl_zoo3 names them, from the inside out; the features are always the last.
+
+    Raises:
+        ValueError: there are too few vehicles, or a wrapper is unknown.
+    """
     if isinstance(n_envs, bool) or not isinstance(n_envs, int) or n_envs < 1:
         raise ValueError(f"hyper-parameter n_envs is {n_envs!r}; it must be an integer of at least 1")
     track = gym.make_vec(
@@ -110,7 +124,10 @@ def make_training_env(config: Config, n_envs: int) -> VecFeatures:
         vectorization_mode="vector_entry_point",
         scenario=config.lanes(n_envs),
     )
-    return VecFeatures(VecMonitor(SB3VecEnv(VectorResidualAction(track, config.make_expert(), config.authority))))
+    env: VecEnv = VecMonitor(SB3VecEnv(VectorResidualAction(track, config.make_expert(), config.authority)))
+    for make in _named(wrappers, WRAPPERS, "vec_env_wrapper"):
+        env = make(env)
+    return env if isinstance(env, VecFeatures) else VecFeatures(env)
 
 
 def _schedule(name: str, value: Any) -> Any:
@@ -136,18 +153,30 @@ def _noise(values: dict[str, Any]) -> ActionNoise | None:
     return NormalActionNoise(np.zeros(2), np.full(2, float(std)))
 
 
-def _callbacks(entries: Any) -> Sequence[BaseCallback]:
-    """Return the callbacks that a configuration names, in rl_zoo3's way: names, or tables of a name's arguments.
+def _callbacks(entries: Any) -> list[BaseCallback]:
+    """Return the callbacks that a configuration names. Training always starts at the expert, named or not."""
+    made = [make() for make in _named(entries, CALLBACKS, "callback")]
+    return made if any(isinstance(callback, ZeroCorrection) for callback in made) else [ZeroCorrection(), *made]
 
-    Training always starts at the expert, named or not.
+
+def _named(entries: Any, table: Mapping[str, Callable[..., T]], kind: str) -> list[Callable[..., T]]:
+    """Return what makes the things that a configuration names in rl_zoo3's way: names, or tables of a name's arguments.
+
+    Args:
+        entries: one or a list of them.
+        table: what may be named.
+        kind: the hyper-parameter's name.
+
+    Raises:
+        ValueError: something else is named, or does not take these arguments.
     """
-    made: list[BaseCallback] = []
+    made: list[Callable[..., T]] = []
     for entry in entries if isinstance(entries, (list, tuple)) else [entries]:
         name, arguments = next(iter(entry.items())) if isinstance(entry, Mapping) and len(entry) == 1 else (entry, {})
-        if name not in CALLBACKS:
-            raise ValueError(f"unknown callback {name!r}; allowed are {', '.join(CALLBACKS)}")
-        try:
-            made.append(CALLBACKS[name](**arguments))
-        except TypeError as error:
-            raise ValueError(f"callback {name}: {error}") from error
-    return made if any(isinstance(callback, ZeroCorrection) for callback in made) else [ZeroCorrection(), *made]
+        if name not in table:
+            raise ValueError(f"unknown {kind} {name!r}; allowed are {', '.join(table)}")
+        known = list(inspect.signature(table[name]).parameters)
+        if not isinstance(arguments, Mapping) or not set(arguments) <= set(known):
+            raise ValueError(f"{kind} {name} has arguments {arguments!r}; it takes {', '.join(known)}")
+        made.append(partial(table[name], **arguments))
+    return made
