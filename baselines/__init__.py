@@ -19,6 +19,7 @@ from baselines.ekf_law import make_ekf_law
 from baselines.integral import integral_law
 from baselines.los_pid import make_los_pid
 from baselines.lqi import make_lqi
+from baselines.nmpc import make_nmpc
 from baselines.open_loop import OpenLoop
 from baselines.oracle import Oracle
 from baselines.user_policies import AGENTS, FADING, is_path, load_policy, shipped_agents
@@ -46,6 +47,7 @@ POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
         "the speed-normalised law in the water frame, a simple observer",
     ),
     "ekf": (make_ekf_law, {}, "the same on an extended Kalman filter of vehicle, actuators and sea"),
+    "nmpc": (make_nmpc, {}, "nonlinear model predictive control on the same filter, with a preview of the path"),
     "oracle": (Oracle, {}, "knows plant, current, waves and lag, now and in future: the score's 1; evaluation only"),
     "open-loop": (OpenLoop, {}, "the planner's forces alone"),
 }

@@ -10,8 +10,8 @@ import numpy as np
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.presets import CASES, PRESETS
-from auv_gym.residual import Policy
-from baselines.evaluation.metrics import effort, smoothness, tail_rmse
+from auv_gym.residual import Policy, preview_of
+from baselines.evaluation.metrics import Array, effort, smoothness, tail_rmse
 from baselines.evaluation.score import LARGEST_TAIL
 
 
@@ -42,12 +42,12 @@ class Course:
         self.steps, self.lost_distance = presets[0].steps, presets[0].lost_distance
         # Nothing ends or begins within the run: one step more than are run, and vehicles go on when they are lost.
         scenarios = [replace(s, steps=s.steps + 1, lost_distance=64.0) for s in presets]
-        self._env = UnderactuatedAUVTrackVectorEnv(episodes, [scenarios[i] for i in self.cases.tolist()])
-        self._observation, _ = self._env.reset(seed=seed)
+        self._lanes, self._seed = [scenarios[i] for i in self.cases.tolist()], seed
+        self._begun: dict[tuple[int, ...], tuple[UnderactuatedAUVTrackVectorEnv, Array]] = {}
 
     def run(self, policy: Policy) -> Result:
         """Return what a policy does on the course."""
-        env, observation = copy.deepcopy(self._env), self._observation
+        env, observation = copy.deepcopy(self._beginning(preview_of(policy)))
         memory, first = None, np.ones(len(self.cases), dtype=bool)
         errors = np.zeros((self.steps, len(self.cases)))
         actions = np.zeros((self.steps, len(self.cases), 2))
@@ -66,6 +66,13 @@ class Course:
             effort=effort(actions),
             smoothness=smoothness(actions),
         )
+
+    def _beginning(self, preview: tuple[int, ...]) -> tuple[UnderactuatedAUVTrackVectorEnv, Array]:
+        """Return the episodes at their beginning, and what is observed of them with a preview."""
+        if preview not in self._begun:
+            env = UnderactuatedAUVTrackVectorEnv(len(self._lanes), self._lanes, preview=preview)
+            self._begun[preview] = env, env.reset(seed=self._seed)[0]
+        return self._begun[preview]
 
 
 def compared(result: Result, expert: Result) -> dict[str, Any]:

@@ -131,7 +131,7 @@ def transition_jacobian(z: Estimate, command: Force, dt: Array, vehicle: Vehicle
     lag, and in closed form.
     """
     load, _ = _load(z, command, dt)
-    hull = _hull_jacobian(np.array((z.psi, z.u, z.v, z.r, *load)), dt, vehicle)
+    hull = hull_jacobian(np.array((z.psi, z.u, z.v, z.r, *load)), dt, vehicle)
     by_X, by_N = hull[:, 4], hull[:, 6]
     gain, mean, *_ = lag_response(z.lag, dt)
     share, still = gain * mean, 1 - gain
@@ -157,13 +157,13 @@ def transition_jacobian(z: Estimate, command: Force, dt: Array, vehicle: Vehicle
     return np.ascontiguousarray(np.moveaxis(F, -1, 0))
 
 
-def _hull_jacobian(before: Array, dt: Array, vehicle: Vehicle) -> Array:
+def hull_jacobian(before: Array, dt: Array, vehicle: Vehicle) -> Array:
     """Return the derivative of x, y, psi, u, v, r after dt by psi, u, v, r, X, Y, N before, shape (6, 7, N)."""
     varied = np.repeat(before[:, None], 8, axis=1)  # the first of the eight as it is
     varied[np.arange(7), np.arange(1, 8)] += STEP
     psi, u, v, r, X, Y, N = varied
     origin = np.zeros_like(psi)
-    after = np.array(rk4_step((origin, origin, psi, u, v, r), (X, Y, N), vehicle.coefficients, dt, ns=np))
+    after = np.array(rk4_step((origin, origin, psi, u, v, r), (X, Y, N), vehicle.coefficients, dt, ns=ARRAYS))
     return np.asarray((after[:, 1:] - after[:, :1]) / STEP)
 
 

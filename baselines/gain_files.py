@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from auv_gym.presets import REGIMES
+from auv_gym.residual import preview_of
 from auv_gym.task import Observation
 from baselines.backstepping import CRUISE_SPEED
 from baselines.memory import Array, Controller, Memory, along
@@ -64,12 +65,13 @@ def load_gains(name: str, regime: str, names: Sequence[str]) -> dict[str, float]
 class BySpeed:
     """Two controllers in one: at each instant the first steers the slow vehicles and the second the fast ones.
 
-    Both have the same kind of memory, and each goes on with what the other has left in it.
+    Both have the same kind of memory, and each goes on with what the other has left in it; both need the same preview.
     """
 
     def __init__(self, slow: Controller, cruise: Controller) -> None:
         """Join two controllers; where the reference is faster than `CRUISE_SPEED`, the second one acts."""
         self.slow, self.cruise = slow, cruise
+        self.preview = preview_of(slow)
 
     def start(self, n: int) -> Memory:
         """Return the memory at the start of n episodes."""

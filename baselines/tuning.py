@@ -36,6 +36,8 @@ from baselines.integral import integral_law
 from baselines.los_pid import make_los_pid
 from baselines.lqi import make_lqi
 from baselines.memory import Array
+from baselines.nmpc import START as PREDICTIVE
+from baselines.nmpc import make_nmpc
 
 PROGRAM = "python -m baselines.tuning"
 TUNING_SEED = 10_000_000
@@ -93,6 +95,7 @@ TUNABLES: dict[str, Tunable] = {
     "ekf": Tunable(make_ekf_law, EKF),
     "los-pid": Tunable(make_los_pid, {"slow": PID, "cruise": CRUISE_PID}),
     "lqi": Tunable(make_lqi, {"slow": SLOW_LQI, "cruise": CRUISE_LQI}),
+    "nmpc": Tunable(make_nmpc, PREDICTIVE),
 }
 """What can be tuned, by name: add an entry here."""
 

@@ -1,0 +1,250 @@
+"""Model predictive control: optimal as CasADi and SciPy have it, within limits, finite whatever it sees."""
+
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from scipy.optimize import lsq_linear
+
+import baselines
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.namespaces import ARRAYS
+from auv_gym.paths import Circle
+from auv_gym.scenario import Scenario, Start
+from auv_gym.task import SIZE
+from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from baselines.gauss_newton import bounded_minimum, descent, improved, solved, state_derivatives
+from baselines.nmpc import GAINS, PREVIEW, START, one_period_on
+from baselines.nmpc_casadi import CasadiSolver
+from baselines.optimal_control import COMMANDS, STATES, Horizon, OptimalControl, Weights, stage
+
+DRAGGY = Vehicle(m11=215.0, m22=265.0, m33=80.0, d11=70.0, d22=100.0, d33=50.0, X_uu=30.0, Y_vv=80.0, N_rr=20.0)
+WEIGHTS = Weights(huber=0.3, surge=3e-3, yaw=3e-3, sway=0.2, terminal=1.0)
+STAGES = 12
+
+
+def random_problem(rng, n, limits=(250.0, 100.0)):
+    """Return states near 1 m/s and what lies ahead of them, an arc in a current and in waves."""
+    hull = rng.normal((0, 0, 0, 1, 0, 0), (0.1, 0.1, 0.05, 0.1, 0.03, 0.03), (n, 6)).T
+    start = np.vstack((hull, rng.normal(0, (30.0, 10.0), (n, 2)).T))
+    dt = np.tile(rng.uniform(0.15, 0.4, (STAGES, 1)), n)
+    angle = rng.uniform(-0.1, 0.1, n) * dt.cumsum(axis=0)
+    aim = dt.cumsum(axis=0)[:, None] * np.stack((np.cos(angle), np.sin(angle)), axis=1)
+    lag = rng.uniform(0.05, 0.6, n)
+    gain = 1 - np.exp(-dt / lag)
+    return start, Horizon(
+        dt=dt,
+        aim=aim,
+        current=np.broadcast_to(rng.normal(0, 0.1, (2, n)), (STAGES, 2, n)),
+        load=rng.normal(0, 5, (STAGES, 3, n)),
+        gain=gain,
+        share=1 - lag / dt * gain,
+        limits=np.tile(np.array(limits)[:, None], n),
+    )
+
+
+# The solver.
+
+
+@pytest.mark.parametrize("vehicle", [PAPER_VEHICLE, DRAGGY])
+def test_derivatives_are_difference_quotients_of_the_stage(vehicle):
+    rng = np.random.default_rng(0)
+    start, ahead = random_problem(rng, 5)
+    problem = OptimalControl(vehicle, WEIGHTS)
+    plan = problem.planned(start, rng.normal(0, 40, (STAGES, COMMANDS, 5)), ahead)
+    AB = state_derivatives(problem, plan, ahead)
+    for k in (0, STAGES - 1):
+        known = [rows[k] for rows in ahead[:-1]]
+        both = np.concatenate((plan.states[k], plan.commands[k]))
+        for j in range(STATES + COMMANDS):
+            shift = 1e-4 * np.eye(STATES + COMMANDS)[j][:, None]
+            ends = [
+                np.array(stage(x[:STATES], x[STATES:], known, vehicle, ARRAYS)) for x in (both + shift, both - shift)
+            ]
+            np.testing.assert_allclose(AB[k, :, :, j].T, (ends[0] - ends[1]) / 2e-4, rtol=1e-5, atol=2e-6)
+
+
+@given(seed=st.integers(0, 2**31 - 1))
+@settings(max_examples=50, deadline=None)
+def test_minimum_within_bounds_is_that_of_scipy(seed):
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(4, 2, 2)) + 2 * np.eye(2)
+    H, g = root.transpose(0, 2, 1) @ root, rng.normal(0, 3, (4, 2))
+    low, high = -rng.uniform(0.1, 2, (4, 2)), rng.uniform(0.1, 2, (4, 2))
+    c, free = bounded_minimum(H, g, low, high)
+    for i in range(4):
+        expected = lsq_linear(root[i], -np.linalg.solve(root[i].T, g[i]), (low[i], high[i]), tol=1e-14).x
+        np.testing.assert_allclose(c[i], expected, atol=1e-6)
+    np.testing.assert_array_equal(free, (c > low) & (c < high))
+
+
+@pytest.mark.parametrize(
+    ("limits", "method"), [((250.0, 100.0), "ipopt"), ((60.0, 15.0), "ipopt"), ((60.0, 15.0), "fatrop")]
+)
+def test_optimum_is_that_of_casadi(limits, method):
+    rng = np.random.default_rng(1)
+    start, ahead = random_problem(rng, 6, limits)
+    problem = OptimalControl(PAPER_VEHICLE, WEIGHTS)
+    ours = guess = problem.planned(start, np.zeros((STAGES, COMMANDS, 6)), ahead)
+    for _ in range(60):
+        ours = improved(problem, ours, ahead)
+    theirs = CasadiSolver(problem, STAGES, method)(guess, ahead, np.full(6, 100))
+    assert (theirs.cost < 0.9 * guess.cost).all()
+    np.testing.assert_allclose(ours.cost, theirs.cost, rtol=1e-5)
+    np.testing.assert_allclose(ours.commands[:3], theirs.commands[:3], atol=0.02 * limits[1])
+    assert (np.abs(ours.commands) <= ahead.limits).all()
+    if limits[1] == 15.0:
+        assert (np.abs(ours.commands) == ahead.limits).any()
+
+
+def test_steps_lower_the_cost_and_stop_where_there_is_nothing_to_gain():
+    rng = np.random.default_rng(2)
+    start, ahead = random_problem(rng, 8)
+    problem = OptimalControl(PAPER_VEHICLE, WEIGHTS)
+    plan = problem.planned(start, rng.normal(0, 40, (STAGES, COMMANDS, 8)), ahead)
+    steps = np.arange(8)
+    better = solved(problem, plan, ahead, steps)
+    np.testing.assert_array_equal(better.commands[..., 0], plan.commands[..., 0])
+    assert (better.cost[1:] < plan.cost[1:]).all()
+    for _ in range(60):
+        plan = improved(problem, plan, ahead)
+    assert np.abs(descent(problem, plan, ahead).step).max() < 1.0
+    np.testing.assert_allclose(problem.planned(start, plan.commands, ahead).cost, plan.cost)
+
+
+def test_commands_one_period_on_are_the_means_of_the_same_commands():
+    ends = np.array((1.0, 2.0, 4.0, 7.0))
+    commands = np.array((3.0, -1.0, 5.0, 2.0))
+    fine = np.repeat(commands, (100, 100, 200, 500))  # the last one goes on
+    expected = [fine[a + 100 : b + 100].mean() for a, b in ((0, 100), (100, 200), (200, 400), (400, 700))]
+    np.testing.assert_allclose(one_period_on(ends) @ commands, expected)
+
+
+# The controller.
+
+
+def gains(**changes):
+    return {**START["cruise"], **changes}
+
+
+def observations(n, scenario="cruise-storm"):
+    return UnderactuatedAUVTrackVectorEnv(n, scenario, preview=PREVIEW).reset(seed=7)[0]
+
+
+def run(policy, env, steps, observation, memory=None):
+    """Return the position errors [m], shape (steps, N)."""
+    errors, first = [], np.ones(env.num_envs, dtype=bool)
+    for _ in range(steps):
+        action, memory = policy.predict(observation, memory, first)
+        assert (np.abs(action) <= 1).all()
+        observation, *_, info = env.step(action)
+        first = np.zeros_like(first)
+        errors.append(info["position_error"])
+    return np.array(errors)
+
+
+@pytest.mark.parametrize(("speed", "dt"), [(0.2, 0.2), (1.0, 0.1)])
+def test_on_the_reference_in_calm_water_it_stays(speed, dt):
+    scenario = Scenario(path=Circle(speed=speed, turn_rate=0.05), start=Start(), control_dt=dt, steps=200)
+    policy = baselines.make_policy("nmpc")
+    env = UnderactuatedAUVTrackVectorEnv(1, scenario, preview=policy.preview)
+    env.reset(seed=3)
+    velocity = np.stack(env.reference, axis=1)[:, 3:6]
+    observation, _ = env.reset(seed=3, options={"initial_velocity": velocity})
+    errors = run(policy, env, 120, observation)
+    assert errors.max() < 0.01 * speed
+    assert errors[-20:].max() < 2e-3 * speed
+
+
+def test_it_sees_a_turn_coming():
+    """From the preview alone: the observation's own terms are those of a straight path."""
+    policy, rows = baselines.make_policy("nmpc"), observations(2, "cruise-calm")
+    rows[1] = rows[0]
+    rows[:, :6] = 0.0
+    ahead = 0.1 * np.array(PREVIEW)
+    rows[:, SIZE::2], rows[:, SIZE + 1 :: 2] = ahead, [np.zeros_like(ahead), 0.05 * ahead**2]
+    action, _ = policy.predict(rows)
+    assert action[1, 1] > action[0, 1] + 0.01
+
+
+def test_batch_equals_single_and_regimes_mix():
+    mixed = np.concatenate((observations(2), observations(2, "slow-storm")))
+    together, alone = baselines.make_policy("nmpc"), baselines.make_policy("nmpc")
+    memory, memories = None, [None] * len(mixed)
+    for _ in range(4):
+        actions, memory = together.predict(mixed, memory)
+        for i, observation in enumerate(mixed):
+            action, memories[i] = alone.predict(observation, memories[i])
+            np.testing.assert_allclose(action, actions[i], atol=1e-4)
+            for mine, ours in zip(memories[i], memory, strict=True):
+                np.testing.assert_allclose(mine[0], ours[i], rtol=1e-6, atol=1e-2)
+
+
+def test_memory_begins_anew_where_an_episode_does():
+    policy, rows = baselines.make_policy("nmpc"), observations(3)
+    first, fresh = policy.predict(rows)
+    memory = fresh
+    for _ in range(5):
+        _, memory = policy.predict(rows, memory)
+    later, _ = policy.predict(rows, memory)
+    again, after = policy.predict(rows, memory, np.array([False, True, False]))
+    np.testing.assert_allclose(again[1], first[1], atol=1e-4)
+    np.testing.assert_allclose(again[[0, 2]], later[[0, 2]], atol=1e-4)
+    for a, b in zip(after, fresh, strict=True):
+        np.testing.assert_allclose(a[1], b[1], rtol=1e-9, atol=1e-2)
+
+
+@given(seed=st.integers(0, 2**31 - 1), size=st.floats(0, 1))
+@example(seed=0, size=1.0)
+@settings(max_examples=10, deadline=None)
+def test_actions_are_finite_whatever_is_observed(seed, size):
+    env = UnderactuatedAUVTrackVectorEnv(6, "cruise-storm", preview=PREVIEW)
+    rows, policy, memory = env.reset(seed=7)[0], baselines.make_policy("nmpc"), None
+    rng, high = np.random.default_rng(seed), env.single_observation_space.high
+    for _ in range(3):
+        wild = rows.copy()
+        wild[:, :6] = size * rng.uniform(-1, 1, (6, 6)) * high[:6]
+        wild[:, SIZE:] = size * rng.choice((-1, 1), wild[:, SIZE:].shape) * high[SIZE:]
+        action, memory = policy.predict(wild, memory)
+        assert (np.abs(action) <= 1).all()
+        assert all(np.isfinite(a).all() for a in memory)
+
+
+def test_a_spin_beyond_prediction_is_left_to_the_law():
+    policy, law = baselines.make_policy("nmpc"), baselines.make_policy("backstepping-normalised")
+    rows = observations(2)
+    rows[0, 3:6] = np.array((16.0, 16.0, 8.0)) * (2, 2, 8)
+    action, _ = policy.predict(rows)
+    np.testing.assert_array_equal(action[0], law.predict(rows[0])[0])
+
+
+def test_casadi_steers_alike():
+    env = UnderactuatedAUVTrackVectorEnv(2, "cruise-current", preview=PREVIEW)
+    policies = [baselines.make_policy("nmpc", solver=solver) for solver in ("batch", "casadi")]
+    observation, _ = env.reset(seed=5, options={"initial_error": np.zeros(3)})
+    memories, first = [None, None], np.ones(2, dtype=bool)
+    for _ in range(40):
+        actions = []
+        for i, policy in enumerate(policies):
+            action, memories[i] = policy.predict(observation, memories[i], first)
+            actions.append(action)
+        observation, *_ = env.step(actions[0])
+        first = np.zeros_like(first)
+    np.testing.assert_allclose(actions[0], actions[1], atol=0.02)
+
+
+def test_what_is_missing_is_said(monkeypatch):
+    with pytest.raises(ValueError, match="unknown solver 'acados'; allowed are batch, casadi"):
+        baselines.make_policy("nmpc", solver="acados")
+    with pytest.raises(ValueError, match=r"has 0 columns .* needs a preview of 32.*preview=policy.preview"):
+        baselines.make_policy("nmpc").predict(observations(1)[:, :SIZE])
+    with pytest.raises(ValueError, match=r"weight surge is 0\.0; it must be"):
+        baselines.make_policy("nmpc", gains=gains(surge=0.0))
+    with pytest.raises(ValueError, match="nmpc has the gains k9; they must be huber, surge"):
+        baselines.make_policy("nmpc", gains={"k9": 1.0})
+    assert set(START["slow"]) == set(START["cruise"]) == set(GAINS)
+    monkeypatch.setitem(sys.modules, "casadi", None)
+    with pytest.raises(ValueError, match=r"not installed: pip install 'auv-gym\[mpc\]'"):
+        baselines.make_policy("nmpc", solver="casadi")
