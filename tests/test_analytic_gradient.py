@@ -269,6 +269,6 @@ def test_compiled_step_equals_eager():
         for sample in vehicles.samples():
             carried, loss, _ = step(net, carried, sample, vehicles.parameters)
         loss.sum().backward()
-        gradients.append([parameter.grad.clone() for parameter in net.parameters()])
+        gradients.append([p.grad.clone() for p in net.parameters() if p.grad is not None])
     for mine, theirs in zip(*gradients, strict=True):
         torch.testing.assert_close(mine, theirs)
