@@ -63,15 +63,15 @@ class Loss:
     """Weights of the loss of a control step: tensors, as a number would be compiled into the step."""
 
     effort: Tensor  # of the squared command
-    rate: Tensor  # of its squared change
+    rate: Tensor  # [s^2] of its squared rate of change
     estimate: Tensor | None = None  # of the squared error of what the network says of `ClosedLoop._truth`; None: unused
 
     @classmethod
-    def weighted(cls, effort: float = 0.003, rate: float = 0.3, estimate: float = 0.0) -> Loss:
+    def weighted(cls, effort: float = 0.003, rate: float = 0.003, estimate: float = 0.0) -> Loss:
         """Return the loss with these weights."""
         return cls(torch.tensor(effort), torch.tensor(rate), torch.tensor(estimate) if estimate else None)
 
-    def of(self, squared_error: Tensor, scale: Tensor, command: Tensor, previous: Tensor) -> Tensor:
+    def of(self, squared_error: Tensor, scale: Tensor, command: Tensor, previous: Tensor, dt: Tensor) -> Tensor:
         """Return the loss of a step, shape (N,).
 
         Near the reference it is e + 0.3 e^2 for an error of e scales; far from it, it grows like a logarithm, so that a
@@ -82,12 +82,13 @@ class Loss:
             scale: of the error [m], shape (N,).
             command: in [-1, 1], shape (ACTIONS, N).
             previous: the one before.
+            dt: control period [s], shape (N,).
         """
         e = torch.sqrt(squared_error / (scale * scale) + TINY)
         near, far = e.clamp(max=NEAR), e.clamp(min=NEAR)
         slope = NEAR * (1 + 2 * CURVE * NEAR)
         error = near + CURVE * near * near + slope * torch.log(far / NEAR)
-        change = command - previous
+        change = (command - previous) / dt
         return error + self.effort * (command * command).sum(0) + self.rate * (change * change).sum(0)
 
 
@@ -130,7 +131,8 @@ class ClosedLoop:
         """
         command, integrals, correction, hidden = self.act(network, carried, outside)
         t = simulate(carried.state, command, sample, parameters, self.parts)
-        loss = self.loss.of(t.squared_error, parameters[17], command, carried.state[8:10])
+        dt = self.parts.substeps * parameters[0]
+        loss = self.loss.of(t.squared_error, parameters[17], command, carried.state[8:10], dt)
         if self.loss.estimate is not None:
             truth = self._truth(carried.state, sample, parameters).detach()
             loss = loss + self.loss.estimate * (network.get_submodule("estimator")(hidden).T - truth).square().mean(0)
