@@ -30,7 +30,7 @@ Law = Callable[[Sequence[Any], Namespace], tuple[Any, Any]]
 NEAR, CURVE = 2.0, 0.3
 """Where the error's loss turns from a parabola into a logarithm, in units of its scale, and how curved the first is."""
 TRUTHS = 10
-"""Rows of `ClosedLoop._truth`."""
+"""Rows of `ClosedLoop.truth`."""
 DECODING: list[float] = SCALES.tolist()  # the graph may hold no NumPy
 TINY = 1e-6
 """Added to the squared error, in units of the scale's square: the distance has no slope at zero."""
@@ -64,7 +64,7 @@ class Loss:
 
     effort: Tensor  # of the squared command
     rate: Tensor  # [s^2] of its squared rate of change
-    estimate: Tensor | None = None  # of the squared error of what the network says of `ClosedLoop._truth`; None: unused
+    estimate: Tensor | None = None  # of the squared error of what the network says of `ClosedLoop.truth`; None: unused
 
     @classmethod
     def weighted(cls, effort: float = 0.003, rate: float = 0.003, estimate: float = 0.0) -> Loss:
@@ -134,11 +134,11 @@ class ClosedLoop:
         dt = self.parts.substeps * parameters[0]
         loss = self.loss.of(t.squared_error, parameters[17], command, carried.state[8:10], dt)
         if self.loss.estimate is not None:
-            truth = self._truth(carried.state, sample, parameters).detach()
+            truth = self.truth(carried.state, sample, parameters).detach()
             loss = loss + self.loss.estimate * (network.get_submodule("estimator")(hidden).T - truth).square().mean(0)
         return Carried(t.state, t.observation, integrals, correction, hidden), loss, t.squared_error
 
-    def _truth(self, state: Tensor, sample: Tensor, parameters: Tensor) -> Tensor:
+    def truth(self, state: Tensor, sample: Tensor, parameters: Tensor) -> Tensor:
         """Return what an agent would like to know, in units of order one, shape (TRUTHS, N).
 
         Position error, sway velocity and current along the body axes; loads; actuator forces.
