@@ -36,7 +36,7 @@ TINY = {
     "apg": {"n_steps": 5, "hidden_size": 8, "compiled": False},
     "ppo": {"n_steps": 16, "batch_size": 32, "learning_rate": "lin_0.01"},
     "sac": OFF_POLICY | {"callback": [{"baselines.training.callbacks.ZeroCorrection": {"std": 0.1}}]},
-    "td3": OFF_POLICY | {"noise_type": "normal", "noise_std": 0.1},
+    "td3": OFF_POLICY | {"noise_type": "ornstein-uhlenbeck", "noise_std": 0.1},
     "tqc": OFF_POLICY | {"callback": [{"baselines.training.callbacks.FrozenActor": {"steps": 100}}]},
 }
 STEPS = 320
