@@ -359,3 +359,12 @@ def test_documented_commands_run(page, call, monkeypatch):
     assert lines
     for line in lines:
         assert call(*line.split(), "--timesteps", STEPS, "--jobs", 1) == 0, line
+
+
+def test_actor_that_no_agent_can_be_is_refused_before_training(call, capsys):
+    Path("h.yml").write_text(yaml.safe_dump({ENV_ID: {"n_envs": 8, "use_sde": True}}), encoding="utf-8")
+    assert call("--algo", "sac", "--hyperparameters", "h.yml", "--out", "out") == 2
+    err = capsys.readouterr().err
+    assert "set clip_mean to 0" in err
+    assert err.count("\n") == 1
+    assert not Path("out").exists()

@@ -24,6 +24,7 @@ from auv_gym.residual import VectorResidualAction
 from baselines.agent import Agent
 from baselines.training.callbacks import FrozenActor, ZeroCorrection
 from baselines.training.config import Config
+from baselines.training.export import exported
 from baselines.training.run import Run, TrainingError
 from baselines.training.sb3 import SB3VecEnv
 from baselines.training.snapshot import restore
@@ -50,7 +51,7 @@ _SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf")
 
 def check(config: Config) -> None:
     """Raise ValueError if a configuration cannot be trained."""
-    make_model(config)
+    exported(make_model(config).policy, config)
     _callbacks(config.hyperparameters.get("callback", []))
 
 
