@@ -12,7 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from auv_gym.envs.torch_sim import can_compile
@@ -20,6 +22,7 @@ from auv_gym.intervals import check_number
 from auv_gym.records import from_record
 from baselines.agent import Agent
 from baselines.features import FEATURES
+from baselines.memory import Memory
 from baselines.networks import Gru
 from baselines.training.closed_loop import Carried, ClosedLoop, Loss, law_of
 from baselines.training.config import Config
@@ -31,7 +34,7 @@ logger = logging.getLogger(__name__)
 
 LOGS = 200
 """How often in a run its progress is logged."""
-Step = Callable[[nn.Module, Carried, Tensor, Tensor], tuple[Carried, Tensor, Tensor]]
+Step = Callable[..., tuple[Carried, Tensor, Tensor]]
 
 
 @dataclass(frozen=True)
@@ -44,8 +47,10 @@ class Settings:
     final_learning_rate: float = 1e-4  # ... falling to this along a cosine
     max_grad_norm: float = 1.0
     hidden_size: int = 64  # of each layer of the network
-    effort_weight: float = 0.003  # see `closed_loop.Loss`
-    rate_weight: float = 0.3  # likewise
+    effort_weight: float = 0.015  # see `closed_loop.Loss`
+    rate_weight: float = 0.02  # [s^2] likewise
+    estimate_weight: float = 0.2  # likewise
+    ramp: float = 0.6  # share of the run over which effort's and rate's weight grow from a tenth
     compiled: bool = True  # whether torch compiles the step, which takes a minute once
 
     def __post_init__(self) -> None:
@@ -55,7 +60,7 @@ class Settings:
                 raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")
         for name in ("learning_rate", "final_learning_rate", "max_grad_norm"):
             check_number(name, getattr(self, name), 1e-9, 1e6)
-        for name in ("effort_weight", "rate_weight"):
+        for name in ("effort_weight", "rate_weight", "estimate_weight", "ramp"):
             check_number(name, getattr(self, name), 0, 1e6)
         if not isinstance(self.compiled, bool):
             raise ValueError(f"compiled is {self.compiled!r}; it must be true or false")
@@ -70,6 +75,10 @@ class Settings:
         """Return the learning rate after a share `progress` of the run."""
         first, last = self.learning_rate, self.final_learning_rate
         return last + (first - last) * 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
+
+    def penalty_at(self, progress: float) -> float:
+        """Return the share of the effort's and the rate's weight after a share `progress` of the run."""
+        return min(1.0, 0.1 + 0.9 * progress / self.ramp) if self.ramp else 1.0
 
 
 def check(config: Config) -> Settings:
@@ -96,6 +105,8 @@ def train(run: Run) -> Agent:
         ValueError: see `check`.
     """
     trainer = Trainer(run)
+    if not trainer.updates:
+        trainer.validate()
     while trainer.updates < trainer.total:
         trainer.update()
     return trainer.agent(trainer.best)
@@ -118,13 +129,15 @@ class Trainer:
         self.fleet = Fleet(config.lanes(settings.n_envs), config.episode_seed, settings.n_steps)
         self.updates, self.skipped, self.score = 0, 0, -math.inf
         self.best = self.network.weights()
+        self._memory: Memory | None = None  # of an expert on NumPy
         if (state := run.load_checkpoint()) is None:
             self.carried = self.fleet.reset(settings.hidden_size)
         else:
             self._restore(state)
-        law = law_of(config.make_expert())
-        loss = Loss(settings.effort_weight, settings.rate_weight)
-        loop = ClosedLoop(law, config.authority, loss, self.fleet.parts)
+        self._expert = config.make_expert()
+        law, self._exact = law_of(self._expert)
+        self._loss = Loss.weighted(settings.effort_weight, settings.rate_weight, settings.estimate_weight)
+        loop = ClosedLoop(law, torch.tensor(config.authority), self._loss, self.fleet.parts)
         self._step = compiled(loop) if settings.compiled else loop.step
 
     @property
@@ -134,8 +147,12 @@ class Trainer:
 
     def update(self) -> None:
         """Run one window, follow its gradient, and log, validate and save where it is time to."""
+        progress = self.updates / self.total
         for group in self.optimizer.param_groups:
-            group["lr"] = self.settings.rate_at(self.updates / self.total)
+            group["lr"] = self.settings.rate_at(progress)
+        share = self.settings.penalty_at(progress)
+        self._loss.effort.fill_(share * self.settings.effort_weight)
+        self._loss.rate.fill_(share * self.settings.rate_weight)
         loss, error = self._window()
         self.optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
@@ -151,7 +168,7 @@ class Trainer:
         if self._due(LOGS):
             self.run.log(self.timesteps, loss=float(loss.detach()), window_error_m=error, gradient_norm=norm)
         if self._due(VALIDATIONS):
-            self._validate()
+            self.validate()
 
     def _due(self, times: int) -> bool:
         """Return whether one of so many moments, spread evenly over the run, has come; the last one is its end."""
@@ -161,14 +178,24 @@ class Trainer:
         """Return the mean loss of a window and its mean position error [m]; begin new episodes behind it."""
         carried = Carried(*(x.detach().requires_grad_() for x in self.carried))  # as compiled, from the first step on
         loss, distance = torch.zeros(()), torch.zeros(())
+        fresh, parameters = self.fleet.fresh, self.fleet.parameters
         for sample in self.fleet.samples():
-            carried, losses, squared_error = self._step(self.network, carried, sample, self.fleet.parameters)
+            outside = () if self._exact else (self._act(carried.observation, fresh),)
+            carried, losses, squared_error = self._step(self.network, carried, sample, parameters, *outside)
+            fresh = np.zeros_like(fresh)
             loss = loss + losses.mean()
             distance = distance + squared_error.detach().sqrt().mean()
         self.carried = self.fleet.renew(carried.detach(), squared_error.detach())
         return loss / self.settings.n_steps, float(distance) / self.settings.n_steps
 
-    def _validate(self) -> None:
+    def _act(self, observation: Tensor, fresh: NDArray[np.bool_]) -> Tensor:
+        """Return the action of an expert on NumPy, shape (ACTIONS, N)."""
+        rows = observation.detach().numpy().T.astype(np.float64)
+        action, self._memory = self._expert.predict(rows, self._memory, fresh)
+        return torch.from_numpy(np.ascontiguousarray(action.T))
+
+    def validate(self) -> None:
+        """Measure the agent on the validation episodes, keep the best, and save a checkpoint."""
         weights = self.network.weights()
         score = self.run.validate(self.agent(weights).policy(), self.timesteps)
         if score > self.score:
@@ -192,6 +219,7 @@ class Trainer:
             "optimizer": self.optimizer.state_dict(),
             "fleet": self.fleet,
             "carried": self.carried,
+            "memory": self._memory,
         }
 
     def _restore(self, state: dict[str, Any]) -> None:
@@ -199,7 +227,7 @@ class Trainer:
         self.score, self.best = state["score"], state["best"]
         self.network.load_state_dict(state["network"])
         self.optimizer.load_state_dict(state["optimizer"])
-        self.fleet, self.carried = state["fleet"], state["carried"]
+        self.fleet, self.carried, self._memory = state["fleet"], state["carried"], state["memory"]
 
 
 def compiled(loop: ClosedLoop) -> Step:

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from auv_gym.envs.torch_sim import PLAIN, STATE, TENSORS, simulate
+from auv_gym.errors import to_body
 from auv_gym.namespaces import Namespace
 from auv_gym.residual import Policy
-from auv_gym.simulation import Parts
+from auv_gym.simulation import Parameters, Parts, current_at
 from auv_gym.task import SCALES, SIZE
 from baselines import features
+from baselines.backstepping import CRUISE_SPEED, MIN_SPEED, tracking_forces
+from baselines.ekf_law import EkfLaw
 from baselines.features import INTEGRALS
+from baselines.gain_files import BySpeed
 from baselines.networks import ACTIONS
 from baselines.zero import Zero
 
@@ -24,6 +29,8 @@ Law = Callable[[Sequence[Any], Namespace], tuple[Any, Any]]
 
 NEAR, CURVE = 2.0, 0.3
 """Where the error's loss turns from a parabola into a logarithm, in units of its scale, and how curved the first is."""
+TRUTHS = 10
+"""Rows of `ClosedLoop._truth`."""
 DECODING: list[float] = SCALES.tolist()  # the graph may hold no NumPy
 TINY = 1e-6
 """Added to the squared error, in units of the scale's square: the distance has no slope at zero."""
@@ -53,12 +60,18 @@ class Carried(NamedTuple):
 
 @dataclass(frozen=True)
 class Loss:
-    """Weights of the loss of a control step."""
+    """Weights of the loss of a control step: tensors, as a number would be compiled into the step."""
 
-    effort: float = 0.003  # of the squared command
-    rate: float = 0.3  # of its squared change
+    effort: Tensor  # of the squared command
+    rate: Tensor  # [s^2] of its squared rate of change
+    estimate: Tensor | None = None  # of the squared error of what the network says of `ClosedLoop._truth`; None: unused
 
-    def of(self, squared_error: Tensor, scale: Tensor, command: Tensor, previous: Tensor) -> Tensor:
+    @classmethod
+    def weighted(cls, effort: float = 0.003, rate: float = 0.003, estimate: float = 0.0) -> Loss:
+        """Return the loss with these weights."""
+        return cls(torch.tensor(effort), torch.tensor(rate), torch.tensor(estimate) if estimate else None)
+
+    def of(self, squared_error: Tensor, scale: Tensor, command: Tensor, previous: Tensor, dt: Tensor) -> Tensor:
         """Return the loss of a step, shape (N,).
 
         Near the reference it is e + 0.3 e^2 for an error of e scales; far from it, it grows like a logarithm, so that a
@@ -69,12 +82,13 @@ class Loss:
             scale: of the error [m], shape (N,).
             command: in [-1, 1], shape (ACTIONS, N).
             previous: the one before.
+            dt: control period [s], shape (N,).
         """
         e = torch.sqrt(squared_error / (scale * scale) + TINY)
         near, far = e.clamp(max=NEAR), e.clamp(min=NEAR)
         slope = NEAR * (1 + 2 * CURVE * NEAR)
         error = near + CURVE * near * near + slope * torch.log(far / NEAR)
-        change = command - previous
+        change = (command - previous) / dt
         return error + self.effort * (command * command).sum(0) + self.rate * (change * change).sum(0)
 
 
@@ -83,23 +97,28 @@ class ClosedLoop:
     """Expert, network and vehicle; `step` is one control step of N of them."""
 
     law: Law
-    authority: tuple[float, float]
+    authority: Tensor  # shape (2,)
     loss: Loss
     parts: Parts = PLAIN  # of the simulation that are in use
 
-    def act(self, network: nn.Module, carried: Carried) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return the command, shape (ACTIONS, N), integrals, correction and hidden state."""
+    def act(
+        self, network: nn.Module, carried: Carried, outside: Tensor | None = None
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return the command, shape (ACTIONS, N), integrals, correction and hidden state; see `step`."""
         o = [x * k for x, k in zip(carried.observation.unbind(), DECODING, strict=True)]
         F_u, F_r = self.law(o, TENSORS)
         base = (F_u / o[13]).clamp(-1.0, 1.0), (F_r / o[14]).clamp(-1.0, 1.0)
+        if outside is not None:  # the expert's value, the law's slope
+            base = (outside[0] + (base[0] - base[0].detach()), outside[1] + (base[1] - base[1].detach()))
         rows, integrals = features.update(o, base, carried.correction.unbind(), carried.integrals.unbind(), TENSORS)
         correction, hidden = network(torch.stack(rows, dim=1), carried.hidden)
         c_u, c_r = correction.unbind(dim=1)
-        command = torch.stack((base[0] + self.authority[0] * c_u, base[1] + self.authority[1] * c_r)).clamp(-1.0, 1.0)
+        a_u, a_r = self.authority.unbind()
+        command = torch.stack((base[0] + a_u * c_u, base[1] + a_r * c_r)).clamp(-1.0, 1.0)
         return command, torch.stack(integrals), torch.stack((c_u, c_r)), hidden
 
     def step(
-        self, network: nn.Module, carried: Carried, sample: Tensor, parameters: Tensor
+        self, network: nn.Module, carried: Carried, sample: Tensor, parameters: Tensor, outside: Tensor | None = None
     ) -> tuple[Carried, Tensor, Tensor]:
         """Return what is carried on, the loss and the squared position error [m^2], shape (N,).
 
@@ -108,24 +127,59 @@ class ClosedLoop:
             carried: from the step before.
             sample: the rows of a `simulation.Sample`, shape (SAMPLE, N).
             parameters: the rows of `simulation.Parameters`, shape (PARAMETERS, N).
+            outside: the action of an expert that does not compute on tensors, shape (ACTIONS, N); `law` has its slope.
         """
-        command, integrals, correction, hidden = self.act(network, carried)
+        command, integrals, correction, hidden = self.act(network, carried, outside)
         t = simulate(carried.state, command, sample, parameters, self.parts)
-        loss = self.loss.of(t.squared_error, parameters[17], command, carried.state[8:10])
+        dt = self.parts.substeps * parameters[0]
+        loss = self.loss.of(t.squared_error, parameters[17], command, carried.state[8:10], dt)
+        if self.loss.estimate is not None:
+            truth = self._truth(carried.state, sample, parameters).detach()
+            loss = loss + self.loss.estimate * (network.get_submodule("estimator")(hidden).T - truth).square().mean(0)
         return Carried(t.state, t.observation, integrals, correction, hidden), loss, t.squared_error
 
+    def _truth(self, state: Tensor, sample: Tensor, parameters: Tensor) -> Tensor:
+        """Return what an agent would like to know, in units of order one, shape (TRUTHS, N).
 
-def law_of(expert: Policy) -> Law:
-    """Return an expert's law on tensors.
+        Position error, sway velocity and current along the body axes; loads; actuator forces.
+        """
+        p = Parameters.of(parameters.unbind(), self.parts)
+        x, y, psi, _, v, _, F_u, F_r = state[:8]
+        s = sample.unbind()
+        per_U = 1 / torch.sqrt(s[3] * s[3] + s[4] * s[4] + MIN_SPEED * MIN_SPEED)
+        c, sin = torch.cos(psi), torch.sin(psi)
+        error = to_body(x - s[0], y - s[1], c, sin)
+        current = to_body(*current_at(x, y, s, p, TENSORS), c, sin)
+        drag = p.coefficients[3:6]
+        loads = (4 * load * per_U / d for load, d in zip(s[10:13], drag, strict=True))
+        rows = (*(8 * e * per_U for e in error), 2 * v * per_U, *(3 * V * per_U for V in current), *loads)
+        return torch.stack((*(row.clamp(-4.0, 4.0) for row in rows), F_u / p.F_u_max, F_r / p.F_r_max))
+
+
+def law_of(expert: Policy) -> tuple[Law, bool]:
+    """Return an expert's law on tensors, and whether that is the expert itself.
+
+    The law on an extended Kalman filter has the slope of the same law on the measurements.
 
     Raises:
-        ValueError: the expert does not compute on tensors.
+        ValueError: the expert neither computes on tensors nor is near a law that does.
     """
     if isinstance(expert, Zero):
-        return lambda o, _: (0.0 * o[13], 0.0 * o[14])
+        return lambda o, _: (0.0 * o[13], 0.0 * o[14]), True
+    controller = getattr(expert, "controller", None)
+    if (
+        isinstance(controller, BySpeed)
+        and isinstance(controller.slow, EkfLaw)
+        and isinstance(controller.cruise, EkfLaw)
+    ):
+        return partial(_by_speed, controller.slow, controller.cruise), False
     forces: Law | None = getattr(expert, "forces", None)
     if forces is None:
-        raise ValueError(
-            "the analytic gradient needs an expert that computes on tensors: a backstepping policy, or none"
-        )
-    return forces
+        raise ValueError("the analytic gradient needs a backstepping policy, ekf or none as its expert")
+    return forces, True
+
+
+def _by_speed(slow: EkfLaw, cruise: EkfLaw, o: Sequence[Any], ns: Namespace) -> tuple[Any, Any]:
+    fast = o[6] * o[6] + o[7] * o[7] > CRUISE_SPEED * CRUISE_SPEED
+    slow_forces, cruise_forces = (tracking_forces(o, law.vehicle, law.gains, ns) for law in (slow, cruise))
+    return ns.where(fast, cruise_forces[0], slow_forces[0]), ns.where(fast, cruise_forces[1], slow_forces[1])

@@ -36,6 +36,7 @@ class Fleet:
         self.parts = self._lanes.parts
         self.parameters = self._tensor(self._lanes.constants)
         self._ends = self._steps.copy()  # of the running episodes
+        self.fresh = np.ones(len(scenarios), dtype=bool)  # whether an episode began at the last renewal
 
     def _tensor(self, array: NDArray[np.float64]) -> Tensor:
         return torch.tensor(array, dtype=self._dtype)
@@ -50,7 +51,7 @@ class Fleet:
     def renew(self, carried: Carried, squared_error: Tensor) -> Carried:
         """Begin new episodes where they have ended, or would within the next window, or the vehicle is lost."""
         lost = ~(squared_error <= self._lost).numpy()
-        over = lost | (self._lanes.k + self._window > self._ends)
+        self.fresh = over = lost | (self._lanes.k + self._window > self._ends)
         if not over.any():
             return carried
         (lanes,) = over.nonzero()

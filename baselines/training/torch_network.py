@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from baselines.networks import ACTIONS, Gru
+from baselines.training.closed_loop import TRUTHS
 
 
 class TorchGru(nn.Module):
@@ -23,6 +24,7 @@ class TorchGru(nn.Module):
         self.gru = nn.GRUCell(sizes.encoder, sizes.hidden)
         self.decoder = nn.Linear(sizes.hidden, sizes.decoder)
         self.head = nn.Linear(sizes.decoder, ACTIONS)
+        self.estimator = nn.Linear(sizes.hidden, TRUTHS)  # used in training alone
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)
 
@@ -34,4 +36,8 @@ class TorchGru(nn.Module):
 
     def weights(self) -> dict[str, NDArray[np.float32]]:
         """Return the weights as `Gru.shapes` names them."""
-        return {name: tensor.detach().cpu().numpy().copy() for name, tensor in self.state_dict().items()}
+        return {
+            name: tensor.detach().cpu().numpy().copy()
+            for name, tensor in self.state_dict().items()
+            if not name.startswith("estimator")
+        }
