@@ -329,14 +329,15 @@ def test_shipped_hyperparameters_are_used_as_they_are(algo):
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_agents_can_be_trained_again(name, call, monkeypatch):
+def test_shipped_agents_can_be_trained_again(name, call, monkeypatch, tmp_path):
     made = []
     monkeypatch.setattr(shipped, "train", lambda r: made.append(r) or 1)
     assert shipped.main([name, "--timesteps", "100", "--out", "out"]) == 1
     [config] = made[0].configs
     assert name == f"{config.algo}-{config.scenarios[0][0].name.split('-')[0]}"
     monkeypatch.setattr(command, "train", lambda r: made.append(r) or 0)
-    assert call(*made[0].command.split()[2:], "--out", f"out/{name}") == 0
+    monkeypatch.chdir(ROOT)
+    assert call(*made[0].command.split()[2:], "--out", tmp_path / "again") == 0
     assert made[1].configs == (config,)
 
 

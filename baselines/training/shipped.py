@@ -19,15 +19,18 @@ from baselines.user_policies import AGENTS
 
 PROGRAM = "python -m baselines.training.shipped"
 
-SHIPPED: Mapping[str, tuple[str, str]] = {
+SCENARIOS = Path(__file__).parent / "scenarios"
+LAGGING = "baselines/training/scenarios/cruise-lagging.toml:3"
+"""Fast vehicles with the slowest actuators: few in the regime, and the only ones that a stiff correction makes spin."""
+SHIPPED: Mapping[str, tuple[str, ...]] = {
     "apg-cruise": ("apg", "cruise"),
     "apg-slow": ("apg", "slow"),
-    "ppo-cruise": ("ppo", "cruise"),
+    "ppo-cruise": ("ppo", "cruise", LAGGING),
     "ppo-slow": ("ppo", "slow"),
     "sac-cruise": ("sac", "cruise"),
     "td3-cruise": ("td3", "cruise"),
 }
-"""Algorithm and scenario of each agent, by name; everything else is train.py's default."""
+"""Algorithm and scenarios of each agent, by name; everything else is train.py's default."""
 
 
 @dataclass(frozen=True)
@@ -78,10 +81,11 @@ def shipped_request(name: str, out: Path, timesteps: int | None = None) -> Reque
     Raises:
         UsageError: the folder holds something else.
     """
-    algo, scenario = SHIPPED[name]
+    algo, *words = SHIPPED[name]
+    scenarios = [word.replace("baselines/training/scenarios", str(SCENARIOS)) for word in words]
     more = "" if timesteps is None else f" --timesteps {timesteps}"
-    command = f"python train.py --algo {algo} --scenario {scenario}{more}"
-    return Request.of(algo, (scenario,), timesteps=timesteps, out=out / name, resume=True, command=command)
+    command = f"python train.py --algo {algo} --scenario {' '.join(words)}{more}"
+    return Request.of(algo, scenarios, timesteps=timesteps, out=out / name, resume=True, command=command)
 
 
 if __name__ == "__main__":
