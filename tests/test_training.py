@@ -336,14 +336,13 @@ def test_shipped_agents_can_be_trained_again(name, call, monkeypatch, tmp_path):
     [config] = made[0].configs
     assert name == f"{config.algo}-{config.scenarios[0][0].name.split('-')[0]}"
     monkeypatch.setattr(command, "train", lambda r: made.append(r) or 0)
-    monkeypatch.chdir(ROOT)
     assert call(*made[0].command.split()[2:], "--out", tmp_path / "again") == 0
     assert made[1].configs == (config,)
 
 
 def test_shipped_agents_are_installed_and_unknown_ones_refused(call, monkeypatch, tmp_path):
     monkeypatch.setattr(shipped, "AGENTS", tmp_path / "agents")
-    monkeypatch.setattr(shipped, "SHIPPED", {"ppo-small": ("ppo", "small.toml")})
+    monkeypatch.setattr(shipped, "SHIPPED", {"ppo-small": shipped.Shipped("ppo", "small.toml")})
     monkeypatch.setattr(request, "shipped", lambda algo: tmp_path / f"{algo}.yml")
     assert shipped.main(["--timesteps", "64", "--install"]) == 0
     assert same(weights("agents/ppo-small"), weights("runs/shipped/ppo-small/agent"))
