@@ -87,7 +87,7 @@ def test_gradient_equals_finite_differences():
         ClosedLoop(
             law_of(make_policy("backstepping"))[0],
             torch.tensor(AUTHORITY, dtype=torch.float64),
-            Loss.weighted(effort=0.1, rate=1.0),
+            Loss.weighted(effort=0.1, rate=0.01),
         ),
         network(0.1),
     )
@@ -113,17 +113,38 @@ def test_gradient_equals_finite_differences():
         assert slope == pytest.approx((sides[0] - sides[1]) / (2 * step), rel=1e-4, abs=1e-7), name
 
 
+def test_truth_is_what_the_environment_knows():
+    names = ["cruise-storm", "cruise-actuator", "slow-gauss-markov"]
+    loop = ClosedLoop(law_of(make_policy("backstepping"))[0], torch.ones(2), Loss.weighted(estimate=0.1))
+    vehicles, env = fleet(names), UnderactuatedAUVTrackVectorEnv(3, names)
+    carried, (observation, _) = vehicles.reset(8), env.reset(seed=7)
+    for sample in vehicles.samples():
+        carried, *_ = loop.step(TorchGru(SIZES).double(), carried, sample, vehicles.parameters)
+        observation, *_ = env.step(make_policy("backstepping").predict(observation)[0])
+    rows = loop.truth(carried.state, sample, vehicles.parameters).detach().numpy()
+    R, state, current = env.reference, env.state.T, env.current.T
+    U, psi = np.hypot(R[3], R[4]), state[2]
+    turn = np.array([[np.cos(psi), np.sin(psi)], [-np.sin(psi), np.cos(psi)]])
+    errors = np.einsum("ijn,jn->in", turn, state[:2] - np.array(R[:2]))
+    wanted = np.concatenate((8 * errors / U, 3 * np.einsum("ijn,jn->in", turn, current) / U))
+    np.testing.assert_allclose(rows[[0, 1, 3, 4]], np.clip(wanted, -4, 4), rtol=0.02)
+    limits = np.array([[s.actuators.F_u_max, s.actuators.F_r_max] for s in env.scenarios]).T
+    np.testing.assert_allclose(rows[8:] * limits, env.force.T, atol=1e-3)
+    assert rows[5:8].any(axis=0).tolist() == [True, False, False]  # waves are in storms alone
+
+
 def test_loss_has_no_kink_and_a_slope_everywhere():
     e = torch.tensor([0.0, 1e-3, NEAR - 1e-6, NEAR + 1e-6, 50.0], dtype=torch.float64, requires_grad=True)
     still = torch.zeros(2, 5, dtype=torch.float64)
-    values = Loss.weighted().of(e * e, torch.ones(5, dtype=torch.float64), still, still)
+    one = torch.ones(5, dtype=torch.float64)
+    values = Loss.weighted().of(e * e, one, still, still, one)
     values.sum().backward()
     values = values.detach()
     assert torch.isfinite(e.grad).all()
     assert (e.grad[1:] > 0).all()
     assert float(e.grad[2]) == pytest.approx(float(e.grad[3]), rel=1e-4)
     assert float(values[2]) == pytest.approx(NEAR + CURVE * NEAR**2, rel=1e-4)
-    moved = Loss.weighted(effort=0.5, rate=2.0).of(torch.zeros(5), torch.ones(5), still + 0.1, still)
+    moved = Loss.weighted(effort=0.5, rate=0.08).of(torch.zeros(5), one, still + 0.1, still, 0.2 * one)
     assert float(moved[0]) == pytest.approx(1e-3 + 0.5 * 0.02 + 2 * 0.02, rel=1e-4)
 
 
@@ -179,7 +200,7 @@ def test_training_improves(trained):
     run, _ = trained
     scores = [row["score"] for row in rows(run) if "score" in row]
     losses = [row["loss"] for row in rows(run)]
-    assert len(scores) == 20
+    assert len(scores) == 21
     assert max(scores) > 0.03
     assert np.mean(losses[-10:]) < np.mean(losses[:10])
 

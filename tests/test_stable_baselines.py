@@ -1,5 +1,7 @@
 """What Stable-Baselines3 trains on and what is exported from it, held against the environment and its own predict."""
 
+import math
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -27,6 +29,7 @@ torch.set_num_threads(1)
 STORM = Scenario.from_dict({**PRESETS["cruise-storm"].to_dict(), "name": "short", "steps": 30})
 COST = "baselines.training.vec_reward.VecErrorCost"
 RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"
+SMOOTH = {"use_sde": True, "policy_kwargs": {"net_arch": {"pi": [16, 8], "qf": [8]}, "clip_mean": 0.0}}
 SIZES = {"ppo": {"pi": [16, 8], "vf": [8]}} | {key: {"pi": [16, 8], "qf": [8]} for key in ("sac", "td3", "tqc")}
 
 
@@ -47,9 +50,9 @@ def untrained(algo, **values):
     return model
 
 
-@pytest.mark.parametrize("algo", MODELS)
-def test_exported_actor_is_the_models_predict(algo):
-    model = untrained(algo)
+@pytest.mark.parametrize(("algo", "values"), [*((algo, {}) for algo in MODELS), ("sac", SMOOTH)])
+def test_exported_actor_is_the_models_predict(algo, values):
+    model = untrained(algo, **values)
     agent = exported(model.policy, configuration(algo))
     x = np.random.default_rng(0).uniform(-2, 2, (200, len(FEATURES))).astype(np.float32)
     expected, _ = model.predict(x, deterministic=True)
@@ -122,15 +125,17 @@ def test_features_are_of_the_residual_environment_only():
         VecFeatures(SB3VecEnv(track))
 
 
-@pytest.mark.parametrize("algo", MODELS)
-def test_training_starts_at_the_expert_with_the_spread_that_was_asked_for(algo):
-    model = untrained(algo)
+@pytest.mark.parametrize(("algo", "values"), [*((algo, {}) for algo in MODELS), ("sac", SMOOTH)])
+def test_training_starts_at_the_expert_with_the_spread_that_was_asked_for(algo, values):
+    model = untrained(algo, **values)
     callback = ZeroCorrection(0.05)
     callback.init_callback(model)
     callback.on_training_start({}, {})
     x = model.observation_space.sample()[None].repeat(4000, axis=0)
     assert (model.predict(x, deterministic=True)[0] == 0).all()
-    if algo != "td3":
+    if values:
+        assert (model.policy.actor.log_std == math.log(0.05)).all()
+    elif algo != "td3":
         np.testing.assert_allclose(model.predict(x, deterministic=False)[0].std(axis=0), 0.05, rtol=0.1)
     else:
         assert (model.policy.actor_target(torch.tensor(x)) == 0).all()

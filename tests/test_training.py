@@ -36,7 +36,7 @@ TINY = {
     "apg": {"n_steps": 5, "hidden_size": 8, "compiled": False},
     "ppo": {"n_steps": 16, "batch_size": 32, "learning_rate": "lin_0.01"},
     "sac": OFF_POLICY | {"callback": [{"baselines.training.callbacks.ZeroCorrection": {"std": 0.1}}]},
-    "td3": OFF_POLICY | {"noise_type": "normal", "noise_std": 0.1},
+    "td3": OFF_POLICY | {"noise_type": "ornstein-uhlenbeck", "noise_std": 0.1},
     "tqc": OFF_POLICY | {"callback": [{"baselines.training.callbacks.FrozenActor": {"steps": 100}}]},
 }
 STEPS = 320
@@ -190,6 +190,9 @@ def test_mistakes_are_one_line_and_leave_nothing_behind(arguments, message, call
         ({"n_envs": 8, "batch_size": 1000}, "hyper-parameters of ppo: You have specified a mini-batch size of 1000"),
         ({"n_envs": 8, "policy_kwargs": {"net": 1}}, "hyper-parameters of ppo: "),
         ({"n_envs": 8, "env_kwargs": 1}, "env_kwargs is 1; it must be a table"),
+        ({"n_envs": 8, "env_kwargs": {"expert": 3}}, "expert is 3; an agent's expert must be a policy's name"),
+        ({"n_envs": 8, "env_kwargs": {"authority": "all"}}, "authority is 'all'"),
+        ({"n_envs": 8, "n_timesteps": "1e6"}, "timesteps is '1e6'; it must be an integer"),
         ({"n_envs": 8, "noise_type": "pink"}, "noise is 'pink'"),
     ],
 )
@@ -326,20 +329,20 @@ def test_shipped_hyperparameters_are_used_as_they_are(algo):
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_agents_can_be_trained_again(name, call, monkeypatch):
+def test_shipped_agents_can_be_trained_again(name, call, monkeypatch, tmp_path):
     made = []
     monkeypatch.setattr(shipped, "train", lambda r: made.append(r) or 1)
     assert shipped.main([name, "--timesteps", "100", "--out", "out"]) == 1
     [config] = made[0].configs
     assert name == f"{config.algo}-{config.scenarios[0][0].name.split('-')[0]}"
     monkeypatch.setattr(command, "train", lambda r: made.append(r) or 0)
-    assert call(*made[0].command.split()[2:], "--out", f"out/{name}") == 0
+    assert call(*made[0].command.split()[2:], "--out", tmp_path / "again") == 0
     assert made[1].configs == (config,)
 
 
 def test_shipped_agents_are_installed_and_unknown_ones_refused(call, monkeypatch, tmp_path):
     monkeypatch.setattr(shipped, "AGENTS", tmp_path / "agents")
-    monkeypatch.setattr(shipped, "SHIPPED", {"ppo-small": ("ppo", "small.toml")})
+    monkeypatch.setattr(shipped, "SHIPPED", {"ppo-small": shipped.Shipped("ppo", "small.toml")})
     monkeypatch.setattr(request, "shipped", lambda algo: tmp_path / f"{algo}.yml")
     assert shipped.main(["--timesteps", "64", "--install"]) == 0
     assert same(weights("agents/ppo-small"), weights("runs/shipped/ppo-small/agent"))
@@ -359,3 +362,12 @@ def test_documented_commands_run(page, call, monkeypatch):
     assert lines
     for line in lines:
         assert call(*line.split(), "--timesteps", STEPS, "--jobs", 1) == 0, line
+
+
+def test_actor_that_no_agent_can_be_is_refused_before_training(call, capsys):
+    Path("h.yml").write_text(yaml.safe_dump({ENV_ID: {"n_envs": 8, "use_sde": True}}), encoding="utf-8")
+    assert call("--algo", "sac", "--hyperparameters", "h.yml", "--out", "out") == 2
+    err = capsys.readouterr().err
+    assert "set clip_mean to 0" in err
+    assert err.count("\n") == 1
+    assert not Path("out").exists()

@@ -47,10 +47,10 @@ class Settings:
     final_learning_rate: float = 1e-4  # ... falling to this along a cosine
     max_grad_norm: float = 1.0
     hidden_size: int = 64  # of each layer of the network
-    effort_weight: float = 0.003  # see `closed_loop.Loss`
-    rate_weight: float = 0.3  # likewise
-    estimate_weight: float = 0.0  # likewise
-    ramp: float = 0.0  # share of the run over which effort's and rate's weight grow from a tenth
+    effort_weight: float = 0.015  # see `closed_loop.Loss`
+    rate_weight: float = 0.02  # [s^2] likewise
+    estimate_weight: float = 0.2  # likewise
+    ramp: float = 0.6  # share of the run over which effort's and rate's weight grow from a tenth
     compiled: bool = True  # whether torch compiles the step, which takes a minute once
 
     def __post_init__(self) -> None:
@@ -105,6 +105,8 @@ def train(run: Run) -> Agent:
         ValueError: see `check`.
     """
     trainer = Trainer(run)
+    if not trainer.updates:
+        trainer.validate()
     while trainer.updates < trainer.total:
         trainer.update()
     return trainer.agent(trainer.best)
@@ -166,7 +168,7 @@ class Trainer:
         if self._due(LOGS):
             self.run.log(self.timesteps, loss=float(loss.detach()), window_error_m=error, gradient_norm=norm)
         if self._due(VALIDATIONS):
-            self._validate()
+            self.validate()
 
     def _due(self, times: int) -> bool:
         """Return whether one of so many moments, spread evenly over the run, has come; the last one is its end."""
@@ -192,7 +194,8 @@ class Trainer:
         action, self._memory = self._expert.predict(rows, self._memory, fresh)
         return torch.from_numpy(np.ascontiguousarray(action.T))
 
-    def _validate(self) -> None:
+    def validate(self) -> None:
+        """Measure the agent on the validation episodes, keep the best, and save a checkpoint."""
         weights = self.network.weights()
         score = self.run.validate(self.agent(weights).policy(), self.timesteps)
         if score > self.score:

@@ -30,7 +30,7 @@ Law = Callable[[Sequence[Any], Namespace], tuple[Any, Any]]
 NEAR, CURVE = 2.0, 0.3
 """Where the error's loss turns from a parabola into a logarithm, in units of its scale, and how curved the first is."""
 TRUTHS = 10
-"""Rows of `ClosedLoop._truth`."""
+"""Rows of `ClosedLoop.truth`."""
 DECODING: list[float] = SCALES.tolist()  # the graph may hold no NumPy
 TINY = 1e-6
 """Added to the squared error, in units of the scale's square: the distance has no slope at zero."""
@@ -63,15 +63,15 @@ class Loss:
     """Weights of the loss of a control step: tensors, as a number would be compiled into the step."""
 
     effort: Tensor  # of the squared command
-    rate: Tensor  # of its squared change
-    estimate: Tensor | None = None  # of the squared error of what the network says of `ClosedLoop._truth`; None: unused
+    rate: Tensor  # [s^2] of its squared rate of change
+    estimate: Tensor | None = None  # of the squared error of what the network says of `ClosedLoop.truth`; None: unused
 
     @classmethod
-    def weighted(cls, effort: float = 0.003, rate: float = 0.3, estimate: float = 0.0) -> Loss:
+    def weighted(cls, effort: float = 0.003, rate: float = 0.003, estimate: float = 0.0) -> Loss:
         """Return the loss with these weights."""
         return cls(torch.tensor(effort), torch.tensor(rate), torch.tensor(estimate) if estimate else None)
 
-    def of(self, squared_error: Tensor, scale: Tensor, command: Tensor, previous: Tensor) -> Tensor:
+    def of(self, squared_error: Tensor, scale: Tensor, command: Tensor, previous: Tensor, dt: Tensor) -> Tensor:
         """Return the loss of a step, shape (N,).
 
         Near the reference it is e + 0.3 e^2 for an error of e scales; far from it, it grows like a logarithm, so that a
@@ -82,12 +82,13 @@ class Loss:
             scale: of the error [m], shape (N,).
             command: in [-1, 1], shape (ACTIONS, N).
             previous: the one before.
+            dt: control period [s], shape (N,).
         """
         e = torch.sqrt(squared_error / (scale * scale) + TINY)
         near, far = e.clamp(max=NEAR), e.clamp(min=NEAR)
         slope = NEAR * (1 + 2 * CURVE * NEAR)
         error = near + CURVE * near * near + slope * torch.log(far / NEAR)
-        change = command - previous
+        change = (command - previous) / dt
         return error + self.effort * (command * command).sum(0) + self.rate * (change * change).sum(0)
 
 
@@ -130,13 +131,14 @@ class ClosedLoop:
         """
         command, integrals, correction, hidden = self.act(network, carried, outside)
         t = simulate(carried.state, command, sample, parameters, self.parts)
-        loss = self.loss.of(t.squared_error, parameters[17], command, carried.state[8:10])
+        dt = self.parts.substeps * parameters[0]
+        loss = self.loss.of(t.squared_error, parameters[17], command, carried.state[8:10], dt)
         if self.loss.estimate is not None:
-            truth = self._truth(carried.state, sample, parameters).detach()
+            truth = self.truth(carried.state, sample, parameters).detach()
             loss = loss + self.loss.estimate * (network.get_submodule("estimator")(hidden).T - truth).square().mean(0)
         return Carried(t.state, t.observation, integrals, correction, hidden), loss, t.squared_error
 
-    def _truth(self, state: Tensor, sample: Tensor, parameters: Tensor) -> Tensor:
+    def truth(self, state: Tensor, sample: Tensor, parameters: Tensor) -> Tensor:
         """Return what an agent would like to know, in units of order one, shape (TRUTHS, N).
 
         Position error, sway velocity and current along the body axes; loads; actuator forces.

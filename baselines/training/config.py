@@ -74,7 +74,7 @@ class Config:
         """
         if self.expert == NO_EXPERT:
             return Zero()
-        if is_path(self.expert):
+        if not isinstance(self.expert, str) or is_path(self.expert):
             raise ValueError(
                 f"expert is {self.expert!r}; an agent's expert must be a policy's name, since paths run code"
             )

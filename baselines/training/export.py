@@ -32,7 +32,10 @@ def exported(policy: Any, config: Config) -> Agent:
     linear = [layer for layer in chain if isinstance(layer, nn.Linear)]
     between = {_ACTIVATIONS.get(type(layer)) for layer in chain if not isinstance(layer, nn.Linear)} or {"tanh"}
     if len(between) != 1 or None in between or len(chain) != 2 * len(linear) - 1:
-        raise ValueError(f"the actor {policy} is no chain of linear layers with tanh or ReLU between them")
+        raise ValueError(
+            "the actor is no chain of linear layers with tanh or ReLU between them, which is all that an agent can be; "
+            "with use_sde set clip_mean to 0 in policy_kwargs"
+        )
     sizes = tuple(layer.out_features for layer in linear[:-1])
     network = Mlp(linear[0].in_features, sizes, str(between.pop()), bound)
     weights: dict[str, NDArray[Any]] = {}

@@ -107,7 +107,7 @@ def name_of(word: str) -> str:
 def _split(word: str) -> tuple[str, float]:
     """Return name and weight of NAME or NAME:WEIGHT."""
     name, colon, text = word.rpartition(":")
-    if not colon:
+    if not colon or word.endswith((".toml", ".json")):
         return word, 1.0
     try:
         weight = float(text)

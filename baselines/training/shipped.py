@@ -19,15 +19,23 @@ from baselines.user_policies import AGENTS
 
 PROGRAM = "python -m baselines.training.shipped"
 
-SHIPPED: Mapping[str, tuple[str, str]] = {
-    "apg-cruise": ("apg", "cruise"),
-    "apg-slow": ("apg", "slow"),
-    "ppo-cruise": ("ppo", "cruise"),
-    "ppo-slow": ("ppo", "slow"),
-    "sac-cruise": ("sac", "cruise"),
-    "td3-cruise": ("td3", "cruise"),
+
+@dataclass(frozen=True)
+class Shipped:
+    """How an agent was trained; everything else is train.py's default."""
+
+    algo: str
+    scenario: str
+    authority: tuple[float, ...] = ()
+
+
+SHIPPED: Mapping[str, Shipped] = {
+    "apg-cruise": Shipped("apg", "cruise"),
+    "apg-slow": Shipped("apg", "slow"),
+    "ppo-cruise": Shipped("ppo", "cruise"),
+    "ppo-slow": Shipped("ppo", "slow", (0.6, 1.0)),
 }
-"""Algorithm and scenario of each agent, by name; everything else is train.py's default."""
+"""The agents that ship with the package, by name."""
 
 
 @dataclass(frozen=True)
@@ -78,10 +86,21 @@ def shipped_request(name: str, out: Path, timesteps: int | None = None) -> Reque
     Raises:
         UsageError: the folder holds something else.
     """
-    algo, scenario = SHIPPED[name]
-    more = "" if timesteps is None else f" --timesteps {timesteps}"
-    command = f"python train.py --algo {algo} --scenario {scenario}{more}"
-    return Request.of(algo, (scenario,), timesteps=timesteps, out=out / name, resume=True, command=command)
+    agent = SHIPPED[name]
+    command = f"python train.py --algo {agent.algo} --scenario {agent.scenario}"
+    if agent.authority:
+        command += f" --authority {' '.join(map(str, agent.authority))}"
+    if timesteps is not None:
+        command += f" --timesteps {timesteps}"
+    return Request.of(
+        agent.algo,
+        (agent.scenario,),
+        authority=agent.authority,
+        timesteps=timesteps,
+        out=out / name,
+        resume=True,
+        command=command,
+    )
 
 
 if __name__ == "__main__":

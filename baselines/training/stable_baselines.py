@@ -15,7 +15,7 @@ from sb3_contrib import TQC
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
-from stable_baselines3.common.noise import ActionNoise, NormalActionNoise
+from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecMonitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvWrapper
@@ -24,6 +24,7 @@ from auv_gym.residual import VectorResidualAction
 from baselines.agent import Agent
 from baselines.training.callbacks import FrozenActor, ZeroCorrection
 from baselines.training.config import Config
+from baselines.training.export import exported
 from baselines.training.run import Run, TrainingError
 from baselines.training.sb3 import SB3VecEnv
 from baselines.training.snapshot import restore
@@ -41,12 +42,16 @@ WRAPPERS: Mapping[str, type[VecEnvWrapper]] = {
     f"{cls.__module__}.{cls.__name__}": cls for cls in (VecErrorCost, VecFeatures)
 }
 _OURS = {"self", "policy", "env", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model"}
+NOISES: Mapping[str, Callable[[Any, Any], ActionNoise]] = {
+    "normal": NormalActionNoise,
+    "ornstein-uhlenbeck": OrnsteinUhlenbeckActionNoise,
+}
 _SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf")
 
 
 def check(config: Config) -> None:
     """Raise ValueError if a configuration cannot be trained."""
-    make_model(config)
+    exported(make_model(config).policy, config)
     _callbacks(config.hyperparameters.get("callback", []))
 
 
@@ -148,9 +153,10 @@ def _noise(values: dict[str, Any]) -> ActionNoise | None:
     kind, std = values.pop("noise_type", None), values.pop("noise_std", 0.0)
     if kind is None:
         return None
-    if kind != "normal" or isinstance(std, bool) or not isinstance(std, (int, float)) or not std >= 0:
-        raise ValueError(f"noise is {kind!r} of noise_std {std!r}; it must be normal, of a number of at least 0")
-    return NormalActionNoise(np.zeros(2), np.full(2, float(std)))
+    if kind not in NOISES or isinstance(std, bool) or not isinstance(std, (int, float)) or not std >= 0:
+        kinds = " or ".join(NOISES)
+        raise ValueError(f"noise is {kind!r} of noise_std {std!r}; it must be {kinds}, of a number of at least 0")
+    return NOISES[kind](np.zeros(2), np.full(2, float(std)))
 
 
 def _callbacks(entries: Any) -> list[BaseCallback]:

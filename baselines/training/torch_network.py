@@ -10,6 +10,9 @@ from torch import Tensor, nn
 from baselines.networks import ACTIONS, Gru
 from baselines.training.closed_loop import TRUTHS
 
+LONGEST_MEMORY = 200.0
+"""Control steps that the slowest units of an untrained network remember."""
+
 
 class TorchGru(nn.Module):
     """A tanh layer, gated recurrent units, a tanh layer and a linear head whose weights begin at zero.
@@ -27,6 +30,12 @@ class TorchGru(nn.Module):
         self.estimator = nn.Linear(sizes.hidden, TRUTHS)  # used in training alone
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)
+        with (
+            torch.no_grad()
+        ):  # forgets over 1 ... LONGEST_MEMORY steps (Tallec and Ollivier 2018, "chrono initialisation")
+            self.gru.bias_hh[sizes.hidden : 2 * sizes.hidden] = (
+                torch.empty(sizes.hidden).uniform_(1, LONGEST_MEMORY).log()
+            )
 
     def forward(self, x: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor]:
         """Return actions in [-1, 1], shape (N, ACTIONS), and the hidden state (N, hidden), for inputs (N, inputs)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -34,6 +35,7 @@ class Tracker(BaseCallback):
         self._agent: Agent | None = state["agent"] if state else None
         self._best: float = state["best"] if state else -math.inf
         self._validated: int = state["timesteps"] if state else -1
+        self._noise = copy.deepcopy(state["attributes"].get("action_noise")) if state else None
 
     @property
     def agent(self) -> Agent:
@@ -47,6 +49,9 @@ class Tracker(BaseCallback):
     def _on_training_start(self) -> None:
         if self._validated < 0:
             self._validate()
+        elif self._noise is not None:  # the model has just begun it anew
+            model: Any = self.model
+            model.action_noise = self._noise
 
     def _on_rollout_start(self) -> None:
         every = self.run.config.timesteps / VALIDATIONS
