@@ -49,7 +49,7 @@ def solved(problem: OptimalControl, plan: Plan, ahead: Horizon, steps: Integers)
 
 
 def improved(problem: OptimalControl, plan: Plan, ahead: Horizon) -> tuple[Plan, Array]:
-    """Return the plan after one Gauss-Newton step, or a part of it where the whole would raise the cost; its promise."""
+    """Return the plan after one Gauss-Newton step, or a part of one where the whole raises the cost; its promise."""
     policy, best = descent(problem, plan, ahead), plan
     few = np.arange(len(plan.cost))
     for length in LENGTHS:
