@@ -31,7 +31,7 @@ from baselines.optimal_control import (
 LENGTHS = (1.0, 0.3, 0.05)
 """Parts of a step that are tried until one lowers the cost; where none does, the commands stay as they are."""
 TOLERANCE, NEGLIGIBLE = 0.2, 1e-6
-"""Steps go on while they lower the cost by more than this share, and by more than this share of so much [m^2 s]."""
+"""Steps go on while they break their promise by more than this share of the cost, and of so much [m^2 s]."""
 
 
 def solved(problem: OptimalControl, plan: Plan, ahead: Horizon, steps: Integers) -> Plan:
@@ -39,17 +39,17 @@ def solved(problem: OptimalControl, plan: Plan, ahead: Horizon, steps: Integers)
     few = (steps > 0).nonzero()[0]
     for i in range(int(steps.max(initial=0))):
         before = taken(plan, few)
-        after = improved(problem, before, taken(ahead, few))
+        after, promise = improved(problem, before, taken(ahead, few))
         plan = replaced(plan, few, after)
-        gained = before.cost - after.cost > TOLERANCE * (before.cost + NEGLIGIBLE)
-        few = few[gained & (i + 1 < steps[few])]
+        broken = np.abs(before.cost - after.cost - promise) > TOLERANCE * (after.cost + NEGLIGIBLE)
+        few = few[broken & (i + 1 < steps[few])]
         if not few.size:
             break
     return plan
 
 
-def improved(problem: OptimalControl, plan: Plan, ahead: Horizon) -> Plan:
-    """Return the plan after one Gauss-Newton step, or a part of it where the whole would raise the cost."""
+def improved(problem: OptimalControl, plan: Plan, ahead: Horizon) -> tuple[Plan, Array]:
+    """Return the plan after one Gauss-Newton step, or a part of one where the whole raises the cost; its promise."""
     policy, best = descent(problem, plan, ahead), plan
     few = np.arange(len(plan.cost))
     for length in LENGTHS:
@@ -60,7 +60,7 @@ def improved(problem: OptimalControl, plan: Plan, ahead: Horizon) -> Plan:
         few = few[~better]
         if not few.size:
             break
-    return best
+    return best, policy.promise
 
 
 def descent(problem: OptimalControl, plan: Plan, ahead: Horizon) -> Policy:
@@ -75,7 +75,7 @@ def descent(problem: OptimalControl, plan: Plan, ahead: Horizon) -> Policy:
     duration = ahead.dt[:, :, None, None]
     step, feedback = np.empty_like(plan.commands), np.empty((len(AB), COMMANDS, *plan.states.shape[1:]))
     V, p = np.zeros((*ahead.dt.shape[1:], STATES, STATES)), np.zeros((*ahead.dt.shape[1:], STATES))
-    side = 2 * problem.weights.sway**2 * ahead.dt
+    side, promise = 2 * problem.weights.sway**2 * ahead.dt, np.zeros(ahead.dt.shape[1])
     for k in reversed(range(len(AB))):
         V[:, 0, 0] += curvature[k]
         V[:, 1, 1] += curvature[k]
@@ -93,7 +93,8 @@ def descent(problem: OptimalControl, plan: Plan, ahead: Horizon) -> Policy:
         V = 0.5 * (V + V.transpose(0, 2, 1))
         p = q[:, :STATES] + (across @ c[:, :, None])[:, :, 0]
         step[k], feedback[k] = c.T, G.transpose(1, 2, 0)
-    return Policy(step, feedback)
+        promise -= ((q[:, STATES:] + 0.5 * (Q[:, STATES:, STATES:] @ c[:, :, None])[:, :, 0]) * c).sum(axis=1)
+    return Policy(step, feedback, promise)
 
 
 def _errors(problem: OptimalControl, plan: Plan, ahead: Horizon) -> tuple[Array, Array]:

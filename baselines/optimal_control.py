@@ -72,6 +72,7 @@ class Policy(NamedTuple):
 
     step: Array  # shape (K, COMMANDS, N)
     feedback: Array  # shape (K, COMMANDS, STATES, N)
+    promise: Array  # [m^2 s] how much lower the cost would be if all were linear, shape (N,)
 
 
 Rows = TypeVar("Rows", Horizon, Plan, Policy)

@@ -89,7 +89,7 @@ def test_optimum_is_that_of_casadi(limits, method):
     problem = OptimalControl(PAPER_VEHICLE, WEIGHTS)
     ours = guess = problem.planned(start, np.zeros((STAGES, COMMANDS, 6)), ahead)
     for _ in range(60):
-        ours = improved(problem, ours, ahead)
+        ours, _ = improved(problem, ours, ahead)
     theirs = CasadiSolver(problem, STAGES, method)(guess, ahead, np.full(6, 100))
     assert (theirs.cost < 0.9 * guess.cost).all()
     np.testing.assert_allclose(ours.cost, theirs.cost, rtol=1e-5)
@@ -109,7 +109,7 @@ def test_steps_lower_the_cost_and_stop_where_there_is_nothing_to_gain():
     np.testing.assert_array_equal(better.commands[..., 0], plan.commands[..., 0])
     assert (better.cost[1:] < plan.cost[1:]).all()
     for _ in range(60):
-        plan = improved(problem, plan, ahead)
+        plan, _ = improved(problem, plan, ahead)
     assert np.abs(descent(problem, plan, ahead).step).max() < 1.0
     np.testing.assert_allclose(problem.planned(start, plan.commands, ahead).cost, plan.cost)
 
@@ -154,7 +154,7 @@ def test_on_the_reference_in_calm_water_it_stays(speed, dt):
     velocity = np.stack(env.reference, axis=1)[:, 3:6]
     observation, _ = env.reset(seed=3, options={"initial_velocity": velocity})
     errors = run(policy, env, 120, observation)
-    assert errors.max() < 0.01 * speed
+    assert errors.max() < 0.03 * speed  # it has to find out that nothing is in the way
     assert errors[-20:].max() < 2e-3 * speed
 
 

@@ -9,6 +9,7 @@ import pytest
 import baselines
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.presets import CASES, PRESETS
+from auv_gym.task import SIZE
 from baselines import gain_files, tuning
 from baselines.command_line import DONE, UsageError
 from baselines.gain_files import load_gains
@@ -42,6 +43,19 @@ def test_objective_is_the_capped_tail_error_of_single_episodes():
     assert result.error_m == pytest.approx(np.mean(list(result.case_error_m.values())))
     assert result.effort == pytest.approx(np.mean(np.square(commands)), rel=1e-5)
     assert result.smoothness == pytest.approx(np.mean(np.square(np.diff(commands, axis=1))), rel=1e-5)
+
+
+def test_policies_with_and_without_a_preview_run_the_same_course():
+    class Looking:
+        preview = (1, 20)
+
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            assert observation.shape == (8, SIZE + 4)
+            return law.predict(observation)
+
+    course, law = Course("cruise", 8, TUNING_SEED), baselines.make_policy("backstepping")
+    course.steps = 12
+    assert course.run(Looking()) == course.run(law) == course.run(Looking())
 
 
 def test_lost_episodes_count_with_the_cap():
