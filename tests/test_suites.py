@@ -10,6 +10,7 @@ import pytest
 
 from auv_gym.paths import PATHS
 from auv_gym.presets import CASES
+from baselines.agent import Agent, regimes_of
 from baselines.command_line import UsageError
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.report import compare, pool, versions
@@ -17,6 +18,8 @@ from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Cell, drawn, run_all
 from baselines.evaluation.suites.__main__ import main
 from baselines.evaluation.suites.builder import FAMILIES, SUITES, build
+from baselines.features import FEATURES
+from baselines.networks import Gru
 
 NAMES = suites.list_suites()
 
@@ -192,3 +195,19 @@ def test_suites_command_as_a_process():
 def test_drawn_episodes_are_those_of_a_reset():
     scenario = suites.load("benchmark-v1").cells[0].scenario
     assert drawn(scenario, 2, 5).episodes[1] == drawn(scenario, 1, 6).episodes[0]
+
+
+def test_an_agent_of_one_regime_is_recorded_there(small, tmp_path, monkeypatch):
+    suite, agents = suites.load("small", small), tmp_path / "agents"
+    network = Gru(len(FEATURES), 2, 2, 2)
+    zeros = {name: np.zeros(shape, np.float32) for name, shape in network.shapes.items()}
+    Agent(network, zeros, "backstepping", (0.5, 0.5), ("cruise-storm",)).save(agents / "mine")
+    for module in ("baselines", "baselines.user_policies", "baselines.agent"):
+        monkeypatch.setattr(f"{module}.AGENTS", agents)
+    assert (regimes_of("mine"), regimes_of("ekf")) == (("cruise",), ("slow", "cruise"))
+    cells = [cell for cell in suite.cells if cell.scenario.name.startswith("cruise-")]
+    recorded.save(suite, run_all(("mine",), cells), versions(), tmp_path, regimes_of("mine"))
+    runs = recorded.load(suite, tmp_path).runs
+    assert [(run.policy, run.scenario.name) for run in runs] == [("mine", cell.scenario.name) for cell in cells]
+    with pytest.raises(ValueError, match="has no result in slow-"):
+        recorded.save(suite, runs, versions(), tmp_path)

@@ -37,6 +37,7 @@ class Variant:
     about: str  # one line for the results page
     algo: str
     regime: str
+    scenario: str | None = None  # what is trained on, as `train.py --scenario` takes it; None: the regime
     expert: str | None = None  # None: as the algorithm's file of hyper-parameters says, like the next
     authority: tuple[float, ...] = ()
     timesteps: int | None = None
@@ -59,10 +60,11 @@ class Variant:
         more += [f"--expert {self.expert}"] if self.expert else []
         more += [f"--authority {' '.join(map(str, self.authority))}"] if self.authority else []
         more += [f"--timesteps {self.timesteps}"] if self.timesteps else []
-        command = f"python train.py --algo {self.algo} --scenario {self.regime} {' '.join(more)}"
+        scenario = self.scenario or self.regime
+        command = f"python train.py --algo {self.algo} --scenario {scenario} {' '.join(more)}"
         return Request.of(
             self.algo,
-            (self.regime,),
+            (scenario,),
             self.expert,
             self.authority,
             seeds=self.seeds,
@@ -75,7 +77,27 @@ class Variant:
         )
 
 
-VARIANTS: Mapping[str, Variant] = {}
+VARIANTS: Mapping[str, Variant] = {
+    "apg-cruise": Variant("The expert corrected, with memory, by the analytic gradient.", "apg", "cruise", seeds=3),
+    "apg-slow": Variant(
+        "The expert corrected, with memory, by the analytic gradient.", "apg", "slow", authority=(0.6, 1.6), seeds=3
+    ),
+    "apg-adverse-cruise": Variant(
+        "The same, trained also where sensors, commands, actuators and current are not what they should be.",
+        "apg",
+        "cruise",
+        "cruise-adverse",
+        seeds=2,
+    ),
+    "apg-adverse-slow": Variant(
+        "The same, trained also where sensors, commands, actuators and current are not what they should be.",
+        "apg",
+        "slow",
+        "slow-adverse",
+        authority=(0.6, 1.6),
+        seeds=2,
+    ),
+}
 """The agents of the study, by name."""
 
 

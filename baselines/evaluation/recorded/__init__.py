@@ -2,7 +2,7 @@
 
 A file SUITE/POLICY.npz each, made by `python -m baselines.evaluation.suites record SUITE --policy POLICY ...`. It names
 the suite's hash and the fingerprint of the policy's files; where one of them is another now, its rows do not count. A
-slow policy may have run the first episodes of each cell only.
+slow policy may have run the first episodes of each cell only, and an agent the cells of its regime.
 """
 
 from __future__ import annotations
@@ -19,10 +19,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.presets import REGIMES
 from baselines import list_policies
 from baselines.evaluation.files import write_atomically
 from baselines.evaluation.metrics import Measures
-from baselines.evaluation.runner import Recorded, Run
+from baselines.evaluation.runner import Cell, Recorded, Run
+from baselines.evaluation.score import regime_of
 from baselines.evaluation.suites import Suite
 from baselines.user_policies import fingerprint
 
@@ -72,7 +74,7 @@ def _read(file: Path) -> tuple[dict[str, Any], NDArray[np.float32]]:
 def _runs(record: Mapping[str, Any], rows: NDArray[np.float32], suite: Suite) -> list[Run]:
     bounds = np.cumsum([0, *record["episodes"]]).tolist()
     when, runs = Recorded(record["date"], record["versions"]), []
-    for i, cell in enumerate(suite.cells):
+    for i, cell in enumerate(_cells(suite, record.get("regimes", REGIMES))):
         *values, lost = rows[:, bounds[i] : bounds[i + 1]].astype(np.float64)
         measures: Any = (*values, lost > 0)
         run = Run(record["policy"], cell.scenario, cell.hash, Measures(*measures), recorded=when)
@@ -81,16 +83,28 @@ def _runs(record: Mapping[str, Any], rows: NDArray[np.float32], suite: Suite) ->
     return runs
 
 
-def save(suite: Suite, runs: Sequence[Run], versions: Mapping[str, str], folder: Path = FOLDER) -> None:
-    """Write the file of one policy's runs, one in each cell of a suite.
+def _cells(suite: Suite, regimes: Sequence[str]) -> list[Cell]:
+    """Return a suite's cells in these regimes."""
+    return [cell for cell in suite.cells if regime_of(cell.scenario.name) in regimes]
+
+
+def save(
+    suite: Suite,
+    runs: Sequence[Run],
+    versions: Mapping[str, str],
+    folder: Path = FOLDER,
+    regimes: Sequence[str] = REGIMES,
+) -> None:
+    """Write the file of one policy's runs, one in each cell of a suite, or of some of its regimes.
 
     Raises:
         ValueError: a run failed, or is missing.
     """
     policy, own = runs[0].policy, {run.scenario.name: run for run in runs if run.measures is not None}
-    if missing := [cell.scenario.name for cell in suite.cells if cell.scenario.name not in own]:
+    names = [cell.scenario.name for cell in _cells(suite, regimes)]
+    if missing := [name for name in names if name not in own]:
         raise ValueError(f"{policy} has no result in {', '.join(missing)}")
-    ordered = [own[cell.scenario.name] for cell in suite.cells]
+    ordered = [own[name] for name in names]
     parts = [run.measures for run in ordered if run.measures is not None]
     measures = Measures.joined(parts)
     record = {
@@ -100,6 +114,7 @@ def save(suite: Suite, runs: Sequence[Run], versions: Mapping[str, str], folder:
         "fingerprint": runs[0].fingerprint,
         "date": datetime.now(timezone.utc).date().isoformat(),
         "versions": dict(versions),
+        "regimes": list(regimes),
         "episodes": [len(part) for part in parts],
         "seconds": [run.seconds for run in ordered],
         "decision_seconds": [run.decision_seconds for run in ordered],

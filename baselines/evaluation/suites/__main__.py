@@ -10,11 +10,13 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from baselines import list_policies
+from baselines.agent import regimes_of
 from baselines.command_line import DONE, FAILED, UsageError, parse, run
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.progress import progress
 from baselines.evaluation.report import versions
 from baselines.evaluation.runner import STEP_LIMIT, Cell, run_all
+from baselines.evaluation.score import regime_of
 from baselines.evaluation.suites.builder import SUITES, build
 from baselines.workers import Workers
 
@@ -78,12 +80,14 @@ def _record(suite: suites.Suite, options: Options) -> int:
     cells = tuple(Cell(cell.scenario, cell.episodes[: options.episodes]) for cell in suite.cells)
     failed = False
     for policy in policies:
-        steps = sum(len(cell.episodes) * cell.scenario.steps for cell in cells)
-        with progress(len(cells), steps) as report:
+        regimes = regimes_of(policy)
+        own = [cell for cell in cells if regime_of(cell.scenario.name) in regimes]
+        steps = sum(len(cell.episodes) * cell.scenario.steps for cell in own)
+        with progress(len(own), steps) as report:
             note = report.board.note
-            runs = run_all((policy,), cells, Workers(options.jobs), report.run, note, options.step_limit)
+            runs = run_all((policy,), own, Workers(options.jobs), report.run, note, options.step_limit)
         try:
-            recorded.save(suite, runs, versions())
+            recorded.save(suite, runs, versions(), regimes=regimes)
         except ValueError as error:
             reasons = dict.fromkeys(run.error for run in runs if run.error)
             print(f"{PROGRAM}: {error}: {'; '.join(map(str, reasons))}", file=sys.stderr)
