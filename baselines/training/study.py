@@ -80,14 +80,14 @@ class Variant:
 VARIANTS: Mapping[str, Variant] = {
     "apg-cruise": Variant("The expert corrected, with memory, by the analytic gradient.", "apg", "cruise", seeds=3),
     "apg-slow": Variant(
-        "The expert corrected, with memory, by the analytic gradient.", "apg", "slow", authority=(0.6, 1.6), seeds=3
+        "The expert corrected, with memory, by the analytic gradient.", "apg", "slow", authority=(0.6, 1.6), seeds=2
     ),
     "apg-adverse-cruise": Variant(
         "The same, trained also where sensors, commands, actuators and current are not what they should be.",
         "apg",
         "cruise",
         "cruise-adverse",
-        seeds=2,
+        seeds=1,
     ),
     "apg-adverse-slow": Variant(
         "The same, trained also where sensors, commands, actuators and current are not what they should be.",
@@ -95,7 +95,7 @@ VARIANTS: Mapping[str, Variant] = {
         "slow",
         "slow-adverse",
         authority=(0.6, 1.6),
-        seeds=2,
+        seeds=1,
     ),
 }
 """The agents of the study, by name."""
