@@ -47,10 +47,10 @@ class Settings:
     final_learning_rate: float = 1e-4  # ... falling to this along a cosine
     max_grad_norm: float = 1.0
     hidden_size: int = 64  # of each layer of the network
-    effort_weight: float = 0.015  # see `closed_loop.Loss`
-    rate_weight: float = 0.02  # [s^2] likewise
-    estimate_weight: float = 0.2  # likewise
-    ramp: float = 0.6  # share of the run over which effort's and rate's weight grow from a tenth
+    effort_weight: float = 0.005  # see `closed_loop.Loss`
+    rate_weight: float = 0.015  # [s^2] likewise
+    estimate_weight: float = 0.3  # likewise
+    ramp: float = 0.4  # share of the run over which effort's and rate's weight grow from a tenth
     compiled: bool = True  # whether torch compiles the step, which takes a minute once
 
     def __post_init__(self) -> None:

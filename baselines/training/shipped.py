@@ -31,7 +31,7 @@ class Shipped:
 
 SHIPPED: Mapping[str, Shipped] = {
     "apg-cruise": Shipped("apg", "cruise"),
-    "apg-slow": Shipped("apg", "slow"),
+    "apg-slow": Shipped("apg", "slow", (0.6, 1.6)),
     "ppo-cruise": Shipped("ppo", "cruise"),
     "ppo-slow": Shipped("ppo", "slow", (0.6, 1.0)),
 }
