@@ -30,12 +30,10 @@ class TorchGru(nn.Module):
         self.estimator = nn.Linear(sizes.hidden, TRUTHS)  # used in training alone
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)
-        with (
-            torch.no_grad()
-        ):  # forgets over 1 ... LONGEST_MEMORY steps (Tallec and Ollivier 2018, "chrono initialisation")
-            self.gru.bias_hh[sizes.hidden : 2 * sizes.hidden] = (
-                torch.empty(sizes.hidden).uniform_(1, LONGEST_MEMORY).log()
-            )
+        # Forgets over 1 ... LONGEST_MEMORY steps: "chrono initialisation" (Tallec and Ollivier 2018).
+        with torch.no_grad():
+            times = torch.empty(sizes.hidden).uniform_(1, LONGEST_MEMORY)
+            self.gru.bias_hh[sizes.hidden : 2 * sizes.hidden] = times.log()
 
     def forward(self, x: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor]:
         """Return actions in [-1, 1], shape (N, ACTIONS), and the hidden state (N, hidden), for inputs (N, inputs)."""
