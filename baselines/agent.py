@@ -66,7 +66,7 @@ class Agent:
     authority: tuple[float, float]  # largest correction of surge and yaw, fractions of the limits
     scenarios: tuple[str, ...] = ()  # names of what it was trained on
     training: Mapping[str, Any] = field(default_factory=dict)  # command, configuration, versions, scores: plain JSON
-    region: tuple[float, ...] | None = None  # largest errors in its validation episodes, see `residual_policy.trust`
+    region: tuple[float, ...] | None = None  # of the errors in its validation episodes, see `residual_policy.trust`
 
     def __post_init__(self) -> None:
         if self.network.inputs != len(FEATURES):
