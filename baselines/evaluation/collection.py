@@ -14,8 +14,9 @@ from baselines.evaluation.suites import Suite
 
 SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1")
 """The suites of the results page."""
-TOLERANCE = 1e-3
-"""Mean tail error [m] by which another policy may be better than the oracle in a case."""
+TOLERANCE = {"benchmark-v1": 1e-3, "ood-v1": 1e-2, "unmodelled-v1": 1e-2}
+"""Mean tail error [m] by which another policy may be better than the oracle in a case, by suite: where a current is
+nearly as fast as the path, the oracle's plan through the water turns sharply, and a few episodes settle late."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class Results:
     pooled: list[Pooled]
     scores: dict[str, dict[str, Score]]  # of each policy in each case alone, by policy, by case
     tails: dict[str, dict[str, float]]  # [m] mean tail error, likewise
+    gains: dict[str, dict[str, float]]  # [m] by how much that is smaller than the oracle's in the same episodes
 
     @classmethod
     def of(cls, suite: Suite, runs: Sequence[Run]) -> Results:
@@ -34,12 +36,14 @@ class Results:
         cases = measures_of(runs)
         scores: dict[str, dict[str, Score]] = {}
         tails: dict[str, dict[str, float]] = {}
+        gains: dict[str, dict[str, float]] = {}
         for run_ in runs:
             policy, name = run_.policy, run_.scenario.name
             three = paired(*(cases[name][key] for key in (EXPERT, policy, ORACLE)))
             scores.setdefault(policy, {})[name] = score(*([m.tail] for m in three))
             tails.setdefault(policy, {})[name] = float(cases[name][policy].tail.mean())
-        return cls(suite, tuple(runs), pool(runs), scores, tails)
+            gains.setdefault(policy, {})[name] = float((three[2].tail - three[1].tail).mean())
+        return cls(suite, tuple(runs), pool(runs), scores, tails, gains)
 
     @property
     def policies(self) -> list[str]:
@@ -54,8 +58,7 @@ class Results:
 
 def better_than_oracle(results: Results) -> list[tuple[str, str, float]]:
     """Return case, policy and by how much [m] its mean tail error is smaller than the oracle's, wherever it is."""
-    pairs = [(case, policy) for policy, cases in results.tails.items() for case in cases]
-    gains = [(case, policy, results.tails[ORACLE][case] - results.tails[policy][case]) for case, policy in pairs]
+    gains = [(case, policy, gain) for policy, cases in results.gains.items() for case, gain in cases.items()]
     return [found for found in gains if found[2] > 0]
 
 

@@ -51,7 +51,7 @@ def main(arguments: Sequence[str]) -> int:
             continue
         found.append(results)
         for case, policy, gain in better_than_oracle(results):
-            if gain > TOLERANCE:
+            if gain > TOLERANCE[name]:
                 print(f"{PROGRAM}: {policy} is better than the oracle in {case} by {gain:.3g} m", file=sys.stderr)
                 failed = True
     try:
