@@ -83,14 +83,14 @@ VARIANTS: Mapping[str, Variant] = {
         "The expert corrected, with memory, by the analytic gradient.", "apg", "slow", authority=(0.6, 1.6), seeds=2
     ),
     "apg-adverse-cruise": Variant(
-        "The same, trained also where sensors, commands, actuators and current are not what they should be.",
+        "As `apg-cruise`, trained also where sensors, commands, actuators and current are not as told.",
         "apg",
         "cruise",
         "cruise-adverse",
         seeds=1,
     ),
     "apg-adverse-slow": Variant(
-        "The same, trained also where sensors, commands, actuators and current are not what they should be.",
+        "As `apg-slow`, trained also where sensors, commands, actuators and current are not as told.",
         "apg",
         "slow",
         "slow-adverse",
