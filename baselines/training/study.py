@@ -79,6 +79,15 @@ class Variant:
 
 VARIANTS: Mapping[str, Variant] = {
     "apg-cruise": Variant("The expert corrected, with memory, by the analytic gradient.", "apg", "cruise", seeds=3),
+    "apg-scratch-cruise": Variant(
+        "As `apg-cruise`, without an expert: the network commands alone.",
+        "apg",
+        "cruise",
+        expert="none",
+        authority=(1.0, 1.0),
+        seeds=2,
+        suites=("benchmark-v1",),
+    ),
     "apg-slow": Variant(
         "The expert corrected, with memory, by the analytic gradient.", "apg", "slow", authority=(0.6, 1.6), seeds=2
     ),
