@@ -42,7 +42,8 @@ INTRODUCTION = f"""## Learned agents, several seeds
 Each row is one way of training, repeated with several seeds; `python -m baselines.training.study` makes it. *score* and
 its interval are over training seeds and episodes; *lead* is the score's distance to `{RIVAL}`, the strongest controller
 that does not learn, with an interval of the same kind; *lost* adds up all seeds' episodes; *effort* and *rate* are
-relative to the expert's; *minutes* is the wall time of a training on a busy machine, *steps* its control steps."""
+relative to the expert's; *minutes* is the wall time of a training, two at a time on a machine that was more or less
+busy with other work, so that only steps compare; *steps* are control steps."""
 NAMES = ("agent", "seeds", "score", "95 %", f"lead over {RIVAL}", "95 %", "capped", "lost", "effort", "rate", "ms")
 
 
