@@ -113,6 +113,11 @@ Outcome: TypeAlias = tuple[Number, Number, Number, Number]
 """Reward; whether the vehicle is lost; squared position error [m^2]; whether an actuator was commanded to its limit."""
 
 
+def rows_of(plant: Plant) -> Plant:
+    """Return all numbers of a plant in a row, what sensors and commands remember last."""
+    return (*plant[:-1], *plant[-1])
+
+
 def start(state: State, sample: Sample, p: Parameters, ns: Namespace) -> tuple[Plant, Terms]:
     """Return the plant with its actuators at rest, and the first observation; the low-pass starts on its input."""
     zero = state[0] * 0.0

@@ -20,14 +20,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.presets import REGIMES
 from auv_gym.residual import Policy, checked_authority
 from auv_gym.task import TERMS
 from baselines.features import ERRORS, FEATURES
 from baselines.model_card import CURVE, model_card
 from baselines.networks import Network, Weights, check_weights, network_of, network_record
 from baselines.residual_policy import ResidualPolicy
-from baselines.user_policies import AGENTS, FADING, is_path, shipped_agents
+from baselines.user_policies import is_path
 from baselines.zero import NO_EXPERT, Zero
 
 FORMAT = 1
@@ -163,15 +162,6 @@ class Agent:
             )
         except ValueError as error:
             raise ValueError(f"agent {folder}: {error}") from error
-
-
-def regimes_of(policy: str) -> tuple[str, ...]:
-    """Return the regimes that a policy by name is made for: an agent's are those of its scenarios."""
-    name = policy.removesuffix(FADING)
-    if name not in shipped_agents():
-        return REGIMES
-    scenarios = Agent.load(AGENTS / name).scenarios
-    return tuple(regime for regime in REGIMES if any(s.startswith(f"{regime}-") for s in scenarios)) or REGIMES
 
 
 def _read(file: Path) -> bytes:

@@ -10,7 +10,7 @@ import pytest
 
 from auv_gym.paths import PATHS
 from auv_gym.presets import CASES
-from baselines.agent import Agent, regimes_of
+from baselines.agent import Agent
 from baselines.command_line import UsageError
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.report import compare, pool, versions
@@ -202,11 +202,11 @@ def test_an_agent_of_one_regime_is_recorded_there(small, tmp_path, monkeypatch):
     network = Gru(len(FEATURES), 2, 2, 2)
     zeros = {name: np.zeros(shape, np.float32) for name, shape in network.shapes.items()}
     Agent(network, zeros, "backstepping", (0.5, 0.5), ("cruise-storm",)).save(agents / "mine")
-    for module in ("baselines", "baselines.user_policies", "baselines.agent"):
+    for module in ("baselines", "baselines.user_policies", "baselines.evaluation.recorded"):
         monkeypatch.setattr(f"{module}.AGENTS", agents)
-    assert (regimes_of("mine"), regimes_of("ekf")) == (("cruise",), ("slow", "cruise"))
+    assert (recorded.regimes_of("mine"), recorded.regimes_of("ekf")) == (("cruise",), ("slow", "cruise"))
     cells = [cell for cell in suite.cells if cell.scenario.name.startswith("cruise-")]
-    recorded.save(suite, run_all(("mine",), cells), versions(), tmp_path, regimes_of("mine"))
+    recorded.save(suite, run_all(("mine",), cells), versions(), tmp_path, recorded.regimes_of("mine"))
     runs = recorded.load(suite, tmp_path).runs
     assert [(run.policy, run.scenario.name) for run in runs] == [("mine", cell.scenario.name) for cell in cells]
     with pytest.raises(ValueError, match="has no result in slow-"):

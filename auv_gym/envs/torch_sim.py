@@ -83,7 +83,7 @@ def simulate(state: Tensor, action: Tensor, sample: Tensor, parameters: Tensor, 
 
 
 def _packed(plant: Plant) -> Tensor:
-    return torch.stack((*plant[:-1], *plant[-1]))
+    return torch.stack(simulation.rows_of(plant))
 
 
 def _unpacked(state: Tensor) -> Plant:

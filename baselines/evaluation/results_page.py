@@ -56,7 +56,8 @@ def _all_or_names(policies: Sequence[str], results: Results) -> str:
     return "all" if len(policies) == len(results.policies) else ", ".join(policies)
 
 
-def _table(names: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def table(names: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a Markdown table, its first column to the left and the others to the right."""
     lines = [names, ["---", *("--:" for _ in names[1:])], *rows]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
@@ -65,7 +66,7 @@ def _regime(results: Results, regime: str) -> str:
     names = ("policy", "score", "95 %", "capped", "lost", "tail [m]", "p95 [m]", "worst 5 % [m]", "effort", "rate",
              "saturated", "ms", "episodes")  # fmt: skip
     rows = [_row(results, entry) for entry in results.pooled if entry.regime == regime]
-    return f"### {regime}\n\n{_table(names, rows)}"
+    return f"### {regime}\n\n{table(names, rows)}"
 
 
 def _row(results: Results, entry: Pooled) -> list[str]:
@@ -102,7 +103,7 @@ def _cases(results: Results, regimes: Sequence[str]) -> str:
             [f"`{policy}`", *(score_text(results.scores[policy].get(case), 2) for case in cases)]
             for policy in results.policies
         ]
-        parts.append(_table([regime, *(case.removeprefix(f"{regime}-") for case in cases)], rows))
+        parts.append(table([regime, *(case.removeprefix(f"{regime}-") for case in cases)], rows))
     return "\n\n".join(parts)
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from auv_gym.presets import REGIMES
 from baselines.evaluation.metrics import RESAMPLES, Array, Measures
@@ -74,7 +75,12 @@ def regime_of(scenario: str) -> str | None:
 def capped(m: Measures, regime: str | None) -> Array:
     """Return the tail RMSE [m], shape (M,), cut at `LARGEST_TAIL`: that of an episode that was lost."""
     cap = LARGEST_TAIL[regime] if regime else math.inf
-    return np.where(m.lost & math.isfinite(cap) | ~(m.tail < cap), cap, m.tail)
+    return np.where(beyond(m.tail, m.lost, cap), cap, m.tail)
+
+
+def beyond(tail: Array, lost: NDArray[np.bool_], cap: float) -> NDArray[np.bool_]:
+    """Return which episodes count with the cap [m] and no more: those that ended lost, or whose tail reaches it."""
+    return lost & math.isfinite(cap) | ~(tail < cap)
 
 
 def lost_share(m: Measures, regime: str | None) -> float:

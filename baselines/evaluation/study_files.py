@@ -18,7 +18,7 @@ from baselines.evaluation.files import write_atomically
 from baselines.evaluation.metrics import Array, Measures
 from baselines.evaluation.report import versions
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import LARGEST_TAIL
+from baselines.evaluation.score import LARGEST_TAIL, beyond
 
 FOLDER = Path(__file__).parent / "studies"
 SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1")
@@ -71,7 +71,7 @@ class InSuite:
         return sum(int(gone.sum()) for gone in self._gone(LARGEST_TAIL[regime]))
 
     def _gone(self, cap: float) -> list[NDArray[np.bool_]]:
-        return [lost | ~(tail < cap) for lost, tail in zip(self.lost, self.tails, strict=True)]
+        return [beyond(tail, lost, cap) for tail, lost in zip(self.tails, self.lost, strict=True)]
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from baselines.evaluation.collection import Results
 from baselines.evaluation.metrics import Array
+from baselines.evaluation.results_page import table
 from baselines.evaluation.score import EXPERT, ORACLE, interval_text, lead, score_text, seeds_score
 from baselines.evaluation.study_files import InSuite, Study
 from baselines.evaluation.style import COLOURS, REFERENCE, panels
@@ -32,7 +33,7 @@ def section(studies: Mapping[str, Study], found: Sequence[Results]) -> str:
                 if results.suite.name in study.suites
             ]
             if rows:
-                parts.append(f"On {results.suite.name}:\n\n{_table(rows)}")
+                parts.append(f"On {results.suite.name}:\n\n{table(NAMES, rows)}")
         parts.append("\n".join(_made(name, study) for name, study in own.items()))
     return "\n\n".join(parts)
 
@@ -47,17 +48,12 @@ busy with other work, so that only steps compare; *steps* are control steps."""
 NAMES = ("agent", "seeds", "score", "95 %", f"lead over {RIVAL}", "95 %", "capped", "lost", "effort", "rate", "ms")
 
 
-def _table(rows: Sequence[Sequence[str]]) -> str:
-    lines = [NAMES, ["---", *("--:" for _ in NAMES[1:])], *rows]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
-
-
 def _row(name: str, own: InSuite, results: Results, regime: str) -> list[str]:
-    expert, oracle = (_tails(results, policy, own, own.tails) for policy in (EXPERT, ORACLE))
+    expert, oracle = (_tails(results, policy, own) for policy in (EXPERT, ORACLE))
     score, capped = (seeds_score(expert, seeds, oracle) for seeds in (own.tails, own.capped(regime)))
     above = None
     if RIVAL in results.policies:
-        rival = _tails(results, RIVAL, own, own.tails)
+        rival = _tails(results, RIVAL, own)
         count = [len(tail) for tail in rival]  # it may have run fewer
         few = [[tail[..., :n] for tail, n in zip(kind, count, strict=True)] for kind in (expert, own.tails, oracle)]
         above = lead(few[0], rival, few[1], few[2])
@@ -79,10 +75,10 @@ def _row(name: str, own: InSuite, results: Results, regime: str) -> list[str]:
     ]
 
 
-def _tails(results: Results, policy: str, own: InSuite, like: Sequence[Array]) -> list[Array]:
+def _tails(results: Results, policy: str, own: InSuite) -> list[Array]:
     """Return a policy's tails in the cells that agents ran in, shape (M,) each."""
     by_case = {r.scenario.name: r.measures for r in results.runs if r.policy == policy and r.measures is not None}
-    return [by_case[cell].tail[: tail.shape[1]] for cell, tail in zip(own.cells, like, strict=True)]
+    return [by_case[cell].tail[: tail.shape[1]] for cell, tail in zip(own.cells, own.tails, strict=True)]
 
 
 def _made(name: str, study: Study) -> str:

@@ -65,7 +65,7 @@ class Fleet:
         plant, terms = simulation.start(tuple(beginning.states), host.sample[:, lanes], p, ARRAYS)
         where = torch.as_tensor(lanes)
         state, observation, integrals, correction, hidden = (x.clone() for x in carried)
-        state[:, where] = self._tensor(np.array([*plant[:-1], *plant[-1]]))
+        state[:, where] = self._tensor(np.array(simulation.rows_of(plant)))
         observation[:, where] = self._tensor(encode_rows(terms).T)
         integrals[:, where], correction[:, where], hidden[where] = 0.0, 0.0, 0.0
         self.parameters = self._tensor(host.constants)

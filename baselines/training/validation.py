@@ -25,7 +25,7 @@ from baselines.evaluation.files import json_text, write_atomically
 from baselines.evaluation.metrics import Array, tail_rmse
 from baselines.evaluation.rollout import PolicyError, rollout
 from baselines.evaluation.runner import Cell, drawn
-from baselines.evaluation.score import EXPERT, LARGEST_TAIL, ORACLE, capped, regime_of
+from baselines.evaluation.score import EXPERT, LARGEST_TAIL, ORACLE, beyond, capped, regime_of
 from baselines.evaluation.suites import load
 from baselines.features import ERRORS, scaled_errors
 
@@ -100,7 +100,7 @@ class Validation:
         tails = []
         for i, (cell, cap) in enumerate(zip(self.cells, self._caps, strict=True)):
             tail = tail_rmse(errors[: cell.scenario.steps, self._of == i])
-            tails.append(np.where(lost[self._of == i] | ~(tail < cap), cap, tail))
+            tails.append(np.where(beyond(tail, lost[self._of == i], cap), cap, tail))
         error = _mean(tails)
         return Verdict(
             self.score(error),

@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 
 from auv_gym.presets import REGIMES
 from baselines import list_policies
+from baselines.agent import Agent
 from baselines.evaluation.files import write_atomically
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.runner import Cell, Recorded, Run
 from baselines.evaluation.score import regime_of
 from baselines.evaluation.suites import Suite
-from baselines.user_policies import fingerprint
+from baselines.user_policies import AGENTS, FADING, fingerprint, shipped_agents
 
 FOLDER = Path(__file__).parent
 
@@ -81,6 +82,15 @@ def _runs(record: Mapping[str, Any], rows: NDArray[np.float32], suite: Suite) ->
         times = {name: record[name][i] for name in ("seconds", "decision_seconds")}
         runs.append(replace(run, fingerprint=record["fingerprint"], **times))
     return runs
+
+
+def regimes_of(policy: str) -> tuple[str, ...]:
+    """Return the regimes that a policy by name is made for: an agent's are those of its scenarios."""
+    name = policy.removesuffix(FADING)
+    if name not in shipped_agents():
+        return REGIMES
+    own = {regime_of(scenario) for scenario in Agent.load(AGENTS / name).scenarios}
+    return tuple(regime for regime in REGIMES if regime in own) or REGIMES
 
 
 def _cells(suite: Suite, regimes: Sequence[str]) -> list[Cell]:

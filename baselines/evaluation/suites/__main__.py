@@ -10,7 +10,6 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from baselines import list_policies
-from baselines.agent import regimes_of
 from baselines.command_line import DONE, FAILED, UsageError, parse, run
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.progress import progress
@@ -80,7 +79,7 @@ def _record(suite: suites.Suite, options: Options) -> int:
     cells = tuple(Cell(cell.scenario, cell.episodes[: options.episodes]) for cell in suite.cells)
     failed = False
     for policy in policies:
-        regimes = regimes_of(policy)
+        regimes = recorded.regimes_of(policy)
         own = [cell for cell in cells if regime_of(cell.scenario.name) in regimes]
         steps = sum(len(cell.episodes) * cell.scenario.steps for cell in own)
         with progress(len(own), steps) as report:
