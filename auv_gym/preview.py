@@ -34,6 +34,17 @@ def checked_preview(preview: Any) -> tuple[int, ...]:
     return tuple(map(int, periods))
 
 
+def joined_previews(*previews: Sequence[int]) -> tuple[int, ...]:
+    """Return the preview that holds the times of all of these."""
+    return tuple(sorted(set().union(*previews)))
+
+
+def preview_columns(periods: Sequence[int], preview: Sequence[int]) -> list[int]:
+    """Return which columns of a preview are those of some of its times."""
+    starts = [2 * preview.index(n) for n in periods]
+    return [column for start in starts for column in (start, start + 1)]
+
+
 def observation_bounds(preview: tuple[int, ...]) -> Array:
     """Return the bounds of an observation with a preview, shape (SIZE + 2 P,)."""
     return np.append(BOUNDS, np.full(2 * len(preview), L))

@@ -20,25 +20,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.records import from_record, to_record
 from auv_gym.residual import Policy, checked_authority
 from auv_gym.task import TERMS
-from baselines.features import ERRORS, FEATURES
+from baselines.features import ERRORS, STANDARD, Inputs
 from baselines.model_card import CURVE, model_card
 from baselines.networks import Network, Weights, check_weights, network_of, network_record
 from baselines.residual_policy import ResidualPolicy
 from baselines.user_policies import is_path
 from baselines.zero import NO_EXPERT, Zero
 
-FORMAT = 1
+FORMAT = 2
 """Version of the folder's layout."""
 WEIGHTS, RECORD, CARD = "weights.safetensors", "agent.json", "card.md"
 LARGEST_FILE = 2**26
 """Largest file [bytes] that is read."""
-FEATURE_LAYOUT = [[f.name, f.scale] for f in FEATURES]
 OBSERVATION_LAYOUT = [[t.name, t.scale] for t in TERMS]
 ENTRIES = (
     "format",
     "network",
+    "inputs",
     "features",
     "observation",
     "expert",
@@ -66,10 +67,11 @@ class Agent:
     scenarios: tuple[str, ...] = ()  # names of what it was trained on
     training: Mapping[str, Any] = field(default_factory=dict)  # command, configuration, versions, scores: plain JSON
     region: tuple[float, ...] | None = None  # of the errors in its validation episodes, see `residual_policy.trust`
+    inputs: Inputs = STANDARD
 
     def __post_init__(self) -> None:
-        if self.network.inputs != len(FEATURES):
-            raise ValueError(f"the network has {self.network.inputs} inputs; there are {len(FEATURES)} features")
+        if self.network.inputs != (features := len(self.inputs.features)):
+            raise ValueError(f"the network has {self.network.inputs} inputs; there are {features} features")
         if is_path(self.expert):
             raise ValueError(
                 f"expert is {self.expert!r}; an agent's expert must be a policy's name, since paths run code"
@@ -96,7 +98,8 @@ class Agent:
         from baselines import make_policy
 
         expert = Zero() if self.expert == NO_EXPERT else make_policy(self.expert)
-        return ResidualPolicy(expert, self.network, self.weights, self.authority, self.region if fade else None)
+        region = self.region if fade else None
+        return ResidualPolicy(expert, self.network, self.weights, self.authority, region, self.inputs)
 
     def save(self, folder: str | Path, curve: bytes | None = None) -> None:
         """Write the agent to a folder, in place of what is there; it appears complete or not at all.
@@ -127,7 +130,8 @@ class Agent:
         return {
             "format": FORMAT,
             "network": network_record(self.network),
-            "features": FEATURE_LAYOUT,
+            "inputs": to_record(self.inputs),
+            "features": feature_layout(self.inputs),
             "observation": OBSERVATION_LAYOUT,
             "expert": self.expert,
             "authority": list(self.authority),
@@ -159,9 +163,15 @@ class Agent:
                 tuple(record["scenarios"]),
                 record["training"],
                 record["region"],
+                from_record(Inputs, record["inputs"], "inputs"),
             )
         except ValueError as error:
             raise ValueError(f"agent {folder}: {error}") from error
+
+
+def feature_layout(inputs: Inputs) -> list[list[str]]:
+    """Return name and scale of each feature, as an agent's description holds them."""
+    return [[f.name, f.scale] for f in inputs.features]
 
 
 def _read(file: Path) -> bytes:
@@ -182,7 +192,8 @@ def _checked_record(data: bytes) -> dict[str, Any]:
         raise ValueError(f"{RECORD} must have the entries {', '.join(ENTRIES)}, and no others")
     if record["format"] != FORMAT:
         raise ValueError(f"its format is {record['format']!r}; this version reads {FORMAT}")
-    for name, layout in (("features", FEATURE_LAYOUT), ("observation", OBSERVATION_LAYOUT)):
+    features = feature_layout(from_record(Inputs, record["inputs"], "inputs"))
+    for name, layout in (("features", features), ("observation", OBSERVATION_LAYOUT)):
         if record[name] != layout:
             raise ValueError(f"it was trained on other {name} than this version has; train it again")
     if not isinstance(record["expert"], str) or not isinstance(record["training"], dict):

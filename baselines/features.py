@@ -7,10 +7,12 @@ a second and forces in units of the actuators' limits, so one policy can serve e
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from auv_gym.errors import to_body, to_world
 from auv_gym.namespaces import Namespace, Number
+from auv_gym.preview import checked_preview
 from baselines.backstepping import MIN_SPEED
 
 BOUND = 8.0
@@ -56,6 +58,7 @@ FEATURES = (
     Feature("F_r_max", "N m", "128 N m", "yaw torque that action 1 commands"),
     Feature("dt", "s", "0.125 s", "control period"),
 )
+_SUMS = slice(13, 17)  # the integrals among them
 ERRORS = 6
 """How many of the features, the first ones, are errors of the vehicle."""
 INTEGRALS = 4
@@ -73,35 +76,77 @@ def _per_speed(u_R: Number, v_R: Number, ns: Namespace) -> Any:
     return 1 / ns.sqrt(ns.clip(u_R * u_R + v_R * v_R, MIN_SPEED * MIN_SPEED, 1e6))
 
 
-def update(
-    o: Sequence[Number],
-    base: Iterable[Number],
-    correction: Iterable[Number],
-    integrals: Iterable[Number],
-    ns: Namespace,
-) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-    """Return the features, one row for each of `FEATURES`, and the integrals to hand in at the next control instant.
+@dataclass(frozen=True)
+class Inputs:
+    """Which features a network sees: `FEATURES`, and behind them those of a preview.
 
-    Args:
-        o: the terms of an observation in SI units, see `auv_gym.task.TERMS`.
-        base: the expert's action at this instant, surge and yaw.
-        correction: the policy's own action before this instant, surge and yaw; zero at an episode's start.
-        integrals: as the last call returned them, `INTEGRALS` rows; zero at an episode's start.
-        ns: the namespace of the numbers.
+    Raises:
+        ValueError: see `auv_gym.preview.checked_preview`; or `integrals` is no bool.
     """
-    u_R, v_R, r_R, F_uR, F_rR, c, s, F_u_max, F_r_max, a_u, a_r, dt = o[6:18]
-    x1, y1, x2, y2 = integrals
-    errors = scaled_errors(o, ns)
-    ahead, aside = errors[:2]
-    x, y = ns.clip(ahead, -FAR, FAR), ns.clip(aside, -FAR, FAR)
-    x, y = to_world(x, y, c, s)
-    x1, y1 = x1 + dt * (x - FAST * x1), y1 + dt * (y - FAST * y1)
-    x2, y2 = x2 + dt * (x - SLOW * x2), y2 + dt * (y - SLOW * y2)
-    fast_x, fast_y = to_body(x1, y1, c, s)
-    slow_x, slow_y = to_body(x2, y2, c, s)
-    rows = (
-        *errors, u_R, 4 * v_R * _per_speed(u_R, v_R, ns), 8 * r_R, F_uR / F_u_max, F_rR / F_r_max, *base,
-        0.25 * fast_x, 0.25 * fast_y, 0.1 * slow_x, 0.1 * slow_y,
-        *correction, a_u, a_r, F_u_max / 256, F_r_max / 128, 8 * dt,
-    )  # fmt: skip
-    return tuple(ns.clip(row, -BOUND, BOUND) for row in rows), (x1, y1, x2, y2)
+
+    preview: tuple[int, ...] = ()  # control periods ahead
+    integrals: bool = True  # whether the integrals of the position error are among them
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "preview", checked_preview(self.preview))
+        if not isinstance(self.integrals, bool):
+            raise ValueError(f"integrals is {self.integrals!r}; it must be true or false")
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """The features, one for each row of `update`."""
+        known = FEATURES if self.integrals else FEATURES[: _SUMS.start] + FEATURES[_SUMS.stop :]
+        return known + tuple(feature for periods in self.preview for feature in _ahead(periods))
+
+    def update(
+        self,
+        o: Sequence[Number],
+        ahead: Sequence[Number],
+        base: Iterable[Number],
+        correction: Iterable[Number],
+        integrals: Iterable[Number],
+        ns: Namespace,
+    ) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        """Return the features, one row for each, and the integrals to hand in at the next control instant.
+
+        Args:
+            o: the terms of an observation in SI units, see `auv_gym.task.TERMS`.
+            ahead: the columns of the preview [m], two for each of its times, see `auv_gym.preview.Preview`.
+            base: the expert's action at this instant, surge and yaw.
+            correction: the policy's own action before this instant, surge and yaw; zero at an episode's start.
+            integrals: as the last call returned them, `INTEGRALS` rows; zero at an episode's start.
+            ns: the namespace of the numbers.
+        """
+        u_R, v_R, r_R, F_uR, F_rR, c, s, F_u_max, F_r_max, a_u, a_r, dt = o[6:18]
+        x1, y1, x2, y2 = integrals
+        errors = scaled_errors(o, ns)
+        x, y = (ns.clip(e, -FAR, FAR) for e in errors[:2])
+        x, y = to_world(x, y, c, s)
+        x1, y1 = x1 + dt * (x - FAST * x1), y1 + dt * (y - FAST * y1)
+        x2, y2 = x2 + dt * (x - SLOW * x2), y2 + dt * (y - SLOW * y2)
+        fast_x, fast_y = to_body(x1, y1, c, s)
+        slow_x, slow_y = to_body(x2, y2, c, s)
+        per_U = _per_speed(u_R, v_R, ns)
+        sums = (0.25 * fast_x, 0.25 * fast_y, 0.1 * slow_x, 0.1 * slow_y) if self.integrals else ()
+        straight = (per_U / (periods * dt) for periods in self.preview)
+        later = zip(straight, ahead[::2], ahead[1::2], strict=True)
+        rows = (
+            *errors, u_R, 4 * v_R * per_U, 8 * r_R, F_uR / F_u_max, F_rR / F_r_max, *base, *sums,
+            *correction, a_u, a_r, F_u_max / 256, F_r_max / 128, 8 * dt,
+            *(row for k, X, Y in later for row in (4 * (X * k - 1), 4 * Y * k)),
+        )  # fmt: skip
+        return tuple(ns.clip(row, -BOUND, BOUND) for row in rows), (x1, y1, x2, y2)
+
+
+STANDARD = Inputs()
+"""What a network sees unless something else is asked for."""
+
+
+def _ahead(periods: int) -> tuple[Feature, Feature]:
+    """Return the features of one time of a preview."""
+    what = f"the reference's way in the coming {periods} control periods"
+    scale = f"0.25 U * {periods} dt"
+    return (
+        Feature(f"ahead_{periods}_x", "m", scale, f"{what} along the surge axis, less U * {periods} dt"),
+        Feature(f"ahead_{periods}_y", "m", scale, f"{what} along the sway axis"),
+    )

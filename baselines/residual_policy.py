@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.namespaces import ARRAYS
-from auv_gym.residual import Policy
-from auv_gym.task import decode_observation
-from baselines.features import INTEGRALS, scaled_errors, update
+from auv_gym.preview import joined_previews, preview_columns
+from auv_gym.residual import Policy, preview_of
+from auv_gym.task import SIZE, decode_observation
+from baselines.features import INTEGRALS, STANDARD, Inputs, scaled_errors
 from baselines.memory import Array, Memory, renewed
 from baselines.networks import Network, Weights
 
@@ -34,9 +35,13 @@ class ResidualPolicy:
         weights: Weights,
         authority: tuple[float, float],
         region: Sequence[float] | None = None,
+        inputs: Inputs = STANDARD,
     ) -> None:
         """Make the policy of checked weights; with a region, see `trust`, corrections fade outside of it."""
-        self.region = None if region is None else np.array(region)
+        self.region, self.inputs = None if region is None else np.array(region), inputs
+        self.preview = joined_previews(inputs.preview, preview_of(expert))
+        self._seen = preview_columns(inputs.preview, self.preview)
+        self._seen_by_expert = preview_columns(preview_of(expert), self.preview)
         self.expert, self.network, self.authority = expert, network, np.array(authority)
         self.weights = {name: np.asarray(w, dtype=np.float64) for name, w in weights.items()}
 
@@ -56,12 +61,19 @@ class ResidualPolicy:
         """
         rows = observation[None] if observation.ndim == 1 else observation
         o, n = decode_observation(rows), len(rows)
+        extra = rows[:, SIZE:]
+        if extra.shape[1] < 2 * len(self.preview):
+            raise ValueError(
+                f"the observation has {extra.shape[1]} columns behind its terms, the policy needs a preview of "
+                f"{2 * len(self.preview)}: make the environment with preview=policy.preview"
+            )
         fresh = np.zeros((n, INTEGRALS)), np.zeros((n, 2)), np.zeros((n, self.network.memory))
         integrals, correction, hidden = renewed(state and state[: self.OWN], fresh, episode_start)
         past: Memory | None = state[self.OWN :] if state else ()
-        action, past = self.expert.predict(observation, past or None, episode_start)
-        base = action.reshape(n, 2).astype(np.float64)
-        features, sums = update(o, base.T, correction.T, integrals.T, ARRAYS)
+        seen = np.hstack((rows[:, :SIZE], extra[:, self._seen_by_expert]))
+        action, past = self.expert.predict(seen, past or None, episode_start)
+        base = action.astype(np.float64)
+        features, sums = self.inputs.update(o, tuple(extra[:, self._seen].T), base.T, correction.T, integrals.T, ARRAYS)
         correction, hidden = self.network.forward(self.weights, np.array(features).T, hidden)
         if self.region is not None:
             correction *= trust(np.array(scaled_errors(o, ARRAYS)), self.region)[:, None]

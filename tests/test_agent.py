@@ -137,7 +137,7 @@ REFUSALS = {
     "missing": (lambda f: (save_file({"x": np.zeros(1)}, f / "weights.safetensors"), rehashed(f)), "differ from"),
     "not finite": (reweighted(**{"head.bias": np.array([0, np.nan], np.float32)}), "not finite"),
     "integers": (reweighted(**{"head.bias": np.zeros(2, np.int32)}), "not finite numbers"),
-    "format": (edited(format=2), "its format is 2"),
+    "format": (edited(format=1), "its format is 1"),
     "features": (edited(features=[["e_x", "1 m"]]), "other features"),
     "observation": (edited(observation=[]), "other observation"),
     "network kind": (edited(network={"kind": "lstm"}), "one of gru, mlp"),

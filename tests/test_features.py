@@ -10,7 +10,7 @@ from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.namespaces import ARRAYS, tensors
 from auv_gym.task import SIZE, Observation, decoded_terms
 from baselines.backstepping import Backstepping
-from baselines.features import BOUND, FAST, FEATURES, INTEGRALS, SLOW, update
+from baselines.features import BOUND, FAST, FEATURES, INTEGRALS, SLOW, Inputs
 
 NAMES = [feature.name for feature in FEATURES]
 
@@ -24,7 +24,7 @@ def observation(**changes):
 
 def features(o, integrals=None, base=(0.0, 0.0), correction=(0.0, 0.0)):
     sums = np.zeros((INTEGRALS, 1)) if integrals is None else integrals
-    rows, sums = update(o, np.reshape(base, (2, 1)), np.reshape(correction, (2, 1)), sums, ARRAYS)
+    rows, sums = Inputs().update(o, (), np.reshape(base, (2, 1)), np.reshape(correction, (2, 1)), sums, ARRAYS)
     return dict(zip(NAMES, np.array(rows)[:, 0].tolist(), strict=True)), sums
 
 
@@ -37,9 +37,9 @@ def test_numpy_equals_torch_along_an_episode():
     for _ in range(50):
         base, _ = law.predict(observation)
         o, base, correction = decoded_terms(observation), base.T.astype(float), rng.uniform(-1, 1, (2, 4))
-        rows, sums = update(o, base, correction, sums, ARRAYS)
-        inputs = (torch.tensor(np.array(x)) for x in (o, base, correction))
-        others, peer = update(*inputs, peer, tensors())
+        rows, sums = Inputs().update(o, (), base, correction, sums, ARRAYS)
+        here, *actions = (torch.tensor(np.array(x)) for x in (o, base, correction))
+        others, peer = Inputs().update(here, (), *actions, peer, tensors())
         np.testing.assert_allclose(torch.stack(others).numpy(), rows, rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(torch.stack(peer).numpy(), sums, rtol=1e-12, atol=1e-12)
         assert np.abs(rows).max() <= BOUND
@@ -83,3 +83,35 @@ def test_same_motion_at_another_speed_has_the_same_features():
     fast, _ = features(observation(e_x=1.0, e_y=-0.5, u_R=2.0, u_e=0.2))
     same = [name for name in NAMES if name != "u_R"]
     assert {n: slow[n] for n in same} == pytest.approx({n: fast[n] for n in same})
+
+
+def test_preview_shows_how_the_reference_bends_and_hurries():
+    """On a circle the way ahead is a chord: along it by the cosine, and aside by the sine, of half the turn."""
+    inputs, speed, rate = Inputs((2, 10)), 2.0, 0.3
+    turn = rate * 0.1 * np.array(inputs.preview)
+    chord = 2 * speed / rate * np.sin(turn / 2)
+    ahead = np.ravel([(c * np.cos(a / 2), c * np.sin(a / 2)) for c, a in zip(chord, turn, strict=True)])
+    rows, _ = inputs.update(observation(), list(ahead), (0.0, 0.0), (0.0, 0.0), np.zeros((INTEGRALS, 1)), ARRAYS)
+    got = dict(zip([f.name for f in inputs.features], [float(np.ravel(row)[0]) for row in rows], strict=True))
+    assert got["ahead_10_y"] == pytest.approx(4 * (1 - np.cos(turn[1])) / turn[1])
+    assert got["ahead_2_x"] == pytest.approx(4 * (np.sin(turn[0]) / turn[0] - 1))
+    assert len(rows) == len(inputs.features) == len(FEATURES) + 4
+
+
+def test_without_integrals_nothing_else_is_missing():
+    names = [f.name for f in Inputs(integrals=False).features]
+    assert names == [f.name for f in FEATURES if not f.name.startswith(("fast", "slow"))]
+    sums = np.ones((INTEGRALS, 1))
+    full, bare = (
+        Inputs(integrals=kept).update(observation(e_y=0.3), (), (0.1, 0.2), (0.3, 0.4), sums, ARRAYS)
+        for kept in (True, False)
+    )
+    kept = [float(np.ravel(x)[0]) for f, x in zip(FEATURES, full[0], strict=True) if f.name in names]
+    assert [float(np.ravel(x)[0]) for x in bare[0]] == kept
+    np.testing.assert_array_equal(full[1], bare[1])
+
+
+@pytest.mark.parametrize("entries", [{"preview": (5, 3)}, {"preview": (0,)}, {"integrals": 1}])
+def test_wrong_inputs_are_refused(entries):
+    with pytest.raises(ValueError, match=f"{next(iter(entries))} is"):
+        Inputs(**entries)

@@ -19,16 +19,19 @@ from torch import Tensor, nn
 
 from auv_gym.envs.torch_sim import can_compile
 from auv_gym.intervals import check_number
+from auv_gym.preview import encode_preview, joined_previews, preview_columns
 from auv_gym.records import from_record
+from auv_gym.residual import preview_of
+from auv_gym.task import decode_observation
 from baselines.agent import Agent
-from baselines.features import FEATURES
+from baselines.features import Inputs
 from baselines.memory import Memory
-from baselines.networks import Gru
+from baselines.networks import Gru, Mlp, Network
 from baselines.training.closed_loop import Carried, ClosedLoop, Loss, law_of
 from baselines.training.config import Config
 from baselines.training.fleet import Fleet
 from baselines.training.run import VALIDATIONS, Run, TrainingError
-from baselines.training.torch_network import TorchGru
+from baselines.training.torch_network import torch_network, weights_of
 
 logger = logging.getLogger(__name__)
 
@@ -51,6 +54,9 @@ class Settings:
     rate_weight: float = 0.008  # [s^2] likewise
     estimate_weight: float = 0.2  # likewise
     ramp: float = 0.6  # share of the run over which effort's and rate's weight grow from a tenth
+    memory: bool = True  # whether the network has recurrent units, else it is of two tanh layers
+    integrals: bool = True  # whether it sees the integrals of the position error
+    preview: tuple[int, ...] = ()  # where it sees the reference ahead, in control periods
     compiled: bool = True  # whether torch compiles the step, which takes a minute once
 
     def __post_init__(self) -> None:
@@ -62,14 +68,23 @@ class Settings:
             check_number(name, getattr(self, name), 1e-9, 1e6)
         for name in ("effort_weight", "rate_weight", "estimate_weight", "ramp"):
             check_number(name, getattr(self, name), 0, 1e6)
-        if not isinstance(self.compiled, bool):
-            raise ValueError(f"compiled is {self.compiled!r}; it must be true or false")
+        for name in ("memory", "compiled"):
+            if not isinstance(getattr(self, name), bool):
+                raise ValueError(f"{name} is {getattr(self, name)!r}; it must be true or false")
+        if self.estimate_weight and not self.memory:
+            raise ValueError("estimate_weight asks for an estimate of what lasts; without memory it must be 0")
         _ = self.network
 
     @property
-    def network(self) -> Gru:
+    def inputs(self) -> Inputs:
+        """What the network sees."""
+        return Inputs(self.preview, self.integrals)
+
+    @property
+    def network(self) -> Network:
         """The sizes of the network."""
-        return Gru(len(FEATURES), self.hidden_size, self.hidden_size, self.hidden_size)
+        inputs, size = len(self.inputs.features), self.hidden_size
+        return Gru(inputs, size, size, size) if self.memory else Mlp(inputs, (size, size), bound="tanh")
 
     def rate_at(self, progress: float) -> float:
         """Return the learning rate after a share `progress` of the run."""
@@ -85,10 +100,9 @@ def check(config: Config) -> Settings:
     """Return the settings of a configuration.
 
     Raises:
-        ValueError: a hyper-parameter is unknown or wrong, or the expert does not compute on tensors.
+        ValueError: a hyper-parameter is unknown or wrong.
     """
     settings = from_record(Settings, config.hyperparameters, "hyper-parameters of apg")
-    law_of(config.make_expert())
     config.lanes(settings.n_envs)
     shortest = min(scenario.steps for scenario, _ in config.scenarios)
     if settings.n_steps > shortest:
@@ -124,20 +138,23 @@ class Trainer:
         config, settings = run.config, self.settings
         self.total = max(1, math.ceil(config.timesteps / (settings.n_envs * settings.n_steps)))
         torch.manual_seed(config.seed)
-        self.network = TorchGru(settings.network)
+        self.network = torch_network(settings.network)
         self.optimizer = torch.optim.Adam(self.network.parameters(), lr=settings.learning_rate)
-        self.fleet = Fleet(config.lanes(settings.n_envs), config.episode_seed, settings.n_steps)
+        self._expert = config.make_expert()
+        preview = joined_previews(settings.preview, preview_of(self._expert))
+        self._seen = preview_columns(settings.preview, preview)
+        self._seen_by_expert = preview_columns(preview_of(self._expert), preview)
+        self.fleet = Fleet(config.lanes(settings.n_envs), config.episode_seed, settings.n_steps, preview)
         self.updates, self.skipped, self.score = 0, 0, -math.inf
-        self.best = self.network.weights()
+        self.best = weights_of(self.network)
         self._memory: Memory | None = None  # of an expert on NumPy
         if (state := run.load_checkpoint()) is None:
-            self.carried = self.fleet.reset(settings.hidden_size)
+            self.carried = self.fleet.reset(settings.network.memory)
         else:
             self._restore(state)
-        self._expert = config.make_expert()
         law, self._exact = law_of(self._expert)
         self._loss = Loss.weighted(settings.effort_weight, settings.rate_weight, settings.estimate_weight)
-        loop = ClosedLoop(law, torch.tensor(config.authority), self._loss, self.fleet.parts)
+        loop = ClosedLoop(law, torch.tensor(config.authority), self._loss, self.fleet.parts, settings.inputs)
         self._step = compiled(loop) if settings.compiled else loop.step
 
     @property
@@ -179,24 +196,27 @@ class Trainer:
         carried = Carried(*(x.detach().requires_grad_() for x in self.carried))  # as compiled, from the first step on
         loss, distance = torch.zeros(()), torch.zeros(())
         fresh, parameters = self.fleet.fresh, self.fleet.parameters
-        for sample in self.fleet.samples():
-            outside = () if self._exact else (self._act(carried.observation, fresh),)
-            carried, losses, squared_error = self._step(self.network, carried, sample, parameters, *outside)
+        for ahead, sample in zip(*self.fleet.window(), strict=True):
+            outside = () if self._exact else (self._act(carried.observation, ahead, fresh),)
+            seen = ahead[self._seen]
+            carried, losses, squared_error = self._step(self.network, carried, seen, sample, parameters, *outside)
             fresh = np.zeros_like(fresh)
             loss = loss + losses.mean()
             distance = distance + squared_error.detach().sqrt().mean()
         self.carried = self.fleet.renew(carried.detach(), squared_error.detach())
         return loss / self.settings.n_steps, float(distance) / self.settings.n_steps
 
-    def _act(self, observation: Tensor, fresh: NDArray[np.bool_]) -> Tensor:
+    def _act(self, observation: Tensor, ahead: Tensor, fresh: NDArray[np.bool_]) -> Tensor:
         """Return the action of an expert on NumPy, shape (ACTIONS, N)."""
         rows = observation.detach().numpy().T.astype(np.float64)
+        ways = ahead[self._seen_by_expert].numpy().astype(np.float64).reshape(-1, 2, len(rows))
+        rows = np.hstack((rows, encode_preview(ways, decode_observation(rows))))
         action, self._memory = self._expert.predict(rows, self._memory, fresh)
         return torch.from_numpy(np.ascontiguousarray(action.T))
 
     def validate(self) -> None:
         """Measure the agent on the validation episodes, keep the best, and save a checkpoint."""
-        weights = self.network.weights()
+        weights = weights_of(self.network)
         score = self.run.validate(self.agent(weights).policy(), self.timesteps)
         if score > self.score:
             self.score, self.best = score, weights
@@ -206,7 +226,9 @@ class Trainer:
         """Return the agent of these weights."""
         config = self.run.config
         names = tuple(scenario.name for scenario, _ in config.scenarios)
-        return Agent(self.settings.network, weights, config.expert, config.authority, names)
+        return Agent(
+            self.settings.network, weights, config.expert, config.authority, names, inputs=self.settings.inputs
+        )
 
     def _state(self) -> dict[str, Any]:
         return {

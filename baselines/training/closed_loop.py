@@ -13,13 +13,13 @@ from torch import Tensor, nn
 from auv_gym.envs.torch_sim import PLAIN, STATE, TENSORS, simulate
 from auv_gym.errors import to_body
 from auv_gym.namespaces import Namespace
+from auv_gym.preview import COS_PSI, SIN_PSI
 from auv_gym.residual import Policy
 from auv_gym.simulation import Parameters, Parts, current_at
-from auv_gym.task import SCALES, SIZE
-from baselines import features
-from baselines.backstepping import CRUISE_SPEED, MIN_SPEED, tracking_forces
+from auv_gym.task import SCALES, SIZE, L
+from baselines.backstepping import CRUISE_SPEED, MIN_SPEED, Backstepping, tracking_forces
 from baselines.ekf_law import EkfLaw
-from baselines.features import INTEGRALS
+from baselines.features import INTEGRALS, STANDARD, Inputs
 from baselines.gain_files import BySpeed
 from baselines.networks import ACTIONS
 from baselines.zero import Zero
@@ -100,9 +100,10 @@ class ClosedLoop:
     authority: Tensor  # shape (2,)
     loss: Loss
     parts: Parts = PLAIN  # of the simulation that are in use
+    inputs: Inputs = STANDARD  # of the network
 
     def act(
-        self, network: nn.Module, carried: Carried, outside: Tensor | None = None
+        self, network: nn.Module, carried: Carried, ahead: Tensor, outside: Tensor | None = None
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return the command, shape (ACTIONS, N), integrals, correction and hidden state; see `step`."""
         o = [x * k for x, k in zip(carried.observation.unbind(), DECODING, strict=True)]
@@ -110,7 +111,12 @@ class ClosedLoop:
         base = (F_u / o[13]).clamp(-1.0, 1.0), (F_r / o[14]).clamp(-1.0, 1.0)
         if outside is not None:  # the expert's value, the law's slope
             base = (outside[0] + (base[0] - base[0].detach()), outside[1] + (base[1] - base[1].detach()))
-        rows, integrals = features.update(o, base, carried.correction.unbind(), carried.integrals.unbind(), TENSORS)
+        rows = ahead.unbind()
+        ways = zip(rows[::2], rows[1::2], strict=True)
+        seen = [row.clamp(-L, L) for x, y in ways for row in to_body(x, y, o[COS_PSI], o[SIN_PSI])]
+        rows, integrals = self.inputs.update(
+            o, seen, base, carried.correction.unbind(), carried.integrals.unbind(), TENSORS
+        )
         correction, hidden = network(torch.stack(rows, dim=1), carried.hidden)
         c_u, c_r = correction.unbind(dim=1)
         a_u, a_r = self.authority.unbind()
@@ -118,18 +124,25 @@ class ClosedLoop:
         return command, torch.stack(integrals), torch.stack((c_u, c_r)), hidden
 
     def step(
-        self, network: nn.Module, carried: Carried, sample: Tensor, parameters: Tensor, outside: Tensor | None = None
+        self,
+        network: nn.Module,
+        carried: Carried,
+        ahead: Tensor,
+        sample: Tensor,
+        parameters: Tensor,
+        outside: Tensor | None = None,
     ) -> tuple[Carried, Tensor, Tensor]:
         """Return what is carried on, the loss and the squared position error [m^2], shape (N,).
 
         Args:
             network: see `TorchGru`.
             carried: from the step before.
+            ahead: the preview of `inputs` in the world [m], shape (2 P, N), see `Fleet.window`.
             sample: the rows of a `simulation.Sample`, shape (SAMPLE, N).
             parameters: the rows of `simulation.Parameters`, shape (PARAMETERS, N).
             outside: the action of an expert that does not compute on tensors, shape (ACTIONS, N); `law` has its slope.
         """
-        command, integrals, correction, hidden = self.act(network, carried, outside)
+        command, integrals, correction, hidden = self.act(network, carried, ahead, outside)
         t = simulate(carried.state, command, sample, parameters, self.parts)
         dt = self.parts.substeps * parameters[0]
         loss = self.loss.of(t.squared_error, parameters[17], command, carried.state[8:10], dt)
@@ -159,10 +172,8 @@ class ClosedLoop:
 def law_of(expert: Policy) -> tuple[Law, bool]:
     """Return an expert's law on tensors, and whether that is the expert itself.
 
-    The law on an extended Kalman filter has the slope of the same law on the measurements.
-
-    Raises:
-        ValueError: the expert neither computes on tensors nor is near a law that does.
+    An expert that computes on NumPy alone, with a memory perhaps, has its slope taken from a law near it: the one on an
+    extended Kalman filter from the same law on the measurements, every other from the paper's law.
     """
     if isinstance(expert, Zero):
         return lambda o, _: (0.0 * o[13], 0.0 * o[14]), True
@@ -174,9 +185,7 @@ def law_of(expert: Policy) -> tuple[Law, bool]:
     ):
         return partial(_by_speed, controller.slow, controller.cruise), False
     forces: Law | None = getattr(expert, "forces", None)
-    if forces is None:
-        raise ValueError("the analytic gradient needs a backstepping policy, ekf or none as its expert")
-    return forces, True
+    return (forces, True) if forces else (Backstepping().forces, False)
 
 
 def _by_speed(slow: EkfLaw, cruise: EkfLaw, o: Sequence[Any], ns: Namespace) -> tuple[Any, Any]:

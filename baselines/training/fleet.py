@@ -26,10 +26,15 @@ class Fleet:
     """
 
     def __init__(
-        self, scenarios: Sequence[Scenario], seed: int, window: int, dtype: torch.dtype = torch.float32
+        self,
+        scenarios: Sequence[Scenario],
+        seed: int,
+        window: int,
+        preview: Sequence[int] = (),
+        dtype: torch.dtype = torch.float32,
     ) -> None:
         """Make the fleet; `window` control steps are run between beginnings."""
-        self._lanes = Lanes(len(scenarios), scenarios, None, None)
+        self._lanes = Lanes(len(scenarios), scenarios, None, None, preview)
         self._seed, self._window, self._dtype = seed, window, dtype
         self._steps = np.array([s.steps for s in scenarios])
         self._lost = torch.tensor([s.lost_distance**2 for s in scenarios], dtype=dtype)
@@ -71,10 +76,17 @@ class Fleet:
         self.parameters = self._tensor(host.constants)
         return Carried(state, observation, integrals, correction, hidden)
 
-    def samples(self) -> Tensor:
-        """Return the samples of the next window, shape (window, SAMPLE, N), and wind on."""
-        rows = []
+    def window(self) -> tuple[Tensor, Tensor]:
+        """Return what the next window brings, and wind on.
+
+        For each of its control steps: where the reference will be, displacements in the world [m] as
+        `auv_gym.preview.Preview.ahead` has them, shape (window, 2 P, N); and the sample behind it, (window, SAMPLE, N).
+        """
+        lanes, ahead, samples = self._lanes, [], []
         for _ in range(self._window):
-            self._lanes.advance()
-            rows.append(self._lanes.sample.copy())
-        return self._tensor(np.array(rows))
+            if lanes.preview.periods:
+                ahead.append(lanes.preview.ahead(lanes.all, lanes.k))
+            lanes.advance()
+            samples.append(lanes.sample.copy())
+        shape = self._window, lanes.preview.columns, len(lanes.all)
+        return self._tensor(np.reshape(ahead, shape)), self._tensor(np.array(samples))

@@ -1,13 +1,15 @@
-"""The network that the analytic gradient trains: `baselines.networks.Gru` on torch, its weights named alike."""
+"""The networks that the analytic gradient trains: those of `baselines.networks` on torch, their weights named alike."""
 
 from __future__ import annotations
+
+import itertools
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from baselines.networks import ACTIONS, Gru
+from baselines.networks import ACTIONS, Gru, Mlp, Network
 from baselines.training.closed_loop import TRUTHS
 
 LONGEST_MEMORY = 200.0
@@ -38,13 +40,38 @@ class TorchGru(nn.Module):
     def forward(self, x: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor]:
         """Return actions in [-1, 1], shape (N, ACTIONS), and the hidden state (N, hidden), for inputs (N, inputs)."""
         hidden = self.gru(torch.tanh(self.encoder(x)), hidden)
-        action = self.head(torch.tanh(self.decoder(hidden)))
-        return (torch.tanh(action) if self.sizes.bound == "tanh" else action.clamp(-1.0, 1.0)), hidden
+        return torch.tanh(self.head(torch.tanh(self.decoder(hidden)))), hidden
 
-    def weights(self) -> dict[str, NDArray[np.float32]]:
-        """Return the weights as `Gru.shapes` names them."""
-        return {
-            name: tensor.detach().cpu().numpy().copy()
-            for name, tensor in self.state_dict().items()
-            if not name.startswith("estimator")
-        }
+
+class TorchMlp(nn.Module):
+    """Tanh layers and a linear head whose weights begin at zero: a network without memory, called as `TorchGru` is."""
+
+    def __init__(self, sizes: Mlp) -> None:
+        super().__init__()
+        self.sizes = sizes
+        wide = (sizes.inputs, *sizes.layers, ACTIONS)
+        layers = [nn.Linear(a, b) for a, b in itertools.pairwise(wide)]
+        nn.init.zeros_(layers[-1].weight)
+        nn.init.zeros_(layers[-1].bias)
+        self.layers = nn.ModuleList(layers)
+
+    def forward(self, x: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor]:
+        """Return actions in [-1, 1], shape (N, ACTIONS), and `hidden`, for inputs (N, inputs)."""
+        *inner, head = self.layers
+        for layer in inner:
+            x = torch.tanh(layer(x))
+        return torch.tanh(head(x)), hidden
+
+
+def torch_network(sizes: Network) -> TorchGru | TorchMlp:
+    """Return an untrained network of these sizes, with tanh throughout."""
+    return TorchGru(sizes) if isinstance(sizes, Gru) else TorchMlp(sizes)
+
+
+def weights_of(network: nn.Module) -> dict[str, NDArray[np.float32]]:
+    """Return the weights by the names of `baselines.networks`."""
+    return {
+        name: tensor.detach().cpu().numpy().copy()
+        for name, tensor in network.state_dict().items()
+        if not name.startswith("estimator")
+    }

@@ -17,7 +17,7 @@ from auv_gym import __version__
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.namespaces import ARRAYS
 from auv_gym.paths import Line
-from auv_gym.residual import Policy
+from auv_gym.residual import Policy, preview_of
 from auv_gym.scenario import Scenario
 from auv_gym.task import decode_observation
 from baselines import make_policy
@@ -69,13 +69,21 @@ class Validation:
         self._of = np.repeat(np.arange(len(cells)), [len(cell.episodes) for cell in cells])
         self._caps = [_cap(cell.scenario) for cell in cells]
         self.steps = max(cell.scenario.steps for cell in cells)
-        episodes = [episode for cell in cells for episode in cell.episodes]
-        # What begins where an episode has ended is left alone: a straight line, which costs nothing to plan.
-        begun = [replace(cell.scenario, path=Line(cell.episodes[0].path.speed)) for cell in cells]
-        scenarios = [begun[i] for i in self._of.tolist()]
-        self._env = UnderactuatedAUVTrackVectorEnv(len(episodes), scenarios)
-        self._observation, _ = self._env.reset(seed=0, options={"episode": episodes})
+        self._begun: dict[tuple[int, ...], tuple[UnderactuatedAUVTrackVectorEnv, Array]] = {}
         self.expert_m, self.oracle_m = _yardsticks(cells, folder)
+
+    def _begin(self, preview: tuple[int, ...]) -> tuple[UnderactuatedAUVTrackVectorEnv, Array]:
+        """Return an environment at the start of the episodes, and the first observation; planned once for a preview."""
+        if preview not in self._begun:
+            episodes = [episode for cell in self.cells for episode in cell.episodes]
+            # What begins where an episode has ended is left alone: a straight line, which costs nothing to plan.
+            begun = [replace(cell.scenario, path=Line(cell.episodes[0].path.speed)) for cell in self.cells]
+            scenarios = [begun[i] for i in self._of.tolist()]
+            env = UnderactuatedAUVTrackVectorEnv(len(episodes), scenarios, preview=preview)
+            observation, _ = env.reset(seed=0, options={"episode": episodes})
+            self._begun[preview] = env, observation
+        env, observation = self._begun[preview]
+        return copy.deepcopy(env), observation
 
     def run(self, policy: Policy) -> Verdict:
         """Return what a policy does, the mean over scenarios.
@@ -83,7 +91,7 @@ class Validation:
         Raises:
             ValueError: its actions are not finite.
         """
-        env, observation, n = copy.deepcopy(self._env), self._observation, len(self._of)
+        (env, observation), n = self._begin(preview_of(policy)), len(self._of)
         memory, first = None, np.ones(n, dtype=bool)
         running, lost = np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
         errors, scaled = np.zeros((self.steps, n)), np.full((self.steps, ERRORS, n), math.nan)

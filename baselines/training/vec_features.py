@@ -11,7 +11,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvStepRetu
 
 from auv_gym.namespaces import ARRAYS
 from auv_gym.task import SIZE, decode_observation
-from baselines.features import BOUND, FEATURES, INTEGRALS, update
+from baselines.features import BOUND, FEATURES, INTEGRALS, STANDARD
 
 Array = NDArray[np.float64]
 
@@ -63,5 +63,5 @@ class VecFeatures(VecEnvWrapper):
 def _features(observation: Array, correction: Array, integrals: Array) -> tuple[NDArray[np.float32], Array]:
     """Return the features (N, features) and the new integrals (N, INTEGRALS) of observations (N, SIZE + 2)."""
     o, base = decode_observation(observation), observation[:, SIZE:].T
-    rows, sums = update(o, base, correction.T, integrals.T, ARRAYS)
+    rows, sums = STANDARD.update(o, (), base, correction.T, integrals.T, ARRAYS)
     return np.array(rows, dtype=np.float32).T, np.array(sums).T
