@@ -16,6 +16,7 @@ from baselines.features import FEATURES
 from baselines.networks import Gru
 from baselines.training import study
 from baselines.training.run import AGENT, PROGRESS
+from baselines.training.trainings import Training
 
 REGIME, SUITE = "cruise", "benchmark-v1"
 
@@ -93,14 +94,14 @@ def test_section_has_a_row_for_each_agent_and_its_curves(results, made, monkeypa
     cells = [cell.strip() for cell in row.strip("|").split("|")]
     expert, oracle, lqi = (tails(results, p) for p in (EXPERT, ORACLE, "lqi"))
     own = made.suites[SUITE]
-    assert cells[1:3] == ["2", f"{seeds_score(expert, own.tails, oracle).mean:.3f}"]
-    assert cells[4] == f"{lead(expert, lqi, own.tails, oracle).mean:.3f}"
+    assert cells[1:4] == ["0.004 M", "2", f"{seeds_score(expert, own.tails, oracle).mean:.3f}"]
+    assert cells[5] == f"{lead(expert, lqi, own.tails, oracle).mean:.3f}"
     lost = sum(
         int((r.measures.lost | (r.measures.tail >= 2.0)).sum())
         for p in ("ekf", "integral")
         for r in runs_of(results, p)
     )
-    assert cells[7] == f"{lost} of {2 * sum(map(len, expert))}"
+    assert cells[8] == f"{lost} of {2 * sum(map(len, expert))}"
     assert "`python train.py`" in text
     assert len(study_page.curves_figure({"mine": made}, REGIME).axes) == 2
     assert study_page.section({}, [results]) == ""
@@ -122,7 +123,7 @@ def test_trained_agents_are_run_on_the_cells_of_their_regime(tmp_path, monkeypat
         (folder / PROGRESS).write_text("timesteps,seconds,score\n10,1.0,0.5\n20,2.0,\n30,3.0,0.7\n")
     few = [replace(cell, episodes=cell.episodes[:2]) for cell in study.cells_of(SUITE, REGIME)[:2]]
     monkeypatch.setattr(study, "cells_of", lambda suite, regime: few)
-    variant = study.Variant("A test.", "apg", REGIME, suites=(SUITE,))
+    variant = study.Variant("A test.", REGIME, Training("apg", REGIME), suites=(SUITE,))
     request = SimpleNamespace(folders=folders, command="python train.py")
     found = study.studied(variant, request, 1)
     first, _ = collected(SUITE)
@@ -132,12 +133,22 @@ def test_trained_agents_are_run_on_the_cells_of_their_regime(tmp_path, monkeypat
     np.testing.assert_array_equal(found.curves[0], [[10, 1.0, 0.5], [30, 3.0, 0.7]])
 
 
-def test_variants_are_trainings_that_train_py_can_repeat(tmp_path):
-    variant = study.Variant("A test.", "ppo", REGIME, authority=(0.2, 0.4), timesteps=5000, seeds=2)
-    request = variant.request("a", tmp_path, 1)
+def test_trainings_are_what_train_py_can_repeat(tmp_path):
+    training = Training("ppo", REGIME, (0.2, 0.4), timesteps=5000, changes={"gamma": 0.5})
+    request = training.request(tmp_path / "a", seeds=2)
     assert [config.seed for config in request.configs] == [0, 1]
     assert request.configs[0].authority == (0.2, 0.4)
-    assert f"--hyperparameters {tmp_path / 'a.yml'} --authority 0.2 0.4 --timesteps 5000" in request.command
+    assert request.configs[0].hyperparameters["gamma"] == 0.5
+    assert f"--hyperparameters {tmp_path / 'a.yml'} --authority 0.2 0.4 --timesteps 5000 --seeds 2" in request.command
+    assert Training("ppo", REGIME).request(tmp_path / "b").command == f"python train.py --algo ppo --scenario {REGIME}"
+
+
+@pytest.mark.parametrize("name", study.VARIANTS)
+def test_variants_can_be_trained(name, tmp_path):
+    variant = study.VARIANTS[name]
+    request = variant.training.request(tmp_path / name, variant.seeds)
+    assert len(request.configs) == variant.seeds
+    assert request.configs[0].scenarios[0][0].name.startswith(variant.regime)
 
 
 def test_unknown_variants_are_named(monkeypatch):

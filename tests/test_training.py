@@ -23,7 +23,7 @@ from baselines.training.config import ALGORITHMS, LARGEST_SEED, TRAINING_SEED, C
 from baselines.training.hyperparameters import ENV_ID, load_hyperparameters
 from baselines.training.hyperparameters import shipped as shipped_file
 from baselines.training.run import Run, read_config, read_progress
-from baselines.training.shipped import SHIPPED
+from baselines.training.trainings import SHIPPED, Training
 from baselines.training.validation import VALIDATION_SEED
 from baselines.tuning import VALIDATION_EPISODES
 from baselines.tuning import VALIDATION_SEED as TUNING_VALIDATION_SEED
@@ -348,7 +348,7 @@ def test_shipped_agents_can_be_trained_again(name, call, monkeypatch, tmp_path):
 
 def test_shipped_agents_are_installed_and_unknown_ones_refused(call, monkeypatch, tmp_path):
     monkeypatch.setattr(shipped, "AGENTS", tmp_path / "agents")
-    monkeypatch.setattr(shipped, "SHIPPED", {"ppo-small": shipped.Shipped("ppo", "small.toml")})
+    monkeypatch.setattr(shipped, "SHIPPED", {"ppo-small": Training("ppo", "small.toml")})
     monkeypatch.setattr(request, "shipped", lambda algo: tmp_path / f"{algo}.yml")
     assert shipped.main(["--timesteps", "64", "--install"]) == 0
     assert same(weights("agents/ppo-small"), weights("runs/shipped/ppo-small/agent"))

@@ -25,13 +25,9 @@ def section(studies: Mapping[str, Study], found: Sequence[Results]) -> str:
     parts = [INTRODUCTION]
     for regime in dict.fromkeys(study.regime for study in studies.values()):
         own = {name: study for name, study in studies.items() if study.regime == regime}
-        parts.append(f"### {regime}\n\n![Learning curves, {regime}](images/results-learning-{regime}.png)")
+        parts.append(f"### {regime}\n\n![Learning curves, {regime}](images/{figure_name(regime)})")
         for results in found:
-            rows = [
-                _row(name, study.suites[results.suite.name], results, regime)
-                for name, study in own.items()
-                if results.suite.name in study.suites
-            ]
+            rows = [_row(name, study, results) for name, study in own.items() if results.suite.name in study.suites]
             if rows:
                 parts.append(f"On {results.suite.name}:\n\n{table(NAMES, rows)}")
         parts.append("\n".join(_made(name, study) for name, study in own.items()))
@@ -40,15 +36,29 @@ def section(studies: Mapping[str, Study], found: Sequence[Results]) -> str:
 
 INTRODUCTION = f"""## Learned agents, several seeds
 
-Each row is one way of training, repeated with several seeds; `python -m baselines.training.study` makes it. *score* and
-its interval are over training seeds and episodes; *lead* is the score's distance to `{RIVAL}`, the strongest controller
-that does not learn, with an interval of the same kind; *lost* adds up all seeds' episodes; *effort* and *rate* are
-relative to the expert's; *minutes* is the wall time of a training, two at a time on a machine that was more or less
-busy with other work, so that only steps compare; *steps* are control steps."""
-NAMES = ("agent", "seeds", "score", "95 %", f"lead over {RIVAL}", "95 %", "capped", "lost", "effort", "rate", "ms")
+Each row is one way of training, repeated with several seeds; `python -m baselines.training.study` makes it. *steps* are
+control steps, summed over vehicles; *score* and its interval are over training seeds and episodes; *lead* is the
+score's distance to `{RIVAL}`, the strongest controller that does not learn, with an interval of the same kind; *lost*
+adds up all seeds' episodes; *effort* and *rate* are relative to the expert's; *minutes* are the wall time of a
+training, two at a time on a machine that was more or less busy with other work, so that only steps compare."""
+NAMES = (
+    "agent",
+    "steps",
+    "seeds",
+    "score",
+    "95 %",
+    f"lead over {RIVAL}",
+    "95 %",
+    "capped",
+    "lost",
+    "effort",
+    "rate",
+    "ms",
+)
 
 
-def _row(name: str, own: InSuite, results: Results, regime: str) -> list[str]:
+def _row(name: str, study: Study, results: Results) -> list[str]:
+    own, regime = study.suites[results.suite.name], study.regime
     expert, oracle = (_tails(results, policy, own) for policy in (EXPERT, ORACLE))
     score, capped = (seeds_score(expert, seeds, oracle) for seeds in (own.tails, own.capped(regime)))
     above = None
@@ -62,6 +72,7 @@ def _row(name: str, own: InSuite, results: Results, regime: str) -> list[str]:
     episodes = sum(tail.size for tail in own.tails)
     return [
         f"`{name}`",
+        f"{_last(study, 0) / 1e6:.3g} M",
         str(len(own.tails[0])),
         score_text(score, 3),
         interval_text(score, 3),
@@ -82,8 +93,17 @@ def _tails(results: Results, policy: str, own: InSuite) -> list[Array]:
 
 
 def _made(name: str, study: Study) -> str:
-    steps, seconds = (np.mean([curve[-1, k] for curve in study.curves]) for k in (0, 1))
-    return f"- `{name}`: {study.about} {steps / 1e6:.3g} million steps, {seconds / 60:.1f} minutes: `{study.command}`"
+    return f"- `{name}`: {study.about} {_last(study, 1) / 60:.1f} minutes: `{study.command}`"
+
+
+def _last(study: Study, column: int) -> float:
+    """Return where the learning curves end, the mean over seeds."""
+    return float(np.mean([curve[-1, column] for curve in study.curves]))
+
+
+def figure_name(regime: str) -> str:
+    """Return the file name of a regime's learning curves."""
+    return f"results-learning-{regime}.png"
 
 
 def curves_figure(studies: Mapping[str, Study], regime: str) -> Figure:

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from auv_gym.envs.torch_sim import can_compile
 from auv_gym.intervals import check_number
@@ -49,6 +50,7 @@ class Settings:
     learning_rate: float = 2e-3  # at the start ...
     final_learning_rate: float = 1e-4  # ... falling to this along a cosine
     max_grad_norm: float = 1.0
+    average: float = 0.02  # share of the run over which weights are averaged; it is their average that an agent gets
     hidden_size: int = 64  # of each layer of the network
     effort_weight: float = 0.008  # see `closed_loop.Loss`
     rate_weight: float = 0.008  # [s^2] likewise
@@ -66,6 +68,7 @@ class Settings:
                 raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")
         for name in ("learning_rate", "final_learning_rate", "max_grad_norm"):
             check_number(name, getattr(self, name), 1e-9, 1e6)
+        check_number("average", self.average, 0, 1)
         for name in ("effort_weight", "rate_weight", "estimate_weight", "ramp"):
             check_number(name, getattr(self, name), 0, 1e6)
         for name in ("memory", "compiled"):
@@ -139,6 +142,8 @@ class Trainer:
         self.total = max(1, math.ceil(config.timesteps / (settings.n_envs * settings.n_steps)))
         torch.manual_seed(config.seed)
         self.network = torch_network(settings.network)
+        kept = 1 - 1 / max(1.0, settings.average * self.total)
+        self.averaged = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(kept))  # type: ignore[no-untyped-call]
         self.optimizer = torch.optim.Adam(self.network.parameters(), lr=settings.learning_rate)
         self._expert = config.make_expert()
         preview = joined_previews(settings.preview, preview_of(self._expert))
@@ -146,7 +151,7 @@ class Trainer:
         self._seen_by_expert = preview_columns(preview_of(self._expert), preview)
         self.fleet = Fleet(config.lanes(settings.n_envs), config.episode_seed, settings.n_steps, preview)
         self.updates, self.skipped, self.score = 0, 0, -math.inf
-        self.best = weights_of(self.network)
+        self.best = weights_of(self.averaged.module)
         self._memory: Memory | None = None  # of an expert on NumPy
         if (state := run.load_checkpoint()) is None:
             self.carried = self.fleet.reset(settings.network.memory)
@@ -176,6 +181,7 @@ class Trainer:
         norm = float(nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.max_grad_norm))
         if math.isfinite(norm):
             self.optimizer.step()
+            self.averaged.update_parameters(self.network)
             self.skipped = 0
         elif self.skipped >= self.PATIENCE:
             raise TrainingError(f"{self.skipped} gradients in a row were not finite; lower learning_rate or n_steps")
@@ -216,7 +222,7 @@ class Trainer:
 
     def validate(self) -> None:
         """Measure the agent on the validation episodes, keep the best, and save a checkpoint."""
-        weights = weights_of(self.network)
+        weights = weights_of(self.averaged.module)
         score = self.run.validate(self.agent(weights).policy(), self.timesteps)
         if score > self.score:
             self.score, self.best = score, weights
@@ -238,6 +244,7 @@ class Trainer:
             "score": self.score,
             "best": self.best,
             "network": self.network.state_dict(),
+            "averaged": self.averaged.state_dict(),
             "optimizer": self.optimizer.state_dict(),
             "fleet": self.fleet,
             "carried": self.carried,
@@ -248,6 +255,7 @@ class Trainer:
         self.updates, self.skipped = state["updates"], state["skipped"]
         self.score, self.best = state["score"], state["best"]
         self.network.load_state_dict(state["network"])
+        self.averaged.load_state_dict(state["averaged"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.fleet, self.carried, self._memory = state["fleet"], state["carried"], state["memory"]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -13,31 +13,11 @@ from tyro.conf import Positional, arg
 from baselines.agent import Agent
 from baselines.command_line import DONE, UsageError, parse, run
 from baselines.training.command import CURVE, train
-from baselines.training.request import Request
 from baselines.training.run import AGENT
+from baselines.training.trainings import SHIPPED
 from baselines.user_policies import AGENTS
 
 PROGRAM = "python -m baselines.training.shipped"
-
-
-@dataclass(frozen=True)
-class Shipped:
-    """How an agent was trained; everything else is train.py's default."""
-
-    algo: str
-    scenario: str
-    authority: tuple[float, ...] = ()
-
-
-SHIPPED: Mapping[str, Shipped] = {
-    "apg-cruise": Shipped("apg", "cruise"),
-    "apg-slow": Shipped("apg", "slow", (0.6, 1.6)),
-    "apg-adverse-cruise": Shipped("apg", "cruise-adverse"),
-    "apg-adverse-slow": Shipped("apg", "slow-adverse", (0.6, 1.6)),
-    "ppo-cruise": Shipped("ppo", "cruise"),
-    "ppo-slow": Shipped("ppo", "slow", (0.6, 1.0)),
-}
-"""The agents that ship with the package, by name."""
 
 
 @dataclass(frozen=True)
@@ -68,41 +48,17 @@ def main(arguments: Sequence[str]) -> int:
         raise UsageError(f"no agent {unknown[0]!r} ships with the package; allowed are {', '.join(SHIPPED)}")
     for name in options.name or SHIPPED:
         print(f"{name}:", flush=True)
-        request = shipped_request(name, options.out, options.timesteps)
+        request = SHIPPED[name].request(options.out / name, timesteps=options.timesteps)
         if (status := train(request)) != DONE:
             return status
         if options.install:
-            agent, curve = Agent.load(request.out / AGENT), (request.out / CURVE).read_bytes()
-            agent.save(AGENTS / name, curve)
+            install(name, request.out)
     return DONE
 
 
-def shipped_request(name: str, out: Path, timesteps: int | None = None) -> Request:
-    """Return the training of a shipped agent.
-
-    Args:
-        name: one of `SHIPPED`.
-        out: its run folder is made in there.
-        timesteps: control steps, if other than it had.
-
-    Raises:
-        UsageError: the folder holds something else.
-    """
-    agent = SHIPPED[name]
-    command = f"python train.py --algo {agent.algo} --scenario {agent.scenario}"
-    if agent.authority:
-        command += f" --authority {' '.join(map(str, agent.authority))}"
-    if timesteps is not None:
-        command += f" --timesteps {timesteps}"
-    return Request.of(
-        agent.algo,
-        (agent.scenario,),
-        authority=agent.authority,
-        timesteps=timesteps,
-        out=out / name,
-        resume=True,
-        command=command,
-    )
+def install(name: str, run_folder: Path) -> None:
+    """Put the trained agent of a run into baselines/agents, in place of what is there."""
+    Agent.load(run_folder / AGENT).save(AGENTS / name, (run_folder / CURVE).read_bytes())
 
 
 if __name__ == "__main__":

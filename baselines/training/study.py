@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import yaml
 from tyro.conf import Positional, arg
 
 from baselines.command_line import DONE, UsageError, parse, run
@@ -22,10 +21,12 @@ from baselines.evaluation.runner import Cell, Run, run_all
 from baselines.evaluation.score import regime_of
 from baselines.evaluation.study_files import SUITES, Study, save
 from baselines.training.command import train
-from baselines.training.hyperparameters import ENV_ID, shipped
 from baselines.training.request import Request
 from baselines.training.run import AGENT, read_progress
+from baselines.training.shipped import install
+from baselines.training.trainings import SHIPPED, Training
 from baselines.workers import Workers
+from baselines.zero import NO_EXPERT
 
 PROGRAM = "python -m baselines.training.study"
 
@@ -35,77 +36,55 @@ class Variant:
     """Agents that differ in the seed alone."""
 
     about: str  # one line for the results page
-    algo: str
     regime: str
-    scenario: str | None = None  # what is trained on, as `train.py --scenario` takes it; None: the regime
-    expert: str | None = None  # None: as the algorithm's file of hyper-parameters says, like the next
-    authority: tuple[float, ...] = ()
-    timesteps: int | None = None
-    changes: Mapping[str, Any] = field(default_factory=dict)  # of the hyper-parameters
+    training: Training
     seeds: int = 5
     suites: tuple[str, ...] = SUITES
 
-    def request(self, name: str, out: Path, jobs: int) -> Request:
-        """Return the training; its file of hyper-parameters lies beside its folder.
 
-        Raises:
-            UsageError: the folder holds another training.
-        """
-        tables = yaml.safe_load(shipped(self.algo).read_text(encoding="utf-8"))
-        tables[ENV_ID] |= self.changes
-        file = out / f"{name}.yml"
-        out.mkdir(parents=True, exist_ok=True)
-        file.write_text(yaml.safe_dump(tables, sort_keys=False), encoding="utf-8")
-        more = [f"--seeds {self.seeds}", f"--hyperparameters {file}"]
-        more += [f"--expert {self.expert}"] if self.expert else []
-        more += [f"--authority {' '.join(map(str, self.authority))}"] if self.authority else []
-        more += [f"--timesteps {self.timesteps}"] if self.timesteps else []
-        scenario = self.scenario or self.regime
-        command = f"python train.py --algo {self.algo} --scenario {scenario} {' '.join(more)}"
-        return Request.of(
-            self.algo,
-            (scenario,),
-            self.expert,
-            self.authority,
-            seeds=self.seeds,
-            jobs=jobs,
-            timesteps=self.timesteps,
-            hyperparameters=file,
-            out=out / name,
-            resume=True,
-            command=command,
-        )
+SHORT = 8_000_000
+"""Control steps of the trainings that differ from `short-cruise` in one thing."""
+
+
+def _short(about: str, expert: str | None = None, authority: tuple[float, ...] = (), **changes: Any) -> Variant:
+    training = Training("apg", "cruise", authority, expert, SHORT, changes)
+    return Variant(about, "cruise", training, 2, ("benchmark-v1",))
 
 
 VARIANTS: Mapping[str, Variant] = {
-    "apg-cruise": Variant("The expert corrected, with memory, by the analytic gradient.", "apg", "cruise", seeds=3),
+    "apg-cruise": Variant("The expert corrected by the analytic gradient.", "cruise", SHIPPED["apg-cruise"]),
+    "apg-slow": Variant("The expert corrected by the analytic gradient.", "slow", SHIPPED["apg-slow"]),
     "apg-scratch-cruise": Variant(
         "As `apg-cruise`, without an expert: the network commands alone.",
-        "apg",
         "cruise",
-        expert="none",
-        authority=(1.0, 1.0),
-        seeds=2,
-        suites=("benchmark-v1",),
+        Training("apg", "cruise", (1.0, 1.0), NO_EXPERT),
+        2,
+        ("benchmark-v1",),
     ),
-    "apg-slow": Variant(
-        "The expert corrected, with memory, by the analytic gradient.", "apg", "slow", authority=(0.6, 1.6), seeds=2
+    "apg-scratch-slow": Variant(
+        "As `apg-slow`, without an expert: the network commands alone.",
+        "slow",
+        Training("apg", "slow", (1.0, 1.0), NO_EXPERT),
+        2,
+        ("benchmark-v1",),
     ),
     "apg-adverse-cruise": Variant(
         "As `apg-cruise`, trained also where sensors, commands, actuators and current are not as told.",
-        "apg",
         "cruise",
-        "cruise-adverse",
-        seeds=1,
+        SHIPPED["apg-adverse-cruise"],
     ),
     "apg-adverse-slow": Variant(
         "As `apg-slow`, trained also where sensors, commands, actuators and current are not as told.",
-        "apg",
         "slow",
-        "slow-adverse",
-        authority=(0.6, 1.6),
-        seeds=1,
+        SHIPPED["apg-adverse-slow"],
     ),
+    "short-cruise": _short("As `apg-cruise`, a third of its steps: what the following ones differ from in one thing."),
+    "short-preview": _short("The network sees the reference .5, 1, 2 and 4 s ahead.", preview=[5, 10, 20, 40]),
+    "short-no-memory": _short("Two tanh layers in place of the recurrent units.", memory=False, estimate_weight=0.0),
+    "short-no-integrals": _short("The network does not see the integrals of the error.", integrals=False),
+    "short-little-authority": _short("Half the authority.", authority=(0.3, 0.3)),
+    "short-scratch": _short("Without an expert: the network commands alone.", NO_EXPERT, (1.0, 1.0)),
+    "short-horizon": _short("The gradient goes back over 10 steps (1 s) in place of 50.", n_steps=10),
 }
 """The agents of the study, by name."""
 
@@ -123,6 +102,8 @@ class Options:
     """Folder of the runs."""
     jobs: int = 2
     """Trainings at the same time."""
+    install: bool = False
+    """Put the first seed's agent into baselines/agents, where one of the name ships with the package."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -136,9 +117,11 @@ def main(arguments: Sequence[str]) -> int:
         raise UsageError(f"the study has no {unknown[0]!r}; allowed are {', '.join(VARIANTS)}")
     for name in options.name or VARIANTS:
         variant = VARIANTS[name]
-        request = variant.request(name, options.out, options.jobs)
+        request = variant.training.request(options.out / name, variant.seeds, options.jobs)
         if (status := train(request)) != DONE:
             return status
+        if options.install and name in SHIPPED:
+            install(name, request.folders[0])
         save(name, studied(variant, request, options.jobs))
     return DONE
 

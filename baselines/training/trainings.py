@@ -1,0 +1,80 @@
+"""Trainings by name: those of the agents that ship with the package, as `train.py` runs them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from baselines.training.hyperparameters import ENV_ID, shipped
+from baselines.training.request import Request
+
+
+@dataclass(frozen=True)
+class Training:
+    """What an agent is trained on and how; what is None or empty is as the algorithm's hyper-parameters say."""
+
+    algo: str
+    scenario: str  # as `train.py --scenario` takes it
+    authority: tuple[float, ...] = ()
+    expert: str | None = None
+    timesteps: int | None = None
+    changes: Mapping[str, Any] = field(default_factory=dict)  # of the hyper-parameters
+
+    def request(self, folder: Path, seeds: int = 1, jobs: int = 1, timesteps: int | None = None) -> Request:
+        """Return the training in a folder, to begin or to go on with; a file of changes lies beside it.
+
+        Args:
+            folder: of the run, or of the runs of several seeds.
+            seeds: how many trainings, which differ in the seed alone.
+            jobs: how many of them at the same time.
+            timesteps: control steps, in place of the training's own.
+
+        Raises:
+            UsageError: the folder holds something else.
+        """
+        steps, file, words = timesteps or self.timesteps, None, [f"--algo {self.algo} --scenario {self.scenario}"]
+        if self.changes:
+            file = folder.with_suffix(".yml")
+            tables = yaml.safe_load(shipped(self.algo).read_text(encoding="utf-8"))
+            tables[ENV_ID] |= self.changes
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(yaml.safe_dump(tables, sort_keys=False), encoding="utf-8")
+            words.append(f"--hyperparameters {file}")
+        if self.expert:
+            words.append(f"--expert {self.expert}")
+        if self.authority:
+            words.append(f"--authority {' '.join(map(str, self.authority))}")
+        if steps:
+            words.append(f"--timesteps {steps}")
+        if seeds > 1:
+            words.append(f"--seeds {seeds}")
+        return Request.of(
+            self.algo,
+            (self.scenario,),
+            self.expert,
+            self.authority,
+            seeds=seeds,
+            jobs=jobs,
+            timesteps=steps,
+            hyperparameters=file,
+            out=folder,
+            resume=True,
+            command=f"python train.py {' '.join(words)}",
+        )
+
+
+SLOW_AUTHORITY = (0.6, 1.6)
+"""In slow motion the limits are small beside the law's own commands: a correction must be able to undo those."""
+SHIPPED: Mapping[str, Training] = {
+    "apg-cruise": Training("apg", "cruise"),
+    "apg-slow": Training("apg", "slow", SLOW_AUTHORITY),
+    "apg-adverse-cruise": Training("apg", "cruise-adverse"),
+    "apg-adverse-slow": Training("apg", "slow-adverse", SLOW_AUTHORITY),
+    "ppo-cruise": Training("ppo", "cruise"),
+    "ppo-slow": Training("ppo", "slow", (0.6, 1.0)),
+}
+"""The trainings of the agents that ship with the package, by their names."""
