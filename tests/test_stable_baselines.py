@@ -10,8 +10,10 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.errors import to_world
 from auv_gym.presets import PRESETS
 from auv_gym.scenario import Scenario
+from auv_gym.task import decode_observation
 from baselines import make_policy
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
@@ -221,3 +223,24 @@ def test_error_costs_the_lag_in_seconds_and_its_logarithm_from_there():
     none = make_training_env(configuration(), 1, [{COST: {"weight": 0.0, "share": 0.0}}])
     none.reset()
     assert (none.step(np.zeros((1, 2), dtype=np.float32))[1] == 0).all()
+
+
+def test_error_cost_with_a_lead_is_that_of_the_error_moved_on_by_its_rate():
+    """Against differences of the world error in time, without sensor noise."""
+    quiet = Scenario.from_dict({**PRESETS["cruise-current"].to_dict(), "sensors": {}, "name": "quiet", "steps": 60})
+    config = Config("sac", ((quiet, 1.0),), authority=(0.4, 0.8), hyperparameters={})
+    env = make_training_env(config, 4, [{COST: {"share": 0.0, "lead": 1.5}}]).venv
+    env.seed(3)
+    rows, rewards = [env.reset()], []
+    for _ in range(50):
+        row, reward, done, _ = env.step(np.zeros((4, 2), dtype=np.float32))
+        assert not done.any()
+        rows.append(row)
+        rewards.append(reward)
+    o = decode_observation(np.concatenate(rows))
+    x, y = (np.reshape(e, (51, 4)) for e in to_world(o.e_x, o.e_y, o.cos_psi, o.sin_psi))
+    speed, dt = np.hypot(o.u_R, o.v_R).reshape(51, 4), float(o.dt[0])
+    moved = [e[1:-1] + 1.5 * (e[2:] - e[:-2]) / (2 * dt) for e in (x, y)]
+    lag = np.hypot(*moved) / speed[:-2]
+    cost = np.where(lag < LINEAR, lag, LINEAR * (1 + np.log(np.maximum(lag, LINEAR) / LINEAR)))
+    np.testing.assert_allclose(-np.array(rewards)[:-1], cost, rtol=0, atol=0.03)
