@@ -45,17 +45,15 @@ Step = Callable[..., tuple[Carried, Tensor, Tensor]]
 class Settings:
     """Hyper-parameters of the analytic gradient."""
 
-    n_envs: int = 128  # vehicles side by side
+    n_envs: int = 256  # vehicles side by side
     n_steps: int = 50  # control steps of a window
-    learning_rate: float = 2e-3  # at the start ...
+    learning_rate: float = 3e-3  # at the start ...
     final_learning_rate: float = 1e-4  # ... falling to this along a cosine
     max_grad_norm: float = 1.0
     average: float = 0.02  # share of the run over which weights are averaged; it is their average that an agent gets
     hidden_size: int = 64  # of each layer of the network
-    effort_weight: float = 0.008  # see `closed_loop.Loss`
-    rate_weight: float = 0.008  # [s^2] likewise
-    estimate_weight: float = 0.2  # likewise
-    ramp: float = 0.6  # share of the run over which effort's and rate's weight grow from a tenth
+    effort_weight: float = 0.006  # see `closed_loop.Loss`
+    rate_weight: float = 0.006  # [s^2] likewise
     memory: bool = True  # whether the network has recurrent units, else it is of two tanh layers
     integrals: bool = True  # whether it sees the integrals of the position error
     preview: tuple[int, ...] = ()  # where it sees the reference ahead, in control periods
@@ -69,13 +67,11 @@ class Settings:
         for name in ("learning_rate", "final_learning_rate", "max_grad_norm"):
             check_number(name, getattr(self, name), 1e-9, 1e6)
         check_number("average", self.average, 0, 1)
-        for name in ("effort_weight", "rate_weight", "estimate_weight", "ramp"):
+        for name in ("effort_weight", "rate_weight"):
             check_number(name, getattr(self, name), 0, 1e6)
         for name in ("memory", "compiled"):
             if not isinstance(getattr(self, name), bool):
                 raise ValueError(f"{name} is {getattr(self, name)!r}; it must be true or false")
-        if self.estimate_weight and not self.memory:
-            raise ValueError("estimate_weight asks for an estimate of what lasts; without memory it must be 0")
         _ = self.network
 
     @property
@@ -93,10 +89,6 @@ class Settings:
         """Return the learning rate after a share `progress` of the run."""
         first, last = self.learning_rate, self.final_learning_rate
         return last + (first - last) * 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
-
-    def penalty_at(self, progress: float) -> float:
-        """Return the share of the effort's and the rate's weight after a share `progress` of the run."""
-        return min(1.0, 0.1 + 0.9 * progress / self.ramp) if self.ramp else 1.0
 
 
 def check(config: Config) -> Settings:
@@ -158,8 +150,8 @@ class Trainer:
         else:
             self._restore(state)
         law, self._exact = law_of(self._expert)
-        self._loss = Loss.weighted(settings.effort_weight, settings.rate_weight, settings.estimate_weight)
-        loop = ClosedLoop(law, torch.tensor(config.authority), self._loss, self.fleet.parts, settings.inputs)
+        loss = Loss.weighted(settings.effort_weight, settings.rate_weight)
+        loop = ClosedLoop(law, torch.tensor(config.authority), loss, self.fleet.parts, settings.inputs)
         self._step = compiled(loop) if settings.compiled else loop.step
 
     @property
@@ -172,9 +164,6 @@ class Trainer:
         progress = self.updates / self.total
         for group in self.optimizer.param_groups:
             group["lr"] = self.settings.rate_at(progress)
-        share = self.settings.penalty_at(progress)
-        self._loss.effort.fill_(share * self.settings.effort_weight)
-        self._loss.rate.fill_(share * self.settings.rate_weight)
         loss, error = self._window()
         self.optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]

@@ -15,9 +15,9 @@ from auv_gym.errors import to_body
 from auv_gym.namespaces import Namespace
 from auv_gym.preview import COS_PSI, SIN_PSI
 from auv_gym.residual import Policy
-from auv_gym.simulation import Parameters, Parts, current_at
+from auv_gym.simulation import Parts
 from auv_gym.task import SCALES, SIZE, L
-from baselines.backstepping import CRUISE_SPEED, MIN_SPEED, Backstepping, tracking_forces
+from baselines.backstepping import CRUISE_SPEED, Backstepping, tracking_forces
 from baselines.ekf_law import EkfLaw
 from baselines.features import INTEGRALS, STANDARD, Inputs
 from baselines.gain_files import BySpeed
@@ -29,8 +29,6 @@ Law = Callable[[Sequence[Any], Namespace], tuple[Any, Any]]
 
 NEAR, CURVE = 2.0, 0.3
 """Where the error's loss turns from a parabola into a logarithm, in units of its scale, and how curved the first is."""
-TRUTHS = 10
-"""Rows of `ClosedLoop.truth`."""
 DECODING: list[float] = SCALES.tolist()  # the graph may hold no NumPy
 TINY = 1e-6
 """Added to the squared error, in units of the scale's square: the distance has no slope at zero."""
@@ -64,12 +62,11 @@ class Loss:
 
     effort: Tensor  # of the squared command
     rate: Tensor  # [s^2] of its squared rate of change
-    estimate: Tensor | None = None  # of the squared error of what the network says of `ClosedLoop.truth`; None: unused
 
     @classmethod
-    def weighted(cls, effort: float = 0.003, rate: float = 0.003, estimate: float = 0.0) -> Loss:
+    def weighted(cls, effort: float = 0.003, rate: float = 0.003) -> Loss:
         """Return the loss with these weights."""
-        return cls(torch.tensor(effort), torch.tensor(rate), torch.tensor(estimate) if estimate else None)
+        return cls(torch.tensor(effort), torch.tensor(rate))
 
     def of(self, squared_error: Tensor, scale: Tensor, command: Tensor, previous: Tensor, dt: Tensor) -> Tensor:
         """Return the loss of a step, shape (N,).
@@ -146,27 +143,7 @@ class ClosedLoop:
         t = simulate(carried.state, command, sample, parameters, self.parts)
         dt = self.parts.substeps * parameters[0]
         loss = self.loss.of(t.squared_error, parameters[17], command, carried.state[8:10], dt)
-        if self.loss.estimate is not None:
-            truth = self.truth(carried.state, sample, parameters).detach()
-            loss = loss + self.loss.estimate * (network.get_submodule("estimator")(hidden).T - truth).square().mean(0)
         return Carried(t.state, t.observation, integrals, correction, hidden), loss, t.squared_error
-
-    def truth(self, state: Tensor, sample: Tensor, parameters: Tensor) -> Tensor:
-        """Return what an agent would like to know, in units of order one, shape (TRUTHS, N).
-
-        Position error, sway velocity and current along the body axes; loads; actuator forces.
-        """
-        p = Parameters.of(parameters.unbind(), self.parts)
-        x, y, psi, _, v, _, F_u, F_r = state[:8]
-        s = sample.unbind()
-        per_U = 1 / torch.sqrt(s[3] * s[3] + s[4] * s[4] + MIN_SPEED * MIN_SPEED)
-        c, sin = torch.cos(psi), torch.sin(psi)
-        error = to_body(x - s[0], y - s[1], c, sin)
-        current = to_body(*current_at(x, y, s, p, TENSORS), c, sin)
-        drag = p.coefficients[3:6]
-        loads = (4 * load * per_U / d for load, d in zip(s[10:13], drag, strict=True))
-        rows = (*(8 * e * per_U for e in error), 2 * v * per_U, *(3 * V * per_U for V in current), *loads)
-        return torch.stack((*(row.clamp(-4.0, 4.0) for row in rows), F_u / p.F_u_max, F_r / p.F_r_max))
 
 
 def law_of(expert: Policy) -> tuple[Law, bool]:

@@ -12,8 +12,8 @@ from auv_gym.scenario import Scenario
 
 Mixture = tuple[tuple[Scenario, float], ...]
 
-CASE_WEIGHTS: Mapping[str, float] = {"actuator": 3.0, "storm": 2.0}
-"""Weights of a regime's cases, the others have 1: a few episodes with slow actuators decide much of the score."""
+CASE_WEIGHTS: Mapping[str, float] = {"noise": 2.0, "actuator": 2.0, "storm": 3.0}
+"""Weights of a regime's cases, the others have 1: those where most of the error is, or where vehicles are lost."""
 ADVERSE_WEIGHT = 8.0
 WAVELENGTHS = {"slow": (5.0, 20.0), "cruise": (20.0, 80.0)}
 OUTAGE_TIMES = {"slow": (0.5, 3.0), "cruise": (0.3, 2.0)}

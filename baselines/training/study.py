@@ -80,7 +80,7 @@ VARIANTS: Mapping[str, Variant] = {
     ),
     "short-cruise": _short("As `apg-cruise`, a third of its steps: what the following ones differ from in one thing."),
     "short-preview": _short("The network sees the reference .5, 1, 2 and 4 s ahead.", preview=[5, 10, 20, 40]),
-    "short-no-memory": _short("Two tanh layers in place of the recurrent units.", memory=False, estimate_weight=0.0),
+    "short-no-memory": _short("Two tanh layers in place of the recurrent units.", memory=False),
     "short-no-integrals": _short("The network does not see the integrals of the error.", integrals=False),
     "short-little-authority": _short("Half the authority.", authority=(0.3, 0.3)),
     "short-scratch": _short("Without an expert: the network commands alone.", NO_EXPERT, (1.0, 1.0)),

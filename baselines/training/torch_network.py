@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from baselines.networks import ACTIONS, Gru, Mlp, Network
-from baselines.training.closed_loop import TRUTHS
 
 LONGEST_MEMORY = 200.0
 """Control steps that the slowest units of an untrained network remember."""
@@ -29,7 +28,6 @@ class TorchGru(nn.Module):
         self.gru = nn.GRUCell(sizes.encoder, sizes.hidden)
         self.decoder = nn.Linear(sizes.hidden, sizes.decoder)
         self.head = nn.Linear(sizes.decoder, ACTIONS)
-        self.estimator = nn.Linear(sizes.hidden, TRUTHS)  # used in training alone
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)
         # Forgets over 1 ... LONGEST_MEMORY steps: "chrono initialisation" (Tallec and Ollivier 2018).
@@ -70,8 +68,4 @@ def torch_network(sizes: Network) -> TorchGru | TorchMlp:
 
 def weights_of(network: nn.Module) -> dict[str, NDArray[np.float32]]:
     """Return the weights by the names of `baselines.networks`."""
-    return {
-        name: tensor.detach().cpu().numpy().copy()
-        for name, tensor in network.state_dict().items()
-        if not name.startswith("estimator")
-    }
+    return {name: tensor.detach().cpu().numpy().copy() for name, tensor in network.state_dict().items()}
