@@ -165,7 +165,7 @@ def test_fleet_begins_anew_where_a_vehicle_is_lost():
 def configuration(**changes):
     scenarios = tuple((replace(PRESETS[name], steps=50), 1.0) for name in ("cruise-current", "cruise-storm"))
     settings = {"n_envs": 8, "n_steps": 10, "hidden_size": 16, "compiled": False, "learning_rate": 5e-3}
-    given = {"authority": (0.5, 0.5), "timesteps": 8 * 10 * 30, "hyperparameters": settings}
+    given = {"authority": (0.5, 0.5), "timesteps": 8 * 10 * 50, "hyperparameters": settings}
     return Config(scenarios=scenarios, **(given | changes))
 
 
