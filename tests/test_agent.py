@@ -10,11 +10,13 @@ from safetensors.numpy import save_file
 from torch import nn
 
 import baselines
+import evaluate
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from baselines import list_policies, make_policy
 from baselines.agent import Agent
-from baselines.features import FEATURES
+from baselines.command_line import UsageError
+from baselines.features import FEATURES, Inputs
 from baselines.networks import Gru, Mlp, network_of, network_record
 
 N = len(FEATURES)
@@ -262,3 +264,22 @@ def test_without_a_region_nothing_can_fade(tmp_path):
         make_policy(f"{tmp_path}/a:fade")
     with pytest.raises(ValueError, match="takes no option 'gains', only fade"):
         make_policy(str(tmp_path / "a"), gains="paper")
+
+
+def test_inputs_go_with_the_agent_and_evaluate_runs_its_folder(tmp_path, monkeypatch):
+    inputs = Inputs((2, 30, 40), integrals=False)
+    network = Gru(len(inputs.features), 6, 5, 4)
+    made = agent(network, inputs=inputs)
+    made.save(tmp_path / "mine")
+    assert Agent.load(tmp_path / "mine").inputs == inputs
+    with pytest.raises(ValueError, match=r"the policy needs a preview of 6: make the environment with"):
+        made.policy().predict(np.zeros((1, 18)))
+    with pytest.raises(ValueError, match=f"has {network.inputs} inputs; there are {N} features"):
+        agent(network)
+    monkeypatch.chdir(tmp_path)
+    episodes = ["--scenario", "cruise-calm", "--episodes", "1", "--jobs", "1", "--out", "out"]
+    with pytest.raises(UsageError, match="does not know the region"):
+        evaluate.main(["--policy", "./mine:fade", *episodes])
+    assert evaluate.main(["--policy", "./mine", *episodes]) == 0
+    found = json.loads((tmp_path / "out/results.json").read_text())["results"]
+    assert [r["error"] for r in found] == [None, None]
