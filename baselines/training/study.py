@@ -66,6 +66,12 @@ VARIANTS: Mapping[str, Variant] = {
         SHIPPED["apg-adverse-slow"],
         seeds=1,
     ),
+    "apg-scratch-cruise": Variant(
+        "Without an expert: the network commands alone.", "cruise", SHIPPED["apg-scratch-cruise"], seeds=1
+    ),
+    "apg-scratch-slow": Variant(
+        "Without an expert: the network commands alone.", "slow", SHIPPED["apg-scratch-slow"], seeds=1
+    ),
     "short-cruise": _short("As `apg-cruise`, fewer steps: what the following ones differ from in one thing."),
     "short-preview": _short("The network sees the reference .5, 1, 2 and 4 s ahead.", preview=[5, 10, 20, 40]),
     "short-no-memory": _short("Two tanh layers in place of the recurrent units.", memory=False),

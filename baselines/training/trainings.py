@@ -11,6 +11,7 @@ import yaml
 
 from baselines.training.hyperparameters import ENV_ID, shipped
 from baselines.training.request import Request
+from baselines.zero import NO_EXPERT
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,8 @@ SHIPPED: Mapping[str, Training] = {
     "apg-slow": Training("apg", "slow", SLOW_AUTHORITY, timesteps=16_000_000),
     "apg-adverse-cruise": Training("apg", "cruise-adverse", timesteps=16_000_000),
     "apg-adverse-slow": Training("apg", "slow-adverse", SLOW_AUTHORITY, timesteps=16_000_000),
+    "apg-scratch-cruise": Training("apg", "cruise", (1.0, 1.0), NO_EXPERT, 16_000_000),
+    "apg-scratch-slow": Training("apg", "slow", (1.0, 1.0), NO_EXPERT, 16_000_000),
     "ppo-cruise": Training("ppo", "cruise"),
     "ppo-slow": Training("ppo", "slow", (0.6, 1.0)),
     "sac-cruise": Training("sac", "cruise"),
