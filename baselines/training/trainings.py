@@ -73,7 +73,7 @@ SLOW_AUTHORITY = (0.6, 1.6)
 SHIPPED: Mapping[str, Training] = {
     "apg-cruise": Training("apg", "cruise"),
     "apg-slow": Training("apg", "slow", SLOW_AUTHORITY, timesteps=24_000_000),
-    "apg-adverse-cruise": Training("apg", "cruise-adverse", timesteps=16_000_000),
+    "apg-adverse-cruise": Training("apg", "cruise-adverse", timesteps=32_000_000),
     "apg-adverse-slow": Training("apg", "slow-adverse", SLOW_AUTHORITY, timesteps=16_000_000),
     "apg-scratch-cruise": Training("apg", "cruise", (1.0, 1.0), NO_EXPERT, 16_000_000),
     "apg-scratch-slow": Training("apg", "slow", (1.0, 1.0), NO_EXPERT, 16_000_000),
