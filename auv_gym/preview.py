@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from auv_gym.errors import to_body
 from auv_gym.paths import Path, evaluate
-from auv_gym.task import BOUNDS, L, Observation
+from auv_gym.task import BOUNDS, SIZE, L, Observation
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -43,6 +43,21 @@ def preview_columns(periods: Sequence[int], preview: Sequence[int]) -> list[int]
     """Return which columns of a preview are those of some of its times."""
     starts = [2 * preview.index(n) for n in periods]
     return [column for start in starts for column in (start, start + 1)]
+
+
+def columns_behind(rows: NDArray[Any], preview: Sequence[int]) -> NDArray[Any]:
+    """Return what observations, shape (N, n), hold behind their terms: a preview's columns, and perhaps more.
+
+    Raises:
+        ValueError: there are fewer than a policy with this preview needs.
+    """
+    extra = rows[:, SIZE:]
+    if extra.shape[1] < 2 * len(preview):
+        raise ValueError(
+            f"the observation has {extra.shape[1]} columns behind its terms, the policy needs a preview of "
+            f"{2 * len(preview)}: make the environment with preview=policy.preview"
+        )
+    return extra
 
 
 def observation_bounds(preview: tuple[int, ...]) -> Array:

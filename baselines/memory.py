@@ -7,6 +7,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.preview import columns_behind
 from auv_gym.residual import preview_of
 from auv_gym.task import Observation, decode_observation
 
@@ -51,12 +52,14 @@ class Remembering:
         Memory begins anew where `state` is None or `episode_start`, shape (N,), is True.
 
         Raises:
-            ValueError: the observation has the wrong shape, or `state` is of another number of vehicles.
+            ValueError: the observation has the wrong shape or too short a preview, or `state` is of another number of
+                vehicles.
         """
         rows = observation[None] if observation.ndim == 1 else observation
         o = decode_observation(rows)
+        extra = columns_behind(rows, self.preview)
         state = renewed(state, self.controller.start(len(rows)), episode_start)
-        F_u, F_r, state = self.controller.forces(o, state, rows[:, len(o) :])
+        F_u, F_r, state = self.controller.forces(o, state, extra)
         action = np.stack((F_u / o.F_u_max, F_r / o.F_r_max), axis=1)
         action = np.clip(action, -1.0, 1.0).astype(np.float32)
         return (action[0] if observation.ndim == 1 else action), state

@@ -95,16 +95,7 @@ class PredictiveControl:
         return *self.filter.start(n), np.zeros((n, len(PREVIEW), COMMANDS))
 
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
-        """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next.
-
-        Raises:
-            ValueError: the observation has no preview, or a shorter one.
-        """
-        if extra.shape[1] < 2 * len(PREVIEW):
-            raise ValueError(
-                f"the observation has {extra.shape[1]} columns behind its terms, nmpc needs a preview of "
-                f"{2 * len(PREVIEW)}: make the environment with preview=policy.preview"
-            )
+        """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
         *believed, planned = memory
         fresh = believed[0] == 0
         after, z = self.filter.update(tuple(believed), o)

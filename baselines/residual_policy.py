@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.namespaces import ARRAYS
-from auv_gym.preview import joined_previews, preview_columns
+from auv_gym.preview import columns_behind, joined_previews, preview_columns
 from auv_gym.residual import Policy, preview_of
 from auv_gym.task import SIZE, decode_observation
 from baselines.features import INTEGRALS, STANDARD, Inputs, scaled_errors
@@ -61,12 +61,7 @@ class ResidualPolicy:
         """
         rows = observation[None] if observation.ndim == 1 else observation
         o, n = decode_observation(rows), len(rows)
-        extra = rows[:, SIZE:]
-        if extra.shape[1] < 2 * len(self.preview):
-            raise ValueError(
-                f"the observation has {extra.shape[1]} columns behind its terms, the policy needs a preview of "
-                f"{2 * len(self.preview)}: make the environment with preview=policy.preview"
-            )
+        extra = columns_behind(rows, self.preview)
         fresh = np.zeros((n, INTEGRALS)), np.zeros((n, 2)), np.zeros((n, self.network.memory))
         integrals, correction, hidden = renewed(state and state[: self.OWN], fresh, episode_start)
         past: Memory | None = state[self.OWN :] if state else ()

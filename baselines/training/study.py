@@ -66,6 +66,12 @@ VARIANTS: Mapping[str, Variant] = {
         SHIPPED["apg-adverse-slow"],
         seeds=1,
     ),
+    "apg-preview-cruise": Variant(
+        "As `apg-cruise`, and the network sees the reference .5, 1, 2 and 4 s ahead.",
+        "cruise",
+        SHIPPED["apg-preview-cruise"],
+        seeds=1,
+    ),
     "apg-scratch-cruise": Variant(
         "Without an expert: the network commands alone.", "cruise", SHIPPED["apg-scratch-cruise"], seeds=1
     ),

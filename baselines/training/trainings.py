@@ -75,6 +75,7 @@ SHIPPED: Mapping[str, Training] = {
     "apg-slow": Training("apg", "slow", SLOW_AUTHORITY, timesteps=24_000_000),
     "apg-adverse-cruise": Training("apg", "cruise-adverse", timesteps=32_000_000),
     "apg-adverse-slow": Training("apg", "slow-adverse", SLOW_AUTHORITY, timesteps=16_000_000),
+    "apg-preview-cruise": Training("apg", "cruise", changes={"preview": [5, 10, 20, 40]}),
     "apg-scratch-cruise": Training("apg", "cruise", (1.0, 1.0), NO_EXPERT, 16_000_000),
     "apg-scratch-slow": Training("apg", "slow", (1.0, 1.0), NO_EXPERT, 16_000_000),
     "ppo-cruise": Training("ppo", "cruise"),
