@@ -305,9 +305,9 @@ def test_damaged_configuration_is_refused(record, message):
 def test_vehicles_are_shared_out_by_weight():
     regime = request.resolved(["cruise:0.5"])
     config = configuration(scenarios=regime)
-    counts = [config.lanes(110).count(PRESETS[f"cruise-{case}"]) for case in CASES]
-    assert counts == [10, 10, 10, 10, 10, 10, 30, 20]
-    assert sum(weight for _, weight in regime) == 5.5
+    counts = [config.lanes(120).count(PRESETS[f"cruise-{case}"]) for case in CASES]
+    assert counts == [10, 20, 10, 10, 10, 10, 20, 30]
+    assert sum(weight for _, weight in regime) == 6.0
     assert {s.name for s in config.lanes(8)} == {f"cruise-{case}" for case in CASES}
     with pytest.raises(ValueError, match="7 vehicles are too few for 8 scenarios"):
         config.lanes(7)

@@ -16,6 +16,8 @@ from baselines.evaluation.style import COLOURS, REFERENCE, panels
 
 RIVAL = "nmpc"
 """The strongest of the controllers that do not learn."""
+SHORT = "short-"
+"""Begins the names of short trainings that differ in one thing; their learning curves have a figure of their own."""
 
 
 def section(studies: Mapping[str, Study], found: Sequence[Results]) -> str:
@@ -25,7 +27,8 @@ def section(studies: Mapping[str, Study], found: Sequence[Results]) -> str:
     parts = [INTRODUCTION]
     for regime in dict.fromkeys(study.regime for study in studies.values()):
         own = {name: study for name, study in studies.items() if study.regime == regime}
-        parts.append(f"### {regime}\n\n![Learning curves, {regime}](images/{figure_name(regime)})")
+        parts.append(f"### {regime}")
+        parts += [f"![Learning curves, {regime}](images/{name})" for name in figure_names(own)]
         for results in found:
             rows = [_row(name, study, results) for name, study in own.items() if results.suite.name in study.suites]
             if rows:
@@ -101,22 +104,25 @@ def _last(study: Study, column: int) -> float:
     return float(np.mean([curve[-1, column] for curve in study.curves]))
 
 
-def figure_name(regime: str) -> str:
-    """Return the file name of a regime's learning curves."""
-    return f"results-learning-{regime}.png"
+def figure_names(studies: Mapping[str, Study]) -> dict[str, dict[str, Study]]:
+    """Return the figures of learning curves by file name, with the studies in each; regimes and lengths apart."""
+    figures: dict[str, dict[str, Study]] = {}
+    for name, study in studies.items():
+        kind = "short" if name.startswith(SHORT) else "learning"
+        figures.setdefault(f"results-{kind}-{study.regime}.png", {})[name] = study
+    return dict(sorted(figures.items()))
 
 
-def curves_figure(studies: Mapping[str, Study], regime: str) -> Figure:
-    """Return the learning curves of a regime: mean over seeds, with the range of the seeds."""
+def curves_figure(studies: Mapping[str, Study]) -> Figure:
+    """Return the learning curves of studies: mean over seeds, with the range of the seeds."""
     figure, [axes] = panels(1, 2, (7.4, 3.2), sharey=True)
     axes[0].set_ylabel("score on validation episodes")
-    own = {name: study for name, study in studies.items() if study.regime == regime}
     for ax, column, unit, label in zip(
         axes, (0, 1), (1e6, 60.0), ("control steps [million]", "wall time [min]"), strict=True
     ):
         ax.set_xlabel(label)
         ax.axhline(0.0, **REFERENCE)
-        for i, (name, study) in enumerate(own.items()):
+        for i, (name, study) in enumerate(studies.items()):
             x = np.mean([curve[:, column] for curve in study.curves], axis=0) / unit
             scores = np.array([curve[:, 2] for curve in study.curves])
             colour, dashes = COLOURS[i % len(COLOURS)], ("-", "--", ":")[i // len(COLOURS)]
