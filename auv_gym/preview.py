@@ -34,15 +34,14 @@ def checked_preview(preview: Any) -> tuple[int, ...]:
     return tuple(map(int, periods))
 
 
-def joined_previews(*previews: Sequence[int]) -> tuple[int, ...]:
-    """Return the preview that holds the times of all of these."""
-    return tuple(sorted(set().union(*previews)))
-
-
-def preview_columns(periods: Sequence[int], preview: Sequence[int]) -> list[int]:
-    """Return which columns of a preview are those of some of its times."""
-    starts = [2 * preview.index(n) for n in periods]
-    return [column for start in starts for column in (start, start + 1)]
+def shared_preview(mine: Sequence[int], theirs: Sequence[int]) -> tuple[tuple[int, ...], list[int], list[int]]:
+    """Return the preview that serves two at once, and which of its columns are the one's and the other's."""
+    preview = tuple(sorted({*mine, *theirs}))
+    mine_of, theirs_of = (
+        [column for n in periods for column in (2 * preview.index(n), 2 * preview.index(n) + 1)]
+        for periods in (mine, theirs)
+    )
+    return preview, mine_of, theirs_of
 
 
 def columns_behind(rows: NDArray[Any], preview: Sequence[int]) -> NDArray[Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
@@ -55,14 +56,26 @@ class Remembering:
             ValueError: the observation has the wrong shape or too short a preview, or `state` is of another number of
                 vehicles.
         """
-        rows = observation[None] if observation.ndim == 1 else observation
-        o = decode_observation(rows)
-        extra = columns_behind(rows, self.preview)
+        rows, o, extra = batched(observation, self.preview)
         state = renewed(state, self.controller.start(len(rows)), episode_start)
         F_u, F_r, state = self.controller.forces(o, state, extra)
         action = np.stack((F_u / o.F_u_max, F_r / o.F_r_max), axis=1)
         action = np.clip(action, -1.0, 1.0).astype(np.float32)
         return (action[0] if observation.ndim == 1 else action), state
+
+
+def batched(observation: NDArray[Any], preview: Sequence[int]) -> tuple[NDArray[Any], Observation, NDArray[Any]]:
+    """Return observations as rows (N, n), their terms in SI units, and what they hold behind the terms.
+
+    Args:
+        observation: one (n,), or a batch (N, n).
+        preview: what there must be behind the terms at least.
+
+    Raises:
+        ValueError: the shape is wrong, or the preview too short.
+    """
+    rows = observation[None] if observation.ndim == 1 else observation
+    return rows, decode_observation(rows), columns_behind(rows, preview)
 
 
 def renewed(state: Memory | None, fresh: Memory, episode_start: NDArray[np.bool_] | None) -> Memory:

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.namespaces import ARRAYS
-from auv_gym.preview import columns_behind, joined_previews, preview_columns
+from auv_gym.preview import shared_preview
 from auv_gym.residual import Policy, preview_of
-from auv_gym.task import SIZE, decode_observation
+from auv_gym.task import SIZE
 from baselines.features import INTEGRALS, STANDARD, Inputs, scaled_errors
-from baselines.memory import Array, Memory, renewed
+from baselines.memory import Array, Memory, batched, renewed
 from baselines.networks import Network, Weights
 
 
@@ -39,9 +39,7 @@ class ResidualPolicy:
     ) -> None:
         """Make the policy of checked weights; with a region, see `trust`, corrections fade outside of it."""
         self.region, self.inputs = None if region is None else np.array(region), inputs
-        self.preview = joined_previews(inputs.preview, preview_of(expert))
-        self._seen = preview_columns(inputs.preview, self.preview)
-        self._seen_by_expert = preview_columns(preview_of(expert), self.preview)
+        self.preview, self._seen, self._seen_by_expert = shared_preview(inputs.preview, preview_of(expert))
         self.expert, self.network, self.authority = expert, network, np.array(authority)
         self.weights = {name: np.asarray(w, dtype=np.float64) for name, w in weights.items()}
 
@@ -59,9 +57,8 @@ class ResidualPolicy:
         Raises:
             ValueError: the observation has the wrong shape, or `state` is of another number of vehicles.
         """
-        rows = observation[None] if observation.ndim == 1 else observation
-        o, n = decode_observation(rows), len(rows)
-        extra = columns_behind(rows, self.preview)
+        rows, o, extra = batched(observation, self.preview)
+        n = len(rows)
         fresh = np.zeros((n, INTEGRALS)), np.zeros((n, 2)), np.zeros((n, self.network.memory))
         integrals, correction, hidden = renewed(state and state[: self.OWN], fresh, episode_start)
         past: Memory | None = state[self.OWN :] if state else ()

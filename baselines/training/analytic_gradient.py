@@ -20,7 +20,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from auv_gym.envs.torch_sim import can_compile
 from auv_gym.intervals import check_number
-from auv_gym.preview import encode_preview, joined_previews, preview_columns
+from auv_gym.preview import encode_preview, shared_preview
 from auv_gym.records import from_record
 from auv_gym.residual import preview_of
 from auv_gym.task import decode_observation
@@ -138,9 +138,7 @@ class Trainer:
         self.averaged = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(kept))  # type: ignore[no-untyped-call]
         self.optimizer = torch.optim.Adam(self.network.parameters(), lr=settings.learning_rate)
         self._expert = config.make_expert()
-        preview = joined_previews(settings.preview, preview_of(self._expert))
-        self._seen = preview_columns(settings.preview, preview)
-        self._seen_by_expert = preview_columns(preview_of(self._expert), preview)
+        preview, self._seen, self._seen_by_expert = shared_preview(settings.preview, preview_of(self._expert))
         self.fleet = Fleet(config.lanes(settings.n_envs), config.episode_seed, settings.n_steps, preview)
         self.updates, self.skipped, self.score = 0, 0, -math.inf
         self.best = weights_of(self.averaged.module)
@@ -219,11 +217,8 @@ class Trainer:
 
     def agent(self, weights: Any) -> Agent:
         """Return the agent of these weights."""
-        config = self.run.config
-        names = tuple(scenario.name for scenario, _ in config.scenarios)
-        return Agent(
-            self.settings.network, weights, config.expert, config.authority, names, inputs=self.settings.inputs
-        )
+        config, settings = self.run.config, self.settings
+        return Agent(settings.network, weights, config.expert, config.authority, config.names, inputs=settings.inputs)
 
     def _state(self) -> dict[str, Any]:
         return {

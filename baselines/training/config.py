@@ -84,6 +84,11 @@ class Config:
         return policy
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the scenarios."""
+        return tuple(scenario.name for scenario, _ in self.scenarios)
+
+    @property
     def episode_seed(self) -> int:
         """The seed of the training environment: vehicle i gets this + i, no other run or suite the same."""
         return TRAINING_SEED + self.seed * _LANES

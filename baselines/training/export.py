@@ -42,5 +42,4 @@ def exported(policy: Any, config: Config) -> Agent:
     for i, layer in enumerate(linear):
         for name, value in layer.named_parameters():
             weights[f"layers.{i}.{name}"] = np.array(value.detach().cpu().numpy())
-    names = tuple(scenario.name for scenario, _ in config.scenarios)
-    return Agent(network, weights, config.expert, config.authority, names)
+    return Agent(network, weights, config.expert, config.authority, config.names)
