@@ -17,6 +17,7 @@ from auv_gym.task import decode_observation
 from baselines import make_policy
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
+from baselines.evaluation.score import EXPERT
 from baselines.features import FEATURES
 from baselines.training.callbacks import FrozenActor, ZeroCorrection
 from baselines.training.config import Config
@@ -35,11 +36,11 @@ SMOOTH = {"use_sde": True, "policy_kwargs": {"net_arch": {"pi": [16, 8], "qf": [
 SIZES = {"ppo": {"pi": [16, 8], "vf": [8]}} | {key: {"pi": [16, 8], "qf": [8]} for key in ("sac", "td3", "tqc")}
 
 
-def configuration(algo="ppo", steps=30, **values):
+def configuration(algo="ppo", steps=30, expert=EXPERT, **values):
     more = {"n_steps": 8, "batch_size": 24} if algo == "ppo" else {"buffer_size": 1000}
     scenario = Scenario.from_dict({**STORM.to_dict(), "steps": steps})
     values = {"n_envs": 3, "policy_kwargs": {"net_arch": SIZES[algo]}, **more, **values}
-    return Config(algo, ((scenario, 1.0),), authority=(0.4, 0.8), hyperparameters=values)
+    return Config(algo, ((scenario, 1.0),), expert, (0.4, 0.8), hyperparameters=values)
 
 
 def untrained(algo, **values):
@@ -71,13 +72,15 @@ def test_other_networks_are_refused():
         exported(model.policy, configuration())
 
 
-def test_agent_acts_on_the_track_as_its_model_does_in_training():
-    """Across the ends of episodes too: features, memory, expert and authority are the same on both ways."""
-    config = configuration()
-    model = untrained("ppo")
+@pytest.mark.parametrize("expert", [EXPERT, "nmpc"])
+def test_agent_acts_on_the_track_as_its_model_does_in_training(expert):
+    """Across the ends of episodes too: features, memory, expert, its preview and authority are the same on both ways."""
+    config = configuration(expert=expert)
+    model = untrained("ppo", expert=expert)
     env = model.get_env()
     policy = exported(model.policy, config).policy()
-    track = UnderactuatedAUVTrackVectorEnv(3, STORM)
+    assert bool(policy.preview) == (expert == "nmpc")
+    track = UnderactuatedAUVTrackVectorEnv(3, STORM, preview=policy.preview)
     features, (observation, _) = env.reset(), track.reset(seed=config.episode_seed)
     memory, first = None, np.ones(3, dtype=bool)
     for _ in range(70):

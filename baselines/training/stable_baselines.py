@@ -20,7 +20,7 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecMonitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvWrapper
 
-from auv_gym.residual import VectorResidualAction
+from auv_gym.residual import VectorResidualAction, preview_of
 from baselines.agent import Agent
 from baselines.training.callbacks import FrozenActor, ZeroCorrection
 from baselines.training.config import Config
@@ -123,13 +123,15 @@ def make_training_env(config: Config, n_envs: int, wrappers: Any = ()) -> VecFea
     """
     if isinstance(n_envs, bool) or not isinstance(n_envs, int) or n_envs < 1:
         raise ValueError(f"hyper-parameter n_envs is {n_envs!r}; it must be an integer of at least 1")
+    expert = config.make_expert()
     track = gym.make_vec(
         "auv_gym:UnderactuatedAUVTrack-v0",
         num_envs=n_envs,
         vectorization_mode="vector_entry_point",
         scenario=config.lanes(n_envs),
+        preview=preview_of(expert),
     )
-    env: VecEnv = VecMonitor(SB3VecEnv(VectorResidualAction(track, config.make_expert(), config.authority)))
+    env: VecEnv = VecMonitor(SB3VecEnv(VectorResidualAction(track, expert, config.authority)))
     for make in _named(wrappers, WRAPPERS, "vec_env_wrapper"):
         env = make(env)
     return env if isinstance(env, VecFeatures) else VecFeatures(env)

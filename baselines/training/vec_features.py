@@ -12,6 +12,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvStepRetu
 from auv_gym.namespaces import ARRAYS
 from auv_gym.task import SIZE, decode_observation
 from baselines.features import BOUND, FEATURES, INTEGRALS, STANDARD
+from baselines.networks import ACTIONS
 
 Array = NDArray[np.float64]
 
@@ -22,24 +23,25 @@ class VecFeatures(VecEnvWrapper):
     At the end of an episode `terminal_observation` has the features of the true last observation.
 
     Args:
-        venv: of `UnderactuatedAUVTrackResidual-v0`.
+        venv: of `UnderactuatedAUVTrackResidual-v0`; a preview for its expert does not show in the features.
 
     Raises:
         ValueError: it is another environment.
     """
 
     def __init__(self, venv: VecEnv) -> None:
-        shape = venv.observation_space.shape
-        if shape != (SIZE + 2,):
-            raise ValueError(f"observations have shape {shape}; those of the residual environment have {(SIZE + 2,)}")
+        shape = venv.observation_space.shape or ()
+        if len(shape) != 1 or shape[0] < SIZE + ACTIONS:
+            allowed = f"({SIZE + ACTIONS},), or more with a preview"
+            raise ValueError(f"observations have shape {shape}; those of the residual environment have {allowed}")
         space = gym.spaces.Box(-BOUND, BOUND, (len(FEATURES),), np.float32)
         super().__init__(venv, observation_space=space)
-        self._integrals, self._correction = np.zeros((self.num_envs, INTEGRALS)), np.zeros((self.num_envs, 2))
+        self._integrals, self._correction = np.zeros((self.num_envs, INTEGRALS)), np.zeros((self.num_envs, ACTIONS))
 
     def reset(self) -> NDArray[np.float32]:
         """Start an episode everywhere; return the features, shape (N, features)."""
         observation = np.asarray(self.venv.reset())
-        self._integrals, self._correction = np.zeros((self.num_envs, INTEGRALS)), np.zeros((self.num_envs, 2))
+        self._integrals, self._correction = np.zeros((self.num_envs, INTEGRALS)), np.zeros((self.num_envs, ACTIONS))
         features, self._integrals = _features(observation, self._correction, self._integrals)
         return features
 
@@ -61,7 +63,7 @@ class VecFeatures(VecEnvWrapper):
 
 
 def _features(observation: Array, correction: Array, integrals: Array) -> tuple[NDArray[np.float32], Array]:
-    """Return the features (N, features) and the new integrals (N, INTEGRALS) of observations (N, SIZE + 2)."""
-    o, base = decode_observation(observation), observation[:, SIZE:].T
+    """Return the features (N, features) and the new integrals (N, INTEGRALS) of observations that end in an action."""
+    o, base = decode_observation(observation), observation[:, -ACTIONS:].T
     rows, sums = STANDARD.update(o, (), base, correction.T, integrals.T, ARRAYS)
     return np.array(rows, dtype=np.float32).T, np.array(sums).T
