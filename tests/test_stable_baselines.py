@@ -74,7 +74,7 @@ def test_other_networks_are_refused():
 
 @pytest.mark.parametrize("expert", [EXPERT, "nmpc"])
 def test_agent_acts_on_the_track_as_its_model_does_in_training(expert):
-    """Across the ends of episodes too: features, memory, expert, its preview and authority are the same on both ways."""
+    """Across the ends of episodes too: features, memory, expert, preview and authority are the same on both ways."""
     config = configuration(expert=expert)
     model = untrained("ppo", expert=expert)
     env = model.get_env()

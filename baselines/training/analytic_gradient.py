@@ -45,11 +45,13 @@ Step = Callable[..., tuple[Carried, Tensor, Tensor]]
 class Settings:
     """Hyper-parameters of the analytic gradient."""
 
-    n_envs: int = 256  # vehicles side by side
+    n_envs: int = 128  # vehicles side by side
     n_steps: int = 50  # control steps of a window
-    learning_rate: float = 3e-3  # at the start ...
-    final_learning_rate: float = 1e-4  # ... falling to this along a cosine
-    max_grad_norm: float = 1.0
+    learning_rate: float = 3e-3  # of biases and the last layer, by Adam
+    matrix_learning_rate: float = 0.03  # of the other matrices, by Muon; 0: by Adam as well
+    weight_decay: float = 0.02  # of those matrices: without it they grow until the vehicles move in chaos
+    final_share: float = 0.03  # of both rates that is left at the end; they fall along a cosine
+    max_grad_norm: float = 0.05  # less than most gradients have, so that every window weighs the same
     average: float = 0.02  # share of the run over which weights are averaged; it is their average that an agent gets
     hidden_size: int = 64  # of each layer of the network
     effort_weight: float = 0.006  # see `closed_loop.Loss`
@@ -64,9 +66,10 @@ class Settings:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= high:
                 raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")
-        for name in ("learning_rate", "final_learning_rate", "max_grad_norm"):
+        for name in ("learning_rate", "max_grad_norm"):
             check_number(name, getattr(self, name), 1e-9, 1e6)
-        check_number("average", self.average, 0, 1)
+        for name in ("matrix_learning_rate", "weight_decay", "final_share", "average"):
+            check_number(name, getattr(self, name), 0, 1)
         for name in ("effort_weight", "rate_weight"):
             check_number(name, getattr(self, name), 0, 1e6)
         for name in ("memory", "compiled"):
@@ -85,10 +88,23 @@ class Settings:
         inputs, size = len(self.inputs.features), self.hidden_size
         return Gru(inputs, size, size, size) if self.memory else Mlp(inputs, (size, size), bound="tanh")
 
-    def rate_at(self, progress: float) -> float:
-        """Return the learning rate after a share `progress` of the run."""
-        first, last = self.learning_rate, self.final_learning_rate
-        return last + (first - last) * 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
+    def share_at(self, progress: float) -> float:
+        """Return the share of the learning rates that is left after a share `progress` of the run."""
+        return self.final_share + (1 - self.final_share) * 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
+
+    def optimizers(self, network: nn.Module) -> tuple[torch.optim.Optimizer, ...]:
+        """Return what follows a network's gradient.
+
+        Muon gives every direction in which a matrix can change the same weight (Jordan et al. 2024, "Muon: an optimizer
+        for hidden layers in neural networks"); through the simulator a few of them have nearly all of the gradient.
+        """
+        if self.matrix_learning_rate == 0:
+            return (torch.optim.Adam(network.parameters(), lr=self.learning_rate),)
+        *matrices, _ = (p for p in network.parameters() if p.ndim == 2)  # without the last layer's
+        chosen = {id(p) for p in matrices}
+        rest = [p for p in network.parameters() if id(p) not in chosen]
+        muon = torch.optim.Muon(matrices, lr=self.matrix_learning_rate, weight_decay=self.weight_decay)
+        return muon, torch.optim.Adam(rest, lr=self.learning_rate)
 
 
 def check(config: Config) -> Settings:
@@ -136,7 +152,8 @@ class Trainer:
         self.network = torch_network(settings.network)
         kept = 1 - 1 / max(1.0, settings.average * self.total)
         self.averaged = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(kept))  # type: ignore[no-untyped-call]
-        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=settings.learning_rate)
+        self.optimizers = settings.optimizers(self.network)
+        self._rates = [group["lr"] for group in self._groups]
         self._expert = config.make_expert()
         preview, self._seen, self._seen_by_expert = shared_preview(settings.preview, preview_of(self._expert))
         self.fleet = Fleet(config.lanes(settings.n_envs), config.episode_seed, settings.n_steps, preview)
@@ -153,21 +170,26 @@ class Trainer:
         self._step = compiled(loop) if settings.compiled else loop.step
 
     @property
+    def _groups(self) -> list[dict[str, Any]]:
+        return [group for optimizer in self.optimizers for group in optimizer.param_groups]
+
+    @property
     def timesteps(self) -> int:
         """Control steps so far, summed over vehicles."""
         return self.updates * self.settings.n_envs * self.settings.n_steps
 
     def update(self) -> None:
         """Run one window, follow its gradient, and log, validate and save where it is time to."""
-        progress = self.updates / self.total
-        for group in self.optimizer.param_groups:
-            group["lr"] = self.settings.rate_at(progress)
+        share = self.settings.share_at(self.updates / self.total)
+        for group, rate in zip(self._groups, self._rates, strict=True):
+            group["lr"] = rate * share
         loss, error = self._window()
-        self.optimizer.zero_grad()
+        self.network.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         norm = float(nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.max_grad_norm))
         if math.isfinite(norm):
-            self.optimizer.step()
+            for optimizer in self.optimizers:
+                optimizer.step()
             self.averaged.update_parameters(self.network)
             self.skipped = 0
         elif self.skipped >= self.PATIENCE:
@@ -229,7 +251,7 @@ class Trainer:
             "best": self.best,
             "network": self.network.state_dict(),
             "averaged": self.averaged.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
+            "optimizers": [optimizer.state_dict() for optimizer in self.optimizers],
             "fleet": self.fleet,
             "carried": self.carried,
             "memory": self._memory,
@@ -240,7 +262,8 @@ class Trainer:
         self.score, self.best = state["score"], state["best"]
         self.network.load_state_dict(state["network"])
         self.averaged.load_state_dict(state["averaged"])
-        self.optimizer.load_state_dict(state["optimizer"])
+        for optimizer, its in zip(self.optimizers, state["optimizers"], strict=True):
+            optimizer.load_state_dict(its)
         self.fleet, self.carried, self._memory = state["fleet"], state["carried"], state["memory"]
 
 

@@ -77,14 +77,25 @@ def actuators_most(regime: str) -> str:
 
 SLOW_AUTHORITY = (0.6, 1.6)
 """In slow motion the limits are small beside the law's own commands: a correction must be able to undo those."""
+SLOW: Mapping[str, Any] = {"effort_weight": 0.12}
+"""Of the analytic gradient in slow motion, where currents and waves are strong beside the limits."""
+EXACT: Mapping[str, Any] = {
+    "preview": [5, 10, 20, 40],
+    "hidden_size": 128,
+    "matrix_learning_rate": 0.02,
+    "effort_weight": 0.002,
+    "rate_weight": 0.001,
+}
+"""Of the analytic gradient where nothing counts but the error: sight ahead, a larger network, commands for nothing."""
 SHIPPED: Mapping[str, Training] = {
     "apg-cruise": Training("apg", "cruise"),
-    "apg-slow": Training("apg", "slow", SLOW_AUTHORITY, timesteps=24_000_000),
-    "apg-adverse-cruise": Training("apg", "cruise-adverse", timesteps=32_000_000),
-    "apg-adverse-slow": Training("apg", "slow-adverse", SLOW_AUTHORITY, timesteps=16_000_000),
-    "apg-preview-cruise": Training("apg", "cruise", changes={"preview": [5, 10, 20, 40]}),
-    "apg-scratch-cruise": Training("apg", "cruise", (1.0, 1.0), NO_EXPERT, 16_000_000),
-    "apg-scratch-slow": Training("apg", "slow", (1.0, 1.0), NO_EXPERT, 16_000_000),
+    "apg-slow": Training("apg", "slow", SLOW_AUTHORITY, changes=SLOW),
+    "apg-preview-cruise": Training("apg", "cruise", timesteps=16_000_000, changes=EXACT),
+    "apg-preview-slow": Training("apg", "slow", SLOW_AUTHORITY, changes=EXACT),
+    "apg-adverse-cruise": Training("apg", "cruise-adverse"),
+    "apg-adverse-slow": Training("apg", "slow-adverse", SLOW_AUTHORITY, changes=SLOW),
+    "apg-scratch-cruise": Training("apg", "cruise", (1.0, 1.0), NO_EXPERT),
+    "apg-scratch-slow": Training("apg", "slow", (1.0, 1.0), NO_EXPERT, changes=SLOW),
     "ppo-cruise": Training("ppo", actuators_most("cruise")),
     "ppo-slow": Training("ppo", actuators_most("slow"), (0.6, 1.0)),
     "sac-cruise": Training("sac", "cruise"),
