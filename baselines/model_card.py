@@ -53,10 +53,12 @@ def _facts(record: Mapping[str, Any]) -> list[str]:
     network, training = dict(record["network"]), record["training"]
     kind = network.pop("kind")
     facts = {"network": f"{kind}, {_listed(network)}", "trained on": ", ".join(record["scenarios"]) or "not recorded"}
-    for key in ("command", "seconds", "versions", "suite_hash"):
-        if key in training:
-            value = training[key]
-            facts[key.replace("_", " ")] = _listed(value) if isinstance(value, Mapping) else f"`{value}`"
+    config = training.get("config", {})
+    known = training | {key: config[key] for key in ("hyperparameters", "timesteps", "seed") if key in config}
+    for key in ("command", "hyperparameters", "timesteps", "seed", "seconds", "versions"):
+        if key in known:
+            value = known[key]
+            facts[key] = _listed(value) if isinstance(value, Mapping) else f"`{value}`"
     facts["SHA-256 of the weights"] = f"`{record['weights_sha256']}`"
     return _table(facts)
 

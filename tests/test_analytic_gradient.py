@@ -14,7 +14,7 @@ from baselines import make_policy
 from baselines.agent import Agent
 from baselines.features import FEATURES, Inputs
 from baselines.networks import Gru, Mlp
-from baselines.training.analytic_gradient import Trainer, check, train
+from baselines.training.analytic_gradient import Settings, Trainer, check, train
 from baselines.training.closed_loop import CURVE, NEAR, Carried, ClosedLoop, Loss, law_of
 from baselines.training.config import Config
 from baselines.training.fleet import Fleet
@@ -223,6 +223,35 @@ def test_best_agent_is_returned(trained):
     assert run.validation.run(agent.policy()).score == best
 
 
+@pytest.mark.parametrize("sizes", [SIZES, Mlp(4, (8, 8))])
+def test_matrices_change_alike_in_every_direction(sizes):
+    """Under a gradient that is a thousand times steeper in one direction than in another; all other weights by Adam."""
+    net = torch_network(sizes)
+    before = {name: p.detach().clone() for name, p in net.named_parameters()}
+    for p in net.parameters():
+        p.grad = torch.randn_like(p)
+        if p.ndim == 2:
+            u, s, v = torch.linalg.svd(p.grad, full_matrices=False)
+            p.grad = u @ torch.diag(torch.logspace(0, -3, len(s))) @ v
+    for optimizer in Settings(learning_rate=1e-3, matrix_learning_rate=0.1, weight_decay=0.0).optimizers(net):
+        optimizer.step()
+    for name, p in net.named_parameters():
+        change = (p - before[name]).detach()
+        if p.ndim == 2 and not name.startswith(("head", "layers.2")):
+            sizes_of = torch.linalg.svdvals(change)
+            assert 0.05 < float(sizes_of[0]) < 0.25, name
+            assert float(sizes_of[-1]) > 0.2 * float(sizes_of[0]), name
+        else:
+            np.testing.assert_allclose(change.abs(), 1e-3, rtol=1e-3)  # Adam's first step
+
+
+def test_without_a_rate_of_their_own_matrices_follow_adam():
+    net = torch_network(SIZES)
+    [optimizer] = Settings(matrix_learning_rate=0.0).optimizers(net)
+    assert isinstance(optimizer, torch.optim.Adam)
+    assert len(optimizer.param_groups[0]["params"]) == len([*net.parameters()])
+
+
 @pytest.mark.parametrize(
     ("settings", "says"),
     [
@@ -231,6 +260,8 @@ def test_best_agent_is_returned(trained):
         ({"n_envs": 0}, "n_envs is 0"),
         ({"n_steps": 51}, "at most 50"),
         ({"learning_rate": -1.0}, "learning_rate is -1.0"),
+        ({"matrix_learning_rate": -0.1}, "matrix_learning_rate is -0.1"),
+        ({"final_share": 1.5}, "final_share is 1.5"),
         ({"hidden_size": 0}, "is 0; it must be an integer"),
         ({"compiled": "yes"}, "true or false"),
         ({"preview": [0]}, "preview is"),

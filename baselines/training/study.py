@@ -59,6 +59,8 @@ CORRECTED = "The expert corrected by the analytic gradient, from measurements al
 EXACTER = "A larger network, which sees the reference ahead and pays nearly nothing for its commands."
 TROUBLED = "Trained also where sensors, commands, actuators and current are not as told."
 ALONE = "Without an expert: the network commands alone."
+ON_POLICY = "The expert corrected by a network without memory, which learns from rewards."
+OFF_POLICY = "The same from fewer steps, which are learned from many times."
 VARIANTS: Mapping[str, Variant] = {
     "apg-cruise": _shipped("apg-cruise", CORRECTED),
     "apg-slow": _shipped("apg-slow", CORRECTED),
@@ -68,6 +70,12 @@ VARIANTS: Mapping[str, Variant] = {
     "apg-adverse-slow": _shipped("apg-adverse-slow", TROUBLED),
     "apg-scratch-cruise": _shipped("apg-scratch-cruise", ALONE, seeds=3),
     "apg-scratch-slow": _shipped("apg-scratch-slow", ALONE, seeds=3),
+    "ppo-cruise": _shipped("ppo-cruise", ON_POLICY, seeds=3),
+    "ppo-slow": _shipped("ppo-slow", ON_POLICY, seeds=3),
+    "sac-cruise": _shipped("sac-cruise", OFF_POLICY, seeds=3),
+    "sac-slow": _shipped("sac-slow", OFF_POLICY, seeds=3),
+    "td3-cruise": _shipped("td3-cruise", OFF_POLICY, seeds=3),
+    "td3-slow": _shipped("td3-slow", OFF_POLICY, seeds=3),
     "short-cruise": _short("As `apg-cruise`, fewer steps: what the following ones differ from in one thing."),
     "short-preview": _short("The network sees the reference .5, 1, 2 and 4 s ahead.", preview=[5, 10, 20, 40]),
     "short-no-memory": _short("Two tanh layers in place of the recurrent units.", memory=False),

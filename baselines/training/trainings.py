@@ -96,7 +96,7 @@ SHIPPED: Mapping[str, Training] = {
     "apg-adverse-slow": Training("apg", "slow-adverse", SLOW_AUTHORITY, changes=SLOW),
     "apg-scratch-cruise": Training("apg", "cruise", (1.0, 1.0), NO_EXPERT),
     "apg-scratch-slow": Training("apg", "slow", (1.0, 1.0), NO_EXPERT, changes=SLOW),
-    "ppo-cruise": Training("ppo", actuators_most("cruise")),
+    "ppo-cruise": Training("ppo", actuators_most("cruise"), timesteps=5_000_000),
     "ppo-slow": Training("ppo", actuators_most("slow"), (0.6, 1.0)),
     "sac-cruise": Training("sac", "cruise"),
     "sac-slow": Training("sac", "slow", (0.6, 0.6)),
