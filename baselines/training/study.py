@@ -38,7 +38,7 @@ class Variant:
     about: str  # one line for the results page
     regime: str
     training: Training
-    seeds: int = 5
+    seeds: int
     suites: tuple[str, ...] = SUITES
 
 
@@ -46,47 +46,43 @@ SHORT = 3_000_000
 """Control steps of the trainings that differ from `short-cruise` in one thing."""
 
 
-def _shipped(name: str, about: str, seeds: int = 5) -> Variant:
-    return Variant(about, name.rsplit("-", 1)[1], SHIPPED[name], seeds)
-
-
 def _short(about: str, expert: str | None = None, authority: tuple[float, ...] = (), **changes: Any) -> Variant:
     training = Training("apg", "cruise", authority, expert, SHORT, changes)
     return Variant(about, "cruise", training, 2, ("benchmark-v1",))
 
 
-CORRECTED = "The expert corrected by the analytic gradient, from measurements alone."
-EXACTER = "A larger network, which sees the reference ahead and pays nearly nothing for its commands."
-TROUBLED = "Trained also where sensors, commands, actuators and current are not as told."
-ALONE = "Without an expert: the network commands alone."
-ON_POLICY = "The expert corrected by a network without memory, which learns from rewards."
-OFF_POLICY = "The same from fewer steps, which are learned from many times."
-VARIANTS: Mapping[str, Variant] = {
-    "apg-cruise": _shipped("apg-cruise", CORRECTED),
-    "apg-slow": _shipped("apg-slow", CORRECTED),
-    "apg-preview-cruise": _shipped("apg-preview-cruise", EXACTER),
-    "apg-preview-slow": _shipped("apg-preview-slow", EXACTER),
-    "apg-adverse-cruise": _shipped("apg-adverse-cruise", TROUBLED),
-    "apg-adverse-slow": _shipped("apg-adverse-slow", TROUBLED),
-    "apg-scratch-cruise": _shipped("apg-scratch-cruise", ALONE, seeds=3),
-    "apg-scratch-slow": _shipped("apg-scratch-slow", ALONE, seeds=3),
-    "ppo-cruise": _shipped("ppo-cruise", ON_POLICY, seeds=3),
-    "ppo-slow": _shipped("ppo-slow", ON_POLICY, seeds=3),
-    "sac-cruise": _shipped("sac-cruise", OFF_POLICY, seeds=3),
-    "sac-slow": _shipped("sac-slow", OFF_POLICY, seeds=3),
-    "td3-cruise": _shipped("td3-cruise", OFF_POLICY, seeds=3),
-    "td3-slow": _shipped("td3-slow", OFF_POLICY, seeds=3),
+FAMILIES: Mapping[str, tuple[str, int]] = {
+    "apg": ("The expert corrected by the analytic gradient, from measurements alone.", 5),
+    "apg-preview": ("A larger network, which sees the reference ahead and pays nearly nothing for its commands.", 5),
+    "apg-adverse": ("Trained also where sensors, commands, actuators and current are not as told.", 5),
+    "apg-scratch": ("Without an expert: the network commands alone.", 3),
+    "ppo": ("The expert corrected by a network without memory, which learns from rewards.", 3),
+    "sac": ("The same from fewer steps, each of which is learned from many times.", 3),
+    "td3": ("The same from fewer steps, each of which is learned from many times.", 3),
+}
+"""What the agents that ship with the package are, by their names without the regime; and with how many seeds."""
+SHORT_TRAININGS: Mapping[str, Variant] = {
     "short-cruise": _short("As `apg-cruise`, fewer steps: what the following ones differ from in one thing."),
     "short-preview": _short("The network sees the reference .5, 1, 2 and 4 s ahead.", preview=[5, 10, 20, 40]),
     "short-no-memory": _short("Two tanh layers in place of the recurrent units.", memory=False),
     "short-no-integrals": _short("The network does not see the integrals of the error.", integrals=False),
     "short-little-authority": _short("Half the authority.", authority=(0.3, 0.3)),
-    "short-scratch": _short(ALONE, NO_EXPERT, (1.0, 1.0)),
+    "short-scratch": _short("Without an expert: the network commands alone.", NO_EXPERT, (1.0, 1.0)),
     "short-ekf": _short("The law on an extended Kalman filter as the expert.", "ekf"),
     "short-free": _short("Commands cost next to nothing.", effort_weight=0.002, rate_weight=0.001),
     "short-horizon": _short("The gradient goes back over 10 steps (1 s) in place of 50.", n_steps=10),
     "short-adam": _short("Every weight follows Adam, at its learning rate.", matrix_learning_rate=0.0),
 }
+"""Trainings that show what one thing is worth."""
+
+
+def _shipped(name: str, training: Training) -> Variant:
+    family, regime = name.rsplit("-", 1)
+    about, seeds = FAMILIES[family]
+    return Variant(about, regime, training, seeds)
+
+
+VARIANTS = {name: _shipped(name, training) for name, training in SHIPPED.items()} | SHORT_TRAININGS
 """The agents of the study, by name."""
 
 

@@ -77,7 +77,7 @@ def actuators_most(regime: str) -> str:
 
 SLOW_AUTHORITY = (0.6, 1.6)
 """In slow motion the limits are small beside the law's own commands: a correction must be able to undo those."""
-SLOW: Mapping[str, Any] = {"effort_weight": 0.12}
+SLOW: Mapping[str, Any] = {"effort_weight": 0.15}
 """Of the analytic gradient in slow motion, where currents and waves are strong beside the limits."""
 EXACT: Mapping[str, Any] = {
     "preview": [5, 10, 20, 40],
