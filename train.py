@@ -28,7 +28,8 @@ class Options:
     "ppo", "sac", "td3", "tqc"."""
     scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ("cruise",)
     """What to train on: names of presets, .toml and .json files, or a regime, "cruise" or "slow", for all of its cases
-    (slow actuators three times, storms twice as often); NAME:WEIGHT weighs one against the others. Default: cruise."""
+    (storms three times, noise and slow actuators twice as often); NAME:WEIGHT weighs one against the others. Default:
+    cruise."""
     expert: Annotated[str | None, arg(metavar="E", help_behavior_hint="")] = None
     """The policy that is corrected, by name; "none" to learn without one. Default: backstepping."""
     authority: Annotated[tuple[float, ...], arg(metavar="A [A]", help_behavior_hint="")] = ()
@@ -44,6 +45,8 @@ class Options:
     """Control steps to train for, summed over vehicles. Default: what the hyper-parameters say."""
     hyperparameters: Annotated[Path | None, arg(metavar="FILE.yml", help_behavior_hint="")] = None
     """In rl_zoo3's format. Default: those that ship with the package."""
+    set: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE [...]", help_behavior_hint="")] = ()
+    """Hyper-parameters in place of the file's, such as "effort_weight=0.1" or "preview=[5,10]"."""
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
     """Folder of the run; nothing in it is overwritten. Default: runs/train/ALGO-SCENARIO."""
     resume: bool = False
@@ -70,6 +73,7 @@ def main(arguments: Sequence[str]) -> int:
         options.jobs,
         options.timesteps,
         options.hyperparameters,
+        options.set,
         options.out,
         options.resume,
         f"python {PROGRAM} {shlex.join(arguments)}",

@@ -142,7 +142,7 @@ def test_trainings_are_what_train_py_can_repeat(tmp_path):
     assert [config.seed for config in request.configs] == [0, 1]
     assert request.configs[0].authority == (0.2, 0.4)
     assert request.configs[0].hyperparameters["gamma"] == 0.5
-    assert f"--hyperparameters {tmp_path / 'a.yml'} --authority 0.2 0.4 --timesteps 5000 --seeds 2" in request.command
+    assert "--set gamma=0.5 --authority 0.2 0.4 --timesteps 5000 --seeds 2" in request.command
     assert Training("ppo", REGIME).request(tmp_path / "b").command == f"python train.py --algo ppo --scenario {REGIME}"
 
 

@@ -3,6 +3,7 @@
 import errno
 import json
 import re
+import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from baselines.command_line import UsageError, run
 from baselines.evaluation.runner import drawn
 from baselines.training import command, request, shipped
 from baselines.training.config import ALGORITHMS, LARGEST_SEED, TRAINING_SEED, Config
-from baselines.training.hyperparameters import ENV_ID, load_hyperparameters
+from baselines.training.hyperparameters import ENV_ID, changes_of, load_hyperparameters, words_of
 from baselines.training.hyperparameters import shipped as shipped_file
 from baselines.training.run import Run, read_config, read_progress
 from baselines.training.trainings import SHIPPED, Training
@@ -160,6 +161,10 @@ def test_folder_of_a_run_is_used_for_nothing_else(call, capsys):
         (("--hyperparameters", "small.toml"), "small.toml has no table of hyper-parameters"),
         (("--hyperparameters", "broken.yml"), "broken.yml is not valid YAML"),
         (("--scenario", "small.toml", "--hyperparameters", "sac.yml"), "'buffer_size' of ppo; allowed are batch_size"),
+        (("--set", "gamma"), "--set 'gamma' sets nothing; it must be NAME=VALUE"),
+        (("--set", "=1"), "--set '=1' sets nothing"),
+        (("--set", "gamma=["), "--set 'gamma=[' sets nothing"),
+        (("--set", "gama=0.9"), "unknown hyper-parameter 'gama' of ppo; allowed are batch_size"),
         (("--out", "small.toml/run"), "is not a folder that can be written to"),
         (("--out", "full"), "--out full is not empty and holds no run"),
         (("--speed", "1"), "see train.py --help"),
@@ -329,6 +334,16 @@ def test_shipped_hyperparameters_are_used_as_they_are(algo):
         request.check(config)
 
 
+def test_hyperparameters_are_set_one_by_one(tmp_path):
+    words = ["a=3e-4", "b=lin_0.1", "c=[5,10]", "d=true", "e={net: {pi: [8]}}"]
+    changes = changes_of(words)
+    assert changes == {"a": 3e-4, "b": "lin_0.1", "c": [5, 10], "d": True, "e": {"net": {"pi": [8]}}}
+    assert changes_of(words_of(changes)) == changes
+    given = request.Request.of("ppo", ["cruise-storm"], changes=["gamma=0.5"], out=tmp_path / "run")
+    plain = load_hyperparameters(shipped_file("ppo")).values
+    assert given.configs[0].hyperparameters == {**plain, "gamma": 0.5}
+
+
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_agents_can_be_trained_again(name, call, monkeypatch, tmp_path):
     made = []
@@ -342,7 +357,7 @@ def test_shipped_agents_can_be_trained_again(name, call, monkeypatch, tmp_path):
         theirs = replace(config, timesteps=mine["timesteps"]).to_dict()
         assert mine == theirs
     monkeypatch.setattr(command, "train", lambda r: made.append(r) or 0)
-    assert call(*made[0].command.split()[2:], "--out", tmp_path / "again") == 0
+    assert call(*shlex.split(made[0].command)[2:], "--out", tmp_path / "again") == 0
     assert made[1].configs == (config,)
 
 

@@ -16,7 +16,7 @@ from baselines.command_line import UsageError
 from baselines.evaluation.request import checked, checked_folder, checked_scenario
 from baselines.evaluation.score import EXPERT
 from baselines.training.config import ALGORITHMS, Config
-from baselines.training.hyperparameters import load_hyperparameters, shipped
+from baselines.training.hyperparameters import changes_of, load_hyperparameters, shipped
 from baselines.training.mixtures import MIXTURES
 from baselines.training.run import AGENT, read_config
 
@@ -46,6 +46,7 @@ class Request:
         jobs: int | None = None,
         timesteps: int | None = None,
         hyperparameters: Path | None = None,
+        changes: Sequence[str] = (),
         out: Path | None = None,
         resume: bool = False,
         command: str = "",
@@ -61,6 +62,7 @@ class Request:
         if algo not in ALGORITHMS:
             raise UsageError(f"unknown algorithm {algo!r}; allowed are {', '.join(ALGORITHMS)}")
         found = checked(partial(load_hyperparameters, hyperparameters or shipped(algo)))
+        changed = checked(partial(changes_of, changes))
         config = checked(
             lambda: Config(
                 algo,
@@ -69,7 +71,7 @@ class Request:
                 _pair(authority or found.authority or DEFAULT_AUTHORITY),
                 seed,
                 next(n for n in (timesteps, found.timesteps, DEFAULT_TIMESTEPS) if n is not None),
-                found.values,
+                {**found.values, **changed},
             )
         )
         configs = tuple(checked(partial(replace, config, seed=seed + i)) for i in range(seeds))

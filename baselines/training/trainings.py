@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from auv_gym.presets import CASES
-from baselines.training.hyperparameters import ENV_ID, shipped
+from baselines.training.hyperparameters import words_of
 from baselines.training.request import Request
 from baselines.zero import NO_EXPERT
 
@@ -27,7 +26,7 @@ class Training:
     changes: Mapping[str, Any] = field(default_factory=dict)  # of the hyper-parameters
 
     def request(self, folder: Path, seeds: int = 1, jobs: int = 1, timesteps: int | None = None) -> Request:
-        """Return the training in a folder, to begin or to go on with; a file of changes lies beside it.
+        """Return the training in a folder, to begin or to go on with.
 
         Args:
             folder: of the run, or of the runs of several seeds.
@@ -38,14 +37,10 @@ class Training:
         Raises:
             UsageError: the folder holds something else.
         """
-        steps, file, words = timesteps or self.timesteps, None, [f"--algo {self.algo} --scenario {self.scenario}"]
-        if self.changes:
-            file = folder.with_suffix(".yml")
-            tables = yaml.safe_load(shipped(self.algo).read_text(encoding="utf-8"))
-            tables[ENV_ID] |= self.changes
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_text(yaml.safe_dump(tables, sort_keys=False), encoding="utf-8")
-            words.append(f"--hyperparameters {file}")
+        steps, changes = timesteps or self.timesteps, words_of(self.changes)
+        words = [f"--algo {self.algo} --scenario {self.scenario}"]
+        if changes:
+            words.append(f"--set {shlex.join(changes)}")
         if self.expert:
             words.append(f"--expert {self.expert}")
         if self.authority:
@@ -62,7 +57,7 @@ class Training:
             seeds=seeds,
             jobs=jobs,
             timesteps=steps,
-            hyperparameters=file,
+            changes=changes,
             out=folder,
             resume=True,
             command=f"python train.py {' '.join(words)}",

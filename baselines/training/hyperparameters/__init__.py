@@ -6,7 +6,9 @@ what the algorithm gets. YAML reads 3e-4 as a word; write 0.0003 or !!float 3e-4
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -53,6 +55,35 @@ def load_hyperparameters(file: Path) -> Hyperparameters:
     return Hyperparameters(
         values, values.pop("n_timesteps", None), env.get("expert"), None if authority is None else tuple(authority)
     )
+
+
+def changes_of(words: Sequence[str]) -> dict[str, Any]:
+    """Return the hyper-parameters that words NAME=VALUE give; values are YAML, or numbers such as 3e-4.
+
+    Raises:
+        ValueError: a word is of another form.
+    """
+    import yaml
+
+    changes = {}
+    for word in words:
+        name, _, text = word.partition("=")
+        try:
+            value = yaml.safe_load(text)
+        except yaml.YAMLError:
+            value = None
+        if not name or value is None:
+            raise ValueError(f"--set {word!r} sets nothing; it must be NAME=VALUE, such as effort_weight=0.1")
+        if isinstance(value, str):
+            with suppress(ValueError):
+                value = float(value)
+        changes[name] = value
+    return changes
+
+
+def words_of(changes: Mapping[str, Any]) -> list[str]:
+    """Return hyper-parameters as words NAME=VALUE."""
+    return [f"{name}={json.dumps(value, separators=(',', ':'))}" for name, value in changes.items()]
 
 
 def shipped(algo: str) -> Path:
