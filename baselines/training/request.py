@@ -59,21 +59,7 @@ class Request:
         for name, value in (("--seeds", seeds), ("--jobs", jobs)):
             if value is not None and value < 1:
                 raise UsageError(f"{name} is {value}; it must be 1 or more")
-        if algo not in ALGORITHMS:
-            raise UsageError(f"unknown algorithm {algo!r}; allowed are {', '.join(ALGORITHMS)}")
-        found = checked(partial(load_hyperparameters, hyperparameters or shipped(algo)))
-        changed = checked(partial(changes_of, changes))
-        config = checked(
-            lambda: Config(
-                algo,
-                resolved(scenarios),
-                expert or found.expert or EXPERT,
-                _pair(authority or found.authority or DEFAULT_AUTHORITY),
-                seed,
-                next(n for n in (timesteps, found.timesteps, DEFAULT_TIMESTEPS) if n is not None),
-                {**found.values, **changed},
-            )
-        )
+        config = _config(algo, scenarios, expert, authority, seed, timesteps, hyperparameters, changes)
         configs = tuple(checked(partial(replace, config, seed=seed + i)) for i in range(seeds))
         checked(partial(check, config))
         out = out or Path("runs/train") / f"{algo}-{'-'.join(name_of(s) for s in scenarios)}"
@@ -83,6 +69,34 @@ class Request:
         for folder in folders:
             checked_folder(folder)
         return cls(configs, folders, out, jobs or min(2, os.cpu_count() or 1), command)
+
+
+def _config(
+    algo: str,
+    scenarios: Sequence[str],
+    expert: str | None,
+    authority: Sequence[float],
+    seed: int,
+    timesteps: int | None,
+    hyperparameters: Path | None,
+    changes: Sequence[str],
+) -> Config:
+    """Return the configuration of a command line's options; what they leave open the hyper-parameters say."""
+    if algo not in ALGORITHMS:
+        raise UsageError(f"unknown algorithm {algo!r}; allowed are {', '.join(ALGORITHMS)}")
+    found = checked(partial(load_hyperparameters, hyperparameters or shipped(algo)))
+    changed = checked(partial(changes_of, changes))
+    return checked(
+        lambda: Config(
+            algo,
+            resolved(scenarios),
+            expert or found.expert or EXPERT,
+            _pair(authority or found.authority or DEFAULT_AUTHORITY),
+            seed,
+            next(n for n in (timesteps, found.timesteps, DEFAULT_TIMESTEPS) if n is not None),
+            {**found.values, **changed},
+        )
+    )
 
 
 def resolved(words: Sequence[str]) -> tuple[tuple[Scenario, float], ...]:
