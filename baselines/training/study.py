@@ -56,9 +56,9 @@ FAMILIES: Mapping[str, tuple[str, int]] = {
     "apg-preview": ("A larger network, which sees the reference ahead and pays nearly nothing for its commands.", 5),
     "apg-adverse": ("Trained also where sensors, commands, actuators and current are not as told.", 5),
     "apg-scratch": ("Without an expert: the network commands alone.", 2),
-    "ppo": ("The expert corrected by a network without memory, which learns from rewards.", 3),
-    "sac": ("The same from fewer steps, each of which is learned from many times.", 3),
-    "td3": ("The same from fewer steps, each of which is learned from many times.", 3),
+    "ppo": ("The expert corrected by a network without memory, which learns from rewards.", 1),
+    "sac": ("The same from fewer steps, each of which is learned from many times.", 1),
+    "td3": ("The same from fewer steps, each of which is learned from many times.", 1),
 }
 """What the agents that ship with the package are, by their names without the regime; and with how many seeds."""
 SHORT_TRAININGS: Mapping[str, Variant] = {
