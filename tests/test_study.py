@@ -126,7 +126,7 @@ def test_trained_agents_are_run_on_the_cells_of_their_regime(tmp_path, monkeypat
         (folder / PROGRESS).write_text("timesteps,seconds,score\n10,1.0,0.5\n20,2.0,\n30,3.0,0.7\n")
     few = [replace(cell, episodes=cell.episodes[:2]) for cell in study.cells_of(SUITE, REGIME)[:2]]
     monkeypatch.setattr(study, "cells_of", lambda suite, regime: few)
-    variant = study.Variant("A test.", REGIME, Training("apg", REGIME), suites=(SUITE,))
+    variant = study.Variant("A test.", REGIME, Training("apg", REGIME), 5, (SUITE,))
     request = SimpleNamespace(folders=folders, command="python train.py")
     found = study.studied(variant, request, 1)
     first, _ = collected(SUITE)

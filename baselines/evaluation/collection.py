@@ -14,7 +14,7 @@ from baselines.evaluation.suites import Suite
 
 SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1")
 """The suites of the results page."""
-TOLERANCE = {"benchmark-v1": 1e-3, "ood-v1": 1e-2, "unmodelled-v1": 1e-2}
+TOLERANCE = {"benchmark-v1": 2e-3, "ood-v1": 1e-2, "unmodelled-v1": 1e-2}
 """Mean tail error [m] by which another policy may be better than the oracle in a case, by suite: where a current is
 nearly as fast as the path, the oracle's plan through the water turns sharply, and a few episodes settle late."""
 
