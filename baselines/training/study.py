@@ -24,7 +24,7 @@ from baselines.training.command import train
 from baselines.training.request import Request
 from baselines.training.run import AGENT, read_progress
 from baselines.training.shipped import install
-from baselines.training.trainings import SHIPPED, Training
+from baselines.training.trainings import EXACT, SHIPPED, Training
 from baselines.workers import Workers
 from baselines.zero import NO_EXPERT
 
@@ -63,7 +63,7 @@ FAMILIES: Mapping[str, tuple[str, int]] = {
 """What the agents that ship with the package are, by their names without the regime; and with how many seeds."""
 SHORT_TRAININGS: Mapping[str, Variant] = {
     "short-cruise": _short("As `apg-cruise`, fewer steps: what the following ones differ from in one thing."),
-    "short-preview": _short("The network sees the reference .5, 1, 2 and 4 s ahead.", preview=[5, 10, 20, 40]),
+    "short-preview": _short("The network sees the reference .5, 1, 2 and 4 s ahead.", preview=EXACT["preview"]),
     "short-no-memory": _short("Two tanh layers in place of the recurrent units.", memory=False),
     "short-no-integrals": _short("The network does not see the integrals of the error.", integrals=False),
     "short-little-authority": _short("Half the authority.", authority=(0.3, 0.3)),
