@@ -120,52 +120,65 @@ def tune(
         price: what is minimised is the error times the command's smoothness to this power.
         seed: of the search.
     """
-    names = list(start)
-    centre = np.log(np.array([start[name] for name in names]))
-    reach = np.log(tunable.ratio)
-    best: tuple[float, Array] = (np.inf, centre)
-    count, begin = 0, time.monotonic()
-
-    def objective(x: Array) -> float:
-        nonlocal best, count
-        if count >= evaluations:
-            raise _EvaluationsSpentError
-        inside = np.clip(x, centre - reach, centre + reach)
-        gains = dict(zip(names, np.exp(inside).tolist(), strict=True))
-        result = course.run(tunable.factory(gains))
-        cost = float(result.error_m * result.smoothness**price * (1 + np.abs(x - inside).sum()))
-        count += 1
-        if cost < best[0]:
-            best = cost, inside
-            seconds = time.monotonic() - begin
-            print(f"{count:5d} {seconds:6.0f} s {result.error_m:8.4f} m  {_text(gains)}", flush=True)
-        return cost
-
-    def explore() -> None:
-        """Evolve a population of three per gain within a factor of 4 about the start, which is one of it."""
-        rng = np.random.default_rng(seed)
-        population = centre + min(np.log(4.0), reach) * rng.uniform(-1, 1, (3 * len(names), len(names)))
-        population[0] = centre
-        bounds = optimize.Bounds(centre - reach, centre + reach)
-        generations = max(0, round(0.4 * evaluations / len(population)) - 1)
-        optimize.differential_evolution(objective, bounds, init=population, maxiter=generations, polish=False, rng=rng)
-
-    def refine() -> None:
-        """Restart a simplex at the best gains until the evaluations are used up, each smaller than the last."""
-        size = 0.3
-        while count < evaluations:
-            simplex = np.vstack((best[1], best[1] + size * np.diag(np.where(best[1] < centre + reach - size, 1, -1))))
-            options = {"initial_simplex": simplex, "adaptive": True, "xatol": 0.02 * size, "fatol": 1e-6}
-            optimize.minimize(objective, best[1], method="Nelder-Mead", options=options)
-            size = max(0.5 * size, 0.05)
-
+    search = _Search(tunable, course, start, evaluations, price)
     try:
         if evaluations:
-            explore()
-            refine()
+            search.explore(seed)
+            search.refine()
     except _EvaluationsSpentError:
         pass
-    return dict(zip(names, np.exp(best[1]).tolist(), strict=True))
+    return search.gains(search.best)
+
+
+class _Search:
+    """The best gains so far, as logarithms, and what is left of the evaluations."""
+
+    def __init__(self, tunable: Tunable, course: Course, start: GainSet, evaluations: int, price: float) -> None:
+        self._tunable, self._course, self._evaluations, self._price = tunable, course, evaluations, price
+        self._names = list(start)
+        self._centre = np.log(np.array([start[name] for name in self._names]))
+        self._reach = np.log(tunable.ratio)
+        self.best, self._lowest = self._centre, np.inf
+        self._count, self._begin = 0, time.monotonic()
+
+    def gains(self, x: Array) -> dict[str, float]:
+        """Return the gains of a point, by name."""
+        return dict(zip(self._names, np.exp(x).tolist(), strict=True))
+
+    def _cost(self, x: Array) -> float:
+        """Return the cost of a point, higher the farther out of bounds; raise _EvaluationsSpentError at the end."""
+        if self._count >= self._evaluations:
+            raise _EvaluationsSpentError
+        inside = np.clip(x, self._centre - self._reach, self._centre + self._reach)
+        gains = self.gains(inside)
+        result = self._course.run(self._tunable.factory(gains))
+        cost = float(result.error_m * result.smoothness**self._price * (1 + np.abs(x - inside).sum()))
+        self._count += 1
+        if cost < self._lowest:
+            self.best, self._lowest = inside, cost
+            seconds = time.monotonic() - self._begin
+            print(f"{self._count:5d} {seconds:6.0f} s {result.error_m:8.4f} m  {_text(gains)}", flush=True)
+        return cost
+
+    def explore(self, seed: int) -> None:
+        """Evolve a population of three per gain within a factor of 4 about the start, which is one of it."""
+        rng, centre, reach = np.random.default_rng(seed), self._centre, self._reach
+        population = centre + min(np.log(4.0), reach) * rng.uniform(-1, 1, (3 * len(centre), len(centre)))
+        population[0] = centre
+        bounds = optimize.Bounds(centre - reach, centre + reach)
+        generations = max(0, round(0.4 * self._evaluations / len(population)) - 1)
+        optimize.differential_evolution(self._cost, bounds, init=population, maxiter=generations, polish=False, rng=rng)
+
+    def refine(self) -> None:
+        """Restart a simplex at the best gains until the evaluations are used up, each smaller than the last."""
+        size = 0.3
+        while self._count < self._evaluations:
+            x = self.best
+            inwards = np.where(x < self._centre + self._reach - size, 1, -1)
+            simplex = np.vstack((x, x + size * np.diag(inwards)))
+            options = {"initial_simplex": simplex, "adaptive": True, "xatol": 0.02 * size, "fatol": 1e-6}
+            optimize.minimize(self._cost, x, method="Nelder-Mead", options=options)
+            size = max(0.5 * size, 0.05)
 
 
 def _text(gains: GainSet) -> str:
@@ -204,6 +217,35 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
+    _check(options)
+    tunable, start = TUNABLES[options.name], _start(options)
+    course = Course(options.regime, options.episodes, options.seed)
+    gains = tune(tunable, course, start, options.evaluations, options.price)
+    validation = Course(options.regime, VALIDATION_EPISODES, VALIDATION_SEED)
+    expert, result = validation.run(make_policy("backstepping")), validation.run(tunable.factory(gains))
+    record = {
+        "policy": options.name,
+        "regime": options.regime,
+        "gains": gains,
+        "start": dict(start),
+        "command": f"{PROGRAM} {shlex.join(arguments)}",
+        "episodes": options.episodes,
+        "seed": options.seed,
+        "evaluations": options.evaluations,
+        "error_m": course.run(tunable.factory(gains)).error_m,
+        "validation": {"episodes": VALIDATION_EPISODES, "seed": VALIDATION_SEED, **compared(result, expert)},
+        "date": datetime.now(timezone.utc).date().isoformat(),
+        "versions": {name: importlib.metadata.version(name) for name in ("gymnasium", "numpy", "scipy")},
+    }
+    print(json.dumps(record, indent=2))
+    if not options.dry:
+        FOLDER.mkdir(exist_ok=True)
+        gain_file(options.name, options.regime).write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+    return DONE
+
+
+def _check(options: Options) -> None:
+    """Raise UsageError if an option is wrong."""
     if options.name not in TUNABLES:
         raise UsageError(f"unknown controller {options.name!r}; allowed are {', '.join(TUNABLES)}")
     if options.episodes < len(CASES) or options.episodes % len(CASES):
@@ -214,37 +256,17 @@ def main(arguments: Sequence[str]) -> int:
         raise UsageError(f"--evaluations is {options.evaluations}; it must be at least 0")
     if not 0 <= options.price <= 1:
         raise UsageError(f"--price is {options.price}; it must be in [0, 1]")
-    tunable, regime = TUNABLES[options.name], options.regime
-    start: GainSet = tunable.start[regime]
-    if options.resume:
-        try:
-            start = load_gains(options.name, regime, list(start))
-        except ValueError as error:
-            raise UsageError(str(error)) from error
-    course = Course(regime, options.episodes, options.seed)
-    gains = tune(tunable, course, start, options.evaluations, options.price)
-    tuned = course.run(tunable.factory(gains))
-    validation = Course(regime, VALIDATION_EPISODES, VALIDATION_SEED)
-    expert, result = validation.run(make_policy("backstepping")), validation.run(tunable.factory(gains))
-    record = {
-        "policy": options.name,
-        "regime": regime,
-        "gains": gains,
-        "start": dict(start),
-        "command": f"{PROGRAM} {shlex.join(arguments)}",
-        "episodes": options.episodes,
-        "seed": options.seed,
-        "evaluations": options.evaluations,
-        "error_m": tuned.error_m,
-        "validation": {"episodes": VALIDATION_EPISODES, "seed": VALIDATION_SEED, **compared(result, expert)},
-        "date": datetime.now(timezone.utc).date().isoformat(),
-        "versions": {name: importlib.metadata.version(name) for name in ("gymnasium", "numpy", "scipy")},
-    }
-    print(json.dumps(record, indent=2))
-    if not options.dry:
-        FOLDER.mkdir(exist_ok=True)
-        gain_file(options.name, regime).write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
-    return DONE
+
+
+def _start(options: Options) -> GainSet:
+    """Return the gains that a search begins at."""
+    start = TUNABLES[options.name].start[options.regime]
+    if not options.resume:
+        return start
+    try:
+        return load_gains(options.name, options.regime, list(start))
+    except ValueError as error:
+        raise UsageError(str(error)) from error
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from baselines.evaluation.files import write_atomically
 from baselines.evaluation.results_figures import results_figures
 from baselines.evaluation.results_page import page
 from baselines.evaluation.study_files import load_all
-from baselines.evaluation.study_page import curves_figure, figure_names, section
+from baselines.evaluation.study_page import curves_figure, figures_of, section
 from baselines.evaluation.style import to_png
 
 PROGRAM = "python -m baselines.evaluation.results"
@@ -58,7 +58,7 @@ def main(arguments: Sequence[str]) -> int:
         (options.out / "images").mkdir(parents=True, exist_ok=True)
         studies = load_all()
         write_atomically(options.out / PAGE, page(found, missing, section(studies, found)))
-        for name, own in figure_names(studies).items():
+        for name, own in figures_of(studies).items():
             write_atomically(options.out / "images" / name, to_png(curves_figure(own)))
         for results in found:
             for figure, png in results_figures(results).items():

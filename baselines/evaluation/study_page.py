@@ -28,7 +28,7 @@ def section(studies: Mapping[str, Study], found: Sequence[Results]) -> str:
     for regime in dict.fromkeys(study.regime for study in studies.values()):
         own = {name: study for name, study in studies.items() if study.regime == regime}
         parts.append(f"### {regime}")
-        parts += [f"![Learning curves, {regime}](images/{name})" for name in figure_names(own)]
+        parts += [f"![Learning curves, {regime}](images/{name})" for name in figures_of(own)]
         for results in found:
             rows = [_row(name, study, results) for name, study in own.items() if results.suite.name in study.suites]
             if rows:
@@ -104,7 +104,7 @@ def _last(study: Study, column: int) -> float:
     return float(np.mean([curve[-1, column] for curve in study.curves]))
 
 
-def figure_names(studies: Mapping[str, Study]) -> dict[str, dict[str, Study]]:
+def figures_of(studies: Mapping[str, Study]) -> dict[str, dict[str, Study]]:
     """Return the figures of learning curves by file name, with the studies in each; regimes and lengths apart."""
     figures: dict[str, dict[str, Study]] = {}
     for name, study in studies.items():
