@@ -33,6 +33,7 @@ STORM = Scenario.from_dict({**PRESETS["cruise-storm"].to_dict(), "name": "short"
 COST = "baselines.training.vec_reward.VecErrorCost"
 RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"
 SMOOTH = {"use_sde": True, "policy_kwargs": {"net_arch": {"pi": [16, 8], "qf": [8]}, "clip_mean": 0.0}}
+VARIANTS = [*((algo, {}) for algo in MODELS), ("sac", SMOOTH), ("ppo", {"use_sde": True})]
 SIZES = {"ppo": {"pi": [16, 8], "vf": [8]}} | {key: {"pi": [16, 8], "qf": [8]} for key in ("sac", "td3", "tqc")}
 
 
@@ -53,7 +54,7 @@ def untrained(algo, **values):
     return model
 
 
-@pytest.mark.parametrize(("algo", "values"), [*((algo, {}) for algo in MODELS), ("sac", SMOOTH)])
+@pytest.mark.parametrize(("algo", "values"), VARIANTS)
 def test_exported_actor_is_the_models_predict(algo, values):
     model = untrained(algo, **values)
     agent = exported(model.policy, configuration(algo))
@@ -130,7 +131,7 @@ def test_features_are_of_the_residual_environment_only():
         VecFeatures(SB3VecEnv(track))
 
 
-@pytest.mark.parametrize(("algo", "values"), [*((algo, {}) for algo in MODELS), ("sac", SMOOTH)])
+@pytest.mark.parametrize(("algo", "values"), VARIANTS)
 def test_training_starts_at_the_expert_with_the_spread_that_was_asked_for(algo, values):
     model = untrained(algo, **values)
     callback = ZeroCorrection(0.05)
@@ -139,7 +140,7 @@ def test_training_starts_at_the_expert_with_the_spread_that_was_asked_for(algo, 
     x = model.observation_space.sample()[None].repeat(4000, axis=0)
     assert (model.predict(x, deterministic=True)[0] == 0).all()
     if values:
-        assert (model.policy.actor.log_std == math.log(0.05)).all()
+        assert (getattr(model.policy, "actor", model.policy).log_std == math.log(0.05)).all()
     elif algo != "td3":
         np.testing.assert_allclose(model.predict(x, deterministic=False)[0].std(axis=0), 0.05, rtol=0.1)
     else:

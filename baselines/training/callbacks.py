@@ -14,8 +14,8 @@ class ZeroCorrection(BaseCallback):
     """Makes the untrained actor's correction zero, so that training starts at the expert.
 
     Args:
-        std: standard deviation of the first corrections, before they are bounded; None leaves it as it is. TD3's
-            actor has none, its noise comes from outside.
+        std: standard deviation of the first corrections, before they are bounded, or with `use_sde` of each unit's
+            share in them; None leaves it as it is. TD3's actor has none, its noise comes from outside.
     """
 
     def __init__(self, std: float | None = None) -> None:
@@ -36,7 +36,7 @@ class ZeroCorrection(BaseCallback):
 
     def _spread(self, actor: Any, log_std: float) -> None:
         spread = getattr(actor, "log_std", None)
-        if isinstance(spread, nn.Parameter):  # PPO: a number for each action
+        if isinstance(spread, nn.Parameter):  # PPO: a number for each action; with use_sde, for each unit too
             spread.fill_(log_std)
         elif isinstance(spread, nn.Linear):  # SAC and TQC: a function of the input
             spread.weight.zero_()

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.distributions import StateDependentNoiseDistribution
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvWrapper
 
 _KEPT = (
@@ -26,6 +27,8 @@ _KEPT = (
     "_last_episode_starts",
 )
 """Attributes beside the parameters; each algorithm has some of them."""
+_DRAWN = ("exploration_mat", "exploration_matrices")
+"""What state-dependent exploration has drawn."""
 
 
 def snapshot(model: BaseAlgorithm) -> dict[str, Any]:
@@ -37,6 +40,7 @@ def snapshot(model: BaseAlgorithm) -> dict[str, Any]:
         "variables": {name: getattr(model, name).detach().clone() for name in variables if hasattr(model, name)},
         "attributes": {name: vars(model)[name] for name in _KEPT if name in vars(model)},
         "experience": _experience(model),
+        "exploration": {name: vars(noise)[name].detach() for noise in _noises(model) for name in _DRAWN},
         "vehicles": [_own(layer) for layer in _layers(model.get_env())],
         "numpy": np.random.get_state(),  # noqa: NPY002, Stable-Baselines3 draws from it
         "torch": torch.get_rng_state(),
@@ -61,6 +65,20 @@ def restore(model: BaseAlgorithm, state: dict[str, Any]) -> None:
     np.random.set_state(state["numpy"])  # noqa: NPY002
     torch.set_rng_state(state["torch"])
     random.setstate(state["python"])
+
+
+def restore_exploration(model: BaseAlgorithm, state: Mapping[str, Any]) -> None:
+    """Undo what a restored model has drawn anew as it began a rollout: state-dependent exploration, if it has any."""
+    for noise in _noises(model):
+        vars(noise).update(state["exploration"])
+    torch.set_rng_state(state["torch"])
+
+
+def _noises(model: BaseAlgorithm) -> list[StateDependentNoiseDistribution]:
+    """Return the state-dependent exploration of a model in a list; none if it has none."""
+    policy: Any = model.policy
+    noise = getattr(getattr(policy, "actor", policy), "action_dist", None)
+    return [noise] if isinstance(noise, StateDependentNoiseDistribution) else []
 
 
 def _experience(model: BaseAlgorithm) -> dict[str, Any] | None:

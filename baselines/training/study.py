@@ -55,10 +55,10 @@ FAMILIES: Mapping[str, tuple[str, int]] = {
     "apg": ("The expert corrected by the analytic gradient, from measurements alone.", 5),
     "apg-preview": ("A larger network, which sees the reference ahead and pays nearly nothing for its commands.", 5),
     "apg-adverse": ("Trained also where sensors, commands, actuators and current are not as told.", 5),
-    "apg-scratch": ("Without an expert: the network commands alone.", 3),
-    "ppo": ("The expert corrected by a network without memory, which learns from rewards.", 1),
-    "sac": ("The same from fewer steps, each of which is learned from many times.", 1),
-    "td3": ("The same from fewer steps, each of which is learned from many times.", 1),
+    "apg-scratch": ("Without an expert: the network commands alone.", 5),
+    "ppo": ("The expert corrected by a network without memory, which learns from rewards.", 5),
+    "sac": ("The same from fewer steps, each of which is learned from many times.", 5),
+    "td3": ("The same from fewer steps, each of which is learned from many times.", 5),
 }
 """What the agents that ship with the package are, by their names without the regime; and with how many seeds."""
 SHORT_TRAININGS: Mapping[str, Variant] = {

@@ -15,7 +15,7 @@ from stable_baselines3.common.logger import Logger
 from baselines.agent import Agent
 from baselines.training.export import exported
 from baselines.training.run import VALIDATIONS, Run, TrainingError
-from baselines.training.snapshot import snapshot
+from baselines.training.snapshot import restore_exploration, snapshot
 
 LARGEST_WEIGHT = 1e6
 """Beyond that, and where a weight is no number at all, training has diverged."""
@@ -36,6 +36,7 @@ class Tracker(BaseCallback):
         self._best: float = state["best"] if state else -math.inf
         self._validated: int = state["timesteps"] if state else -1
         self._noise = copy.deepcopy(state["attributes"].get("action_noise")) if state else None
+        self._resumed = state
 
     @property
     def agent(self) -> Agent:
@@ -54,6 +55,9 @@ class Tracker(BaseCallback):
             model.action_noise = self._noise
 
     def _on_rollout_start(self) -> None:
+        if self._resumed is not None:
+            restore_exploration(self.model, self._resumed)
+            self._resumed = None
         every = self.run.config.timesteps / VALIDATIONS
         if self.num_timesteps // every > self._validated // every:
             self._validate()
