@@ -42,25 +42,27 @@ class Variant:
     suites: tuple[str, ...] = SUITES
 
 
-SHORT = 3_000_000
-"""Control steps of the trainings that differ from `short-cruise` in one thing."""
+SEEDS = 5
+"""Of each agent that ships with the package."""
+SHORT, FEW = 3_000_000, 2
+"""Control steps and seeds of the trainings that differ from `short-cruise` in one thing."""
 
 
 def _short(about: str, expert: str | None = None, authority: tuple[float, ...] = (), **changes: Any) -> Variant:
     training = Training("apg", "cruise", authority, expert, SHORT, changes)
-    return Variant(about, "cruise", training, 2, ("benchmark-v1",))
+    return Variant(about, "cruise", training, FEW, ("benchmark-v1",))
 
 
-FAMILIES: Mapping[str, tuple[str, int]] = {
-    "apg": ("The expert corrected by the analytic gradient, from measurements alone.", 5),
-    "apg-preview": ("A larger network, which sees the reference ahead and pays nearly nothing for its commands.", 5),
-    "apg-adverse": ("Trained also where sensors, commands, actuators and current are not as told.", 5),
-    "apg-scratch": ("Without an expert: the network commands alone.", 5),
-    "ppo": ("The expert corrected by a network without memory, which learns from rewards.", 5),
-    "sac": ("The same from fewer steps, each of which is learned from many times.", 5),
-    "td3": ("The same from fewer steps, each of which is learned from many times.", 5),
+FAMILIES: Mapping[str, str] = {
+    "apg": "The expert corrected by the analytic gradient, from measurements alone.",
+    "apg-preview": "A larger network, which sees the reference ahead and pays nearly nothing for its commands.",
+    "apg-adverse": "Trained also where sensors, commands, actuators and current are not as told.",
+    "apg-scratch": "Without an expert: the network commands alone.",
+    "ppo": "The expert corrected by a network without memory, which learns from rewards.",
+    "sac": "The same from fewer steps, each of which is learned from many times.",
+    "td3": "The same from fewer steps, each of which is learned from many times.",
 }
-"""What the agents that ship with the package are, by their names without the regime; and with how many seeds."""
+"""What the agents that ship with the package are, by their names without the regime."""
 SHORT_TRAININGS: Mapping[str, Variant] = {
     "short-cruise": _short("As `apg-cruise`, fewer steps: what the following ones differ from in one thing."),
     "short-preview": _short("The network sees the reference .5, 1, 2 and 4 s ahead.", preview=EXACT["preview"]),
@@ -78,8 +80,7 @@ SHORT_TRAININGS: Mapping[str, Variant] = {
 
 def _shipped(name: str, training: Training) -> Variant:
     family, regime = name.rsplit("-", 1)
-    about, seeds = FAMILIES[family]
-    return Variant(about, regime, training, seeds)
+    return Variant(FAMILIES[family], regime, training, SEEDS)
 
 
 VARIANTS: Mapping[str, Variant] = {

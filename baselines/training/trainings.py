@@ -99,7 +99,7 @@ SHIPPED: Mapping[str, Training] = {
     "ppo-cruise": Training("ppo", weighted("cruise", **SPINS)),
     "ppo-slow": Training("ppo", weighted("slow", **SPINS), (0.6, 1.0)),
     "sac-cruise": Training("sac", "cruise"),
-    "sac-slow": Training("sac", "slow", (0.6, 0.6)),
+    "sac-slow": Training("sac", "slow", (0.6, 1.0)),
     "td3-cruise": Training("td3", "cruise"),
     "td3-slow": Training("td3", "slow", (0.6, 0.6)),
 }
