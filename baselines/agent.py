@@ -91,8 +91,10 @@ class Agent:
                 training; at twice its size nothing of them is left.
 
         Raises:
-            ValueError: the expert is unknown, or corrections are to fade and no region is known.
+            ValueError: the expert is unknown, or corrections are to fade and there is no expert, or no known region.
         """
+        if fade and self.expert == NO_EXPERT:
+            raise ValueError("the agent commands without an expert, so there is nothing that it could fade to")
         if fade and self.region is None:
             raise ValueError("the agent does not know the region that it has seen, so it cannot fade; train it again")
         from baselines import make_policy

@@ -258,6 +258,11 @@ def test_impossible_regions_are_refused(region):
         agent(region=region)
 
 
+def test_without_an_expert_there_is_nothing_to_fade_to():
+    with pytest.raises(ValueError, match="nothing that it could fade to"):
+        agent(expert="none", region=REGION).policy(fade=True)
+
+
 def test_without_a_region_nothing_can_fade(tmp_path):
     agent().save(tmp_path / "a")
     with pytest.raises(ValueError, match="does not know the region"):
