@@ -14,7 +14,6 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvWrapper
 
 _KEPT = (
     "action_space",
-    "action_noise",
     "num_timesteps",
     "ep_info_buffer",
     "ep_success_buffer",
@@ -40,6 +39,7 @@ def snapshot(model: BaseAlgorithm) -> dict[str, Any]:
         "variables": {name: getattr(model, name).detach().clone() for name in variables if hasattr(model, name)},
         "attributes": {name: vars(model)[name] for name in _KEPT if name in vars(model)},
         "experience": _experience(model),
+        "action_noise": vars(model).get("action_noise"),
         "exploration": {name: vars(noise)[name].detach() for noise in _noises(model) for name in _DRAWN},
         "vehicles": [_own(layer) for layer in _layers(model.get_env())],
         "numpy": np.random.get_state(),  # noqa: NPY002, Stable-Baselines3 draws from it

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -35,7 +34,6 @@ class Tracker(BaseCallback):
         self._agent: Agent | None = state["agent"] if state else None
         self._best: float = state["best"] if state else -math.inf
         self._validated: int = state["timesteps"] if state else -1
-        self._noise = copy.deepcopy(state["attributes"].get("action_noise")) if state else None
         self._resumed = state
 
     @property
@@ -48,11 +46,10 @@ class Tracker(BaseCallback):
         self.model.set_logger(Logger(None, []))
 
     def _on_training_start(self) -> None:
-        if self._validated < 0:
+        if self._resumed is None:
             self._validate()
-        elif self._noise is not None:  # the model has just begun it anew
-            model: Any = self.model
-            model.action_noise = self._noise
+        else:  # the model has just begun its noise anew, and hands it to the first rollout before that starts
+            vars(self.model)["action_noise"] = self._resumed["action_noise"]
 
     def _on_rollout_start(self) -> None:
         if self._resumed is not None:
