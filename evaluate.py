@@ -11,7 +11,7 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from baselines.command_line import parse, run
+from baselines.tools.command_line import parse, run
 
 PROGRAM = "evaluate.py"
 
@@ -66,7 +66,7 @@ def main(arguments: Sequence[str]) -> int:
     from baselines.evaluation.score import EXPERT
 
     if options.stability:
-        from baselines.evaluation.stability_report import report
+        from baselines.evaluation.stability.report import report
 
         return report(checked_policies(options.policy or (EXPERT,)), checked_folder(options.out), command)
     request = Request.of(

@@ -11,7 +11,7 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from baselines.command_line import parse, run
+from baselines.tools.command_line import parse, run
 
 PROGRAM = "train.py"
 

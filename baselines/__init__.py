@@ -13,16 +13,16 @@ from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.residual import Policy, ResidualAction, VectorResidualAction, preview_of
 from auv_gym.scenario import Scenario
 from auv_gym.vehicle import Vehicle
-from baselines.backstepping import Backstepping
-from baselines.current_observer import make_current_observer
-from baselines.ekf_law import make_ekf_law
-from baselines.integral import integral_law
-from baselines.los_pid import make_los_pid
-from baselines.lqi import make_lqi
-from baselines.nmpc import make_nmpc
-from baselines.open_loop import OpenLoop
-from baselines.oracle import Oracle
-from baselines.user_policies import AGENTS, FADING, is_path, load_policy, shipped_agents
+from baselines.agents.loading import AGENTS, FADING, is_path, load_policy, shipped_agents
+from baselines.control.backstepping import Backstepping
+from baselines.control.current_observer import make_current_observer
+from baselines.control.ekf_law import make_ekf_law
+from baselines.control.integral import integral_law
+from baselines.control.los_pid import make_los_pid
+from baselines.control.lqi import make_lqi
+from baselines.control.nmpc.controller import make_nmpc
+from baselines.control.open_loop import OpenLoop
+from baselines.control.oracle import Oracle
 
 POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
     "backstepping": (
@@ -56,7 +56,7 @@ POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
 
 def list_policies() -> dict[str, str]:
     """Return the names of the policies with a line about each."""
-    agents = {name: f"a trained agent, see baselines/agents/{name}/card.md" for name in shipped_agents()}
+    agents = {name: f"a trained agent, see baselines/agents/shipped/{name}/card.md" for name in shipped_agents()}
     return {name: text for name, (_, _, text) in POLICIES.items()} | agents
 
 

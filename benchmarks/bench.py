@@ -248,7 +248,7 @@ def sb3_case(quick: bool) -> list[Row]:
     """PPO on 64 residual environments: how much of the wall-clock the environment takes."""
     from stable_baselines3 import PPO
 
-    from baselines.training.sb3 import SB3VecEnv
+    from baselines.training.sb3.vec_env import SB3VecEnv
 
     env = SB3VecEnv(gym.make_vec(RESIDUAL, 64, "vector_entry_point", scenario=SCENARIO))
     inside, wait = 0.0, env.step_wait

@@ -14,10 +14,10 @@ import evaluate
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from baselines import list_policies, make_policy
-from baselines.agent import Agent
-from baselines.command_line import UsageError
-from baselines.features import FEATURES, Inputs
-from baselines.networks import Gru, Mlp, network_of, network_record
+from baselines.agents.agent import Agent
+from baselines.agents.features import FEATURES, Inputs
+from baselines.agents.networks import Gru, Mlp, network_of, network_record
+from baselines.tools.command_line import UsageError
 
 N = len(FEATURES)
 SIZES = Gru(N, encoder=12, hidden=10, decoder=8)
@@ -177,7 +177,7 @@ def test_missing_folder():
 def test_zero_head_reproduces_the_expert(expert):
     weights = weights_of(SIZES) | {"head.weight": np.zeros((2, 8)), "head.bias": np.zeros(2)}
     policy = Agent(SIZES, weights, expert, (0.5, 0.5)).policy()
-    peer = baselines.zero.Zero() if expert == "none" else make_policy(expert)
+    peer = baselines.control.zero.Zero() if expert == "none" else make_policy(expert)
     env = UnderactuatedAUVTrackVectorEnv(3, ["cruise-storm", "slow-noise", "cruise-actuator"])
     observation, _ = env.reset(seed=0)
     state, other, first = None, None, np.ones(3, dtype=bool)
@@ -213,10 +213,10 @@ def test_memory_is_each_vehicles_own():
 
 
 def test_shipped_agents_are_policies_by_name(tmp_path, monkeypatch):
-    from baselines import user_policies
+    from baselines.agents import loading
 
     agent().save(tmp_path / "mine")
-    monkeypatch.setattr(user_policies, "AGENTS", tmp_path)
+    monkeypatch.setattr(loading, "AGENTS", tmp_path)
     monkeypatch.setattr(baselines, "AGENTS", tmp_path)
     assert "card.md" in list_policies()["mine"]
     observation = UnderactuatedAUVTrackEnv("cruise-storm").reset(seed=0)[0]

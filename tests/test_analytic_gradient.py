@@ -11,16 +11,16 @@ from auv_gym.presets import PRESETS
 from auv_gym.simulation import PARAMETERS
 from auv_gym.task import TERMS
 from baselines import make_policy
-from baselines.agent import Agent
-from baselines.features import FEATURES, Inputs
-from baselines.networks import Gru, Mlp
-from baselines.training.analytic_gradient import Settings, Trainer, check, train
-from baselines.training.closed_loop import CURVE, NEAR, Carried, ClosedLoop, Loss, law_of
+from baselines.agents.agent import Agent
+from baselines.agents.features import FEATURES, Inputs
+from baselines.agents.networks import Gru, Mlp
+from baselines.control.zero import Zero
+from baselines.training.apg.closed_loop import CURVE, NEAR, Carried, ClosedLoop, Loss, law_of
+from baselines.training.apg.fleet import Fleet
+from baselines.training.apg.torch_network import torch_network, weights_of
+from baselines.training.apg.trainer import Settings, Trainer, check, train
 from baselines.training.config import Config
-from baselines.training.fleet import Fleet
-from baselines.training.run import Run
-from baselines.training.torch_network import torch_network, weights_of
-from baselines.zero import Zero
+from baselines.training.run_folder import Run
 
 SIZES = Gru(len(FEATURES), 8, 8, 8)
 AUTHORITY = (0.3, 0.6)
@@ -306,7 +306,7 @@ def test_gradients_that_are_not_finite_are_skipped(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_compiled_step_equals_eager():
-    from baselines.training.analytic_gradient import compiled
+    from baselines.training.apg.trainer import compiled
 
     loop, net = (
         ClosedLoop(

@@ -12,7 +12,7 @@ import baselines
 from auv_gym.dynamics import rates
 from auv_gym.task import BOUNDS, SIZE, Observation, decode_observation, encode_observation
 from auv_gym.vehicle import PAPER_VEHICLE as V
-from baselines.backstepping import GAINS, Backstepping, Gains, StabilityWarning, lyapunov_terms, tracking_forces
+from baselines.control.backstepping import GAINS, Backstepping, Gains, StabilityWarning, lyapunov_terms, tracking_forces
 
 small = st.floats(-2, 2)
 PAPER = GAINS["paper"]
@@ -86,7 +86,7 @@ def test_normalised_form_is_the_same_in_scaled_errors_at_every_speed(e_x, e_y, p
     assert tau(fast) == pytest.approx((ratio * tau(slow)[0], tau(slow)[1]), rel=1e-9, abs=1e-9)
 
 
-@pytest.mark.filterwarnings("ignore::baselines.backstepping.StabilityWarning")
+@pytest.mark.filterwarnings("ignore::baselines.control.backstepping.StabilityWarning")
 @pytest.mark.parametrize("name", [n for n in baselines.list_policies() if n.startswith("backstepping")])
 def test_batch_equals_single(name):
     rows = np.random.default_rng(0).uniform(-0.3, 0.3, (20, SIZE)) * np.minimum(BOUNDS, 8)

@@ -11,8 +11,8 @@ from auv_gym.paths import Sine
 from auv_gym.planner import plan
 from auv_gym.vehicle import PAPER_VEHICLE
 from baselines import make_policy
-from baselines.backstepping import Backstepping
-from baselines.evaluation.certificate import BOXES, COARSE, Box, certify, decay_rate, largest_rate, loops
+from baselines.control.backstepping import Backstepping
+from baselines.evaluation.stability.certificate import BOXES, COARSE, Box, certify, decay_rate, largest_rate, loops
 
 DT = 0.1
 RATES = {
@@ -99,7 +99,7 @@ def test_small_errors_fade_as_certified_along_a_varying_path():
 
 
 def test_coarse_loops_agree_with_those_about_steady_motion():
-    from baselines.evaluation.stability import linearise
+    from baselines.evaluation.stability.analysis import linearise
 
     law = Backstepping("paper")
     A = loops(PAPER_VEHICLE, law, 1.0, Box(0.0, 0.0), DT, 1)[0]

@@ -16,12 +16,12 @@ from auv_gym.presets import PRESETS
 from auv_gym.scenario import Start
 from auv_gym.task import BOUNDS, SCALES
 from auv_gym.vehicle import PAPER_VEHICLE as V
-from baselines import gain_files
-from baselines.gain_files import BySpeed, load_gains
-from baselines.integral import FORMS
-from baselines.los_pid import PIDGains
-from baselines.lqi import Weights, error_dynamics, gain_schedule, optimal_gain, sampled_model
-from baselines.tuning import TUNABLES
+from baselines.control.integral import FORMS
+from baselines.control.los_pid import PIDGains
+from baselines.control.lqi import Weights, error_dynamics, gain_schedule, optimal_gain, sampled_model
+from baselines.gains import loading as gain_files
+from baselines.gains.loading import BySpeed, load_gains
+from baselines.tuning.search import TUNABLES
 
 NAMES = ["integral", "integral-normalised", "los-pid", "lqi"]
 

@@ -18,12 +18,12 @@ from auv_gym.simulation import Parameters, Parts, start, step
 from auv_gym.task import Observation, decode_observation
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 from baselines import make_policy
-from baselines.backstepping import Gains, tracking_forces
-from baselines.current_observer import START as OBSERVER
-from baselines.current_observer import CurrentObserver
-from baselines.ekf import ExtendedKalmanFilter
-from baselines.ekf_law import START, make_ekf_law
-from baselines.ekf_model import (
+from baselines.control.backstepping import Gains, tracking_forces
+from baselines.control.current_observer import START as OBSERVER
+from baselines.control.current_observer import CurrentObserver
+from baselines.control.ekf_law import START, make_ekf_law
+from baselines.estimation.kalman import ExtendedKalmanFilter
+from baselines.estimation.sea_model import (
     SIZE,
     Estimate,
     lag_response,
@@ -33,8 +33,8 @@ from baselines.ekf_model import (
     transition_jacobian,
     wave_transition,
 )
-from baselines.memory import Remembering
-from baselines.water_frame import Motion, Sea, WaterPlan, reference_motion, water_errors
+from baselines.estimation.water_frame import Motion, Sea, WaterPlan, reference_motion, water_errors
+from baselines.policy import Remembering
 
 DRAGGY = Vehicle(m11=215.0, m22=265.0, m33=80.0, d11=70.0, d22=100.0, d33=50.0, X_uu=30.0, Y_vv=80.0, N_rr=20.0)
 

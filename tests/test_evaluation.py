@@ -18,17 +18,17 @@ import evaluate
 from auv_gym.presets import PRESETS
 from auv_gym.scenario import Scenario
 from auv_gym.sensors import Sensors
-from baselines.command_line import run
 from baselines.evaluation import metrics, recorded
-from baselines.evaluation.files import write_atomically
 from baselines.evaluation.metrics import Measures
-from baselines.evaluation.report import compare
+from baselines.evaluation.report.numbers import compare
+from baselines.evaluation.report.terminal import results_table
 from baselines.evaluation.request import Request
 from baselines.evaluation.rollout import PolicyError, make_env, rollout, run_episode
 from baselines.evaluation.rows import RowStore
 from baselines.evaluation.runner import LANES, drawn, run_all, run_task
-from baselines.evaluation.tables import results_table
-from baselines.workers import Workers
+from baselines.tools.command_line import run
+from baselines.tools.files import write_atomically
+from baselines.tools.workers import Workers
 
 SCRIPT = Path(__file__).parents[1] / "evaluate.py"
 SMALL = Scenario(name="small", sensors=Sensors(position=0.05), steps=45)
@@ -528,7 +528,7 @@ def test_table_fits_a_narrow_terminal(capsys):
 
 def test_no_torch_is_imported():
     code = (
-        "import sys, evaluate, baselines.evaluation.command, baselines.evaluation.plots\n"
+        "import sys, evaluate, baselines.evaluation.command, baselines.evaluation.report.plots\n"
         "sys.exit(not {'torch', 'pygame', 'matplotlib.pyplot'}.isdisjoint(sys.modules))"
     )
     subprocess.run([sys.executable, "-c", code], cwd=SCRIPT.parent, check=True)

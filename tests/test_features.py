@@ -9,8 +9,8 @@ import torch
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.namespaces import ARRAYS, tensors
 from auv_gym.task import SIZE, Observation, decoded_terms
-from baselines.backstepping import Backstepping
-from baselines.features import BOUND, FAST, FEATURES, INTEGRALS, SLOW, Inputs
+from baselines.agents.features import BOUND, FAST, FEATURES, INTEGRALS, SLOW, Inputs
+from baselines.control.backstepping import Backstepping
 
 NAMES = [feature.name for feature in FEATURES]
 

@@ -15,10 +15,10 @@ from auv_gym.paths import Circle
 from auv_gym.scenario import Scenario, Start
 from auv_gym.task import SIZE
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
-from baselines.gauss_newton import bounded_minimum, descent, improved, solved, state_derivatives
-from baselines.nmpc import GAINS, PREVIEW, START, one_period_on
-from baselines.nmpc_casadi import CasadiSolver
-from baselines.optimal_control import COMMANDS, STATES, Horizon, OptimalControl, Weights, stage
+from baselines.control.nmpc.casadi_solver import CasadiSolver
+from baselines.control.nmpc.controller import GAINS, PREVIEW, START, one_period_on
+from baselines.control.nmpc.gauss_newton import bounded_minimum, descent, improved, solved, state_derivatives
+from baselines.control.nmpc.problem import COMMANDS, STATES, Horizon, OptimalControl, Weights, stage
 
 DRAGGY = Vehicle(m11=215.0, m22=265.0, m33=80.0, d11=70.0, d22=100.0, d33=50.0, X_uu=30.0, Y_vv=80.0, N_rr=20.0)
 WEIGHTS = Weights(huber=0.3, surge=3e-3, yaw=3e-3, sway=0.2, terminal=1.0)

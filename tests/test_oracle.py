@@ -5,9 +5,9 @@ import pytest
 
 from auv_gym.presets import CASES, PRESETS
 from baselines import make_policy
+from baselines.control.oracle import fleet, true_plan
 from baselines.evaluation.rollout import Privileged, rollout
 from baselines.evaluation.runner import drawn
-from baselines.oracle import fleet, true_plan
 
 
 @pytest.mark.parametrize("regime", ["slow", "cruise"])

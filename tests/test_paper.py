@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from auv_gym.vehicle import PAPER_VEHICLE
-from baselines.backstepping import GAINS
+from baselines.control.backstepping import GAINS
 from baselines.evaluation.command import evaluate
 from baselines.evaluation.request import Request
-from baselines.evaluation.stability import (
+from baselines.evaluation.stability.analysis import (
     closed_loop_eigenvalues,
     derived_sign_forces,
     first_instability,

@@ -9,7 +9,7 @@ from auv_gym.presets import PRESETS
 from baselines.evaluation import progress as module
 from baselines.evaluation.progress import INTERVAL, Board, Clock, progress
 from baselines.evaluation.runner import drawn, run_all
-from baselines.workers import Workers
+from baselines.tools.workers import Workers
 
 
 def test_board(tmp_path):

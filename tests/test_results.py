@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from baselines import list_policies
-from baselines.evaluation import collection, results, results_page
-from baselines.evaluation.collection import SUITES, TOLERANCE, Results, better_than_oracle, collected
+from baselines.evaluation.results import collection
+from baselines.evaluation.results import command as results
+from baselines.evaluation.results import page as results_page
+from baselines.evaluation.results.collection import SUITES, TOLERANCE, Results, better_than_oracle, collected
+from baselines.evaluation.results.studies import section
 from baselines.evaluation.study_files import load_all
-from baselines.evaluation.study_page import section
 
 ROOT = Path(__file__).parents[1]
 
@@ -64,7 +66,8 @@ def test_the_readme_shows_the_same(benchmark):
 def test_figures_of_the_table_by_hand(benchmark):
     """One row, from its rows, without the functions that make the page."""
     cells = [i for i, cell in enumerate(benchmark.suite.cells) if cell.scenario.name.startswith("cruise-")]
-    raw = {p: np.load(ROOT / f"baselines/evaluation/recorded/benchmark-v1/{p}.npz") for p in ("ekf", "backstepping")}
+    folder = ROOT / "baselines/evaluation/data/recorded/benchmark-v1"
+    raw = {p: np.load(folder / f"{p}.npz") for p in ("ekf", "backstepping")}
     own, expert = (raw[p]["measures"].reshape(9, 16, 260)[:, cells].reshape(9, -1) for p in ("ekf", "backstepping"))
     text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8").split("### cruise")[1]
     row = re.search(r"^\| `ekf` \| (.*) \|$", text, re.MULTILINE)[1].split(" | ")

@@ -7,7 +7,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 from auv_gym.presets import PRESETS
-from baselines.training.sb3 import SB3VecEnv
+from baselines.training.sb3.vec_env import SB3VecEnv
 
 TRACK = "auv_gym:UnderactuatedAUVTrack-v0"
 RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"

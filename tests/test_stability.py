@@ -9,10 +9,10 @@ import pytest
 import evaluate
 from auv_gym.vehicle import PAPER_VEHICLE
 from baselines import make_policy
-from baselines.backstepping import Backstepping
-from baselines.evaluation import stability_report
-from baselines.evaluation.stability import linearise_policy
-from baselines.evaluation.stability_report import LIMITS, success
+from baselines.control.backstepping import Backstepping
+from baselines.evaluation.stability import report as stability_report
+from baselines.evaluation.stability.analysis import linearise_policy
+from baselines.evaluation.stability.report import LIMITS, success
 
 DT = 0.1
 MAP = {0.1: (-0.213, -0.168, -0.098, -0.051), 0.5: (0.002, -0.010, -0.047, -0.096), 2.0: (0.422, 0.414, 0.392, 0.362)}

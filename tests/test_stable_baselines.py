@@ -15,22 +15,22 @@ from auv_gym.presets import PRESETS
 from auv_gym.scenario import Scenario
 from auv_gym.task import decode_observation
 from baselines import make_policy
+from baselines.agents.features import FEATURES
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import EXPERT
-from baselines.features import FEATURES
-from baselines.training.callbacks import FrozenActor, ZeroCorrection
 from baselines.training.config import Config
-from baselines.training.export import exported
-from baselines.training.sb3 import SB3VecEnv
-from baselines.training.stable_baselines import MODELS, make_model, make_training_env
+from baselines.training.sb3.callbacks import FrozenActor, ZeroCorrection
+from baselines.training.sb3.export import exported
+from baselines.training.sb3.trainer import MODELS, make_model, make_training_env
+from baselines.training.sb3.vec_env import SB3VecEnv
+from baselines.training.sb3.vec_features import VecFeatures
+from baselines.training.sb3.vec_reward import LINEAR
 from baselines.training.validation import Validation, validation_cell
-from baselines.training.vec_features import VecFeatures
-from baselines.training.vec_reward import LINEAR
 
 torch.set_num_threads(1)
 STORM = Scenario.from_dict({**PRESETS["cruise-storm"].to_dict(), "name": "short", "steps": 30})
-COST = "baselines.training.vec_reward.VecErrorCost"
+COST = "baselines.training.sb3.vec_reward.VecErrorCost"
 RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"
 SMOOTH = {"use_sde": True, "policy_kwargs": {"net_arch": {"pi": [16, 8], "qf": [8]}, "clip_mean": 0.0}}
 VARIANTS = [*((algo, {}) for algo in MODELS), ("sac", SMOOTH), ("ppo", {"use_sde": True})]

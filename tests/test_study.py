@@ -6,16 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from baselines.agent import Agent
-from baselines.command_line import run
-from baselines.evaluation import study_page
-from baselines.evaluation.collection import collected
+from baselines.agents.agent import Agent
+from baselines.agents.features import FEATURES
+from baselines.agents.networks import Gru
+from baselines.evaluation.results import studies as study_page
+from baselines.evaluation.results.collection import collected
 from baselines.evaluation.score import EXPERT, ORACLE, lead, score, seeds_score
 from baselines.evaluation.study_files import InSuite, Study, load_all, save
-from baselines.features import FEATURES
-from baselines.networks import Gru
-from baselines.training import study
-from baselines.training.run import AGENT, PROGRESS
+from baselines.tools.command_line import run
+from baselines.training.run_folder import AGENT, PROGRESS
+from baselines.training.study import command as study
 from baselines.training.trainings import Training
 
 REGIME, SUITE = "cruise", "benchmark-v1"

@@ -10,16 +10,16 @@ import pytest
 
 from auv_gym.paths import PATHS
 from auv_gym.presets import CASES
-from baselines.agent import Agent
-from baselines.command_line import UsageError
+from baselines.agents.agent import Agent
+from baselines.agents.features import FEATURES
+from baselines.agents.networks import Gru
 from baselines.evaluation import recorded, suites
-from baselines.evaluation.report import compare, pool, versions
+from baselines.evaluation.report.numbers import compare, pool, versions
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Cell, drawn, run_all
 from baselines.evaluation.suites.__main__ import main
 from baselines.evaluation.suites.builder import FAMILIES, SUITES, build
-from baselines.features import FEATURES
-from baselines.networks import Gru
+from baselines.tools.command_line import UsageError
 
 NAMES = suites.list_suites()
 
@@ -129,7 +129,7 @@ def test_recorded_rows_belong_to_an_agents_files(small, tmp_path, monkeypatch):
     (agents / "open-loop").mkdir(parents=True)
     weights = agents / "open-loop" / "weights"
     weights.write_bytes(b"1")
-    monkeypatch.setattr("baselines.user_policies.AGENTS", agents)
+    monkeypatch.setattr("baselines.agents.loading.AGENTS", agents)
     recorded.save(suite, run_all(("open-loop",), suite.cells), versions(), tmp_path)
     assert len(recorded.load(suite, tmp_path).runs) == 2
     weights.write_bytes(b"2")
@@ -202,7 +202,7 @@ def test_an_agent_of_one_regime_is_recorded_there(small, tmp_path, monkeypatch):
     network = Gru(len(FEATURES), 2, 2, 2)
     zeros = {name: np.zeros(shape, np.float32) for name, shape in network.shapes.items()}
     Agent(network, zeros, "backstepping", (0.5, 0.5), ("cruise-storm",)).save(agents / "mine")
-    for module in ("baselines", "baselines.user_policies", "baselines.evaluation.recorded"):
+    for module in ("baselines", "baselines.agents.loading", "baselines.evaluation.recorded"):
         monkeypatch.setattr(f"{module}.AGENTS", agents)
     assert (recorded.regimes_of("mine"), recorded.regimes_of("ekf")) == (("cruise",), ("slow", "cruise"))
     cells = [cell for cell in suite.cells if cell.scenario.name.startswith("cruise-")]

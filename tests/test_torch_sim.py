@@ -18,7 +18,7 @@ from auv_gym.presets import PRESETS
 from auv_gym.simulation import SAMPLE, Parameters, Parts
 from auv_gym.task import SCALES, SIZE
 from auv_gym.vehicle import PAPER_VEHICLE
-from baselines.backstepping import GAINS, tracking_forces
+from baselines.control.backstepping import GAINS, tracking_forces
 
 TRACK = "auv_gym:UnderactuatedAUVTrack-v0"
 FILTERED = {**PRESETS["cruise-storm"].to_dict(), "name": "filtered", "sensors": {"position": 0.05, "low_pass": 1.0}}

@@ -16,19 +16,19 @@ import yaml
 import train
 from auv_gym.presets import CASES, PRESETS
 from auv_gym.scenario import Scenario
-from baselines.agent import Agent
-from baselines.command_line import UsageError, run
+from baselines.agents.agent import Agent
+from baselines.agents.loading import AGENTS
 from baselines.evaluation.runner import drawn
+from baselines.tools.command_line import UsageError, run
 from baselines.training import command, request, shipped
 from baselines.training.config import ALGORITHMS, LARGEST_SEED, TRAINING_SEED, Config
 from baselines.training.hyperparameters import ENV_ID, changes_of, load_hyperparameters, words_of
 from baselines.training.hyperparameters import shipped as shipped_file
-from baselines.training.run import Run, read_config, read_progress
+from baselines.training.run_folder import Run, read_config, read_progress
 from baselines.training.trainings import SHIPPED, Training
 from baselines.training.validation import VALIDATION_SEED
-from baselines.tuning import VALIDATION_EPISODES
-from baselines.tuning import VALIDATION_SEED as TUNING_VALIDATION_SEED
-from baselines.user_policies import AGENTS
+from baselines.tuning.search import VALIDATION_EPISODES
+from baselines.tuning.search import VALIDATION_SEED as TUNING_VALIDATION_SEED
 
 torch.set_num_threads(1)
 ROOT = Path(__file__).parents[1]
@@ -38,9 +38,9 @@ SMOOTH = {"use_sde": True, "policy_kwargs": {"clip_mean": 0.0}}
 TINY = {
     "apg": {"n_steps": 5, "hidden_size": 8, "compiled": False},
     "ppo": {"n_steps": 16, "batch_size": 32, "learning_rate": "lin_0.01", "use_sde": True, "sde_sample_freq": 4},
-    "sac": OFF_POLICY | SMOOTH | {"callback": [{"baselines.training.callbacks.ZeroCorrection": {"std": 0.1}}]},
+    "sac": OFF_POLICY | SMOOTH | {"callback": [{"baselines.training.sb3.callbacks.ZeroCorrection": {"std": 0.1}}]},
     "td3": OFF_POLICY | {"noise_type": "ornstein-uhlenbeck", "noise_std": 0.1},
-    "tqc": OFF_POLICY | {"callback": [{"baselines.training.callbacks.FrozenActor": {"steps": 100}}]},
+    "tqc": OFF_POLICY | {"callback": [{"baselines.training.sb3.callbacks.FrozenActor": {"steps": 100}}]},
 }
 STEPS = 320
 
@@ -50,7 +50,7 @@ def call(monkeypatch, tmp_path):
     """Run the script in-process in an empty folder and return its exit status."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("baselines.training.validation.EPISODES", 4)
-    for name in ("tracker.VALIDATIONS", "analytic_gradient.VALIDATIONS", "analytic_gradient.LOGS"):
+    for name in ("sb3.tracker.VALIDATIONS", "apg.trainer.VALIDATIONS", "apg.trainer.LOGS"):
         monkeypatch.setattr(f"baselines.training.{name}", 5)
     SMALL.save("small.toml")
     for algo, values in TINY.items():
@@ -192,7 +192,7 @@ def test_mistakes_are_one_line_and_leave_nothing_behind(arguments, message, call
         ({"n_envs": 8, "policy": "CnnPolicy"}, "it must be MlpPolicy"),
         ({"n_envs": 8, "vec_env_wrapper": "os.system"}, "unknown vec_env_wrapper 'os.system'; allowed are"),
         ({"n_envs": 8, "callback": "os.system"}, "unknown callback 'os.system'; allowed are"),
-        ({"n_envs": 8, "callback": [{"baselines.training.callbacks.FrozenActor": {"step": 1}}]}, "it takes steps"),
+        ({"n_envs": 8, "callback": [{"baselines.training.sb3.callbacks.FrozenActor": {"step": 1}}]}, "it takes steps"),
         ({"n_envs": 8, "learning_rate": "3e-4"}, "a number, or lin_NUMBER falling to zero"),
         ({"n_envs": 8, "batch_size": 1000}, "hyper-parameters of ppo: You have specified a mini-batch size of 1000"),
         ({"n_envs": 8, "policy_kwargs": {"net": 1}}, "hyper-parameters of ppo: "),
@@ -375,7 +375,7 @@ def test_shipped_agents_are_installed_and_unknown_ones_refused(call, monkeypatch
 @pytest.mark.parametrize("page", ["README.md", "docs/training.md"])
 def test_documented_commands_run(page, call, monkeypatch):
     """In their order, in one folder, with small networks for a moment; hyper-parameter files are those of the page."""
-    monkeypatch.setattr("baselines.training.run.validation_cell", lambda s: drawn(replace(s, steps=15), 1, 0))
+    monkeypatch.setattr("baselines.training.run_folder.validation_cell", lambda s: drawn(replace(s, steps=15), 1, 0))
     monkeypatch.setattr(request, "shipped", lambda algo: Path(f"{algo}.yml"))
     text = (ROOT / page).read_text(encoding="utf-8")
     for name, content in re.findall(r"^```(?:toml|yaml)\n# (\S+)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):

@@ -10,10 +10,11 @@ import baselines
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.presets import CASES, PRESETS
 from auv_gym.task import SIZE
-from baselines import gain_files, tuning
-from baselines.command_line import DONE, UsageError
-from baselines.gain_files import load_gains
-from baselines.tuning import TUNABLES, TUNING_SEED, VALIDATION_SEED, Course, main, tune
+from baselines.gains import loading as gain_files
+from baselines.gains.loading import load_gains
+from baselines.tools.command_line import DONE, UsageError
+from baselines.tuning import search as tuning
+from baselines.tuning.search import TUNABLES, TUNING_SEED, VALIDATION_SEED, Course, main, tune
 
 
 @pytest.fixture

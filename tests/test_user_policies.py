@@ -11,7 +11,7 @@ import pytest
 
 import evaluate
 from baselines import make_policy
-from baselines.command_line import UsageError
+from baselines.tools.command_line import UsageError
 
 PAGE = (Path(__file__).parents[1] / "docs" / "metrics.md").read_text(encoding="utf-8")
 COMMON = ("--scenario", "cruise-calm", "--episodes", "2", "--jobs", "1", "--out", "out")

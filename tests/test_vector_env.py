@@ -16,7 +16,7 @@ from auv_gym.presets import PRESETS
 from auv_gym.scenario import Scenario
 from auv_gym.tape import Tape
 from baselines import make_policy
-from baselines.backstepping import Backstepping
+from baselines.control.backstepping import Backstepping
 
 TRACK = "auv_gym:UnderactuatedAUVTrack-v0"
 RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"

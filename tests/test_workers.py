@@ -9,8 +9,8 @@ import types
 import pytest
 
 import evaluate
-from baselines.command_line import UsageError
-from baselines.workers import ClusterError, Workers, connect
+from baselines.tools.command_line import UsageError
+from baselines.tools.workers import ClusterError, Workers, connect
 
 
 @pytest.fixture

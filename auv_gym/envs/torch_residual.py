@@ -17,7 +17,7 @@ from auv_gym.task import SCALES, SIZE
 
 
 class TensorExpert(Protocol):
-    """A law without memory that runs on the numbers of any namespace, as `baselines.backstepping.Backstepping`."""
+    """A law without memory that runs on the numbers of any namespace, as `Backstepping`."""
 
     def forces(self, o: Sequence[Any], ns: Namespace) -> tuple[Any, Any]:
         """Return F_u [N], F_r [N m] for the terms of an observation in SI units, tensors of shape (N,)."""

@@ -6,17 +6,17 @@ import sys
 
 from rich.console import Console
 
-from baselines.command_line import DONE, FAILED
-from baselines.evaluation.files import write_atomically
-from baselines.evaluation.html import report_html
-from baselines.evaluation.paper import Reproduction, reproduce
+from baselines.evaluation.paper.numbers import Reproduction, reproduce
 from baselines.evaluation.progress import Listener, progress
-from baselines.evaluation.report import Result, compare, pool, recordings, results_csv, results_json
+from baselines.evaluation.report.html import report_html
+from baselines.evaluation.report.numbers import Result, compare, pool, recordings, results_csv, results_json
+from baselines.evaluation.report.terminal import console, reproduction_tables, results_table, score_table
 from baselines.evaluation.request import Request
 from baselines.evaluation.rows import RowStore
 from baselines.evaluation.runner import Run, run_all
 from baselines.evaluation.score import ORACLE, Pooled
-from baselines.evaluation.tables import console, reproduction_tables, results_table, score_table
+from baselines.tools.command_line import DONE, FAILED
+from baselines.tools.files import write_atomically
 
 ROWS = "rows"
 """Folder in DIR that keeps the finished runs."""
@@ -65,13 +65,13 @@ def _run(request: Request, store: RowStore, report: Listener) -> list[Run]:
 
 
 def _write(request: Request, results: list[Result], scores: list[Pooled], reproduction: Reproduction | None) -> None:
-    from baselines.evaluation.figures import evaluation_figures
+    from baselines.evaluation.report.figures import evaluation_figures
 
     write_atomically(request.out / "results.json", results_json(request, results, scores, reproduction))
     write_atomically(request.out / "results.csv", results_csv(results))
     figures = evaluation_figures(results)
     if reproduction is not None:
-        from baselines.evaluation.paper_figures import paper_figures
+        from baselines.evaluation.paper.figures import paper_figures
 
         figures |= paper_figures(reproduction)
     for name, png in figures.items():

@@ -16,14 +16,14 @@ from typing import TypeVar
 from auv_gym.presets import PRESETS
 from auv_gym.scenario import Scenario
 from baselines import make_policy
-from baselines.command_line import UsageError
+from baselines.agents.loading import caution
 from baselines.evaluation import recorded
 from baselines.evaluation.rollout import make_env
 from baselines.evaluation.runner import STEP_LIMIT, Cell, Run, drawn
 from baselines.evaluation.score import EXPERT, ORACLE
 from baselines.evaluation.suites import list_suites, load
-from baselines.user_policies import caution
-from baselines.workers import Workers, connect
+from baselines.tools.command_line import UsageError
+from baselines.tools.workers import Workers, connect
 
 T = TypeVar("T")
 

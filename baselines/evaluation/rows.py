@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from auv_gym.scenario import Scenario
-from baselines.evaluation.files import write_atomically
 from baselines.evaluation.metrics import Measures, Track
 from baselines.evaluation.runner import Run
+from baselines.tools.files import write_atomically
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,10 @@ from auv_gym import __version__
 from auv_gym.episode import Episode
 from auv_gym.scenario import Scenario
 from baselines import make_policy
+from baselines.agents.loading import fingerprint
 from baselines.evaluation.metrics import Measures, Track
 from baselines.evaluation.rollout import PolicyError, Rollout, rollout
-from baselines.user_policies import fingerprint
-from baselines.workers import Workers
+from baselines.tools.workers import Workers
 
 LANES = 512
 """Most episodes side by side. Fixed, so that no number depends on the number of workers."""
@@ -81,7 +81,7 @@ class Run:
     error: str | None = None
     warnings: tuple[str, ...] = ()
     recorded: Recorded | None = None  # None: the episodes ran now
-    fingerprint: str = ""  # of the policy's files, see `user_policies.fingerprint`
+    fingerprint: str = ""  # of the policy's files, see `agents.loading.fingerprint`
     known: bool = False  # left by an evaluation that was interrupted
 
     @property

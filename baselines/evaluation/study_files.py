@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.evaluation import suites
-from baselines.evaluation.files import write_atomically
 from baselines.evaluation.metrics import Array, Measures
-from baselines.evaluation.report import versions
+from baselines.evaluation.report.numbers import versions
 from baselines.evaluation.runner import Run
 from baselines.evaluation.score import LARGEST_TAIL, beyond
+from baselines.tools.files import write_atomically
 
-FOLDER = Path(__file__).parent / "studies"
+FOLDER = Path(__file__).parent / "data" / "studies"
 SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1")
 """The suites that agents are measured on."""
 CURVE = ("timesteps", "seconds", "score")

@@ -12,15 +12,15 @@ from typing import Any
 
 import joblib
 
-from baselines.agent import Agent
-from baselines.command_line import DONE, FAILED
-from baselines.evaluation.files import write_atomically
-from baselines.evaluation.report import versions
+from baselines.agents.agent import Agent
+from baselines.evaluation.report.numbers import versions
+from baselines.tools.command_line import DONE, FAILED
+from baselines.tools.files import write_atomically
 from baselines.training.config import ALGORITHMS, Config
 from baselines.training.learning_curve import learning_curve
 from baselines.training.progress import live, plain
 from baselines.training.request import Request
-from baselines.training.run import AGENT, Run, TrainingError, read_progress
+from baselines.training.run_folder import AGENT, Run, TrainingError, read_progress
 
 CURVE = "learning_curve.png"
 

@@ -13,17 +13,17 @@ from auv_gym.records import from_record
 from auv_gym.residual import Policy, checked_authority
 from auv_gym.scenario import Scenario
 from baselines import make_policy
+from baselines.agents.loading import is_path
+from baselines.control.zero import NO_EXPERT, Zero
 from baselines.evaluation.rollout import Privileged
 from baselines.evaluation.score import EXPERT
-from baselines.user_policies import is_path
-from baselines.zero import NO_EXPERT, Zero
 
 ALGORITHMS: Mapping[str, str] = {
-    "apg": "baselines.training.analytic_gradient",
-    "ppo": "baselines.training.stable_baselines",
-    "sac": "baselines.training.stable_baselines",
-    "td3": "baselines.training.stable_baselines",
-    "tqc": "baselines.training.stable_baselines",
+    "apg": "baselines.training.apg.trainer",
+    "ppo": "baselines.training.sb3.trainer",
+    "sac": "baselines.training.sb3.trainer",
+    "td3": "baselines.training.sb3.trainer",
+    "tqc": "baselines.training.sb3.trainer",
 }
 """The module of each algorithm: `check(config)` raises ValueError for what it cannot train, `train(run)` does.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from baselines.evaluation.style import COLOURS, REFERENCE, panels, styled, to_png
+from baselines.tools.figure_style import COLOURS, REFERENCE, panels, styled, to_png
 
 
 def learning_curve(seeds: Sequence[Sequence[Mapping[str, float]]], names: Sequence[str] = ()) -> bytes:

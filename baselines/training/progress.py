@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
 from baselines.training.config import Config
-from baselines.training.run import State
+from baselines.training.run_folder import State
 
 
 @contextmanager

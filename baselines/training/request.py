@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from auv_gym.scenario import Scenario
-from baselines.command_line import UsageError
 from baselines.evaluation.request import checked, checked_folder, checked_scenario
 from baselines.evaluation.score import EXPERT
+from baselines.tools.command_line import UsageError
 from baselines.training.config import ALGORITHMS, Config
 from baselines.training.hyperparameters import changes_of, load_hyperparameters, shipped
 from baselines.training.mixtures import MIXTURES
-from baselines.training.run import AGENT, read_config
+from baselines.training.run_folder import AGENT, read_config
 
 DEFAULT_AUTHORITY = (0.5,)
 DEFAULT_TIMESTEPS = 1_000_000

@@ -10,12 +10,12 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from baselines.agent import Agent
-from baselines.command_line import DONE, UsageError, parse, run
+from baselines.agents.agent import Agent
+from baselines.agents.loading import AGENTS
+from baselines.tools.command_line import DONE, UsageError, parse, run
 from baselines.training.command import CURVE, train
-from baselines.training.run import AGENT
+from baselines.training.run_folder import AGENT
 from baselines.training.trainings import SHIPPED
-from baselines.user_policies import AGENTS
 
 PROGRAM = "python -m baselines.training.shipped"
 

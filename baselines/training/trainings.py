@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from auv_gym.presets import CASES
+from baselines.control.zero import NO_EXPERT
 from baselines.training.hyperparameters import words_of
 from baselines.training.request import Request
-from baselines.zero import NO_EXPERT
 
 
 @dataclass(frozen=True)

@@ -21,13 +21,13 @@ from auv_gym.residual import Policy, preview_of
 from auv_gym.scenario import Scenario
 from auv_gym.task import decode_observation
 from baselines import make_policy
-from baselines.evaluation.files import json_text, write_atomically
+from baselines.agents.features import ERRORS, scaled_errors
 from baselines.evaluation.metrics import Array, tail_rmse
 from baselines.evaluation.rollout import PolicyError, rollout
 from baselines.evaluation.runner import Cell, drawn
 from baselines.evaluation.score import EXPERT, LARGEST_TAIL, ORACLE, beyond, capped, regime_of
 from baselines.evaluation.suites import load
-from baselines.features import ERRORS, scaled_errors
+from baselines.tools.files import json_text, write_atomically
 
 SUITE = "benchmark-v1-validation"
 VALIDATION_SEED = 30_000_000
@@ -47,7 +47,7 @@ class Verdict:
     score: float  # 0: the expert, 1: the oracle; from tails of at most the cap
     error_m: float  # mean capped tail RMSE [m]
     lost: float  # share of the episodes that were lost, or whose tail reaches the cap
-    region: tuple[float, ...]  # what `SEEN` of the scaled errors stay below, see `baselines.features.scaled_errors`
+    region: tuple[float, ...]  # what `SEEN` of the scaled errors stay below, see `features.scaled_errors`
 
 
 def validation_cell(scenario: Scenario) -> Cell:

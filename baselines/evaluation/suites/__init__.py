@@ -27,8 +27,8 @@ from auv_gym.paths import PATHS
 from auv_gym.records import from_record, to_record
 from auv_gym.scenario import Scenario
 from auv_gym.vehicle import Vehicle
+from baselines.control.truth import Array, samples
 from baselines.evaluation.runner import Cell
-from baselines.truth import Array, samples
 
 FOLDER = Path(__file__).parent
 SUMS = "SHA256SUMS"

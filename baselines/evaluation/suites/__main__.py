@@ -10,14 +10,14 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from baselines import list_policies
-from baselines.command_line import DONE, FAILED, UsageError, parse, run
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.progress import progress
-from baselines.evaluation.report import versions
+from baselines.evaluation.report.numbers import versions
 from baselines.evaluation.runner import STEP_LIMIT, Cell, run_all
 from baselines.evaluation.score import regime_of
 from baselines.evaluation.suites.builder import SUITES, build
-from baselines.workers import Workers
+from baselines.tools.command_line import DONE, FAILED, UsageError, parse, run
+from baselines.tools.workers import Workers
 
 PROGRAM = "python -m baselines.evaluation.suites"
 

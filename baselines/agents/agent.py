@@ -1,0 +1,238 @@
+"""A trained agent as an artefact: a folder with weights, their description and a model card; no code is run to load it.
+
+weights.safetensors   the network's weights
+agent.json            what they are: network, features, observation, expert, authority, scenarios, how it was trained
+card.md               the same for people; learning_curve.png beside it, if there is one
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import shutil
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_gym.records import from_record, to_record
+from auv_gym.residual import Policy, checked_authority
+from auv_gym.task import TERMS
+from baselines.agents.features import ERRORS, STANDARD, Inputs
+from baselines.agents.loading import is_path
+from baselines.agents.model_card import CURVE, model_card
+from baselines.agents.networks import Network, Weights, check_weights, network_of, network_record
+from baselines.agents.residual_policy import ResidualPolicy
+from baselines.control.zero import NO_EXPERT, Zero
+
+FORMAT = 2
+"""Version of the folder's layout."""
+WEIGHTS, RECORD, CARD = "weights.safetensors", "agent.json", "card.md"
+LARGEST_FILE = 2**26
+"""Largest file [bytes] that is read."""
+OBSERVATION_LAYOUT = [[t.name, t.scale] for t in TERMS]
+ENTRIES = (
+    "format",
+    "network",
+    "inputs",
+    "features",
+    "observation",
+    "expert",
+    "authority",
+    "scenarios",
+    "region",
+    "weights_sha256",
+    "training",
+)
+
+
+@dataclass(frozen=True)
+class Agent:
+    """A network that corrects an expert, and where it comes from.
+
+    Raises:
+        ValueError: the weights do not fit the network, the expert is a path, an authority is not in (0, 2], or the
+            region is not of positive numbers.
+    """
+
+    network: Network
+    weights: Weights  # see `network.shapes`
+    expert: str  # the name of a policy, or `NO_EXPERT`
+    authority: tuple[float, float]  # largest correction of surge and yaw, fractions of the limits
+    scenarios: tuple[str, ...] = ()  # names of what it was trained on
+    training: Mapping[str, Any] = field(default_factory=dict)  # command, configuration, versions, scores: plain JSON
+    region: tuple[float, ...] | None = None  # of the errors in its validation episodes, see `residual_policy.trust`
+    inputs: Inputs = STANDARD
+
+    def __post_init__(self) -> None:
+        if self.network.inputs != (features := len(self.inputs.features)):
+            raise ValueError(f"the network has {self.network.inputs} inputs; there are {features} features")
+        if is_path(self.expert):
+            raise ValueError(
+                f"expert is {self.expert!r}; an agent's expert must be a policy's name, since paths run code"
+            )
+        object.__setattr__(self, "authority", checked_authority(self.authority))
+        if self.region is not None:
+            object.__setattr__(self, "region", tuple(self.region))
+            if len(self.region) != ERRORS or not all(isinstance(x, float) and 0 < x < math.inf for x in self.region):
+                raise ValueError(f"region is {self.region!r}; it must be {ERRORS} positive numbers")
+        check_weights(self.network, self.weights)
+
+    def policy(self, fade: bool = False) -> Policy:
+        """Return the policy: expert and network together.
+
+        Args:
+            fade: whether corrections fade to the expert's bare action where an error leaves the region that was seen in
+                training; at twice its size nothing of them is left.
+
+        Raises:
+            ValueError: the expert is unknown, or corrections are to fade and there is no expert, or no known region.
+        """
+        if fade and self.expert == NO_EXPERT:
+            raise ValueError("the agent commands without an expert, so there is nothing that it could fade to")
+        if fade and self.region is None:
+            raise ValueError("the agent does not know the region that it has seen, so it cannot fade; train it again")
+        from baselines import make_policy
+
+        expert = Zero() if self.expert == NO_EXPERT else make_policy(self.expert)
+        region = self.region if fade else None
+        return ResidualPolicy(expert, self.network, self.weights, self.authority, region, self.inputs)
+
+    def save(self, folder: str | Path, curve: bytes | None = None) -> None:
+        """Write the agent to a folder, in place of what is there; it appears complete or not at all.
+
+        Args:
+            folder: an agent's, or one that does not exist yet.
+            curve: the learning curve, a PNG image.
+
+        Raises:
+            OSError: it cannot be written.
+            ValueError: the folder holds something other than an agent.
+        """
+        from safetensors.numpy import save
+
+        folder = Path(folder)
+        if folder.exists() and not (folder / RECORD).is_file():
+            raise ValueError(f"{folder} exists and is no agent's folder; choose another one")
+        weights = save({name: np.ascontiguousarray(w, dtype=np.float32) for name, w in self.weights.items()})
+        record = self._record(weights)
+        files = {
+            WEIGHTS: weights,
+            RECORD: (json.dumps(record, indent=2, allow_nan=False) + "\n").encode(),
+            CARD: model_card(folder.name, record, curve is not None).encode(),
+        }
+        _replace(folder, files | ({CURVE: curve} if curve else {}))
+
+    def _record(self, weights: bytes) -> dict[str, Any]:
+        return {
+            "format": FORMAT,
+            "network": network_record(self.network),
+            "inputs": to_record(self.inputs),
+            "features": feature_layout(self.inputs),
+            "observation": OBSERVATION_LAYOUT,
+            "expert": self.expert,
+            "authority": list(self.authority),
+            "scenarios": list(self.scenarios),
+            "region": None if self.region is None else list(self.region),
+            "weights_sha256": hashlib.sha256(weights).hexdigest(),
+            "training": dict(self.training),
+        }
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Agent:
+        """Return the agent of a folder.
+
+        Raises:
+            OSError: a file cannot be read.
+            ValueError: a file is damaged, or of another version; the message says which.
+        """
+        folder = Path(folder)
+        try:
+            record = _checked_record(_read(folder / RECORD))
+            data = _read(folder / WEIGHTS)
+            if hashlib.sha256(data).hexdigest() != record["weights_sha256"]:
+                raise ValueError(f"{WEIGHTS} is not what {RECORD} describes: its SHA-256 differs")
+            return cls(
+                network_of(record["network"]),
+                _weights(data),
+                record["expert"],
+                _pair(record["authority"]),
+                tuple(record["scenarios"]),
+                record["training"],
+                record["region"],
+                from_record(Inputs, record["inputs"], "inputs"),
+            )
+        except ValueError as error:
+            raise ValueError(f"agent {folder}: {error}") from error
+
+
+def feature_layout(inputs: Inputs) -> list[list[str]]:
+    """Return name and scale of each feature, as an agent's description holds them."""
+    return [[f.name, f.scale] for f in inputs.features]
+
+
+def _read(file: Path) -> bytes:
+    with file.open("rb") as stream:
+        data = stream.read(LARGEST_FILE + 1)
+    if len(data) > LARGEST_FILE:
+        raise ValueError(f"{file.name} is larger than {LARGEST_FILE} bytes")
+    return data
+
+
+def _checked_record(data: bytes) -> dict[str, Any]:
+    """Return an agent's description; raise ValueError if it is damaged or of another version."""
+    try:
+        record = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{RECORD} is not valid JSON: {error}") from error
+    if not isinstance(record, dict) or set(record) != set(ENTRIES):
+        raise ValueError(f"{RECORD} must have the entries {', '.join(ENTRIES)}, and no others")
+    if record["format"] != FORMAT:
+        raise ValueError(f"its format is {record['format']!r}; this version reads {FORMAT}")
+    features = feature_layout(from_record(Inputs, record["inputs"], "inputs"))
+    for name, layout in (("features", features), ("observation", OBSERVATION_LAYOUT)):
+        if record[name] != layout:
+            raise ValueError(f"it was trained on other {name} than this version has; train it again")
+    if not isinstance(record["expert"], str) or not isinstance(record["training"], dict):
+        raise ValueError(f"{RECORD}: expert must be a name, training a table")
+    if not isinstance(record["region"], (list, type(None))):
+        raise ValueError(f"{RECORD}: region must be a list of numbers, or null")
+    if not isinstance(record["scenarios"], list) or not all(isinstance(s, str) for s in record["scenarios"]):
+        raise ValueError(f"{RECORD}: scenarios must be a list of names")
+    return record
+
+
+def _pair(value: Any) -> tuple[float, float]:
+    if not isinstance(value, list):
+        raise ValueError(f"authority is {value!r}; it must be a list of two numbers")
+    return checked_authority(value)
+
+
+def _weights(data: bytes) -> dict[str, NDArray[np.float32]]:
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    try:
+        weights: dict[str, NDArray[np.float32]] = load(data)
+    except (SafetensorError, ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{WEIGHTS} is no safetensors file: {error}") from error
+    return weights
+
+
+def _replace(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Put a folder with these files in place of what is there."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as temporary:
+        new, old = Path(temporary) / "new", Path(temporary) / "old"
+        new.mkdir()
+        for name, data in files.items():
+            (new / name).write_bytes(data)
+        if folder.exists():
+            folder.replace(old)
+        new.replace(folder)
+        shutil.rmtree(old, ignore_errors=True)

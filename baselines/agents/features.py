@@ -1,0 +1,152 @@
+"""What a trained policy sees: an observation and its expert's action, scaled by what is observed, plus slow memory.
+
+One copy of the equations for NumPy rows and torch tensors. Lengths are in units of the way that the reference covers in
+a second and forces in units of the actuators' limits, so one policy can serve every speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from auv_gym.errors import to_body, to_world
+from auv_gym.namespaces import Namespace, Number
+from auv_gym.preview import checked_preview
+from baselines.control.backstepping import MIN_SPEED
+
+BOUND = 8.0
+"""Largest magnitude of a feature."""
+FAST, SLOW = 0.1, 0.015
+"""Rates [1/s] at which the two integrals of the position error forget."""
+FAR = 4.0
+"""Largest position error that is integrated, in units of U * 1 s: a vehicle that is lost must not wind them up."""
+
+
+class Feature(NamedTuple):
+    """One entry of the policy's input: the quantity divided by `scale`, clipped to +-`BOUND`."""
+
+    name: str
+    unit: str
+    scale: str  # U: the reference's speed, at least `MIN_SPEED`; F_u_max, F_r_max: the actuators' limits
+    meaning: str
+
+
+FEATURES = (
+    Feature("e_x", "m", "U * 1 s", "measured position error along the body's surge axis"),
+    Feature("e_y", "m", "U * 1 s", "the same along the sway axis"),
+    Feature("psi_e", "rad", "0.5 rad", "measured heading error"),
+    Feature("u_e", "m/s", "0.5 U", "measured surge velocity error, over ground"),
+    Feature("v_e", "m/s", "0.5 U", "measured sway velocity error, over ground"),
+    Feature("r_e", "rad/s", "0.125 rad/s", "measured yaw rate error"),
+    Feature("u_R", "m/s", "1 m/s", "reference surge velocity"),
+    Feature("v_R", "m/s", "0.25 U", "reference sway velocity"),
+    Feature("r_R", "rad/s", "0.125 rad/s", "reference yaw rate"),
+    Feature("F_uR", "N", "F_u_max", "reference surge force"),
+    Feature("F_rR", "N m", "F_r_max", "reference yaw torque"),
+    Feature("base_u", "1", "1", "the expert's action, surge"),
+    Feature("base_r", "1", "1", "the expert's action, yaw"),
+    Feature("fast_x", "m s", "U * 4 s^2", "integral of the position error in the world, forgotten at FAST, surge axis"),
+    Feature("fast_y", "m s", "U * 4 s^2", "the same along the sway axis"),
+    Feature("slow_x", "m s", "U * 10 s^2", "integral forgotten at SLOW, surge axis"),
+    Feature("slow_y", "m s", "U * 10 s^2", "the same along the sway axis"),
+    Feature("c_u", "1", "1", "previous correction, surge, in [-1, 1]"),
+    Feature("c_r", "1", "1", "previous correction, yaw"),
+    Feature("a_u", "1", "1", "previous command, surge"),
+    Feature("a_r", "1", "1", "previous command, yaw"),
+    Feature("F_u_max", "N", "256 N", "surge force that action 1 commands"),
+    Feature("F_r_max", "N m", "128 N m", "yaw torque that action 1 commands"),
+    Feature("dt", "s", "0.125 s", "control period"),
+)
+_SUMS = slice(13, 17)  # the integrals among them
+ERRORS = 6
+"""How many of the features, the first ones, are errors of the vehicle."""
+INTEGRALS = 4
+"""Rows that are remembered: the two integrals, scaled by U * 1 s, each with its x and y in the world."""
+
+
+def scaled_errors(o: Sequence[Number], ns: Namespace) -> tuple[Any, ...]:
+    """Return the first `ERRORS` features before they are clipped."""
+    e_x, e_y, psi_e, u_e, v_e, r_e, u_R, v_R = o[:8]
+    per_U = _per_speed(u_R, v_R, ns)
+    return e_x * per_U, e_y * per_U, 2 * psi_e, 2 * u_e * per_U, 2 * v_e * per_U, 8 * r_e
+
+
+def _per_speed(u_R: Number, v_R: Number, ns: Namespace) -> Any:
+    return 1 / ns.sqrt(ns.clip(u_R * u_R + v_R * v_R, MIN_SPEED * MIN_SPEED, 1e6))
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Which features a network sees: `FEATURES`, and behind them those of a preview.
+
+    Raises:
+        ValueError: see `auv_gym.preview.checked_preview`; or `integrals` is no bool.
+    """
+
+    preview: tuple[int, ...] = ()  # control periods ahead
+    integrals: bool = True  # whether the integrals of the position error are among them
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "preview", checked_preview(self.preview))
+        if not isinstance(self.integrals, bool):
+            raise ValueError(f"integrals is {self.integrals!r}; it must be true or false")
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """The features, one for each row of `update`."""
+        known = FEATURES if self.integrals else FEATURES[: _SUMS.start] + FEATURES[_SUMS.stop :]
+        return known + tuple(feature for periods in self.preview for feature in _ahead(periods))
+
+    def update(
+        self,
+        o: Sequence[Number],
+        ahead: Sequence[Number],
+        base: Iterable[Number],
+        correction: Iterable[Number],
+        integrals: Iterable[Number],
+        ns: Namespace,
+    ) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        """Return the features, one row for each, and the integrals to hand in at the next control instant.
+
+        Args:
+            o: the terms of an observation in SI units, see `auv_gym.task.TERMS`.
+            ahead: the columns of the preview [m], two for each of its times, see `auv_gym.preview.Preview`.
+            base: the expert's action at this instant, surge and yaw.
+            correction: the policy's own action before this instant, surge and yaw; zero at an episode's start.
+            integrals: as the last call returned them, `INTEGRALS` rows; zero at an episode's start.
+            ns: the namespace of the numbers.
+        """
+        u_R, v_R, r_R, F_uR, F_rR, c, s, F_u_max, F_r_max, a_u, a_r, dt = o[6:18]
+        x1, y1, x2, y2 = integrals
+        errors = scaled_errors(o, ns)
+        x, y = (ns.clip(e, -FAR, FAR) for e in errors[:2])
+        x, y = to_world(x, y, c, s)
+        x1, y1 = x1 + dt * (x - FAST * x1), y1 + dt * (y - FAST * y1)
+        x2, y2 = x2 + dt * (x - SLOW * x2), y2 + dt * (y - SLOW * y2)
+        fast_x, fast_y = to_body(x1, y1, c, s)
+        slow_x, slow_y = to_body(x2, y2, c, s)
+        per_U = _per_speed(u_R, v_R, ns)
+        sums = (0.25 * fast_x, 0.25 * fast_y, 0.1 * slow_x, 0.1 * slow_y) if self.integrals else ()
+        straight = (per_U / (periods * dt) for periods in self.preview)
+        later = zip(straight, ahead[::2], ahead[1::2], strict=True)
+        rows = (
+            *errors, u_R, 4 * v_R * per_U, 8 * r_R, F_uR / F_u_max, F_rR / F_r_max, *base, *sums,
+            *correction, a_u, a_r, F_u_max / 256, F_r_max / 128, 8 * dt,
+            *(row for k, X, Y in later for row in (4 * (X * k - 1), 4 * Y * k)),
+        )  # fmt: skip
+        return tuple(ns.clip(row, -BOUND, BOUND) for row in rows), (x1, y1, x2, y2)
+
+
+STANDARD = Inputs()
+"""What a network sees unless something else is asked for."""
+
+
+def _ahead(periods: int) -> tuple[Feature, Feature]:
+    """Return the features of one time of a preview."""
+    what = f"the reference's way in the coming {periods} control periods"
+    scale = f"0.25 U * {periods} dt"
+    return (
+        Feature(f"ahead_{periods}_x", "m", scale, f"{what} along the surge axis, less U * {periods} dt"),
+        Feature(f"ahead_{periods}_y", "m", scale, f"{what} along the sway axis"),
+    )

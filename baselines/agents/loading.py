@@ -1,0 +1,140 @@
+"""Policies from files: `path/to/module.py:factory`, a `model.zip` of Stable-Baselines3, or the folder of an agent."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import json
+import sys
+import zipfile
+from pathlib import Path
+from typing import Any
+
+from auv_gym.residual import Policy
+from auv_gym.task import SIZE
+
+ALGORITHMS = {
+    "stable_baselines3.common.policies": ("stable_baselines3", "PPO"),
+    "stable_baselines3.sac.policies": ("stable_baselines3", "SAC"),
+    "stable_baselines3.td3.policies": ("stable_baselines3", "TD3"),
+    "sb3_contrib.common.recurrent.policies": ("sb3_contrib", "RecurrentPPO"),
+    "sb3_contrib.tqc.policies": ("sb3_contrib", "TQC"),
+}
+"""Which class loads a model, by the module of its network; A2C, TRPO and DDPG act as their relatives here do."""
+
+AGENTS = Path(__file__).parent / "shipped"
+"""Where the agents are that ship with the package, a folder each."""
+
+
+FADING = ":fade"
+"""Behind an agent's name: its corrections fade where it leaves what it has seen, see `Agent.policy`."""
+
+
+def shipped_agents() -> list[str]:
+    """Return the names of the agents in `AGENTS`."""
+    return sorted(file.parent.name for file in AGENTS.glob("*/agent.json"))
+
+
+def is_path(name: str) -> bool:
+    """Return whether a policy's name is a path to one."""
+    return name.endswith(".zip") or ".py:" in name or "/" in name or "\\" in name or Path(name, "agent.json").is_file()
+
+
+def caution(name: str) -> str | None:
+    """Return what a user should know before a policy is loaded, if anything."""
+    if name.endswith(".zip"):
+        return f"{name} holds pickled objects, which can run any code when they are loaded: only load what you trust"
+    return None
+
+
+def fingerprint(name: str) -> str:
+    """Return a SHA-256 of the files that a policy's name stands for; "" for one that is made of the project's code.
+
+    Of a path that is the file, or what is in the folder; of an agent's name its folder. What a module imports does not
+    count.
+    """
+    name = name.removesuffix(FADING)
+    path = Path(name.rpartition(":")[0] if ".py:" in name else name)
+    if not is_path(name) and not path.is_dir():
+        path = AGENTS / name
+    files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
+    digest, empty = hashlib.sha256(), True
+    for file in files:
+        if file.is_file() and "__pycache__" not in file.parts:
+            digest.update(f"{file.relative_to(path)}\n".encode() + hashlib.sha256(file.read_bytes()).digest())
+            empty = False
+    return "" if empty else digest.hexdigest()
+
+
+def load_policy(path: str, **options: Any) -> Policy:
+    """Return the policy of a path, see the module.
+
+    Args:
+        path: "FILE.py:FACTORY", whose factory is called with the options, "FILE.zip", or an agent's folder.
+        options: of the factory, or `fade` of an agent, see `baselines.agents.agent.Agent.policy`; a model takes none.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it holds no such policy.
+    """
+    if ".py:" not in path:
+        model = path.endswith(".zip")
+        if unknown := [name for name in options if model or name != "fade"]:
+            raise ValueError(f"policy {path!r} takes no option {unknown[0]!r}" + ("" if model else ", only fade"))
+        return _model(Path(path)) if model else _agent(Path(path), **options)
+    file, _, factory = path.rpartition(":")
+    return _made(Path(file), factory, options)
+
+
+def _agent(folder: Path, fade: bool = False) -> Policy:
+    from baselines.agents.agent import Agent
+
+    return Agent.load(folder).policy(fade)
+
+
+def _made(file: Path, factory: str, options: dict[str, Any]) -> Policy:
+    with file.open("rb"):
+        pass  # says that it is missing before the importer does
+    name = f"user_policy_{file.stem}"
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # where dataclasses look for their module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise ValueError(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
+    if not callable(getattr(module, factory, None)):
+        raise ValueError(f"{file} has no function or class {factory!r} that makes a policy")
+    try:
+        policy: Policy = getattr(module, factory)(**options)
+    except Exception as error:
+        raise ValueError(f"{factory} of {file} fails: {type(error).__name__}: {error}") from error
+    if not callable(getattr(policy, "predict", None)):
+        raise ValueError(f"{factory} of {file} returns {policy!r}, which has no method predict")
+    return policy
+
+
+def _model(file: Path) -> Policy:
+    try:
+        with zipfile.ZipFile(file) as archive:
+            module = json.loads(archive.read("data"))["policy_class"]["__module__"]
+    except (zipfile.BadZipFile, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{file} is no model of Stable-Baselines3: {error}") from error
+    if module not in ALGORITHMS:
+        raise ValueError(f"{file} has a network of {module}; known are those of {', '.join(ALGORITHMS)}")
+    package, algorithm = ALGORITHMS[module]
+    try:
+        loader = getattr(importlib.import_module(package), algorithm)
+    except ImportError as error:
+        raise ValueError(f"{file} needs {package}: pip install 'auv-gym[train]'") from error
+    model = loader.load(file, device="cpu")
+    if model.observation_space.shape != (SIZE,) or model.action_space.shape != (2,):
+        raise ValueError(
+            f"{file} takes observations {model.observation_space.shape} and gives actions {model.action_space.shape}; "
+            f"here they are ({SIZE},) and (2,): wrap it in a module and name FILE.py:FACTORY"
+        )
+    policy: Policy = model
+    return policy

@@ -1,0 +1,71 @@
+"""The model card of an agent: what its description says, for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from baselines.control.zero import NO_EXPERT
+
+CURVE = "learning_curve.png"
+TEXT = """# {name}
+
+A network that {own}, by at most {surge:g} of the surge limit and {yaw:g} of the yaw limit. It steers the underactuated
+vehicle of `auv_gym` along a reference, from what its sensors measure.
+
+{facts}
+
+## Use
+
+```
+python evaluate.py --suite benchmark-v1 --policy PATH/{name}
+```
+
+`baselines.agents.agent.Agent.load(PATH).policy()` gives the policy; it runs on NumPy, without torch and without code
+from this folder.
+
+## Limits
+
+It has seen simulated episodes of its scenarios only. Beyond the bound on its correction nothing is guaranteed about
+stability, least of all for other vehicles, speeds or sensors.
+"""
+
+
+def model_card(name: str, record: Mapping[str, Any], curve: bool) -> str:
+    """Return the card, Markdown.
+
+    Args:
+        name: the agent's.
+        record: its description, as `agent.json` has it.
+        curve: whether there is a learning curve beside it.
+    """
+    training, (surge, yaw) = record["training"], record["authority"]
+    own = "acts alone" if record["expert"] == NO_EXPERT else f"corrects the policy `{record['expert']}`"
+    lines = [TEXT.format(name=name, own=own, surge=surge, yaw=yaw, facts="\n".join(_facts(record)))]
+    if scores := training.get("scores"):
+        lines += ["## Scores", "", "0 is the expert `backstepping`, 1 the oracle.", "", *_table(scores), ""]
+    if curve:
+        lines += ["## Learning curve", "", f"![Score on validation episodes over control steps]({CURVE})", ""]
+    return "\n".join(lines)
+
+
+def _facts(record: Mapping[str, Any]) -> list[str]:
+    network, training = dict(record["network"]), record["training"]
+    kind = network.pop("kind")
+    facts = {"network": f"{kind}, {_listed(network)}", "trained on": ", ".join(record["scenarios"]) or "not recorded"}
+    config = training.get("config", {})
+    known = training | {key: config[key] for key in ("hyperparameters", "timesteps", "seed") if key in config}
+    for key in ("command", "hyperparameters", "timesteps", "seed", "seconds", "versions"):
+        if key in known:
+            value = known[key]
+            facts[key] = _listed(value) if isinstance(value, Mapping) else f"`{value}`"
+    facts["SHA-256 of the weights"] = f"`{record['weights_sha256']}`"
+    return _table(facts)
+
+
+def _listed(values: Mapping[str, Any]) -> str:
+    return ", ".join(f"{key} {value}" for key, value in values.items())
+
+
+def _table(rows: Mapping[str, Any]) -> list[str]:
+    return ["| | |", "|---|---|", *(f"| {key} | {value} |" for key, value in rows.items())]

@@ -1,0 +1,74 @@
+"""The tracking law with integral action: what a constant current or load leaves of the position error is integrated.
+
+The law (21), (22), (34), (40), (47) gets e + diag(surge, 1) R(psi)^T xi in place of its position error e, where
+xi' = rate R(psi) e. In the body frame xi is the internal model of what is constant in the world, as a current is: on a
+straight line the error vanishes, where the law alone keeps an offset, and in a slow turn it almost does. A current
+along the hull takes a little thrust, the same current across it a whole crab angle: hence the smaller share of surge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from auv_gym.namespaces import ARRAYS
+from auv_gym.scenario import as_vehicle
+from auv_gym.task import Observation
+from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from baselines.control.backstepping import Gains, bounded_error, tracking_forces
+from baselines.control.inertial_integral import integrated, seen_from_body
+from baselines.gains.loading import by_speed
+from baselines.policy import Array, Memory, Remembering
+
+LAW = ("k", "k1", "cu", "ku", "c", "kc", "cr")
+INTEGRAL = ("rate", "horizon", "surge")
+"""[1/s] of the integral; [s] bound of error and integral as a travel time of the reference; [1] share of surge."""
+FORMS = {"printed": (*LAW, *INTEGRAL), "normalised": (*LAW, "reference_speed", *INTEGRAL)}
+"""Names of the gains by form of the law: as printed, or normalised with the speed."""
+
+
+class IntegralLaw:
+    """The tracking law with integral action, a `Controller`; its memory is xi, shape (N, 2) [m]."""
+
+    def __init__(self, gains: Mapping[str, float], vehicle: Vehicle) -> None:
+        """Make the law; with a gain `reference_speed` in its speed-normalised form."""
+        law = {name: value for name, value in gains.items() if name not in INTEGRAL}
+        self.gains = Gains(**law)
+        self.rate, self.horizon, self.surge = (gains[name] for name in INTEGRAL)
+        self.vehicle = vehicle
+
+    def start(self, n: int) -> Memory:
+        """Return the memory at the start of n episodes."""
+        return (np.zeros((n, 2)),)
+
+    def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
+        """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
+        xi = integrated(memory[0].T, o, self.rate, self.horizon)
+        eta_x, eta_y = seen_from_body(xi, o)
+        e_x, e_y, *rest = bounded_error(o, self.horizon, ARRAYS)
+        F_u, F_r = tracking_forces((e_x + self.surge * eta_x, e_y + eta_y, *rest), self.vehicle, self.gains, ARRAYS)
+        return F_u, F_r, (xi.T,)
+
+
+def integral_law(
+    form: str = "printed",
+    gains: Mapping[str, float] | None = None,
+    vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE,
+) -> Remembering:
+    """Return the law with integral action as a policy.
+
+    Args:
+        form: "printed" or "normalised".
+        gains: at every speed, in place of the tuned ones, which depend on the speed; their names are in `FORMS`.
+        vehicle: the vehicle that the law believes in; an object, a name or a dict.
+
+    Raises:
+        ValueError: unknown form or vehicle, or wrong gains.
+    """
+    if form not in FORMS:
+        raise ValueError(f"unknown form {form!r}; allowed are {', '.join(FORMS)}")
+    known = as_vehicle(vehicle)
+    name = {"printed": "integral", "normalised": "integral-normalised"}[form]
+    return Remembering(by_speed(name, FORMS[form], lambda g: IntegralLaw(g, known), gains))

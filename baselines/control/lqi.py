@@ -1,0 +1,179 @@
+"""Gain-scheduled linear-quadratic control with integral action and an assumed actuator lag (LQI).
+
+The body-frame errors are linearised about steady motion at (u_R, r_R), and the integral of the position error, kept in
+the world frame, is seen from the body: both are time-invariant there, so one Riccati equation gives the gain of a
+steady motion. Gains are computed once on a grid of speeds and turn rates and interpolated. H. Kwakernaak and R. Sivan,
+Linear Optimal Control Systems, 1972, sections 3.7 and 6.4; T. I. Fossen, Handbook of Marine Craft Hydrodynamics and
+Motion Control, 2nd ed., 2021, section 16.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.interpolate import RegularGridInterpolator
+from scipy.linalg import block_diag, expm, solve_discrete_are
+
+from auv_gym.namespaces import ARRAYS
+from auv_gym.scenario import as_vehicle
+from auv_gym.task import Observation
+from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from baselines.control.backstepping import bounded_error
+from baselines.control.inertial_integral import integrated, seen_from_body
+from baselines.gains.loading import by_speed
+from baselines.policy import Array, Memory, Remembering
+
+SPEEDS = np.geomspace(0.05, 2.5, 14)
+TURN_RATES = np.linspace(-0.18, 0.18, 7)
+"""Grid of u_R [m/s] and r_R [rad/s]; beyond it the gain at its edge is used."""
+
+STATES, FORCES = 8, 2
+
+
+class Weights(NamedTuple):
+    """The cost of a second, and what is assumed of the actuators.
+
+    It is |e|^2 + |xi|^2 + velocity^2 |R(psi) e'|^2 + (heading U psi_e)^2 + (turn r_e)^2, plus for surge and for yaw
+    (effort a)^2 + (rate a')^2 of the command a as a fraction of the actuator's limit, after Bryson's rule; e [m] is the
+    position error, e' its rate in the world, xi [m] its integral, and U the speed.
+    """
+
+    velocity: float  # [s]
+    heading: float  # [1]
+    turn: float  # [m s]
+    surge_effort: float  # [m]
+    surge_rate: float  # [m s]
+    yaw_effort: float  # [m]
+    yaw_rate: float  # [m s]
+    lag: float  # [s] time constant that the actuators are believed to have
+    rate: float  # [1/s] of the integral, see `inertial_integral`
+    horizon: float  # [s] bound of error and integral, likewise
+
+
+def error_dynamics(u_R: float, r_R: float, vehicle: Vehicle) -> tuple[Array, Array]:
+    """Return A (6, 6), B (6, 2) of the errors (e_x, e_y, psi_e, u_e, v_e, r_e) about steady motion, from (17)-(20).
+
+    The forces are the deviations from F_uR and F_rR; v_R is that of the steady turn (5).
+    """
+    m11, m22, m33, d11, d22, d33 = vehicle.coefficients[:6]
+    v_R = -m11 * u_R * r_R / d22
+    A = np.array(
+        [
+            [0.0, r_R, -v_R, 1.0, 0.0, 0.0],
+            [-r_R, 0.0, u_R, 0.0, 1.0, 0.0],
+            [0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+            [0.0, 0.0, 0.0, -d11 / m11, m22 * r_R / m11, m22 * v_R / m11],  # (20a)
+            [0.0, 0.0, 0.0, -m11 * r_R / m22, -d22 / m22, -m11 * u_R / m22],  # (20b)
+            [0.0, 0.0, 0.0, (m11 - m22) * v_R / m33, (m11 - m22) * u_R / m33, -d33 / m33],  # (20c)
+        ]
+    )
+    B = np.zeros((6, FORCES))
+    B[3, 0], B[5, 1] = 1 / m11, 1 / m33
+    return A, B
+
+
+def sampled_model(u_R: float, r_R: float, vehicle: Vehicle, w: Weights, dt: float) -> tuple[Array, Array]:
+    """Return Phi (12, 12), Gamma (12, 2) of one control period with the command held.
+
+    The states are the six errors, xi in the body frame (2), the lagged forces (2) and the previous command (2).
+    """
+    A6, B6 = error_dynamics(u_R, r_R, vehicle)
+    turning = np.array([[0.0, r_R], [-r_R, 0.0]])
+    n = STATES + FORCES
+    M = np.zeros((n + FORCES, n + FORCES))  # of the states but the last two, and the command
+    M[:6, :6], M[:6, STATES:n] = A6, B6
+    M[6:8, 6:8], M[6:8, :2] = turning, w.rate * np.eye(2)  # xi' = rate R(psi) e in the world
+    M[STATES:n, STATES:n], M[STATES:n, n:] = -np.eye(FORCES) / w.lag, np.eye(FORCES) / w.lag
+    step = expm(dt * M)
+    Phi, Gamma = np.zeros((n + FORCES, n + FORCES)), np.zeros((n + FORCES, FORCES))
+    Phi[:n, :n], Gamma[:n], Gamma[n:] = step[:n, :n], step[:n, n:], np.eye(FORCES)
+    return Phi, Gamma
+
+
+def optimal_gain(u_R: float, r_R: float, vehicle: Vehicle, w: Weights, dt: float, limits: tuple[float, float]) -> Array:
+    """Return K (2, 12) of command = -K z that minimises the cost of `Weights`, z as in `sampled_model`.
+
+    Args:
+        u_R: [m/s].
+        r_R: [rad/s].
+        vehicle: the nominal one.
+        w: the weights.
+        dt: control period [s].
+        limits: of the actuators, F_u [N] and F_r [N m].
+    """
+    Phi, Gamma = sampled_model(u_R, r_R, vehicle, w, dt)
+    v_R = -vehicle.m11 * u_R * r_R / vehicle.d22
+    weighted = np.zeros((STATES, STATES))  # errors times the roots of their weights
+    weighted[[0, 1, 6, 7], [0, 1, 6, 7]] = 1.0
+    weighted[2, 2], weighted[5, 5] = w.heading * np.hypot(u_R, v_R), w.turn
+    weighted[3:5, 2:5] = w.velocity * np.array([[-v_R, 1.0, 0.0], [u_R, 0.0, 1.0]])  # (17), linearised
+    effort = np.diag(np.square(np.array([w.surge_effort, w.yaw_effort]) / limits))
+    change = np.diag(np.square(np.array([w.surge_rate, w.yaw_rate]) / limits / dt))
+    Q = block_diag(weighted.T @ weighted, np.zeros((FORCES, FORCES)), change)
+    cross = np.vstack((np.zeros((STATES + FORCES, FORCES)), -change))
+    R = effort + change
+    P = solve_discrete_are(Phi, Gamma, Q, R, s=cross)
+    return np.asarray(np.linalg.solve(R + Gamma.T @ P @ Gamma, Gamma.T @ P @ Phi + cross.T))
+
+
+@lru_cache(maxsize=16)
+def gain_schedule(vehicle: Vehicle, w: Weights, dt: float, limits: tuple[float, float]) -> RegularGridInterpolator:
+    """Return K (N, 2, 12) as a function of points (N, 2) of u_R, r_R inside the grid; arguments as `optimal_gain`."""
+    gains = [[optimal_gain(u, r, vehicle, w, dt, limits) for r in TURN_RATES.tolist()] for u in SPEEDS.tolist()]
+    return RegularGridInterpolator((SPEEDS, TURN_RATES), np.array(gains))
+
+
+class LQI:
+    """The controller, a `Controller`; its memory is xi (N, 2) [m] and the modelled forces (N, 2) [N], [N m]."""
+
+    def __init__(self, gains: Mapping[str, float], vehicle: Vehicle) -> None:
+        """Make the controller; its gains are the fields of `Weights`."""
+        self.weights = Weights(**gains)
+        self.vehicle = vehicle
+
+    def start(self, n: int) -> Memory:
+        """Return the memory at the start of n episodes."""
+        return np.zeros((n, 2)), np.zeros((n, 2))
+
+    def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
+        """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
+        w = self.weights
+        xi = integrated(memory[0].T, o, w.rate, w.horizon)
+        plan = np.array((o.F_uR, o.F_rR))
+        previous = np.array((o.a_u * o.F_u_max, o.a_r * o.F_r_max))
+        lagged = memory[1].T
+        lagged = lagged + -np.expm1(-o.dt / w.lag) * (previous - lagged)
+        e_x, e_y, *rest = bounded_error(o, w.horizon, ARRAYS)
+        z = np.array((e_x, e_y, *rest[:4], *seen_from_body(xi, o), *(lagged - plan), *(previous - plan)))
+        F_u, F_r = plan - np.einsum("nij,jn->in", self._gain(o), z)
+        return F_u, F_r, (xi.T, lagged.T)
+
+    def _gain(self, o: Observation) -> Array:
+        """Return K for each vehicle, shape (N, 2, 12)."""
+        points = np.stack((o.u_R, o.r_R), axis=1)
+        points = np.clip(points, (SPEEDS[0], TURN_RATES[0]), (SPEEDS[-1], TURN_RATES[-1]))
+        K = np.empty((len(points), FORCES, STATES + 2 * FORCES))
+        designs = np.stack((o.dt, o.F_u_max, o.F_r_max), axis=1)
+        for dt, *limits in np.unique(designs, axis=0).tolist():
+            rows = (designs == (dt, *limits)).all(axis=1)
+            K[rows] = gain_schedule(self.vehicle, self.weights, dt, (limits[0], limits[1]))(points[rows])
+        return K
+
+
+def make_lqi(
+    gains: Mapping[str, float] | None = None, vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE
+) -> Remembering:
+    """Return the gain-scheduled LQI as a policy.
+
+    Args:
+        gains: the fields of `Weights`, at every speed, in place of the tuned ones, which depend on the speed.
+        vehicle: the vehicle that the law believes in; an object, a name or a dict.
+
+    Raises:
+        ValueError: unknown vehicle, or wrong gains.
+    """
+    known = as_vehicle(vehicle)
+    return Remembering(by_speed("lqi", Weights._fields, lambda g: LQI(g, known), gains))

@@ -1,0 +1,102 @@
+"""The same optimal control problem by CasADi: multiple shooting, solved to convergence, one vehicle after the other.
+
+It is what the arrays' solver is compared with, and what a single vehicle takes with a standard tool (J. A. E. Andersson
+et al., CasADi, Math. Program. Comput. 11:1-36, 2019; L. Vanroye et al., FATROP, IEEE/RSJ IROS 2023).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from baselines.control.nmpc.problem import COMMANDS, STATES, Horizon, Integers, OptimalControl, Plan, stage, stage_cost
+from baselines.policy import Array
+
+AHEAD = 10
+"""Numbers that a stage is known by: the components of a `Horizon` but for the limits."""
+
+
+class CasadiSolver:
+    """Solves the problem of a `baselines.control.nmpc.controller.PredictiveControl` for any number of vehicles.
+
+    Args:
+        problem: vehicle and weights.
+        stages: K, the number of stages.
+        method: CasADi's name of the solver, "fatrop" or "ipopt".
+
+    Raises:
+        ValueError: CasADi is not installed.
+    """
+
+    def __init__(self, problem: OptimalControl, stages: int, method: str = "fatrop") -> None:
+        try:
+            import casadi
+        except ImportError:
+            raise ValueError("solver casadi needs CasADi, which is not installed: pip install 'auv-gym[mpc]'") from None
+        self.problem = problem
+        self._solve = _compiled(casadi, problem, stages, method)
+        self._bounds = _bounds(stages)
+
+    def __call__(self, plan: Plan, ahead: Horizon, steps: Integers) -> Plan:
+        """Return optimal plans, or the given ones where none was found; the number of steps is the solver's own."""
+        commands = plan.commands.copy()
+        stages = np.concatenate([np.reshape(a, (len(a), -1, a.shape[-1])) for a in ahead[:-1]], axis=1)
+        for i in range(len(plan.cost)):
+            if not np.isfinite(plan.cost[i]):
+                continue
+            limits = ahead.limits[:, i]
+            guess = np.concatenate((plan.states[:-1, :, i], plan.commands[..., i] / limits), axis=1)
+            given = np.concatenate((plan.states[0, :, i], limits, stages[..., i].ravel()))
+            found = self._solve(x0=np.append(guess, plan.states[-1, :, i]), p=given, **self._bounds)
+            x = np.asarray(found["x"]).ravel()[:-STATES].reshape(len(commands), -1)
+            commands[..., i] = np.clip(x[:, STATES:], -1, 1) * limits
+        best = self.problem.planned(plan.states[0], commands, ahead)
+        return Plan(*(np.where(best.cost <= plan.cost, a, b) for a, b in zip(best, plan, strict=True)))
+
+
+def _compiled(casadi: Any, problem: OptimalControl, stages: int, method: str) -> Any:
+    """Return the solver; its unknowns are, stage by stage, the state and the commands as shares of their limits."""
+    start, limits = casadi.SX.sym("start", STATES), casadi.SX.sym("limits", COMMANDS)
+    known = [casadi.SX.sym(f"ahead{k}", AHEAD) for k in range(stages)]
+    states = [casadi.SX.sym(f"x{k}", STATES) for k in range(stages + 1)]
+    shares = [casadi.SX.sym(f"c{k}", COMMANDS) for k in range(stages)]
+    cost, end, constraints = 0.0, 0.0, []
+    for k in range(stages):
+        a = casadi.vertsplit(known[k])
+        ahead = a[0], a[1:3], a[3:5], a[5:8], a[8], a[9]
+        command = casadi.vertsplit(shares[k] * limits)
+        before, after = casadi.vertsplit(states[k]), casadi.vertsplit(states[k + 1])
+        reached = stage(before, command, ahead, problem.vehicle, casadi)
+        each, end = stage_cost(before, command, after, ahead[1], problem.weights, casadi)
+        cost += ahead[0] * each
+        constraints.append(states[k + 1] - casadi.vertcat(*reached))
+        if k == 0:
+            constraints.append(states[0] - start)
+        constraints.append(shares[k])
+    nlp = {
+        "x": casadi.vertcat(*(v for pair in zip(states, shares, strict=False) for v in pair), states[-1]),
+        "p": casadi.vertcat(start, limits, *known),
+        "f": cost + problem.weights.terminal * end,
+        "g": casadi.vertcat(*constraints),
+    }
+    return casadi.nlpsol("solver", method, nlp, _options(stages, method))
+
+
+def _options(stages: int, method: str) -> dict[str, Any]:
+    """Return the solver's options: silent, and told which constraints are the model's."""
+    quiet: dict[str, Any] = {"print_time": False, "error_on_fail": False}
+    if method == "ipopt":
+        return {**quiet, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-9}
+    model: list[bool] = []
+    for k in range(stages):
+        model += [True] * STATES + [False] * (STATES * (k == 0) + COMMANDS)
+    return {**quiet, "structure_detection": "auto", "equality": model, "fatrop.print_level": 0, "debug": False}
+
+
+def _bounds(stages: int) -> dict[str, Array]:
+    """Return the bounds of the constraints: 0 but for the commands' shares of their limits."""
+    high: list[float] = []
+    for k in range(stages):
+        high += [0.0] * (STATES + STATES * (k == 0)) + [1.0] * COMMANDS
+    return {"lbg": -np.array(high), "ubg": np.array(high)}

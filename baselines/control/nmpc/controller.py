@@ -1,0 +1,183 @@
+"""Nonlinear model predictive control on what an extended Kalman filter believes.
+
+At each instant the filter's model of vehicle, actuators and sea is predicted over the horizon, and commands are sought
+that bring the vehicle to where its reference will be, which it reads from the preview. Only positions are aimed for:
+in a current and in waves heading and velocities follow from them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_gym.errors import to_world
+from auv_gym.namespaces import ARRAYS
+from auv_gym.scenario import as_vehicle
+from auv_gym.task import Observation
+from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from baselines.control.backstepping import GAINS as LAWS
+from baselines.control.backstepping import tracking_forces
+from baselines.control.ekf_law import FILTER
+from baselines.control.ekf_law import START as EKF
+from baselines.control.nmpc.gauss_newton import solved
+from baselines.control.nmpc.problem import (
+    COMMANDS,
+    STATES,
+    Horizon,
+    Integers,
+    OptimalControl,
+    Plan,
+    Weights,
+    replaced,
+    taken,
+)
+from baselines.estimation.kalman import ExtendedKalmanFilter, Tuning
+from baselines.estimation.sea_model import Estimate, current_transition, lag_response, waves_after
+from baselines.gains.loading import by_speed
+from baselines.policy import Array, Memory, Remembering
+
+PREVIEW = (1, 2, 4, 6, 8, 11, 14, 17, 20, 24, 28, 32, 36, 40, 45, 50)
+"""Where the stages of the horizon end, in control periods: 5 s ahead at cruise, 10 s in slow motion."""
+STEPS, FIRST_STEPS = 6, 12
+"""Most Gauss-Newton steps at an instant, and at the first instant of an episode."""
+LAW = ("huber", "surge", "yaw", "sway", "terminal")
+GAINS = (*LAW, *FILTER)
+"""Names of the gains: those of `Weights`, with `surge` and `yaw` for 100 N and 100 N m; and the filter's `Tuning`."""
+START = {
+    "slow": {
+        "huber": 0.015, "surge": 0.05, "yaw": 0.05, "sway": 0.1, "terminal": 1.0,
+        **{name: EKF["slow"][name] for name in FILTER}, "acceleration": 0.006,
+    },
+    "cruise": {
+        "huber": 0.03, "surge": 0.06, "yaw": 0.06, "sway": 0.1, "terminal": 1.0,
+        **{name: EKF["cruise"][name] for name in FILTER}, "acceleration": 0.0045,
+        "surge_bias": 0.29, "sway_bias": 0.14, "yaw_bias": 0.155,
+    },
+}  # fmt: skip
+"""Gains to begin a search at, by regime: from some fifty trials on tuning episodes, about the tuned filter of `ekf`."""
+
+Solver = Callable[[Plan, Horizon, Integers], Plan]
+"""Returns a better plan than the first one, after at most so many steps, shape (N,)."""
+
+
+class PredictiveControl:
+    """The controller with its filter, a `Controller`; its memory is the filter's, then the commands planned last.
+
+    Commands are planned at the stages of `PREVIEW`, shape (N, K, COMMANDS).
+    """
+
+    preview = PREVIEW
+
+    def __init__(self, gains: Mapping[str, float], vehicle: Vehicle, solver: str = "batch") -> None:
+        """Make the controller.
+
+        Args:
+            gains: named in `GAINS`.
+            vehicle: that it believes in.
+            solver: one of `SOLVERS`.
+        """
+        self.vehicle = vehicle
+        self.filter = ExtendedKalmanFilter(vehicle, Tuning(**{name: gains[name] for name in FILTER}))
+        scale = {"surge": 0.01, "yaw": 0.01}
+        weights = Weights(**{name: scale.get(name, 1.0) * gains[name] for name in LAW})
+        self.problem = OptimalControl(vehicle, weights)
+        self._solve = SOLVERS[solver](self.problem)
+        self._ends = np.array(PREVIEW, dtype=np.float64)
+        self._lengths = np.diff(self._ends, prepend=0.0)
+        self._next = one_period_on(self._ends)
+
+    def start(self, n: int) -> Memory:
+        """Return the memory at the start of n episodes."""
+        return *self.filter.start(n), np.zeros((n, len(PREVIEW), COMMANDS))
+
+    def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
+        """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
+        *believed, planned = memory
+        fresh = believed[0] == 0
+        after, z = self.filter.update(tuple(believed), o)
+        ahead = self._horizon(z, o, extra)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            guess = self._guess(z, o, np.einsum("jk,nki->jin", self._next, planned), fresh, ahead)
+            plan = self._solve(guess, ahead, np.where(fresh, FIRST_STEPS, STEPS))
+        # A vehicle that spins too fast for the prediction is left to the law that is safe from that.
+        law = np.array(tracking_forces(o, self.vehicle, LAWS["normalised"], ARRAYS))
+        commands = np.where(np.isfinite(plan.cost), plan.commands, law)
+        return commands[0, 0], commands[0, 1], (*after, np.ascontiguousarray(commands.transpose(2, 0, 1)))
+
+    def _guess(self, z: Estimate, o: Observation, warm: Array, fresh: NDArray[np.bool_], ahead: Horizon) -> Plan:
+        """Return the better of two plans to begin with: what was planned, and what the reference takes as it is now."""
+        limits, state = ahead.limits, np.array(z[:STATES])
+        steady = np.clip(np.array((o.F_uR - z.X, o.F_rR - z.N)), -limits, limits)
+        plan = self.problem.planned(state, np.broadcast_to(steady, warm.shape), ahead)
+        last = self.problem.planned(state, np.clip(warm, -limits, limits), ahead)
+        few = (~fresh & (last.cost <= plan.cost)).nonzero()[0]
+        return replaced(plan, few, taken(last, few))
+
+    def _horizon(self, z: Estimate, o: Observation, extra: Array) -> Horizon:
+        """Return the stages ahead, the sea as it is foreseen in the middle of each.
+
+        Waves swing on and the current goes the way that the filter believes; but the slowly varying load stays as it
+        is: most of it is what makes the model wrong, and that lasts.
+        """
+        dt, middle = self._lengths[:, None] * o.dt, (self._ends - 0.5 * self._lengths)[:, None] * o.dt
+        x, y = extra[:, : 2 * len(PREVIEW)].reshape(-1, len(PREVIEW), 2).T
+        kept, _, time = current_transition(middle)
+        X, _, Y, _, N, _ = waves_after(z, middle)
+        response = lag_response(z.lag, dt)
+        return Horizon(
+            dt,
+            np.stack(to_world(x, y, o.cos_psi, o.sin_psi), axis=1),
+            np.stack((kept * z.V_x + time * z.V_x_rate, kept * z.V_y + time * z.V_y_rate), axis=1),
+            np.stack((z.X + X, z.Y + Y, z.N + N), axis=1),
+            response.gain,
+            response.gain * response.mean,
+            np.array((o.F_u_max, o.F_r_max)),
+        )
+
+
+def one_period_on(ends: Array) -> Array:
+    """Return the matrix that takes commands of stages with these ends [periods] to the means one period later."""
+    starts = np.append(0.0, ends[:-1])
+    until = np.append(ends[:-1], np.inf)
+    overlap = np.minimum(until, ends[:, None] + 1) - np.maximum(starts, starts[:, None] + 1)
+    overlap = np.maximum(overlap, 0.0)
+    return np.asarray(overlap / overlap.sum(axis=1, keepdims=True))
+
+
+def _batch(problem: OptimalControl) -> Solver:
+    return partial(solved, problem)
+
+
+def _casadi(problem: OptimalControl) -> Solver:
+    from baselines.control.nmpc.casadi_solver import CasadiSolver
+
+    return CasadiSolver(problem, len(PREVIEW))
+
+
+SOLVERS: Mapping[str, Callable[[OptimalControl], Solver]] = {"batch": _batch, "casadi": _casadi}
+"""Ways to solve the same problem: all vehicles side by side on arrays; one after the other by CasADi."""
+
+
+def make_nmpc(
+    gains: Mapping[str, float] | None = None,
+    vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE,
+    solver: str = "batch",
+) -> Remembering:
+    """Return the controller as a policy; it needs the preview `PREVIEW`.
+
+    Args:
+        gains: at every speed, in place of the tuned ones, which depend on the speed; their names are in `GAINS`.
+        vehicle: the vehicle that it believes in; an object, a name or a dict.
+        solver: "batch", or "casadi" for an independent one that takes one vehicle after the other, to convergence.
+
+    Raises:
+        ValueError: unknown vehicle or solver, wrong gains, or CasADi is not installed.
+    """
+    if solver not in SOLVERS:
+        raise ValueError(f"unknown solver {solver!r}; allowed are {', '.join(SOLVERS)}")
+    known = as_vehicle(vehicle)
+    return Remembering(by_speed("nmpc", GAINS, lambda g: PredictiveControl(g, known, solver), gains))

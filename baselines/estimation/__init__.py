@@ -1,0 +1,1 @@
+"""Estimators: the sea and the vehicle behind noisy measurements."""

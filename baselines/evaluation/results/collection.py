@@ -1,0 +1,70 @@
+"""What is recorded of the frozen suites, put together: scores of every policy, pooled and case by case."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from baselines.evaluation import recorded, suites
+from baselines.evaluation.metrics import Measures
+from baselines.evaluation.report.numbers import measures_of, pool
+from baselines.evaluation.runner import Run
+from baselines.evaluation.score import EXPERT, ORACLE, Pooled, Score, paired, regime_of, score
+from baselines.evaluation.suites import Suite
+
+SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1")
+"""The suites of the results page."""
+TOLERANCE = {"benchmark-v1": 2e-3, "ood-v1": 1e-2, "unmodelled-v1": 1e-2}
+"""Mean tail error [m] by which another policy may be better than the oracle in a case, by suite: where a current is
+nearly as fast as the path, the oracle's plan through the water turns sharply, and a few episodes settle late."""
+
+
+@dataclass(frozen=True)
+class Results:
+    """What is recorded of a suite."""
+
+    suite: Suite
+    runs: tuple[Run, ...]
+    pooled: list[Pooled]
+    scores: dict[str, dict[str, Score]]  # of each policy in each case alone, by policy, by case
+    tails: dict[str, dict[str, float]]  # [m] mean tail error, likewise
+    gains: dict[str, dict[str, float]]  # [m] by how much that is smaller than the oracle's in the same episodes
+
+    @classmethod
+    def of(cls, suite: Suite, runs: Sequence[Run]) -> Results:
+        """Return the results of recorded runs, the expert's and the oracle's among them."""
+        cases = measures_of(runs)
+        scores: dict[str, dict[str, Score]] = {}
+        tails: dict[str, dict[str, float]] = {}
+        gains: dict[str, dict[str, float]] = {}
+        for run_ in runs:
+            policy, name = run_.policy, run_.scenario.name
+            three = paired(*(cases[name][key] for key in (EXPERT, policy, ORACLE)))
+            scores.setdefault(policy, {})[name] = score(*([m.tail] for m in three))
+            tails.setdefault(policy, {})[name] = float(cases[name][policy].tail.mean())
+            gains.setdefault(policy, {})[name] = float((three[2].tail - three[1].tail).mean())
+        return cls(suite, tuple(runs), pool(runs), scores, tails, gains)
+
+    @property
+    def policies(self) -> list[str]:
+        """The policies, in the order of the registry."""
+        return list(self.scores)
+
+    def measures(self, policy: str, regime: str) -> list[Measures]:
+        """Return what was measured of a policy in the cases of a regime."""
+        own = [run_ for run_ in self.runs if run_.policy == policy and regime_of(run_.scenario.name) == regime]
+        return [run_.measures for run_ in own if run_.measures is not None]
+
+
+def better_than_oracle(results: Results) -> list[tuple[str, str, float]]:
+    """Return case, policy and by how much [m] its mean tail error is smaller than the oracle's, wherever it is."""
+    gains = [(case, policy, gain) for policy, cases in results.gains.items() for case, gain in cases.items()]
+    return [found for found in gains if found[2] > 0]
+
+
+def collected(name: str) -> tuple[Results | None, dict[str, str]]:
+    """Return what is recorded of a suite, None without expert and oracle; and why rows of policies do not count."""
+    suite = suites.load(name)
+    found = recorded.load(suite)
+    complete = {EXPERT, ORACLE} <= {run_.policy for run_ in found.runs}
+    return Results.of(suite, found.runs) if complete else None, found.refused

@@ -1,0 +1,70 @@
+"""The results page, docs/results.md, from the recorded rows: `python -m baselines.evaluation.results --help`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from baselines.evaluation.results.collection import SUITES, TOLERANCE, better_than_oracle, collected
+from baselines.evaluation.results.figures import results_figures
+from baselines.evaluation.results.page import page
+from baselines.evaluation.results.studies import curves_figure, figures_of, section
+from baselines.evaluation.study_files import load_all
+from baselines.tools.command_line import DONE, FAILED, parse
+from baselines.tools.figure_style import to_png
+from baselines.tools.files import write_atomically
+
+PROGRAM = "python -m baselines.evaluation.results"
+DOCS = Path(__file__).parents[3] / "docs"
+PAGE = "results.md"
+
+
+@dataclass(frozen=True)
+class Options:
+    """Write docs/results.md and its figures from the recorded rows of the frozen suites.
+
+    Exit status: 0 done, 1 the oracle is worse than another policy, rows do not count, or nothing could be written, 2
+    wrong usage.
+    """
+
+    out: Path = DOCS
+    """Folder for the page and, in images/, its figures."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Write the page and its figures and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense.
+    """
+    options, failed = parse(Options, arguments, PROGRAM), False
+    found, missing = [], []
+    for name in SUITES:
+        results, refused = collected(name)
+        for policy, reason in refused.items():
+            print(f"{PROGRAM}: {policy} in {name}: {reason}; left out", file=sys.stderr)
+        failed |= bool(refused)
+        if results is None:
+            missing.append(name)
+            continue
+        found.append(results)
+        for case, policy, gain in better_than_oracle(results):
+            if gain > TOLERANCE[name]:
+                print(f"{PROGRAM}: {policy} is better than the oracle in {case} by {gain:.3g} m", file=sys.stderr)
+                failed = True
+    try:
+        (options.out / "images").mkdir(parents=True, exist_ok=True)
+        studies = load_all()
+        write_atomically(options.out / PAGE, page(found, missing, section(studies, found)))
+        for name, own in figures_of(studies).items():
+            write_atomically(options.out / "images" / name, to_png(curves_figure(own)))
+        for results in found:
+            for figure, png in results_figures(results).items():
+                write_atomically(options.out / "images" / f"results-{results.suite.name}-{figure}.png", png)
+    except OSError as error:
+        print(f"{PROGRAM}: cannot write to {options.out}: {error.strerror}", file=sys.stderr)
+        return FAILED
+    print(f"Wrote {options.out / PAGE} and its figures")
+    return FAILED if failed else DONE

@@ -1,0 +1,113 @@
+"""`evaluate.py --stability`: where a policy is stable, how slow its computer may be, from where it converges."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from auv_gym.actuators import Actuators
+from auv_gym.presets import PAPER_SCENARIO
+from auv_gym.residual import Policy
+from auv_gym.scenario import Start
+from auv_gym.vehicle import PAPER_VEHICLE
+from baselines import make_policy
+from baselines.evaluation.report.terminal import console
+from baselines.evaluation.rollout import PolicyError, rollout
+from baselines.evaluation.runner import drawn
+from baselines.evaluation.stability.analysis import linearise_policy
+from baselines.evaluation.stability.certificate import BOXES, MISSING, certificates, installed
+from baselines.evaluation.stability.tables import (
+    DISTANCE,
+    Stability,
+    sheets,
+    stability_html,
+    stability_map,
+    terminal_table,
+)
+from baselines.tools.command_line import DONE, FAILED
+from baselines.tools.figure_style import styled, to_png
+from baselines.tools.files import json_text, write_atomically
+
+SPEEDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.75, 1.0, 1.5, 2.0)
+"""Path speeds [m/s] of the map ..."""
+TURN_RATES = (0.0, 0.1, 0.2, 0.3)
+"""... and turn rates [rad/s]."""
+CERTIFIED_SPEEDS = (0.1, 0.3, 1.0, 2.0)
+"""Path speeds [m/s] of the certificates."""
+LIMITS: dict[str, tuple[float, float]] = {"without limits": (8192.0, 4096.0), "250 N, 120 N m": (250.0, 120.0)}
+"""Limits of the actuators [N], [N m] that success is sampled with; none means the largest that can be set."""
+STARTS = 200
+"""Number of random starts."""
+SETTLED = 0.05
+"""Position error [m] below which a start has converged after `STEPS`."""
+STEPS = 2000
+
+
+def examine(name: str) -> Stability:
+    """Return what is known of a policy.
+
+    Raises:
+        ValueError: the policy has a memory.
+        PolicyError: it gives no usable actions.
+    """
+    policy, dt = make_policy(name), PAPER_SCENARIO.control_dt
+    loops = [
+        [linearise_policy(PAPER_VEHICLE, policy, speed, turn_rate, dt) for turn_rate in TURN_RATES] for speed in SPEEDS
+    ]
+    return Stability(
+        name,
+        SPEEDS,
+        TURN_RATES,
+        [[float(loop.eigenvalues[0].real) for loop in row] for row in loops],
+        [[loop.largest_period() for loop in row] for row in loops],
+        STARTS,
+        {label: success(policy, limits, STARTS) for label, limits in LIMITS.items()},
+        certificates(PAPER_VEHICLE, policy, CERTIFIED_SPEEDS, BOXES, dt) if installed() else None,
+    )
+
+
+def success(policy: Policy, limits: tuple[float, float], starts: int) -> float:
+    """Return the share of random starts from which a policy converges to the paper's circle within 200 s.
+
+    Evidence, no proof: starts lie up to `DISTANCE` off on each axis, with any heading, at the reference's speed.
+    """
+    offset = (-DISTANCE, DISTANCE)
+    scenario = replace(
+        PAPER_SCENARIO,
+        name="random-starts",
+        actuators=Actuators(*limits),
+        start=Start(x_e=offset, y_e=offset, psi_e=(-math.pi, math.pi)),
+        steps=STEPS,
+        lost_distance=64.0,
+    )
+    result = rollout(policy, scenario, drawn(scenario, starts, 0).episodes, math.inf)
+    return float(np.mean(result.errors[-1] < SETTLED))
+
+
+def report(names: Sequence[str], out: Path, command: str) -> int:
+    """Examine policies, print what is found, write stability.json, .png and .html, and return the exit status."""
+    found, screen = [], console()
+    if not installed():
+        print(f"note: {MISSING}", file=sys.stderr)
+    for name in names:
+        try:
+            found.append(examine(name))
+        except (ValueError, RuntimeError, PolicyError) as error:
+            print(f"{name}: {error}", file=sys.stderr)
+            continue
+        for sheet in sheets(found[-1]):
+            screen.print(terminal_table(sheet))
+    if not found:
+        return FAILED
+    with styled():
+        png = to_png(stability_map(found))
+    write_atomically(out / "stability.json", json_text([asdict(s) for s in found]))
+    write_atomically(out / "stability.png", png)
+    write_atomically(out / "stability.html", stability_html(found, png, command))
+    screen.print(f"Wrote stability.html, stability.json and stability.png to {out}", soft_wrap=True)
+    return DONE if len(found) == len(names) else FAILED

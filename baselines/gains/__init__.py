@@ -1,0 +1,1 @@
+"""Gains as data: the only place of the controllers' numbers."""

@@ -1,0 +1,113 @@
+"""Gains as data: a JSON file in `baselines/gains` for each controller and regime, with where the numbers come from."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from auv_gym.presets import REGIMES
+from auv_gym.residual import preview_of
+from auv_gym.task import Observation
+from baselines.control.backstepping import CRUISE_SPEED
+from baselines.policy import Array, Controller, Memory, along
+
+FOLDER = Path(__file__).parent
+
+
+def gain_file(name: str, regime: str) -> Path:
+    """Return where the gains of a controller for a regime are kept.
+
+    Raises:
+        ValueError: the regime is neither slow nor cruise.
+    """
+    if regime not in REGIMES:
+        raise ValueError(f"unknown regime {regime!r}; allowed are {', '.join(REGIMES)}")
+    return FOLDER / f"{name}-{regime}.json"
+
+
+def checked_gains(gains: Any, names: Sequence[str], source: str) -> dict[str, float]:
+    """Return the gains as floats, in the order of `names`.
+
+    Raises:
+        ValueError: they are no mapping of exactly these names to finite numbers of at least 0; `source` is cited.
+    """
+    if not isinstance(gains, Mapping) or set(gains) != set(names):
+        given = ", ".join(map(str, gains)) if isinstance(gains, Mapping) else repr(gains)
+        raise ValueError(f"{source} has the gains {given}; they must be {', '.join(names)}")
+    for key, value in gains.items():
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value < math.inf:
+            raise ValueError(f"{source}: gain {key} is {value!r}; it must be a finite number of at least 0")
+    return {key: float(gains[key]) for key in names}
+
+
+def load_gains(name: str, regime: str, names: Sequence[str]) -> dict[str, float]:
+    """Return the gains of a controller for a regime, "slow" or "cruise".
+
+    Raises:
+        ValueError: there is no such regime or file, the file is not valid JSON, or its gains are not those of `names`.
+    """
+    file = gain_file(name, regime)
+    try:
+        record = json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        command = f"python -m baselines.tuning {name} --regime {regime}"
+        raise ValueError(f"there are no gains in {file}; make them: {command}") from None
+    except ValueError as error:
+        raise ValueError(f"{file} is not valid JSON: {error}") from error
+    return checked_gains(record.get("gains") if isinstance(record, dict) else record, names, str(file))
+
+
+class BySpeed:
+    """Two controllers in one: at each instant the first steers the slow vehicles and the second the fast ones.
+
+    Both have the same kind of memory, and each goes on with what the other has left in it; both need the same preview.
+    """
+
+    def __init__(self, slow: Controller, cruise: Controller) -> None:
+        """Join two controllers; where the reference is faster than `CRUISE_SPEED`, the second one acts."""
+        self.slow, self.cruise = slow, cruise
+        self.preview = preview_of(slow)
+
+    def start(self, n: int) -> Memory:
+        """Return the memory at the start of n episodes."""
+        return self.slow.start(n)
+
+    def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
+        """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
+        fast = o.u_R * o.u_R + o.v_R * o.v_R > CRUISE_SPEED * CRUISE_SPEED
+        if fast.all():
+            return self.cruise.forces(o, memory, extra)
+        F_u, F_r, after = self.slow.forces(o, memory, extra)
+        if not fast.any():
+            return F_u, F_r, after
+        C_u, C_r, cruise_after = self.cruise.forces(o, memory, extra)
+        chosen = tuple(np.where(along(fast, a), b, a) for a, b in zip(after, cruise_after, strict=True))
+        return np.where(fast, C_u, F_u), np.where(fast, C_r, F_r), chosen
+
+
+def by_speed(
+    name: str,
+    names: Sequence[str],
+    controller: Callable[[dict[str, float]], Controller],
+    gains: Mapping[str, float] | None = None,
+) -> Controller:
+    """Return a controller with the gains of the regime that its reference speed belongs to.
+
+    Args:
+        name: the controller's name, which its files begin with.
+        names: the names of its gains.
+        controller: makes it from gains.
+        gains: used at every speed in place of the files.
+
+    Raises:
+        ValueError: a file or `gains` is not what it must be, see `load_gains` and `checked_gains`.
+    """
+    if gains is not None:
+        return controller(checked_gains(gains, names, name))
+    slow, cruise = (controller(load_gains(name, regime, names)) for regime in REGIMES)
+    return BySpeed(slow, cruise)

@@ -1,0 +1,1 @@
+"""What command lines, files, figures and workers share."""

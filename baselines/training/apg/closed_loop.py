@@ -1,0 +1,171 @@
+"""One control step of expert, network and vehicle together, with its loss: a pure function for torch to compile."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from auv_gym.envs.torch_sim import PLAIN, STATE, TENSORS, simulate
+from auv_gym.errors import to_body
+from auv_gym.namespaces import Namespace
+from auv_gym.preview import COS_PSI, SIN_PSI
+from auv_gym.residual import Policy
+from auv_gym.simulation import Parts
+from auv_gym.task import SCALES, SIZE, L
+from baselines.agents.features import INTEGRALS, STANDARD, Inputs
+from baselines.agents.networks import ACTIONS
+from baselines.control.backstepping import CRUISE_SPEED, Backstepping, tracking_forces
+from baselines.control.ekf_law import EkfLaw
+from baselines.control.zero import Zero
+from baselines.gains.loading import BySpeed
+
+Law = Callable[[Sequence[Any], Namespace], tuple[Any, Any]]
+"""Forces F_u [N], F_r [N m] from the terms of an observation in SI units, as `Backstepping.forces`."""
+
+NEAR, CURVE = 2.0, 0.3
+"""Where the error's loss turns from a parabola into a logarithm, in units of its scale, and how curved the first is."""
+DECODING: list[float] = SCALES.tolist()  # the graph may hold no NumPy
+TINY = 1e-6
+"""Added to the squared error, in units of the scale's square: the distance has no slope at zero."""
+
+
+class Carried(NamedTuple):
+    """What goes from one control step to the next: tensors whose last axis counts the N vehicles, but `hidden`'s."""
+
+    state: Tensor  # rows of a `simulation.Plant`, shape (STATE, N)
+    observation: Tensor  # shape (SIZE, N)
+    integrals: Tensor  # of the features, shape (INTEGRALS, N)
+    correction: Tensor  # the last one, shape (ACTIONS, N)
+    hidden: Tensor  # of the network, shape (N, hidden)
+
+    @classmethod
+    def zeros(cls, n: int, hidden: int, dtype: torch.dtype) -> Carried:
+        """Return what n vehicles begin with, but for state and observation."""
+        state, observation, integrals, correction = (
+            torch.zeros(rows, n, dtype=dtype) for rows in (STATE, SIZE, INTEGRALS, ACTIONS)
+        )
+        return cls(state, observation, integrals, correction, torch.zeros(n, hidden, dtype=dtype))
+
+    def detach(self) -> Carried:
+        """Return the same without the graph behind it."""
+        return Carried(*(x.detach() for x in self))
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Weights of the loss of a control step: tensors, as a number would be compiled into the step."""
+
+    effort: Tensor  # of the squared command
+    rate: Tensor  # [s^2] of its squared rate of change
+
+    @classmethod
+    def weighted(cls, effort: float = 0.003, rate: float = 0.003) -> Loss:
+        """Return the loss with these weights."""
+        return cls(torch.tensor(effort), torch.tensor(rate))
+
+    def of(self, squared_error: Tensor, scale: Tensor, command: Tensor, previous: Tensor, dt: Tensor) -> Tensor:
+        """Return the loss of a step, shape (N,).
+
+        Near the reference it is e + 0.3 e^2 for an error of e scales; far from it, it grows like a logarithm, so that a
+        vehicle that is lost neither outweighs all others nor ceases to be pulled back.
+
+        Args:
+            squared_error: of the position [m^2], shape (N,).
+            scale: of the error [m], shape (N,).
+            command: in [-1, 1], shape (ACTIONS, N).
+            previous: the one before.
+            dt: control period [s], shape (N,).
+        """
+        e = torch.sqrt(squared_error / (scale * scale) + TINY)
+        near, far = e.clamp(max=NEAR), e.clamp(min=NEAR)
+        slope = NEAR * (1 + 2 * CURVE * NEAR)
+        error = near + CURVE * near * near + slope * torch.log(far / NEAR)
+        change = (command - previous) / dt
+        return error + self.effort * (command * command).sum(0) + self.rate * (change * change).sum(0)
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """Expert, network and vehicle; `step` is one control step of N of them."""
+
+    law: Law
+    authority: Tensor  # shape (2,)
+    loss: Loss
+    parts: Parts = PLAIN  # of the simulation that are in use
+    inputs: Inputs = STANDARD  # of the network
+
+    def act(
+        self, network: nn.Module, carried: Carried, ahead: Tensor, outside: Tensor | None = None
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return the command, shape (ACTIONS, N), integrals, correction and hidden state; see `step`."""
+        o = [x * k for x, k in zip(carried.observation.unbind(), DECODING, strict=True)]
+        F_u, F_r = self.law(o, TENSORS)
+        base = (F_u / o[13]).clamp(-1.0, 1.0), (F_r / o[14]).clamp(-1.0, 1.0)
+        if outside is not None:  # the expert's value, the law's slope
+            base = (outside[0] + (base[0] - base[0].detach()), outside[1] + (base[1] - base[1].detach()))
+        rows = ahead.unbind()
+        ways = zip(rows[::2], rows[1::2], strict=True)
+        seen = [row.clamp(-L, L) for x, y in ways for row in to_body(x, y, o[COS_PSI], o[SIN_PSI])]
+        rows, integrals = self.inputs.update(
+            o, seen, base, carried.correction.unbind(), carried.integrals.unbind(), TENSORS
+        )
+        correction, hidden = network(torch.stack(rows, dim=1), carried.hidden)
+        c_u, c_r = correction.unbind(dim=1)
+        a_u, a_r = self.authority.unbind()
+        command = torch.stack((base[0] + a_u * c_u, base[1] + a_r * c_r)).clamp(-1.0, 1.0)
+        return command, torch.stack(integrals), torch.stack((c_u, c_r)), hidden
+
+    def step(
+        self,
+        network: nn.Module,
+        carried: Carried,
+        ahead: Tensor,
+        sample: Tensor,
+        parameters: Tensor,
+        outside: Tensor | None = None,
+    ) -> tuple[Carried, Tensor, Tensor]:
+        """Return what is carried on, the loss and the squared position error [m^2], shape (N,).
+
+        Args:
+            network: see `TorchGru`.
+            carried: from the step before.
+            ahead: the preview of `inputs` in the world [m], shape (2 P, N), see `Fleet.window`.
+            sample: the rows of a `simulation.Sample`, shape (SAMPLE, N).
+            parameters: the rows of `simulation.Parameters`, shape (PARAMETERS, N).
+            outside: the action of an expert that does not compute on tensors, shape (ACTIONS, N); `law` has its slope.
+        """
+        command, integrals, correction, hidden = self.act(network, carried, ahead, outside)
+        t = simulate(carried.state, command, sample, parameters, self.parts)
+        dt = self.parts.substeps * parameters[0]
+        loss = self.loss.of(t.squared_error, parameters[17], command, carried.state[8:10], dt)
+        return Carried(t.state, t.observation, integrals, correction, hidden), loss, t.squared_error
+
+
+def law_of(expert: Policy) -> tuple[Law, bool]:
+    """Return an expert's law on tensors, and whether that is the expert itself.
+
+    An expert that computes on NumPy alone, with a memory perhaps, has its slope taken from a law near it: the one on an
+    extended Kalman filter from the same law on the measurements, every other from the paper's law.
+    """
+    if isinstance(expert, Zero):
+        return lambda o, _: (0.0 * o[13], 0.0 * o[14]), True
+    controller = getattr(expert, "controller", None)
+    if (
+        isinstance(controller, BySpeed)
+        and isinstance(controller.slow, EkfLaw)
+        and isinstance(controller.cruise, EkfLaw)
+    ):
+        return partial(_by_speed, controller.slow, controller.cruise), False
+    forces: Law | None = getattr(expert, "forces", None)
+    return (forces, True) if forces else (Backstepping().forces, False)
+
+
+def _by_speed(slow: EkfLaw, cruise: EkfLaw, o: Sequence[Any], ns: Namespace) -> tuple[Any, Any]:
+    fast = o[6] * o[6] + o[7] * o[7] > CRUISE_SPEED * CRUISE_SPEED
+    slow_forces, cruise_forces = (tracking_forces(o, law.vehicle, law.gains, ns) for law in (slow, cruise))
+    return ns.where(fast, cruise_forces[0], slow_forces[0]), ns.where(fast, cruise_forces[1], slow_forces[1])

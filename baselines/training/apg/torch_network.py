@@ -1,0 +1,71 @@
+"""The networks of `baselines.agents.networks` on torch, for training; their weights are named alike."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from baselines.agents.networks import ACTIONS, Gru, Mlp, Network
+
+LONGEST_MEMORY = 200.0
+"""Control steps that the slowest units of an untrained network remember."""
+
+
+class TorchGru(nn.Module):
+    """A tanh layer, gated recurrent units, a tanh layer and a linear head whose weights begin at zero.
+
+    Before it has learned anything its actions are zero, so it begins as good as its expert.
+    """
+
+    def __init__(self, sizes: Gru) -> None:
+        super().__init__()
+        self.sizes = sizes
+        self.encoder = nn.Linear(sizes.inputs, sizes.encoder)
+        self.gru = nn.GRUCell(sizes.encoder, sizes.hidden)
+        self.decoder = nn.Linear(sizes.hidden, sizes.decoder)
+        self.head = nn.Linear(sizes.decoder, ACTIONS)
+        nn.init.zeros_(self.head.weight)
+        nn.init.zeros_(self.head.bias)
+        # Forgets over 1 ... LONGEST_MEMORY steps: "chrono initialisation" (Tallec and Ollivier 2018).
+        with torch.no_grad():
+            times = torch.empty(sizes.hidden).uniform_(1, LONGEST_MEMORY)
+            self.gru.bias_hh[sizes.hidden : 2 * sizes.hidden] = times.log()
+
+    def forward(self, x: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor]:
+        """Return actions in [-1, 1], shape (N, ACTIONS), and the hidden state (N, hidden), for inputs (N, inputs)."""
+        hidden = self.gru(torch.tanh(self.encoder(x)), hidden)
+        return torch.tanh(self.head(torch.tanh(self.decoder(hidden)))), hidden
+
+
+class TorchMlp(nn.Module):
+    """Tanh layers and a linear head whose weights begin at zero: a network without memory, called as `TorchGru` is."""
+
+    def __init__(self, sizes: Mlp) -> None:
+        super().__init__()
+        self.sizes = sizes
+        wide = (sizes.inputs, *sizes.layers, ACTIONS)
+        layers = [nn.Linear(a, b) for a, b in itertools.pairwise(wide)]
+        nn.init.zeros_(layers[-1].weight)
+        nn.init.zeros_(layers[-1].bias)
+        self.layers = nn.ModuleList(layers)
+
+    def forward(self, x: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor]:
+        """Return actions in [-1, 1], shape (N, ACTIONS), and `hidden`, for inputs (N, inputs)."""
+        *inner, head = self.layers
+        for layer in inner:
+            x = torch.tanh(layer(x))
+        return torch.tanh(head(x)), hidden
+
+
+def torch_network(sizes: Network) -> TorchGru | TorchMlp:
+    """Return an untrained network of these sizes, with tanh throughout."""
+    return TorchGru(sizes) if isinstance(sizes, Gru) else TorchMlp(sizes)
+
+
+def weights_of(network: nn.Module) -> dict[str, NDArray[np.float32]]:
+    """Return the weights by the names of `baselines.agents.networks`."""
+    return {name: tensor.detach().cpu().numpy().copy() for name, tensor in network.state_dict().items()}

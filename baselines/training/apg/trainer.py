@@ -1,0 +1,276 @@
+"""Analytic policy gradient: back-propagation through the simulator, a window of control steps at a time.
+
+The network corrects an expert. What it remembers is carried from window to window without the graph behind it, and the
+loss is the tracking error itself: no value function, no exploration, no reward.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+
+from auv_gym.envs.torch_sim import can_compile
+from auv_gym.intervals import check_number
+from auv_gym.preview import encode_preview, shared_preview
+from auv_gym.records import from_record
+from auv_gym.residual import preview_of
+from auv_gym.task import decode_observation
+from baselines.agents.agent import Agent
+from baselines.agents.features import Inputs
+from baselines.agents.networks import Gru, Mlp, Network
+from baselines.policy import Memory
+from baselines.training.apg.closed_loop import Carried, ClosedLoop, Loss, law_of
+from baselines.training.apg.fleet import Fleet
+from baselines.training.apg.torch_network import torch_network, weights_of
+from baselines.training.config import Config
+from baselines.training.run_folder import VALIDATIONS, Run, TrainingError
+
+logger = logging.getLogger(__name__)
+
+LOGS = 200
+"""How often in a run its progress is logged."""
+Step = Callable[..., tuple[Carried, Tensor, Tensor]]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Hyper-parameters of the analytic gradient."""
+
+    n_envs: int = 128  # vehicles side by side
+    n_steps: int = 50  # control steps of a window
+    learning_rate: float = 3e-3  # of biases and the last layer, by Adam
+    matrix_learning_rate: float = 0.03  # of the other matrices, by Muon; 0: by Adam as well
+    weight_decay: float = 0.02  # of those matrices: without it they grow until the vehicles move in chaos
+    final_share: float = 0.03  # of both rates that is left at the end; they fall along a cosine
+    max_grad_norm: float = 0.05  # less than most gradients have, so that every window weighs the same
+    average: float = 0.02  # share of the run over which weights are averaged; it is their average that an agent gets
+    hidden_size: int = 64  # of each layer of the network
+    effort_weight: float = 0.006  # see `closed_loop.Loss`
+    rate_weight: float = 0.006  # [s^2] likewise
+    memory: bool = True  # whether the network has recurrent units, else it is of two tanh layers
+    integrals: bool = True  # whether it sees the integrals of the position error
+    preview: tuple[int, ...] = ()  # where it sees the reference ahead, in control periods
+    compiled: bool = True  # whether torch compiles the step, which takes a minute once
+
+    def __post_init__(self) -> None:
+        for name, high in (("n_envs", 2**16), ("n_steps", 10**4)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= high:
+                raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")
+        for name in ("learning_rate", "max_grad_norm"):
+            check_number(name, getattr(self, name), 1e-9, 1e6)
+        for name in ("matrix_learning_rate", "weight_decay", "final_share", "average"):
+            check_number(name, getattr(self, name), 0, 1)
+        for name in ("effort_weight", "rate_weight"):
+            check_number(name, getattr(self, name), 0, 1e6)
+        for name in ("memory", "compiled"):
+            if not isinstance(getattr(self, name), bool):
+                raise ValueError(f"{name} is {getattr(self, name)!r}; it must be true or false")
+        _ = self.network
+
+    @property
+    def inputs(self) -> Inputs:
+        """What the network sees."""
+        return Inputs(self.preview, self.integrals)
+
+    @property
+    def network(self) -> Network:
+        """The sizes of the network."""
+        inputs, size = len(self.inputs.features), self.hidden_size
+        return Gru(inputs, size, size, size) if self.memory else Mlp(inputs, (size, size), bound="tanh")
+
+    def share_at(self, progress: float) -> float:
+        """Return the share of the learning rates that is left after a share `progress` of the run."""
+        return self.final_share + (1 - self.final_share) * 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
+
+    def optimizers(self, network: nn.Module) -> tuple[torch.optim.Optimizer, ...]:
+        """Return what follows a network's gradient.
+
+        Muon gives every direction in which a matrix can change the same weight (Jordan et al. 2024, "Muon: an optimizer
+        for hidden layers in neural networks"); through the simulator a few of them have nearly all of the gradient.
+        """
+        if self.matrix_learning_rate == 0:
+            return (torch.optim.Adam(network.parameters(), lr=self.learning_rate),)
+        *matrices, _ = (p for p in network.parameters() if p.ndim == 2)  # without the last layer's
+        chosen = {id(p) for p in matrices}
+        rest = [p for p in network.parameters() if id(p) not in chosen]
+        muon = torch.optim.Muon(matrices, lr=self.matrix_learning_rate, weight_decay=self.weight_decay)
+        return muon, torch.optim.Adam(rest, lr=self.learning_rate)
+
+
+def check(config: Config) -> Settings:
+    """Return the settings of a configuration.
+
+    Raises:
+        ValueError: a hyper-parameter is unknown or wrong.
+    """
+    settings = from_record(Settings, config.hyperparameters, "hyper-parameters of apg")
+    config.lanes(settings.n_envs)
+    shortest = min(scenario.steps for scenario, _ in config.scenarios)
+    if settings.n_steps > shortest:
+        raise ValueError(f"n_steps is {settings.n_steps}; it must be at most {shortest}, the steps of an episode")
+    return settings
+
+
+def train(run: Run) -> Agent:
+    """Train an agent and return the best one on the validation episodes.
+
+    Raises:
+        OSError: the run's folder cannot be written to.
+        TrainingError: the gradient is not finite any more.
+        ValueError: see `check`.
+    """
+    trainer = Trainer(run)
+    if not trainer.updates:
+        trainer.validate()
+    while trainer.updates < trainer.total:
+        trainer.update()
+    return trainer.agent(trainer.best)
+
+
+class Trainer:
+    """Network, optimiser and vehicles of a run; goes on from the run's checkpoint, if there is one."""
+
+    PATIENCE = 50
+    """Updates in a row that may be skipped for a gradient that is not finite."""
+
+    def __init__(self, run: Run) -> None:
+        """Begin a run, or take it up."""
+        self.run, self.settings = run, check(run.config)
+        config, settings = run.config, self.settings
+        self.total = max(1, math.ceil(config.timesteps / (settings.n_envs * settings.n_steps)))
+        torch.manual_seed(config.seed)
+        self.network = torch_network(settings.network)
+        kept = 1 - 1 / max(1.0, settings.average * self.total)
+        self.averaged = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(kept))  # type: ignore[no-untyped-call]
+        self.optimizers = settings.optimizers(self.network)
+        self._rates = [group["lr"] for group in self._groups]
+        self._expert = config.make_expert()
+        preview, self._seen, self._seen_by_expert = shared_preview(settings.preview, preview_of(self._expert))
+        self.fleet = Fleet(config.lanes(settings.n_envs), config.episode_seed, settings.n_steps, preview)
+        self.updates, self.skipped, self.score = 0, 0, -math.inf
+        self.best = weights_of(self.averaged.module)
+        self._memory: Memory | None = None  # of an expert on NumPy
+        if (state := run.load_checkpoint()) is None:
+            self.carried = self.fleet.reset(settings.network.memory)
+        else:
+            self._restore(state)
+        law, self._exact = law_of(self._expert)
+        loss = Loss.weighted(settings.effort_weight, settings.rate_weight)
+        loop = ClosedLoop(law, torch.tensor(config.authority), loss, self.fleet.parts, settings.inputs)
+        self._step = compiled(loop) if settings.compiled else loop.step
+
+    @property
+    def _groups(self) -> list[dict[str, Any]]:
+        return [group for optimizer in self.optimizers for group in optimizer.param_groups]
+
+    @property
+    def timesteps(self) -> int:
+        """Control steps so far, summed over vehicles."""
+        return self.updates * self.settings.n_envs * self.settings.n_steps
+
+    def update(self) -> None:
+        """Run one window, follow its gradient, and log, validate and save where it is time to."""
+        share = self.settings.share_at(self.updates / self.total)
+        for group, rate in zip(self._groups, self._rates, strict=True):
+            group["lr"] = rate * share
+        loss, error = self._window()
+        self.network.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        norm = float(nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.max_grad_norm))
+        if math.isfinite(norm):
+            for optimizer in self.optimizers:
+                optimizer.step()
+            self.averaged.update_parameters(self.network)
+            self.skipped = 0
+        elif self.skipped >= self.PATIENCE:
+            raise TrainingError(f"{self.skipped} gradients in a row were not finite; lower learning_rate or n_steps")
+        else:
+            self.skipped += 1
+        self.updates += 1
+        if self._due(LOGS):
+            self.run.log(self.timesteps, loss=float(loss.detach()), window_error_m=error, gradient_norm=norm)
+        if self._due(VALIDATIONS):
+            self.validate()
+
+    def _due(self, times: int) -> bool:
+        """Return whether one of so many moments, spread evenly over the run, has come; the last one is its end."""
+        return self.updates * times // self.total > (self.updates - 1) * times // self.total
+
+    def _window(self) -> tuple[Tensor, float]:
+        """Return the mean loss of a window and its mean position error [m]; begin new episodes behind it."""
+        carried = Carried(*(x.detach().requires_grad_() for x in self.carried))  # as compiled, from the first step on
+        loss, distance = torch.zeros(()), torch.zeros(())
+        fresh, parameters = self.fleet.fresh, self.fleet.parameters
+        for ahead, sample in zip(*self.fleet.window(), strict=True):
+            outside = () if self._exact else (self._act(carried.observation, ahead, fresh),)
+            seen = ahead[self._seen]
+            carried, losses, squared_error = self._step(self.network, carried, seen, sample, parameters, *outside)
+            fresh = np.zeros_like(fresh)
+            loss = loss + losses.mean()
+            distance = distance + squared_error.detach().sqrt().mean()
+        self.carried = self.fleet.renew(carried.detach(), squared_error.detach())
+        return loss / self.settings.n_steps, float(distance) / self.settings.n_steps
+
+    def _act(self, observation: Tensor, ahead: Tensor, fresh: NDArray[np.bool_]) -> Tensor:
+        """Return the action of an expert on NumPy, shape (ACTIONS, N)."""
+        rows = observation.detach().numpy().T.astype(np.float64)
+        ways = ahead[self._seen_by_expert].numpy().astype(np.float64).reshape(-1, 2, len(rows))
+        rows = np.hstack((rows, encode_preview(ways, decode_observation(rows))))
+        action, self._memory = self._expert.predict(rows, self._memory, fresh)
+        return torch.from_numpy(np.ascontiguousarray(action.T))
+
+    def validate(self) -> None:
+        """Measure the agent on the validation episodes, keep the best, and save a checkpoint."""
+        weights = weights_of(self.averaged.module)
+        score = self.run.validate(self.agent(weights).policy(), self.timesteps)
+        if score > self.score:
+            self.score, self.best = score, weights
+        self.run.save_checkpoint(self._state())
+
+    def agent(self, weights: Any) -> Agent:
+        """Return the agent of these weights."""
+        config, settings = self.run.config, self.settings
+        return Agent(settings.network, weights, config.expert, config.authority, config.names, inputs=settings.inputs)
+
+    def _state(self) -> dict[str, Any]:
+        return {
+            "timesteps": self.timesteps,
+            "updates": self.updates,
+            "skipped": self.skipped,
+            "score": self.score,
+            "best": self.best,
+            "network": self.network.state_dict(),
+            "averaged": self.averaged.state_dict(),
+            "optimizers": [optimizer.state_dict() for optimizer in self.optimizers],
+            "fleet": self.fleet,
+            "carried": self.carried,
+            "memory": self._memory,
+        }
+
+    def _restore(self, state: dict[str, Any]) -> None:
+        self.updates, self.skipped = state["updates"], state["skipped"]
+        self.score, self.best = state["score"], state["best"]
+        self.network.load_state_dict(state["network"])
+        self.averaged.load_state_dict(state["averaged"])
+        for optimizer, its in zip(self.optimizers, state["optimizers"], strict=True):
+            optimizer.load_state_dict(its)
+        self.fleet, self.carried, self._memory = state["fleet"], state["carried"], state["memory"]
+
+
+def compiled(loop: ClosedLoop) -> Step:
+    """Return the step compiled, or as it is where torch cannot compile."""
+    if not can_compile(torch.device("cpu")):
+        return loop.step
+    logger.info("compiling the control step; the first time takes about a minute")
+    step: Step = torch.compile(loop.step, fullgraph=True, dynamic=False)
+    return step

@@ -1,0 +1,204 @@
+"""One training run in its folder: what it is, how far it is, what it has logged, and where to go on."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import TYPE_CHECKING, Any
+
+from auv_gym.residual import Policy
+from baselines.tools.files import json_text, write_atomically
+from baselines.training.config import Config
+from baselines.training.validation import Validation, validation_cell
+
+if TYPE_CHECKING:
+    from torch.utils.tensorboard.writer import SummaryWriter
+
+CONFIG, PROGRESS, CHECKPOINT, AGENT = "config.json", "progress.csv", "checkpoint.pt", "agent"
+"""What a run folder holds; besides `EVENTS`, `validation.YARDSTICKS` and the learning curve."""
+EVENTS = "tensorboard"
+VALIDATIONS = 20
+"""How often in a run an agent is validated; as often a checkpoint is kept."""
+
+
+class TrainingError(Exception):
+    """A training cannot go on; the message says why and what to change."""
+
+
+@dataclass(frozen=True)
+class State:
+    """How far a run is."""
+
+    timesteps: int  # control steps, summed over vehicles
+    total: int
+    scores: tuple[float, ...]  # of all validations so far
+    seconds: float  # wall time, that before a resumption included
+    seconds_left: float | None
+
+
+class Run:
+    """A training run, which a trainer logs to and goes on from.
+
+    A trainer calls `load_checkpoint` once before anything else, then `log`, `validate` and `save_checkpoint`. One
+    process writes to the folder.
+
+    Args:
+        config: what determines the run.
+        folder: made if need be; what it holds must be of the same configuration.
+        on_state: called whenever something is known about how far the run is.
+    """
+
+    def __init__(self, config: Config, folder: Path, on_state: Callable[[State], None] = lambda _: None) -> None:
+        self.config = config
+        self.folder = folder
+        self._on_state = on_state
+        self._rows: list[dict[str, float]] = []
+        self._begin, self._earlier, self._start = time.monotonic(), 0.0, 0
+        folder.mkdir(parents=True, exist_ok=True)
+        for left in folder.glob(".*.tmp"):  # of a run that was killed
+            left.unlink()
+        if not (folder / CONFIG).exists():
+            write_atomically(folder / CONFIG, json_text(config.to_dict()))
+
+    @cached_property
+    def validation(self) -> Validation:
+        """The validation episodes of the run's scenarios."""
+        return Validation([validation_cell(scenario) for scenario, _ in self.config.scenarios], self.folder)
+
+    @property
+    def seconds(self) -> float:
+        """Wall time that the run has taken [s], that before a resumption included."""
+        return self._earlier + time.monotonic() - self._begin
+
+    def log(self, timesteps: int, **values: float) -> None:
+        """Add a row to progress.csv and TensorBoard, and tell how far the run is.
+
+        Args:
+            timesteps: control steps so far, summed over vehicles; a second row at the same number joins the first.
+            values: what to log, by name.
+
+        Raises:
+            OSError: the folder cannot be written to.
+        """
+        if not self._rows or self._rows[-1]["timesteps"] != timesteps:
+            self._rows.append({"timesteps": timesteps})
+        self._rows[-1] |= {"seconds": round(self.seconds, 3)} | {name: float(v) for name, v in values.items()}
+        write_atomically(self.folder / PROGRESS, _csv(self._rows))
+        for name, value in values.items():
+            self._events.add_scalar(name, float(value), timesteps)
+        self._events.flush()
+        self.report(timesteps)
+
+    def report(self, timesteps: int) -> None:
+        """Tell how far the run is."""
+        self._on_state(self._state(timesteps))
+
+    def validate(self, policy: Policy, timesteps: int) -> float:
+        """Return the score of a policy on the validation episodes: 0 the expert, 1 the oracle; it is logged.
+
+        Args:
+            policy: what acts on the observation of the tracking environment, shape (N, 18), expert included.
+            timesteps: see `log`.
+
+        Raises:
+            OSError: the folder cannot be written to.
+        """
+        verdict = self.validation.run(policy)
+        self.log(timesteps, score=verdict.score, error_m=verdict.error_m, lost=verdict.lost)
+        return verdict.score
+
+    def save_checkpoint(self, state: Mapping[str, Any]) -> None:
+        """Keep what it takes to go on, in place of the last checkpoint; a kill at any moment leaves one of them whole.
+
+        Args:
+            state: whatever can be pickled; its entry "timesteps" says how far the run is.
+
+        Raises:
+            OSError: the folder cannot be written to.
+        """
+        import torch
+
+        buffer = io.BytesIO()
+        torch.save({"state": dict(state), "seconds": self.seconds, "timesteps": int(state["timesteps"])}, buffer)
+        write_atomically(self.folder / CHECKPOINT, buffer.getvalue())
+
+    def load_checkpoint(self) -> dict[str, Any] | None:
+        """Return the state of the last checkpoint, None if there is none; what was logged after it is forgotten.
+
+        Raises:
+            OSError: the folder cannot be read.
+            TrainingError: the checkpoint is damaged, or of other versions of the libraries.
+        """
+        import torch
+
+        file = self.folder / CHECKPOINT
+        if not file.exists():
+            return None
+        try:
+            record = torch.load(file, map_location="cpu", weights_only=False)
+        except (AttributeError, EOFError, ImportError, KeyError, RuntimeError, ValueError, UnpicklingError) as error:
+            raise TrainingError(f"cannot go on from {file}: {error}; begin again in another folder") from error
+        self._earlier, self._begin, self._start = record["seconds"], time.monotonic(), record["timesteps"]
+        self._rows = [row for row in read_progress(self.folder) if row["timesteps"] <= self._start]
+        state: dict[str, Any] = record["state"]
+        return state
+
+    def close(self) -> None:
+        """Write out what TensorBoard still holds."""
+        if "_events" in self.__dict__:
+            self._events.close()
+
+    @cached_property
+    def _events(self) -> SummaryWriter:
+        from torch.utils.tensorboard.writer import SummaryWriter
+
+        return SummaryWriter(str(self.folder / EVENTS), purge_step=self._start + 1 if self._start else None)
+
+    def _state(self, timesteps: int) -> State:
+        scores = tuple(row["score"] for row in self._rows if "score" in row)
+        done, total = timesteps - self._start, self.config.timesteps
+        left = (time.monotonic() - self._begin) * max(0, total - timesteps) / done if done > 0 else None
+        return State(timesteps, total, scores, self.seconds, left)
+
+
+def read_progress(folder: Path) -> list[dict[str, float]]:
+    """Return the rows of a folder's progress.csv without their empty entries; none if there is no such file."""
+    try:
+        text = (folder / PROGRESS).read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return []
+    table = csv.DictReader(io.StringIO(text))
+    return [{k: int(v) if k == "timesteps" else float(v) for k, v in row.items() if v} for row in table]
+
+
+def read_config(folder: Path) -> Config | None:
+    """Return the configuration of a run folder, None if it holds none.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is damaged.
+    """
+    try:
+        text = (folder / CONFIG).read_text(encoding="utf-8")
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    try:
+        return Config.from_dict(json.loads(text))
+    except ValueError as error:
+        raise ValueError(f"{folder / CONFIG}: {error}") from error
+
+
+def _csv(rows: list[dict[str, float]]) -> str:
+    """Return the rows as CSV, a column for each name that occurs in one of them."""
+    buffer = io.StringIO()
+    writer = csv.DictWriter(buffer, list(dict.fromkeys(key for row in rows for key in row)), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return buffer.getvalue()

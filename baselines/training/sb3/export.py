@@ -1,0 +1,45 @@
+"""The deterministic actor of a Stable-Baselines3 model as an agent that runs on NumPy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import nn
+
+from baselines.agents.agent import Agent
+from baselines.agents.networks import Mlp
+from baselines.training.config import Config
+
+_ACTIVATIONS: dict[type, str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
+
+
+def exported(policy: Any, config: Config) -> Agent:
+    """Return the agent of a policy network of PPO, SAC, TQC or TD3.
+
+    Raises:
+        ValueError: its actor is no chain of linear layers with tanh or ReLU between them.
+    """
+    if hasattr(policy, "actor"):
+        actor = policy.actor
+        chain = [*actor.latent_pi, actor.mu] if hasattr(actor, "latent_pi") else list(actor.mu)
+        if isinstance(chain[-1], nn.Tanh):
+            chain = chain[:-1]
+        bound = "tanh"
+    else:
+        chain, bound = [*policy.mlp_extractor.policy_net, policy.action_net], "clip"
+    linear = [layer for layer in chain if isinstance(layer, nn.Linear)]
+    between = {_ACTIVATIONS.get(type(layer)) for layer in chain if not isinstance(layer, nn.Linear)} or {"tanh"}
+    if len(between) != 1 or None in between or len(chain) != 2 * len(linear) - 1:
+        raise ValueError(
+            "the actor is no chain of linear layers with tanh or ReLU between them, which is all that an agent can be; "
+            "with use_sde set clip_mean to 0 in policy_kwargs"
+        )
+    sizes = tuple(layer.out_features for layer in linear[:-1])
+    network = Mlp(linear[0].in_features, sizes, str(between.pop()), bound)
+    weights: dict[str, NDArray[Any]] = {}
+    for i, layer in enumerate(linear):
+        for name, value in layer.named_parameters():
+            weights[f"layers.{i}.{name}"] = np.array(value.detach().cpu().numpy())
+    return Agent(network, weights, config.expert, config.authority, config.names)

@@ -1,0 +1,190 @@
+"""Training with Stable-Baselines3: PPO, SAC, TD3 and TQC on the native vector environment."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import warnings
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, TypeVar
+
+import gymnasium as gym
+import numpy as np
+from sb3_contrib import TQC
+from stable_baselines3 import PPO, SAC, TD3
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList
+from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
+from stable_baselines3.common.utils import LinearSchedule
+from stable_baselines3.common.vec_env import VecMonitor
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvWrapper
+
+from auv_gym.residual import VectorResidualAction, preview_of
+from baselines.agents.agent import Agent
+from baselines.training.config import Config
+from baselines.training.run_folder import Run, TrainingError
+from baselines.training.sb3.callbacks import FrozenActor, ZeroCorrection
+from baselines.training.sb3.export import exported
+from baselines.training.sb3.snapshot import restore
+from baselines.training.sb3.tracker import Tracker, sound
+from baselines.training.sb3.vec_env import SB3VecEnv
+from baselines.training.sb3.vec_features import VecFeatures
+from baselines.training.sb3.vec_reward import VecErrorCost
+
+T = TypeVar("T")
+
+MODELS: Mapping[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "td3": TD3, "tqc": TQC}
+CALLBACKS: Mapping[str, type[BaseCallback]] = {
+    f"{cls.__module__}.{cls.__name__}": cls for cls in (ZeroCorrection, FrozenActor)
+}
+WRAPPERS: Mapping[str, type[VecEnvWrapper]] = {
+    f"{cls.__module__}.{cls.__name__}": cls for cls in (VecErrorCost, VecFeatures)
+}
+_OURS = {"self", "policy", "env", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model"}
+NOISES: Mapping[str, Callable[[Any, Any], ActionNoise]] = {
+    "normal": NormalActionNoise,
+    "ornstein-uhlenbeck": OrnsteinUhlenbeckActionNoise,
+}
+_SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf")
+
+
+def check(config: Config) -> None:
+    """Raise ValueError if a configuration cannot be trained."""
+    exported(make_model(config).policy, config)
+    _callbacks(config.hyperparameters.get("callback", []))
+
+
+def train(run: Run) -> Agent:
+    """Train as a run's configuration says, from its checkpoint if it has one; return the agent that validated best.
+
+    Raises:
+        OSError: the run's folder cannot be written to.
+        TrainingError: the networks' weights have diverged.
+    """
+    config = run.config
+    state = run.load_checkpoint()
+    model = make_model(config)
+    if state is not None:
+        restore(model, state)
+    tracker = Tracker(run, state)
+    rest = config.timesteps - model.num_timesteps
+    callbacks = CallbackList([*_callbacks(config.hyperparameters.get("callback", [])), tracker])
+    if rest > 0:
+        try:
+            model.learn(rest, callbacks, log_interval=None, reset_num_timesteps=state is None)  # type: ignore[arg-type]
+        except ValueError as error:  # torch refuses a distribution of numbers that are not finite
+            if sound(model):
+                raise
+            raise TrainingError(f"training diverged after {model.num_timesteps} steps: lower learning_rate") from error
+    return tracker.agent
+
+
+def make_model(config: Config) -> BaseAlgorithm:
+    """Return the untrained model of a configuration, with its environment.
+
+    Raises:
+        ValueError: a hyper-parameter is unknown or impossible.
+    """
+    cls, values = MODELS[config.algo], dict(config.hyperparameters)
+    values.pop("callback", None)
+    if (policy := values.pop("policy", "MlpPolicy")) != "MlpPolicy":
+        raise ValueError(f"hyper-parameter policy is {policy!r}; here it must be MlpPolicy")
+    n_envs, noise = values.pop("n_envs", 1), _noise(values)
+    env = make_training_env(config, n_envs, values.pop("vec_env_wrapper", []))
+    allowed = sorted(set(inspect.signature(cls).parameters) - _OURS)
+    if unknown := [name for name in values if name not in allowed]:
+        raise ValueError(f"unknown hyper-parameter {unknown[0]!r} of {config.algo}; allowed are {', '.join(allowed)}")
+    if noise is not None:
+        values["action_noise"] = noise
+    values |= {name: _schedule(name, values[name]) for name in _SCHEDULED if name in values}
+    if isinstance(values.get("train_freq"), list):
+        values["train_freq"] = tuple(values["train_freq"])
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", UserWarning)
+            model = cls(policy, env, seed=config.seed, device="cpu", **values)
+    except (AssertionError, AttributeError, KeyError, TypeError, ValueError, UserWarning) as error:
+        raise ValueError(f"hyper-parameters of {config.algo}: {' '.join(str(error).split())}") from error
+    env.seed(config.episode_seed)
+    return model
+
+
+def make_training_env(config: Config, n_envs: int, wrappers: Any = ()) -> VecFeatures:
+    """Return the vehicles that a configuration is trained on, as Stable-Baselines3 wants them.
+
+    Args:
+        config: the configuration.
+        n_envs: how many.
+        wrappers: as rl_zoo3 names them, from the inside out; the features are always the last.
+
+    Raises:
+        ValueError: there are too few vehicles, or a wrapper is unknown.
+    """
+    if isinstance(n_envs, bool) or not isinstance(n_envs, int) or n_envs < 1:
+        raise ValueError(f"hyper-parameter n_envs is {n_envs!r}; it must be an integer of at least 1")
+    expert = config.make_expert()
+    track = gym.make_vec(
+        "auv_gym:UnderactuatedAUVTrack-v0",
+        num_envs=n_envs,
+        vectorization_mode="vector_entry_point",
+        scenario=config.lanes(n_envs),
+        preview=preview_of(expert),
+    )
+    env: VecEnv = VecMonitor(SB3VecEnv(VectorResidualAction(track, expert, config.authority)))
+    for make in _named(wrappers, WRAPPERS, "vec_env_wrapper"):
+        env = make(env)
+    return env if isinstance(env, VecFeatures) else VecFeatures(env)
+
+
+def _schedule(name: str, value: Any) -> Any:
+    """Return a hyper-parameter as Stable-Baselines3 wants it: a number, or lin_NUMBER that falls to zero."""
+    if isinstance(value, str):
+        try:
+            start = float(value.removeprefix("lin_"))
+        except ValueError:
+            start = math.nan
+        if not value.startswith("lin_") or not math.isfinite(start):
+            raise ValueError(f"hyper-parameter {name} is {value!r}; it must be a number, or lin_NUMBER falling to zero")
+        return LinearSchedule(start, 0.0, 1.0)
+    return value
+
+
+def _noise(values: dict[str, Any]) -> ActionNoise | None:
+    """Take rl_zoo3's two entries about noise on the action out of the hyper-parameters; return the noise."""
+    kind, std = values.pop("noise_type", None), values.pop("noise_std", 0.0)
+    if kind is None:
+        return None
+    if kind not in NOISES or isinstance(std, bool) or not isinstance(std, (int, float)) or not std >= 0:
+        kinds = " or ".join(NOISES)
+        raise ValueError(f"noise is {kind!r} of noise_std {std!r}; it must be {kinds}, of a number of at least 0")
+    return NOISES[kind](np.zeros(2), np.full(2, float(std)))
+
+
+def _callbacks(entries: Any) -> list[BaseCallback]:
+    """Return the callbacks that a configuration names. Training always starts at the expert, named or not."""
+    made = [make() for make in _named(entries, CALLBACKS, "callback")]
+    return made if any(isinstance(callback, ZeroCorrection) for callback in made) else [ZeroCorrection(), *made]
+
+
+def _named(entries: Any, table: Mapping[str, Callable[..., T]], kind: str) -> list[Callable[..., T]]:
+    """Return what makes the things that a configuration names in rl_zoo3's way: names, or tables of a name's arguments.
+
+    Args:
+        entries: one or a list of them.
+        table: what may be named.
+        kind: the hyper-parameter's name.
+
+    Raises:
+        ValueError: something else is named, or does not take these arguments.
+    """
+    made: list[Callable[..., T]] = []
+    for entry in entries if isinstance(entries, (list, tuple)) else [entries]:
+        name, arguments = next(iter(entry.items())) if isinstance(entry, Mapping) and len(entry) == 1 else (entry, {})
+        if name not in table:
+            raise ValueError(f"unknown {kind} {name!r}; allowed are {', '.join(table)}")
+        known = list(inspect.signature(table[name]).parameters)
+        if not isinstance(arguments, Mapping) or not set(arguments) <= set(known):
+            raise ValueError(f"{kind} {name} has arguments {arguments!r}; it takes {', '.join(known)}")
+        made.append(partial(table[name], **arguments))
+    return made

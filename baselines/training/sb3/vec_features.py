@@ -1,0 +1,69 @@
+"""What a trained policy sees, as a wrapper of Stable-Baselines3's vector environments; rl_zoo3 takes it by name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvStepReturn, VecEnvWrapper
+
+from auv_gym.namespaces import ARRAYS
+from auv_gym.task import SIZE, decode_observation
+from baselines.agents.features import BOUND, FEATURES, INTEGRALS, STANDARD
+from baselines.agents.networks import ACTIONS
+
+Array = NDArray[np.float64]
+
+
+class VecFeatures(VecEnvWrapper):
+    """Observations become `baselines.agents.features.FEATURES`, whose memory begins anew with every episode.
+
+    At the end of an episode `terminal_observation` has the features of the true last observation.
+
+    Args:
+        venv: of `UnderactuatedAUVTrackResidual-v0`; a preview for its expert does not show in the features.
+
+    Raises:
+        ValueError: it is another environment.
+    """
+
+    def __init__(self, venv: VecEnv) -> None:
+        shape = venv.observation_space.shape or ()
+        if len(shape) != 1 or shape[0] < SIZE + ACTIONS:
+            allowed = f"({SIZE + ACTIONS},), or more with a preview"
+            raise ValueError(f"observations have shape {shape}; those of the residual environment have {allowed}")
+        space = gym.spaces.Box(-BOUND, BOUND, (len(FEATURES),), np.float32)
+        super().__init__(venv, observation_space=space)
+        self._integrals, self._correction = np.zeros((self.num_envs, INTEGRALS)), np.zeros((self.num_envs, ACTIONS))
+
+    def reset(self) -> NDArray[np.float32]:
+        """Start an episode everywhere; return the features, shape (N, features)."""
+        observation = np.asarray(self.venv.reset())
+        self._integrals, self._correction = np.zeros((self.num_envs, INTEGRALS)), np.zeros((self.num_envs, ACTIONS))
+        features, self._integrals = _features(observation, self._correction, self._integrals)
+        return features
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Hand on the corrections, shape (N, 2), and remember them."""
+        self._correction = np.clip(actions, -1.0, 1.0).astype(np.float64)
+        self.venv.step_async(actions)
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Advance every vehicle; return features, rewards, dones and infos."""
+        observation, reward, done, infos = self.venv.step_wait()
+        for i in done.nonzero()[0].tolist():
+            last = np.asarray(infos[i]["terminal_observation"])[None]
+            features, _ = _features(last, self._correction[i : i + 1], self._integrals[i : i + 1])
+            infos[i]["terminal_observation"] = features[0]
+        self._correction[done], self._integrals[done] = 0.0, 0.0
+        features, self._integrals = _features(np.asarray(observation), self._correction, self._integrals)
+        return features, reward, done, infos
+
+
+def _features(observation: Array, correction: Array, integrals: Array) -> tuple[NDArray[np.float32], Array]:
+    """Return the features (N, features) and the new integrals (N, INTEGRALS) of observations that end in an action."""
+    o, base = decode_observation(observation), observation[:, -ACTIONS:].T
+    rows, sums = STANDARD.update(o, (), base, correction.T, integrals.T, ARRAYS)
+    return np.array(rows, dtype=np.float32).T, np.array(sums).T

@@ -1,0 +1,149 @@
+"""What learning buys: agents of several seeds, and what becomes of them without one thing or another.
+
+`python -m baselines.training.study` trains every agent of `VARIANTS` with several seeds, runs them on the frozen suites
+and keeps the tail errors of every episode in `baselines/evaluation/studies/`, which the results page is made from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from tyro.conf import Positional, arg
+
+from baselines.control.zero import NO_EXPERT
+from baselines.evaluation import suites
+from baselines.evaluation.progress import progress
+from baselines.evaluation.runner import Cell, Run, run_all
+from baselines.evaluation.score import regime_of
+from baselines.evaluation.study_files import SUITES, Study, save
+from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.workers import Workers
+from baselines.training.command import train
+from baselines.training.request import Request
+from baselines.training.run_folder import AGENT, read_progress
+from baselines.training.shipped import install
+from baselines.training.trainings import EXACT, SHIPPED, Training
+
+PROGRAM = "python -m baselines.training.study"
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Agents that differ in the seed alone."""
+
+    about: str  # one line for the results page
+    regime: str
+    training: Training
+    seeds: int
+    suites: tuple[str, ...] = SUITES
+
+
+SEEDS = 5
+"""Of each agent that ships with the package."""
+SHORT, FEW = 3_000_000, 2
+"""Control steps and seeds of the trainings that differ from `short-cruise` in one thing."""
+
+
+def _short(about: str, expert: str | None = None, authority: tuple[float, ...] = (), **changes: Any) -> Variant:
+    training = Training("apg", "cruise", authority, expert, SHORT, changes)
+    return Variant(about, "cruise", training, FEW, ("benchmark-v1",))
+
+
+FAMILIES: Mapping[str, str] = {
+    "apg": "The expert corrected by the analytic gradient, from measurements alone.",
+    "apg-preview": "A larger network, which sees the reference ahead and pays nearly nothing for its commands.",
+    "apg-adverse": "Trained also where sensors, commands, actuators and current are not as told.",
+    "apg-scratch": "Without an expert: the network commands alone.",
+    "ppo": "The expert corrected by a network without memory, which learns from rewards.",
+    "sac": "The same from fewer steps, each of which is learned from many times.",
+    "td3": "The same from fewer steps, each of which is learned from many times.",
+}
+"""What the agents that ship with the package are, by their names without the regime."""
+SHORT_TRAININGS: Mapping[str, Variant] = {
+    "short-cruise": _short("As `apg-cruise`, fewer steps: what the following ones differ from in one thing."),
+    "short-preview": _short("The network sees the reference .5, 1, 2 and 4 s ahead.", preview=EXACT["preview"]),
+    "short-no-memory": _short("Two tanh layers in place of the recurrent units.", memory=False),
+    "short-no-integrals": _short("The network does not see the integrals of the error.", integrals=False),
+    "short-little-authority": _short("Half the authority.", authority=(0.3, 0.3)),
+    "short-scratch": _short("Without an expert: the network commands alone.", NO_EXPERT, (1.0, 1.0)),
+    "short-ekf": _short("The law on an extended Kalman filter as the expert.", "ekf"),
+    "short-free": _short("Commands cost next to nothing.", effort_weight=0.002, rate_weight=0.001),
+    "short-horizon": _short("The gradient goes back over 10 steps (1 s) in place of 50.", n_steps=10),
+    "short-adam": _short("Every weight follows Adam, at its learning rate.", matrix_learning_rate=0.0),
+}
+"""Trainings that show what one thing is worth."""
+
+
+def _shipped(name: str, training: Training) -> Variant:
+    family, regime = name.rsplit("-", 1)
+    return Variant(FAMILIES[family], regime, training, SEEDS)
+
+
+VARIANTS: Mapping[str, Variant] = {
+    **{name: _shipped(name, training) for name, training in SHIPPED.items()},
+    **SHORT_TRAININGS,
+}
+"""The agents of the study, by name."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Train the agents of the study with several seeds, run them on the frozen suites and keep what they did.
+
+    A second call goes on where the first was interrupted. Exit status: 0 done, 1 a training failed, 2 wrong usage.
+    """
+
+    name: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME ...]")] = ()
+    """Which of them; without any, all."""
+    out: Path = Path("runs/study")
+    """Folder of the runs."""
+    jobs: int = 2
+    """Trainings at the same time."""
+    install: bool = False
+    """Put the first seed's agent into baselines/agents, where one of the name ships with the package."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Train and evaluate as the arguments say and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    if unknown := [name for name in options.name if name not in VARIANTS]:
+        raise UsageError(f"the study has no {unknown[0]!r}; allowed are {', '.join(VARIANTS)}")
+    for name in options.name or VARIANTS:
+        variant = VARIANTS[name]
+        request = variant.training.request(options.out / name, variant.seeds, options.jobs)
+        if (status := train(request)) != DONE:
+            return status
+        if options.install and name in SHIPPED:
+            install(name, request.folders[0])
+        save(name, studied(variant, request, options.jobs))
+    return DONE
+
+
+def studied(variant: Variant, request: Request, jobs: int) -> Study:
+    """Return what the trained agents of a request do on the suites of a variant."""
+    agents = [str(folder / AGENT) for folder in request.folders]
+    results = {name: _rolled_out(agents, cells_of(name, variant.regime), jobs) for name in variant.suites}
+    curves = [[row for row in read_progress(folder) if "score" in row] for folder in request.folders]
+    return Study.of(variant.about, variant.regime, request.command, results, curves)
+
+
+def cells_of(suite: str, regime: str) -> list[Cell]:
+    """Return the cells of a frozen suite in a regime."""
+    return [cell for cell in suites.load(suite).cells if regime_of(cell.scenario.name) == regime]
+
+
+def _rolled_out(agents: Sequence[str], cells: Sequence[Cell], jobs: int) -> list[list[Run]]:
+    """Return the runs of each agent in the cells."""
+    steps = sum(len(cell.episodes) * cell.scenario.steps for cell in cells)
+    with progress(len(agents) * len(cells), len(agents) * steps) as report:
+        runs = run_all(agents, cells, Workers(jobs), report.run, report.board.note)
+    names = [cell.scenario.name for cell in cells]
+    found = {(r.policy, r.scenario.name): r for r in runs}
+    return [[found[agent, name] for name in names] for agent in agents]

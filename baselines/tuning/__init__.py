@@ -1,0 +1,1 @@
+"""Tune the gains of a controller on episodes of its own."""

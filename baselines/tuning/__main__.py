@@ -1,0 +1,8 @@
+"""Run as `python -m baselines.tuning`."""
+
+import sys
+
+from baselines.tools.command_line import run
+from baselines.tuning.search import PROGRAM, main
+
+sys.exit(run(main, PROGRAM))

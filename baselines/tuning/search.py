@@ -1,0 +1,268 @@
+"""Tune a controller's gains on episodes of its own: `python -m baselines.tuning --help`.
+
+The objective is the error that the score is made of: the mean over the eight cases of a regime of the tail RMSE, that
+of an episode at most the distance from which it counts as lost. Gains are searched on a logarithmic scale.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import shlex
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from typing import Annotated, Literal
+
+import numpy as np
+from scipy import optimize
+from tyro.conf import Positional, arg
+
+from auv_gym.presets import CASES
+from auv_gym.residual import Policy
+from baselines import make_policy
+from baselines.control.backstepping import GAINS, Backstepping, Gains
+from baselines.control.current_observer import START as OBSERVER
+from baselines.control.current_observer import make_current_observer
+from baselines.control.ekf_law import START as EKF
+from baselines.control.ekf_law import make_ekf_law
+from baselines.control.integral import LAW as LAW_GAINS
+from baselines.control.integral import integral_law
+from baselines.control.los_pid import make_los_pid
+from baselines.control.lqi import make_lqi
+from baselines.control.nmpc.controller import START as PREDICTIVE
+from baselines.control.nmpc.controller import make_nmpc
+from baselines.gains.loading import FOLDER, gain_file, load_gains
+from baselines.policy import Array
+from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tuning.objective import Course, compared
+
+PROGRAM = "python -m baselines.tuning"
+TUNING_SEED = 10_000_000
+VALIDATION_SEED = 20_000_000
+"""First seeds of the episodes that gains are tuned on and checked on; an evaluation's begin far below."""
+VALIDATION_EPISODES = 1024
+
+GainSet = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Tunable:
+    """A controller whose gains can be tuned."""
+
+    factory: Callable[[dict[str, float]], Policy]  # the policy with these gains at every speed
+    start: Mapping[str, GainSet]  # gains to begin the search at, by regime; all above 0
+    ratio: float = 30.0  # gains are searched from start / ratio to start * ratio
+
+
+LAW, CRUISE_LAW = ({key: getattr(GAINS[name], key) for key in LAW_GAINS} for name in ("paper", "cruise"))
+INTEGRAL = {"rate": 0.05, "horizon": 5.0, "surge": 0.2}
+NORMALISED = {**LAW, "reference_speed": 0.1, **INTEGRAL}
+CRUISE_NORMALISED = {
+    "k": 1.5, "k1": 2.0, "cu": 0.2, "ku": 0.15, "c": 1.0, "kc": 0.05, "cr": 0.9, "reference_speed": 0.4,
+    "rate": 0.04, "horizon": 6.5, "surge": 0.05,
+}  # fmt: skip
+PID = {
+    "lookahead": 4.0, "rate": 0.05, "horizon": 5.0, "crab": 0.5, "crab_time": 2.0, "heading": 1.0, "turn": 1.5,
+    "heading_integral": 0.05, "munk": 1.0, "along": 0.3, "speed": 0.8,
+}  # fmt: skip
+CRUISE_PID = {
+    "lookahead": 0.5, "rate": 0.02, "horizon": 2.0, "crab": 0.6, "crab_time": 4.0, "heading": 2.0, "turn": 8.0,
+    "heading_integral": 0.4, "munk": 1.0, "along": 3.0, "speed": 4.0,
+}  # fmt: skip
+SLOW_LQI = {
+    "velocity": 0.5, "heading": 0.1, "turn": 0.4, "surge_effort": 0.15, "surge_rate": 0.2, "yaw_effort": 0.05,
+    "yaw_rate": 0.1, "lag": 0.3, "rate": 1.0, "horizon": 4.0,
+}  # fmt: skip
+CRUISE_LQI = {
+    "velocity": 0.3, "heading": 0.3, "turn": 0.2, "surge_effort": 0.04, "surge_rate": 0.08, "yaw_effort": 0.2,
+    "yaw_rate": 0.03, "lag": 0.45, "rate": 0.4, "horizon": 0.4,
+}  # fmt: skip
+
+TUNABLES: dict[str, Tunable] = {
+    "backstepping": Tunable(lambda gains: Backstepping(Gains(**gains)), {"slow": LAW, "cruise": CRUISE_LAW}),
+    "integral": Tunable(
+        lambda gains: integral_law("printed", gains),
+        {"slow": {**LAW, **INTEGRAL}, "cruise": {**CRUISE_LAW, **INTEGRAL}},
+    ),
+    "integral-normalised": Tunable(
+        lambda gains: integral_law("normalised", gains),
+        {"slow": NORMALISED, "cruise": CRUISE_NORMALISED},
+    ),
+    "current-observer": Tunable(make_current_observer, OBSERVER),
+    "ekf": Tunable(make_ekf_law, EKF),
+    "los-pid": Tunable(make_los_pid, {"slow": PID, "cruise": CRUISE_PID}),
+    "lqi": Tunable(make_lqi, {"slow": SLOW_LQI, "cruise": CRUISE_LQI}),
+    "nmpc": Tunable(make_nmpc, PREDICTIVE),
+}
+"""What can be tuned, by name: add an entry here."""
+
+
+class _EvaluationsSpentError(Exception):
+    """Ends a search; unlike StopIteration it passes through the optimisers."""
+
+
+def tune(
+    tunable: Tunable, course: Course, start: GainSet, evaluations: int, price: float = 0.0, seed: int = 0
+) -> dict[str, float]:
+    """Return the best gains that were found on a course.
+
+    Two fifths of the evaluations go to a differential evolution between the bounds, the rest to Nelder and Mead's
+    simplex from the best that it found.
+
+    Args:
+        tunable: the controller.
+        course: the episodes.
+        start: gains to begin at; 0 evaluations return them.
+        evaluations: how often the course may be run.
+        price: what is minimised is the error times the command's smoothness to this power.
+        seed: of the search.
+    """
+    search = _Search(tunable, course, start, evaluations, price)
+    try:
+        if evaluations:
+            search.explore(seed)
+            search.refine()
+    except _EvaluationsSpentError:
+        pass
+    return search.gains(search.best)
+
+
+class _Search:
+    """The best gains so far, as logarithms, and what is left of the evaluations."""
+
+    def __init__(self, tunable: Tunable, course: Course, start: GainSet, evaluations: int, price: float) -> None:
+        self._tunable, self._course, self._evaluations, self._price = tunable, course, evaluations, price
+        self._names = list(start)
+        self._centre = np.log(np.array([start[name] for name in self._names]))
+        self._reach = np.log(tunable.ratio)
+        self.best, self._lowest = self._centre, np.inf
+        self._count, self._begin = 0, time.monotonic()
+
+    def gains(self, x: Array) -> dict[str, float]:
+        """Return the gains of a point, by name."""
+        return dict(zip(self._names, np.exp(x).tolist(), strict=True))
+
+    def _cost(self, x: Array) -> float:
+        """Return the cost of a point, higher the farther out of bounds; raise _EvaluationsSpentError at the end."""
+        if self._count >= self._evaluations:
+            raise _EvaluationsSpentError
+        inside = np.clip(x, self._centre - self._reach, self._centre + self._reach)
+        gains = self.gains(inside)
+        result = self._course.run(self._tunable.factory(gains))
+        cost = float(result.error_m * result.smoothness**self._price * (1 + np.abs(x - inside).sum()))
+        self._count += 1
+        if cost < self._lowest:
+            self.best, self._lowest = inside, cost
+            seconds = time.monotonic() - self._begin
+            print(f"{self._count:5d} {seconds:6.0f} s {result.error_m:8.4f} m  {_text(gains)}", flush=True)
+        return cost
+
+    def explore(self, seed: int) -> None:
+        """Evolve a population of three per gain within a factor of 4 about the start, which is one of it."""
+        rng, centre, reach = np.random.default_rng(seed), self._centre, self._reach
+        population = centre + min(np.log(4.0), reach) * rng.uniform(-1, 1, (3 * len(centre), len(centre)))
+        population[0] = centre
+        bounds = optimize.Bounds(centre - reach, centre + reach)
+        generations = max(0, round(0.4 * self._evaluations / len(population)) - 1)
+        optimize.differential_evolution(self._cost, bounds, init=population, maxiter=generations, polish=False, rng=rng)
+
+    def refine(self) -> None:
+        """Restart a simplex at the best gains until the evaluations are used up, each smaller than the last."""
+        size = 0.3
+        while self._count < self._evaluations:
+            x = self.best
+            inwards = np.where(x < self._centre + self._reach - size, 1, -1)
+            simplex = np.vstack((x, x + size * np.diag(inwards)))
+            options = {"initial_simplex": simplex, "adaptive": True, "xatol": 0.02 * size, "fatol": 1e-6}
+            optimize.minimize(self._cost, x, method="Nelder-Mead", options=options)
+            size = max(0.5 * size, 0.05)
+
+
+def _text(gains: GainSet) -> str:
+    return " ".join(f"{name}={value:.4g}" for name, value in gains.items())
+
+
+@dataclass(frozen=True)
+class Options:
+    """Tune the gains of a controller and keep them in baselines/gains/NAME-REGIME.json, with where they come from.
+
+    Exit status: 0 done, 2 wrong usage.
+    """
+
+    name: Annotated[Positional[str], arg(metavar="NAME")]
+    """The controller."""
+    regime: Annotated[Literal["slow", "cruise"], arg(metavar="slow|cruise")] = "cruise"
+    """Speeds, limits and disturbances to tune for."""
+    episodes: int = 256
+    """Episodes of the objective, a multiple of 8: as many of each case."""
+    seed: int = TUNING_SEED
+    """Seed of the first of them."""
+    evaluations: int = 400
+    """How often they are run; 0 measures the gains that the search would begin at."""
+    price: float = 0.0
+    """What is minimised is the error times the mean squared change of the command to this power; 0: the error alone."""
+    resume: bool = False
+    """Begin at the gains that the file holds already."""
+    dry: bool = False
+    """Print only; leave the file as it is."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Tune as the arguments say and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    _check(options)
+    tunable, start = TUNABLES[options.name], _start(options)
+    course = Course(options.regime, options.episodes, options.seed)
+    gains = tune(tunable, course, start, options.evaluations, options.price)
+    validation = Course(options.regime, VALIDATION_EPISODES, VALIDATION_SEED)
+    expert, result = validation.run(make_policy("backstepping")), validation.run(tunable.factory(gains))
+    record = {
+        "policy": options.name,
+        "regime": options.regime,
+        "gains": gains,
+        "start": dict(start),
+        "command": f"{PROGRAM} {shlex.join(arguments)}",
+        "episodes": options.episodes,
+        "seed": options.seed,
+        "evaluations": options.evaluations,
+        "error_m": course.run(tunable.factory(gains)).error_m,
+        "validation": {"episodes": VALIDATION_EPISODES, "seed": VALIDATION_SEED, **compared(result, expert)},
+        "date": datetime.now(timezone.utc).date().isoformat(),
+        "versions": {name: importlib.metadata.version(name) for name in ("gymnasium", "numpy", "scipy")},
+    }
+    print(json.dumps(record, indent=2))
+    if not options.dry:
+        FOLDER.mkdir(exist_ok=True)
+        gain_file(options.name, options.regime).write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+    return DONE
+
+
+def _check(options: Options) -> None:
+    """Raise UsageError if an option is wrong."""
+    if options.name not in TUNABLES:
+        raise UsageError(f"unknown controller {options.name!r}; allowed are {', '.join(TUNABLES)}")
+    if options.episodes < len(CASES) or options.episodes % len(CASES):
+        raise UsageError(f"--episodes is {options.episodes}; it must be a positive multiple of {len(CASES)}")
+    if options.seed < TUNING_SEED or options.seed + options.episodes > VALIDATION_SEED:
+        raise UsageError(f"--seed is {options.seed}; tuning episodes have {TUNING_SEED} ... {VALIDATION_SEED - 1}")
+    if options.evaluations < 0:
+        raise UsageError(f"--evaluations is {options.evaluations}; it must be at least 0")
+    if not 0 <= options.price <= 1:
+        raise UsageError(f"--price is {options.price}; it must be in [0, 1]")
+
+
+def _start(options: Options) -> GainSet:
+    """Return the gains that a search begins at."""
+    start = TUNABLES[options.name].start[options.regime]
+    if not options.resume:
+        return start
+    try:
+        return load_gains(options.name, options.regime, list(start))
+    except ValueError as error:
+        raise UsageError(str(error)) from error
