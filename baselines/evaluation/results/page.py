@@ -29,11 +29,11 @@ INTRODUCTION = """# Results
 
 Every policy on the frozen suites, from the rows in `baselines/evaluation/data/recorded/`. `make results` writes this
 page; `python -m baselines.evaluation.suites record SUITE [--policy P ...]` runs policies again.
-[Evaluation](metrics.md) has the definitions. In short: *score* is 0 for the expert and 1 for the oracle, errors pooled over cases, with a 95 %
-interval; *capped* counts no tail error above .6 m (slow) or 2 m (cruise), and *lost* is the share of episodes that
-reach it; *tail*, *p95* and *worst 5 %* are mean, 95th percentile and mean of the worst of the tail errors; *effort* and
-*rate* are relative to the expert's; *ms* is a policy's time for one decision, many vehicles side by side on one
-processor."""
+[Evaluation](metrics.md) has the definitions. In short: *score* is 0 for the expert and 1 for the oracle, errors pooled
+over cases, with a 95 % interval; *capped* counts no tail error above .6 m (slow) or 2 m (cruise), and *lost* is the
+share of episodes that reach it; *tail*, *p95* and *worst 5 %* are mean, 95th percentile and mean of the worst of the
+tail errors; *effort* and *rate* are relative to the expert's; *ms* is a policy's time for one decision, many vehicles
+side by side on one processor."""
 
 
 def _setting(results: Results) -> str:
