@@ -10,17 +10,32 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 Number: TypeAlias = Any
 """A float, an array, a tensor or a symbol: whatever the namespace beside it computes with."""
 
 
+class Constants(NamedTuple):
+    """A constant for each of n rows."""
+
+    numbers: tuple[float, ...]  # for torch, whose graphs may hold no NumPy
+    array: NDArray[np.float64]  # shape (n,)
+    column: NDArray[np.float64]  # shape (n, 1)
+
+    @classmethod
+    def of(cls, numbers: Any) -> Constants:
+        """Return these numbers as constants."""
+        array = np.array(tuple(numbers))
+        return cls(tuple(array.tolist()), array, array[:, None])
+
+
 @dataclass(frozen=True, slots=True)
 class Namespace:
-    """The elementary functions of one kind of number, named as in NumPy."""
+    """The elementary functions of one kind of number, named as in NumPy, and how rows of them meet constants."""
 
     sin: Callable[[Number], Number]
     cos: Callable[[Number], Number]
@@ -28,6 +43,9 @@ class Namespace:
     floor: Callable[[Number], Number]
     clip: Callable[[Number, Number, Number], Number]
     where: Callable[[Number, Number, Number], Number]
+    scaled: Callable[[Any, Constants], Any]  # rows, or components in a sequence, times a constant each: rows
+    bounded: Callable[[Any, Constants], Any]  # rows within +- a constant each
+    stack: Callable[..., Any]  # a sequence of rows as one array; the axis that counts them, the first by default
 
 
 def _clip(value: float, low: float, high: float) -> float:
@@ -56,12 +74,32 @@ def _cos_array(angle: Number) -> Number:
     return 2.0 / (1.0 + t * t) - 1.0
 
 
+def _scaled_floats(rows: Any, factors: Constants) -> Any:
+    return np.asarray(rows, dtype=np.float64) * factors.array
+
+
+def _bounded_floats(rows: Any, bounds: Constants) -> Any:
+    return _clip_array(rows, -bounds.array, bounds.array)
+
+
+def _scaled_arrays(rows: Any, factors: Constants) -> Any:
+    scaled = np.array(rows, dtype=np.float64)  # a row stays one in memory: transposing would cost a tenth of a step
+    scaled *= factors.column
+    return scaled
+
+
+def _bounded_arrays(rows: Any, bounds: Constants) -> Any:
+    return _clip_array(rows, -bounds.column, bounds.column)
+
+
 SMALL = 256
 """Arrays from this size on take sine and cosine from the tangent of half the angle, exact to 4e-16: NumPy vectorises
 its tangent but not these two, which makes it a third of their cost."""
 
-FLOATS = Namespace(math.sin, math.cos, math.sqrt, math.floor, _clip, _where)
-ARRAYS = Namespace(_sin_array, _cos_array, np.sqrt, np.floor, _clip_array, np.where)
+FLOATS = Namespace(math.sin, math.cos, math.sqrt, math.floor, _clip, _where, _scaled_floats, _bounded_floats, np.array)
+ARRAYS = Namespace(
+    _sin_array, _cos_array, np.sqrt, np.floor, _clip_array, np.where, _scaled_arrays, _bounded_arrays, np.stack
+)
 
 
 @cache
@@ -69,7 +107,15 @@ def tensors() -> Namespace:
     """Return the namespace of torch tensors; torch is imported by the first call."""
     import torch
 
-    return Namespace(torch.sin, torch.cos, torch.sqrt, torch.floor, torch.clamp, torch.where)
+    def scaled(rows: Any, factors: Constants) -> Any:
+        return [x * k for x, k in zip(rows, factors.numbers, strict=True)]
+
+    def bounded(rows: Any, bounds: Constants) -> Any:
+        return [torch.clamp(x, -b, b) for x, b in zip(rows, bounds.numbers, strict=True)]
+
+    return Namespace(
+        torch.sin, torch.cos, torch.sqrt, torch.floor, torch.clamp, torch.where, scaled, bounded, torch.stack
+    )
 
 
 def wrap_angle(angle: Number, ns: Namespace = FLOATS) -> Number:

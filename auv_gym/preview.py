@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.errors import to_body
+from auv_gym.namespaces import Namespace
 from auv_gym.paths import Path, evaluate
 from auv_gym.task import BOUNDS, SIZE, L, Observation
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-COS_PSI, SIN_PSI = (Observation._fields.index(name) for name in ("cos_psi", "sin_psi"))
 FARTHEST = 1000
 """Most control periods that a preview may look ahead."""
 
@@ -106,12 +106,13 @@ class Preview:
         return np.asarray((later - now[:, None]).transpose(1, 2, 0))
 
 
-def encode_preview(ahead: Array, terms: Sequence[Any]) -> Array:
-    """Return a preview's columns, shape (n, 2 P), for displacements in the world, shape (P, 2, n), and `task.TERMS`."""
-    c, s = terms[COS_PSI], terms[SIN_PSI]
-    rows = np.stack(to_body(ahead[:, 0], ahead[:, 1], c, s), axis=1)
-    columns: Array = np.clip(rows, -L, L).reshape(-1, rows.shape[-1]).T
-    return columns
+def encode_preview(ahead: Any, o: Observation, ns: Namespace) -> Any:
+    """Return a preview's columns as rows, shape (2 P, n), for displacements in the world [m], shape (P, 2, n).
+
+    `o` is the observation, whose measured heading alone counts; `ns` is the namespace of arrays or tensors.
+    """
+    turned = ns.stack(to_body(ahead[:, 0], ahead[:, 1], o.cos_psi, o.sin_psi), 1)
+    return ns.clip(turned, -L, L).reshape(2 * len(ahead), -1)
 
 
 def _positions(paths: Sequence[Path], t: Array) -> Array:

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.namespaces import Namespace, Number
+from auv_gym.dynamics import Force
+from auv_gym.namespaces import ARRAYS, FLOATS, Constants, Namespace, Number
 
 
 class Term(NamedTuple):
@@ -28,76 +29,58 @@ class Term(NamedTuple):
 L, V, W = 64.0, 16.0, 8.0
 """Bounds of positions [m], velocities [m/s] and yaw rates [rad/s] in an observation."""
 
-TERMS = (
-    Term("e_x", "m", 1.0, L, "measured position error along the body's surge axis, R(psi)^T (x_e, y_e)"),
-    Term("e_y", "m", 1.0, L, "the same along the sway axis"),
-    Term("psi_e", "rad", 0.5, 2 * math.pi, "measured heading error, in [-pi, pi)"),
-    Term("u_e", "m/s", 0.5, V / 0.5, "measured surge velocity error, over ground"),
-    Term("v_e", "m/s", 0.5, V / 0.5, "measured sway velocity error, over ground"),
-    Term("r_e", "rad/s", 0.125, W / 0.125, "measured yaw rate error"),
-    Term("u_R", "m/s", 0.5, V / 0.5, "reference surge velocity"),
-    Term("v_R", "m/s", 0.5, V / 0.5, "reference sway velocity"),
-    Term("r_R", "rad/s", 0.125, W / 0.125, "reference yaw rate"),
-    Term("F_uR", "N", 128.0, 64.0, "reference surge force (16a)"),
-    Term("F_rR", "N m", 64.0, 64.0, "reference yaw torque (16b)"),
-    Term("cos_psi", "1", 1.0, 1.0, "cosine of the measured heading"),
-    Term("sin_psi", "1", 1.0, 1.0, "sine of the measured heading"),
-    Term("F_u_max", "N", 128.0, 64.0, "surge force that action 1 commands"),
-    Term("F_r_max", "N m", 64.0, 64.0, "yaw torque that action 1 commands"),
-    Term("a_u", "1", 1.0, 1.0, "previous action, surge"),
-    Term("a_r", "1", 1.0, 1.0, "previous action, yaw"),
-    Term("dt", "s", 0.125, 80.0, "control period"),
-)
-SIZE = len(TERMS)
-SCALES = np.array([term.scale for term in TERMS])
-INVERSE_SCALES = 1.0 / SCALES
-BOUNDS = np.array([term.bound for term in TERMS])
-
 
 class Observation(NamedTuple):
-    """A decoded observation in SI units, the fields of `TERMS`: floats, or arrays of shape (N,)."""
+    """A decoded observation in SI units: floats, or arrays of shape (N,); behind each field the rest of its `Term`."""
 
-    e_x: Number
-    e_y: Number
-    psi_e: Number
-    u_e: Number
-    v_e: Number
-    r_e: Number
-    u_R: Number
-    v_R: Number
-    r_R: Number
-    F_uR: Number
-    F_rR: Number
-    cos_psi: Number
-    sin_psi: Number
-    F_u_max: Number
-    F_r_max: Number
-    a_u: Number
-    a_r: Number
-    dt: Number
+    e_x: Annotated[Number, "m", 1.0, L, "measured position error along the body's surge axis, R(psi)^T (x_e, y_e)"]
+    e_y: Annotated[Number, "m", 1.0, L, "the same along the sway axis"]
+    psi_e: Annotated[Number, "rad", 0.5, 2 * math.pi, "measured heading error, in [-pi, pi)"]
+    u_e: Annotated[Number, "m/s", 0.5, V / 0.5, "measured surge velocity error, over ground"]
+    v_e: Annotated[Number, "m/s", 0.5, V / 0.5, "measured sway velocity error, over ground"]
+    r_e: Annotated[Number, "rad/s", 0.125, W / 0.125, "measured yaw rate error"]
+    u_R: Annotated[Number, "m/s", 0.5, V / 0.5, "reference surge velocity"]
+    v_R: Annotated[Number, "m/s", 0.5, V / 0.5, "reference sway velocity"]
+    r_R: Annotated[Number, "rad/s", 0.125, W / 0.125, "reference yaw rate"]
+    F_uR: Annotated[Number, "N", 128.0, 64.0, "reference surge force (16a)"]
+    F_rR: Annotated[Number, "N m", 64.0, 64.0, "reference yaw torque (16b)"]
+    cos_psi: Annotated[Number, "1", 1.0, 1.0, "cosine of the measured heading"]
+    sin_psi: Annotated[Number, "1", 1.0, 1.0, "sine of the measured heading"]
+    F_u_max: Annotated[Number, "N", 128.0, 64.0, "surge force that action 1 commands"]
+    F_r_max: Annotated[Number, "N m", 64.0, 64.0, "yaw torque that action 1 commands"]
+    a_u: Annotated[Number, "1", 1.0, 1.0, "previous action, surge"]
+    a_r: Annotated[Number, "1", 1.0, 1.0, "previous action, yaw"]
+    dt: Annotated[Number, "s", 0.125, 80.0, "control period"]
+
+
+TERMS = tuple(Term(name, *hint.__metadata__) for name, hint in get_type_hints(Observation, include_extras=True).items())
+SIZE = len(TERMS)
+SCALES = np.array([term.scale for term in TERMS])
+BOUNDS = np.array([term.bound for term in TERMS])
+ERRORS = 6
+"""How many of the terms, the first ones, may leave their bounds: the others are inside of them by construction."""
+
+_SCALES, _INVERSE, _ERROR_BOUNDS = Constants.of(SCALES), Constants.of(1.0 / SCALES), Constants.of(BOUNDS[:ERRORS])
+_SURELY_INSIDE = float((SCALES * BOUNDS)[:ERRORS].min())
+
+
+def encode(terms: Sequence[Number], ns: Namespace) -> Any:
+    """Return observations, their first axis counting the terms, for terms in SI units: each over its scale, bounded."""
+    rows = ns.scaled(terms, _INVERSE)
+    if ns is not FLOATS or not max(map(abs, terms[:ERRORS])) < _SURELY_INSIDE:  # cheaper than to bound
+        rows[:ERRORS] = ns.bounded(rows[:ERRORS], _ERROR_BOUNDS)
+    return rows if isinstance(rows, np.ndarray) else ns.stack(rows)
+
+
+def decode(rows: Any, ns: Namespace) -> Any:
+    """Return the terms in SI units of observations whose first axis counts the terms."""
+    return ns.scaled(rows, _SCALES)
 
 
 def encode_observation(terms: Sequence[float]) -> NDArray[np.float64]:
     """Return the observation, shape (SIZE,), of terms in SI units."""
-    observation = np.array(terms)
-    observation *= INVERSE_SCALES
-    e_x, e_y, _, u_e, v_e, r_e = terms[:6]
-    if not (-L < e_x < L and -L < e_y < L and -V < u_e < V and -V < v_e < V and -W < r_e < W):
-        np.clip(observation, -BOUNDS, BOUNDS, out=observation)  # rarely, as it costs more than the comparisons
+    observation: NDArray[np.float64] = encode(terms, FLOATS)
     return observation
-
-
-def encode_rows(terms: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Return N observations, shape (N, SIZE), of terms in SI units that are rows of shape (N,).
-
-    In memory a term stays a row: a transposed copy would cost as much as a tenth of the whole step.
-    """
-    rows = np.array(terms)
-    rows *= INVERSE_SCALES[:, None]
-    errors, bounds = rows[:6], BOUNDS[:6, None]  # the other terms are inside by construction
-    np.minimum(errors, bounds, out=errors)
-    np.maximum(errors, -bounds, out=errors)
-    return rows.T
 
 
 def decode_observation(observation: NDArray[Any]) -> Observation:
@@ -116,20 +99,26 @@ def decoded_terms(observation: NDArray[Any]) -> Any:
     shape = observation.shape
     if not 1 <= len(shape) <= 2 or shape[-1] < SIZE:
         raise ValueError(f"observation has shape {shape}; it must be ({SIZE},) or (N, {SIZE}), or wider")
-    if shape[-1] > SIZE:
-        observation = observation[..., :SIZE]
-    terms = observation * SCALES
-    return terms.tolist() if len(shape) == 1 else terms.T
+    if len(shape) == 1:
+        return decode(observation[:SIZE], FLOATS).tolist()
+    return decode(observation.T[:SIZE], ARRAYS)
+
+
+def action_of(forces: Force, limits: Force, ns: Namespace) -> tuple[Number, Number]:
+    """Return the actions, fractions in [-1, 1], that command F_u [N] and F_r [N m] where action 1 commands `limits`."""
+    return ns.clip(forces[0] / limits[0], -1.0, 1.0), ns.clip(forces[1] / limits[1], -1.0, 1.0)
 
 
 def check_reference(table: NDArray[np.float64]) -> None:
     """Raise ValueError if a reference table, shape (T, 8, ...), has rates or forces beyond the observation's bounds."""
-    for column, i in zip(range(3, 8), range(6, 11), strict=True):
-        largest, bound = float(np.abs(table[:, column]).max()), float(BOUNDS[i] * SCALES[i])
-        if not largest <= bound:
-            raise ValueError(
-                f"reference {TERMS[i].name} reaches {largest:.4g} {TERMS[i].unit}; at most {bound:g} can be observed"
-            )
+    names = "x", "y", "psi", "u_R", "v_R", "r_R", "F_uR", "F_rR"  # of its columns, as in an observation
+    for term in TERMS:
+        if term.name in names:
+            largest, bound = float(np.abs(table[:, names.index(term.name)]).max()), term.bound * term.scale
+            if not largest <= bound:
+                raise ValueError(
+                    f"reference {term.name} reaches {largest:.4g} {term.unit}; at most {bound:g} can be observed"
+                )
 
 
 def reward(

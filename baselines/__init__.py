@@ -9,8 +9,9 @@ import gymnasium as gym
 
 from auv_gym.envs import make_track_vector_env
 from auv_gym.envs.lanes import ScenarioLike
+from auv_gym.envs.residual import ResidualAction, VectorResidualAction
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.residual import Policy, ResidualAction, VectorResidualAction, preview_of
+from auv_gym.policy import Policy, preview_of
 from auv_gym.scenario import Scenario
 from auv_gym.vehicle import Vehicle
 from baselines.agents.loading import AGENTS, FADING, is_path, load_policy, shipped_agents

@@ -8,8 +8,8 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.policy import preview_of
 from auv_gym.preview import columns_behind
-from auv_gym.residual import preview_of
 from auv_gym.task import Observation, decode_observation
 
 Array = NDArray[np.float64]

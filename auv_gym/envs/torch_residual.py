@@ -10,10 +10,11 @@ import torch
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
+from auv_gym.envs.residual import with_action
 from auv_gym.envs.torch_sim import TENSORS, TorchSimulator
 from auv_gym.namespaces import Namespace
-from auv_gym.residual import checked_authority, with_action
-from auv_gym.task import SCALES, SIZE
+from auv_gym.policy import checked_authority, corrected
+from auv_gym.task import SIZE, Observation, action_of, decode
 
 
 class TensorExpert(Protocol):
@@ -29,7 +30,7 @@ class TorchResidualAction(gym.vector.VectorWrapper[Tensor, Tensor, Tensor, Tenso
     Args:
         env: the simulator.
         expert: a law that computes on tensors.
-        authority: see `auv_gym.residual.ResidualAction`.
+        authority: see `auv_gym.envs.residual.ResidualAction`.
 
     Raises:
         ValueError: the expert does not compute on tensors, or an authority is not in (0, 2].
@@ -46,7 +47,6 @@ class TorchResidualAction(gym.vector.VectorWrapper[Tensor, Tensor, Tensor, Tenso
             )
         self.expert = expert
         self.authority = torch.tensor(checked_authority(authority), dtype=env.dtype, device=env.device)
-        self._scales = torch.tensor(SCALES, dtype=env.dtype, device=env.device)
         self.single_observation_space = with_action(env.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
 
@@ -62,10 +62,9 @@ class TorchResidualAction(gym.vector.VectorWrapper[Tensor, Tensor, Tensor, Tenso
         """Apply the expert's actions plus the corrections; see `TorchSimulator.step`."""
         if not isinstance(actions, Tensor) or actions.shape != (self.num_envs, 2):
             return self.env.step(actions)  # which refuses them
-        corrections = actions.to(self.env.device, self.env.dtype).clamp(-1.0, 1.0)
-        observation, reward, terminated, truncated, info = self.env.step(
-            self._observation[:, -2:] + self.authority * corrections
-        )
+        corrections = actions.to(self.env.device, self.env.dtype)
+        command = corrected(self._observation[:, -2:], self.authority, corrections, TENSORS)
+        observation, reward, terminated, truncated, info = self.env.step(command)
         if "final_obs" in info:
             info["final_obs"] = self._extended(info["final_obs"])
         self._observation = self._extended(observation)
@@ -79,7 +78,6 @@ class TorchResidualAction(gym.vector.VectorWrapper[Tensor, Tensor, Tensor, Tenso
 
     def _extended(self, observation: Tensor) -> Tensor:
         """Return observations (N, columns + 2) with the expert's actions, in float32 as every policy's are."""
-        o = (observation[:, :SIZE] * self._scales).unbind(dim=1)
-        F_u, F_r = self.expert.forces(o, TENSORS)
-        base = torch.stack((F_u / o[13], F_r / o[14]), dim=1).clamp(-1.0, 1.0)
+        o = Observation._make(decode(observation[:, :SIZE].unbind(dim=1), TENSORS))
+        base = torch.stack(action_of(self.expert.forces(o, TENSORS), (o.F_u_max, o.F_r_max), TENSORS), dim=1)
         return torch.cat((observation, base.to(torch.float32).to(observation.dtype)), dim=1)

@@ -36,17 +36,15 @@ from torch import Tensor
 
 from auv_gym import simulation
 from auv_gym.envs.lanes import Beginning, Indices, Lanes, ScenarioLike
-from auv_gym.errors import to_body
 from auv_gym.namespaces import tensors
-from auv_gym.preview import COS_PSI, SIN_PSI, observation_bounds
+from auv_gym.preview import encode_preview, observation_bounds
 from auv_gym.simulation import MEMORY, PARAMETERS, SAMPLE, Parameters, Parts, Plant
-from auv_gym.task import BOUNDS, INVERSE_SCALES, L
+from auv_gym.task import Observation, encode
 from auv_gym.vehicle import Vehicle
 
 logger = logging.getLogger(__name__)
 
 TENSORS = tensors()
-ENCODING = list(zip(INVERSE_SCALES.tolist(), BOUNDS.tolist(), strict=True))  # numbers: the graph may hold no NumPy
 STATE = 10 + MEMORY  # rows of a `simulation.Plant`
 PLAIN = Parts()
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
@@ -78,7 +76,7 @@ def simulate(state: Tensor, action: Tensor, sample: Tensor, parameters: Tensor, 
         _unpacked(state), action.unbind(), sample.unbind(), p, TENSORS
     )
     return Transition(
-        _packed(plant), _encoded(terms), reward, lost.to(state.dtype), squared_error, saturated.to(state.dtype)
+        _packed(plant), encode(terms, TENSORS), reward, lost.to(state.dtype), squared_error, saturated.to(state.dtype)
     )
 
 
@@ -89,10 +87,6 @@ def _packed(plant: Plant) -> Tensor:
 def _unpacked(state: Tensor) -> Plant:
     rows = state.unbind()
     return (*rows[:10], rows[10:])
-
-
-def _encoded(terms: Sequence[Tensor]) -> Tensor:
-    return torch.stack([torch.clamp(x * k, -b, b) for x, (k, b) in zip(terms, ENCODING, strict=True)])
 
 
 @cache
@@ -224,7 +218,7 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
         p = Parameters.of(self._tensor(constants).unbind(), host.parts)
         states = self._tensor(beginning.states).unbind()
         plant, terms = simulation.start(states, self._tensor(ahead[0]).unbind(), p, TENSORS)  # type: ignore[arg-type]
-        begun, first = _packed(plant), self._with_preview(_encoded(terms), beginning.lanes).T
+        begun, first = _packed(plant), self._with_preview(encode(terms, TENSORS), beginning.lanes).T
         self._state = begun if self._state is None else self._state.index_copy(1, where, begun)
         return observation.index_copy(0, where, first)
 
@@ -234,8 +228,8 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
         if not host.preview.periods:
             return rows
         ahead = self._tensor(host.preview.ahead(lanes, host.k[lanes]))
-        turned = torch.stack(to_body(ahead[:, 0], ahead[:, 1], rows[COS_PSI], rows[SIN_PSI]), dim=1)
-        return torch.cat((rows, turned.clamp(-L, L).flatten(0, 1)))
+        o = Observation._make(rows.unbind())  # the scale of sine and cosine is 1
+        return torch.cat((rows, encode_preview(ahead, o, TENSORS)))
 
     def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
         """Advance every vehicle by one control period; start the next episode where one ends.

@@ -12,7 +12,7 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from auv_gym.episode import checked_options, with_options
-from auv_gym.namespaces import FLOATS
+from auv_gym.namespaces import ARRAYS, FLOATS
 from auv_gym.paths import Path
 from auv_gym.planner import Reference, plan
 from auv_gym.presets import as_scenario
@@ -21,7 +21,7 @@ from auv_gym.rendering import Renderer, View
 from auv_gym.scenario import Scenario
 from auv_gym.simulation import Parameters, Terms, current_at, ground_state, start, step
 from auv_gym.tape import Tape
-from auv_gym.task import check_reference, encode_observation
+from auv_gym.task import Observation, check_reference, encode
 from auv_gym.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -186,10 +186,11 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         return self._encoded(terms), self._info
 
     def _encoded(self, terms: Terms) -> Array:
-        observation = encode_observation(terms)
+        observation: Array = encode(terms, FLOATS)
         if not self._preview.periods:
             return observation
-        return np.append(observation, encode_preview(self._preview.ahead((0,), self._k), terms))
+        ahead = self._preview.ahead((0,), self._k)
+        return np.append(observation, encode_preview(ahead, Observation._make(terms), ARRAYS))
 
     def _read(self) -> None:
         self._rows = self._tape.read((0,), BLOCK)[:, :, 0].tolist()

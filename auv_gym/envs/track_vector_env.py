@@ -17,7 +17,7 @@ from auv_gym.envs.track_env import ReferencePoint
 from auv_gym.namespaces import ARRAYS
 from auv_gym.preview import encode_preview, observation_bounds
 from auv_gym.simulation import Parameters, Plant, Terms, current_at, ground_state, start, step
-from auv_gym.task import encode_rows
+from auv_gym.task import Observation, encode
 from auv_gym.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -111,8 +111,10 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
         """Return the observations of n lanes, shape (n, columns)."""
         preview = self._lanes.preview
         if not preview.periods:
-            return encode_rows(terms)
-        return np.hstack((encode_rows(terms), encode_preview(preview.ahead(lanes, self._lanes.k[lanes]), terms)))
+            return encode(terms, ARRAYS).T  # type: ignore[no-any-return]
+        ahead = preview.ahead(lanes, self._lanes.k[lanes])
+        columns = encode_preview(ahead, Observation._make(terms), ARRAYS)
+        return np.hstack((encode(terms, ARRAYS).T, columns.T))
 
     def step(self, actions: NDArray[Any]) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
         """Advance every vehicle by one control period; start the next episode where one ends.

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.policy import Policy, checked_authority
 from auv_gym.records import from_record, to_record
-from auv_gym.residual import Policy, checked_authority
 from auv_gym.task import TERMS
 from baselines.agents.features import ERRORS, STANDARD, Inputs
 from baselines.agents.loading import is_path

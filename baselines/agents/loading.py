@@ -11,7 +11,7 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-from auv_gym.residual import Policy
+from auv_gym.policy import Policy
 from auv_gym.task import SIZE
 
 ALGORITHMS = {

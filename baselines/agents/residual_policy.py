@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.namespaces import ARRAYS
+from auv_gym.policy import Policy, corrected, preview_of
 from auv_gym.preview import shared_preview
-from auv_gym.residual import Policy, preview_of
 from auv_gym.task import SIZE
 from baselines.agents.features import INTEGRALS, STANDARD, Inputs, scaled_errors
 from baselines.agents.networks import Network, Weights
@@ -69,7 +69,7 @@ class ResidualPolicy:
         correction, hidden = self.network.forward(self.weights, np.array(features).T, hidden)
         if self.region is not None:
             correction *= trust(np.array(scaled_errors(o, ARRAYS)), self.region)[:, None]
-        action = np.clip(base + self.authority * correction, -1.0, 1.0).astype(np.float32)
+        action = corrected(base, self.authority, correction, ARRAYS).astype(np.float32)
         memory = np.array(sums).T, correction, hidden, *(past or ())
         return (action[0] if observation.ndim == 1 else action), memory
 

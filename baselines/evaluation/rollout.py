@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.episode import Episode
 from auv_gym.paths import Line
-from auv_gym.residual import Policy, preview_of
+from auv_gym.policy import Policy, preview_of
 from auv_gym.scenario import Scenario
 from baselines.evaluation.metrics import Array, Measures, Track, effort, rmse, settling_time, smoothness, tail_rmse
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from auv_gym.policy import preview_of
 from auv_gym.presets import REGIMES
-from auv_gym.residual import preview_of
 from auv_gym.task import Observation
 from baselines.control.backstepping import CRUISE_SPEED
 from baselines.policy import Array, Controller, Memory, along

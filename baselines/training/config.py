@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from auv_gym.policy import Policy, checked_authority
 from auv_gym.records import from_record
-from auv_gym.residual import Policy, checked_authority
 from auv_gym.scenario import Scenario
 from baselines import make_policy
 from baselines.agents.loading import is_path

@@ -13,7 +13,7 @@ from pathlib import Path
 from pickle import UnpicklingError
 from typing import TYPE_CHECKING, Any
 
-from auv_gym.residual import Policy
+from auv_gym.policy import Policy
 from baselines.tools.files import json_text, write_atomically
 from baselines.training.config import Config
 from baselines.training.validation import Validation, validation_cell

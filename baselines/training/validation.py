@@ -17,7 +17,7 @@ from auv_gym import __version__
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.namespaces import ARRAYS
 from auv_gym.paths import Line
-from auv_gym.residual import Policy, preview_of
+from auv_gym.policy import Policy, preview_of
 from auv_gym.scenario import Scenario
 from auv_gym.task import decode_observation
 from baselines import make_policy

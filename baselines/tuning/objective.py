@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.policy import Policy, preview_of
 from auv_gym.presets import CASES, PRESETS
-from auv_gym.residual import Policy, preview_of
 from baselines.evaluation.metrics import Array, effort, smoothness, tail_rmse
 from baselines.evaluation.score import LARGEST_TAIL
 

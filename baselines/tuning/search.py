@@ -19,8 +19,8 @@ import numpy as np
 from scipy import optimize
 from tyro.conf import Positional, arg
 
+from auv_gym.policy import Policy
 from auv_gym.presets import CASES
-from auv_gym.residual import Policy
 from baselines import make_policy
 from baselines.control.backstepping import GAINS, Backstepping, Gains
 from baselines.control.current_observer import START as OBSERVER

@@ -15,8 +15,8 @@ from auv_gym.errors import to_body
 from auv_gym.namespaces import ARRAYS, Namespace, Number
 from auv_gym.paths import Circle, Line
 from auv_gym.planner import plan
-from auv_gym.residual import Policy
-from auv_gym.task import encode_rows
+from auv_gym.policy import Policy
+from auv_gym.task import encode
 from auv_gym.vehicle import Vehicle
 from baselines.control.backstepping import Backstepping, Gains, backstepping_errors, tracking_forces
 
@@ -148,7 +148,7 @@ def feedback_of(policy: Policy, dt: float) -> tuple[Feedback, float]:
         n = len(o[0])
         one, zero, limit = np.ones(n), np.zeros(n), np.full(n, LIMITS)
         rest = (one, zero, limit, limit, o[9] / LIMITS, o[10] / LIMITS, np.full(n, dt))
-        actions, memory = policy.predict(encode_rows((*o, *rest)), None, np.ones(n, dtype=bool))
+        actions, memory = policy.predict(encode((*o, *rest), ARRAYS).T, None, np.ones(n, dtype=bool))
         if memory is not None:
             raise ValueError("it has a memory; the map is of policies without one")
         F_u, F_r = LIMITS * np.asarray(actions, dtype=np.float64).T

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_lyapunov
 
-from auv_gym.residual import Policy
+from auv_gym.policy import Policy
 from auv_gym.vehicle import Vehicle
 from baselines.evaluation.stability.analysis import Array, feedback_of, linearise_about
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from auv_gym.actuators import Actuators
+from auv_gym.policy import Policy
 from auv_gym.presets import PAPER_SCENARIO
-from auv_gym.residual import Policy
 from auv_gym.scenario import Start
 from auv_gym.vehicle import PAPER_VEHICLE
 from baselines import make_policy

@@ -11,12 +11,11 @@ import torch
 from torch import Tensor, nn
 
 from auv_gym.envs.torch_sim import PLAIN, STATE, TENSORS, simulate
-from auv_gym.errors import to_body
 from auv_gym.namespaces import Namespace
-from auv_gym.preview import COS_PSI, SIN_PSI
-from auv_gym.residual import Policy
+from auv_gym.policy import Policy, corrected
+from auv_gym.preview import encode_preview
 from auv_gym.simulation import Parts
-from auv_gym.task import SCALES, SIZE, L
+from auv_gym.task import SIZE, Observation, action_of, decode
 from baselines.agents.features import INTEGRALS, STANDARD, Inputs
 from baselines.agents.networks import ACTIONS
 from baselines.control.backstepping import CRUISE_SPEED, Backstepping, tracking_forces
@@ -29,7 +28,6 @@ Law = Callable[[Sequence[Any], Namespace], tuple[Any, Any]]
 
 NEAR, CURVE = 2.0, 0.3
 """Where the error's loss turns from a parabola into a logarithm, in units of its scale, and how curved the first is."""
-DECODING: list[float] = SCALES.tolist()  # the graph may hold no NumPy
 TINY = 1e-6
 """Added to the squared error, in units of the scale's square: the distance has no slope at zero."""
 
@@ -103,22 +101,18 @@ class ClosedLoop:
         self, network: nn.Module, carried: Carried, ahead: Tensor, outside: Tensor | None = None
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return the command, shape (ACTIONS, N), integrals, correction and hidden state; see `step`."""
-        o = [x * k for x, k in zip(carried.observation.unbind(), DECODING, strict=True)]
-        F_u, F_r = self.law(o, TENSORS)
-        base = (F_u / o[13]).clamp(-1.0, 1.0), (F_r / o[14]).clamp(-1.0, 1.0)
+        o = Observation._make(decode(carried.observation.unbind(), TENSORS))
+        base = action_of(self.law(o, TENSORS), (o.F_u_max, o.F_r_max), TENSORS)
         if outside is not None:  # the expert's value, the law's slope
             base = (outside[0] + (base[0] - base[0].detach()), outside[1] + (base[1] - base[1].detach()))
-        rows = ahead.unbind()
-        ways = zip(rows[::2], rows[1::2], strict=True)
-        seen = [row.clamp(-L, L) for x, y in ways for row in to_body(x, y, o[COS_PSI], o[SIN_PSI])]
+        seen = encode_preview(ahead.reshape(-1, 2, ahead.shape[-1]), o, TENSORS).unbind() if len(ahead) else ()
         rows, integrals = self.inputs.update(
             o, seen, base, carried.correction.unbind(), carried.integrals.unbind(), TENSORS
         )
         correction, hidden = network(torch.stack(rows, dim=1), carried.hidden)
-        c_u, c_r = correction.unbind(dim=1)
-        a_u, a_r = self.authority.unbind()
-        command = torch.stack((base[0] + a_u * c_u, base[1] + a_r * c_r)).clamp(-1.0, 1.0)
-        return command, torch.stack(integrals), torch.stack((c_u, c_r)), hidden
+        correction = correction.T
+        command = corrected(torch.stack(base), self.authority[:, None], correction, TENSORS)
+        return command, torch.stack(integrals), correction, hidden
 
     def step(
         self,
@@ -153,7 +147,7 @@ def law_of(expert: Policy) -> tuple[Law, bool]:
     extended Kalman filter from the same law on the measurements, every other from the paper's law.
     """
     if isinstance(expert, Zero):
-        return lambda o, _: (0.0 * o[13], 0.0 * o[14]), True
+        return lambda o, _: (0.0 * o[0], 0.0 * o[0]), True
     controller = getattr(expert, "controller", None)
     if (
         isinstance(controller, BySpeed)

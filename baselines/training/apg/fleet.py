@@ -14,7 +14,7 @@ from auv_gym.envs.lanes import Beginning, Lanes
 from auv_gym.namespaces import ARRAYS
 from auv_gym.scenario import Scenario
 from auv_gym.simulation import Parameters
-from auv_gym.task import encode_rows
+from auv_gym.task import encode
 from baselines.training.apg.closed_loop import Carried
 
 
@@ -71,7 +71,7 @@ class Fleet:
         where = torch.as_tensor(lanes)
         state, observation, integrals, correction, hidden = (x.clone() for x in carried)
         state[:, where] = self._tensor(np.array(simulation.rows_of(plant)))
-        observation[:, where] = self._tensor(encode_rows(terms).T)
+        observation[:, where] = self._tensor(encode(terms, ARRAYS))
         integrals[:, where], correction[:, where], hidden[where] = 0.0, 0.0, 0.0
         self.parameters = self._tensor(host.constants)
         return Carried(state, observation, integrals, correction, hidden)

@@ -20,9 +20,10 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from auv_gym.envs.torch_sim import can_compile
 from auv_gym.intervals import check_number
+from auv_gym.namespaces import ARRAYS
+from auv_gym.policy import preview_of
 from auv_gym.preview import encode_preview, shared_preview
 from auv_gym.records import from_record
-from auv_gym.residual import preview_of
 from auv_gym.task import decode_observation
 from baselines.agents.agent import Agent
 from baselines.agents.features import Inputs
@@ -225,7 +226,7 @@ class Trainer:
         """Return the action of an expert on NumPy, shape (ACTIONS, N)."""
         rows = observation.detach().numpy().T.astype(np.float64)
         ways = ahead[self._seen_by_expert].numpy().astype(np.float64).reshape(-1, 2, len(rows))
-        rows = np.hstack((rows, encode_preview(ways, decode_observation(rows))))
+        rows = np.hstack((rows, encode_preview(ways, decode_observation(rows), ARRAYS).T))
         action, self._memory = self._expert.predict(rows, self._memory, fresh)
         return torch.from_numpy(np.ascontiguousarray(action.T))
 

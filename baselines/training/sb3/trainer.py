@@ -20,7 +20,8 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecMonitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvWrapper
 
-from auv_gym.residual import VectorResidualAction, preview_of
+from auv_gym.envs.residual import VectorResidualAction
+from auv_gym.policy import preview_of
 from baselines.agents.agent import Agent
 from baselines.training.config import Config
 from baselines.training.run_folder import Run, TrainingError

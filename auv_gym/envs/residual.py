@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -12,25 +12,8 @@ from numpy.typing import NDArray
 
 from auv_gym.envs.lanes import checked_actions, replaced
 from auv_gym.envs.track_env import checked_action
-from auv_gym.namespaces import FLOATS
-
-
-class Policy(Protocol):
-    """Whatever acts: Stable-Baselines3's `predict`, for one observation (n,) or a batch (N, n)."""
-
-    def predict(
-        self,
-        observation: NDArray[Any],
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """Return the action and the memory to hand in at the next call."""
-
-
-def preview_of(policy: Any) -> tuple[int, ...]:
-    """Return the preview that a policy's observations need, its attribute `preview`; most policies need none."""
-    return tuple(getattr(policy, "preview", ()))
+from auv_gym.namespaces import ARRAYS, FLOATS
+from auv_gym.policy import Policy, checked_authority, corrected
 
 
 class ResidualAction(gym.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArray[np.float64], NDArray[np.float32]]):
@@ -70,9 +53,8 @@ class ResidualAction(gym.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArr
         Raises:
             ValueError: the correction is not two finite numbers; nothing has changed then.
         """
-        correction_u, correction_r = (FLOATS.clip(a, -1.0, 1.0) for a in checked_action(action))
-        (base_u, base_r), (authority_u, authority_r) = self._base.tolist(), self.authority
-        command = np.array((base_u + authority_u * correction_u, base_r + authority_r * correction_r))
+        (c_u, c_r), (a_u, a_r), (base_u, base_r) = checked_action(action), self.authority, self._base.tolist()
+        command = np.array((corrected(base_u, a_u, c_u, FLOATS), corrected(base_r, a_r, c_r, FLOATS)))
         observation, reward, terminated, truncated, info = self.env.step(command)
         return self._extended(observation, False), float(reward), terminated, truncated, info
 
@@ -134,9 +116,9 @@ class VectorResidualAction(
         Raises:
             ValueError: a correction is not two finite numbers; nothing has changed then.
         """
-        corrections = np.clip(checked_actions(actions, self.num_envs), -1.0, 1.0)
-        command = self._base + np.array(self.authority) * corrections
-        observation, reward, terminated, truncated, info = self.env.step(command)  # type: ignore[arg-type]
+        corrections = checked_actions(actions, self.num_envs)
+        command = corrected(self._base, np.array(self.authority), corrections, ARRAYS)
+        observation, reward, terminated, truncated, info = self.env.step(command)
         done = terminated | truncated
         if "final_obs" in info:
             last = np.stack(info["final_obs"][done])
@@ -158,15 +140,3 @@ def with_action(space: Any) -> Any:
     """Return the space of observations that an action is appended to."""
     bounds = np.append(space.high, np.ones(2, dtype=space.dtype))
     return gym.spaces.Box(-bounds, bounds, dtype=space.dtype)
-
-
-def checked_authority(authority: float | Sequence[float]) -> tuple[float, float]:
-    """Return the authority as a pair.
-
-    Raises:
-        ValueError: it is neither a number nor a pair, or not in (0, 2].
-    """
-    pair = tuple(authority) if isinstance(authority, Sequence) else (authority, authority)
-    if len(pair) != 2 or not all(isinstance(a, (int, float)) and 0 < a <= 2 for a in pair):
-        raise ValueError(f"authority is {authority!r}; it must be a number in (0, 2], or one each for surge and yaw")
-    return float(pair[0]), float(pair[1])
