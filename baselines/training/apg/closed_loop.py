@@ -19,10 +19,10 @@ from auv_gym.simulation import Parts
 from auv_gym.task import SCALES, SIZE, L
 from baselines.agents.features import INTEGRALS, STANDARD, Inputs
 from baselines.agents.networks import ACTIONS
-from baselines.control.backstepping import CRUISE_SPEED, Backstepping, tracking_forces
+from baselines.control.backstepping import U_R, V_R, Backstepping, tracking_forces
 from baselines.control.ekf_law import EkfLaw
-from baselines.control.zero import Zero
-from baselines.gains.loading import BySpeed
+from baselines.control.open_loop import Zero
+from baselines.policy import BySpeed, is_fast
 
 Law = Callable[[Sequence[Any], Namespace], tuple[Any, Any]]
 """Forces F_u [N], F_r [N m] from the terms of an observation in SI units, as `Backstepping.forces`."""
@@ -166,6 +166,6 @@ def law_of(expert: Policy) -> tuple[Law, bool]:
 
 
 def _by_speed(slow: EkfLaw, cruise: EkfLaw, o: Sequence[Any], ns: Namespace) -> tuple[Any, Any]:
-    fast = o[6] * o[6] + o[7] * o[7] > CRUISE_SPEED * CRUISE_SPEED
+    fast = is_fast(o[U_R], o[V_R])
     slow_forces, cruise_forces = (tracking_forces(o, law.vehicle, law.gains, ns) for law in (slow, cruise))
     return ns.where(fast, cruise_forces[0], slow_forces[0]), ns.where(fast, cruise_forces[1], slow_forces[1])
