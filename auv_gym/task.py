@@ -104,9 +104,10 @@ def decoded_terms(observation: NDArray[Any]) -> Any:
     return decode(observation.T[:SIZE], ARRAYS)
 
 
-def action_of(forces: Force, limits: Force, ns: Namespace) -> tuple[Number, Number]:
-    """Return the actions, fractions in [-1, 1], that command F_u [N] and F_r [N m] where action 1 commands `limits`."""
-    return ns.clip(forces[0] / limits[0], -1.0, 1.0), ns.clip(forces[1] / limits[1], -1.0, 1.0)
+def action_of(forces: Force, o: Observation, ns: Namespace) -> tuple[Number, Number]:
+    """Return the action that commands F_u [N], F_r [N m], within [-1, 1]; its limits are those of the observation."""
+    F_u, F_r = forces
+    return ns.clip(F_u / o.F_u_max, -1.0, 1.0), ns.clip(F_r / o.F_r_max, -1.0, 1.0)
 
 
 def check_reference(table: NDArray[np.float64]) -> None:

@@ -1,20 +1,42 @@
-"""Controllers with memory as policies: batching, resetting and clipping in one place."""
+"""What all controllers share: speeds, regimes, actions, and how a law with memory becomes a policy."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.namespaces import ARRAYS, Namespace, Number
 from auv_gym.policy import preview_of
 from auv_gym.preview import columns_behind
-from auv_gym.task import Observation, decode_observation
+from auv_gym.task import Observation, action_of, decode_observation
 
 Array = NDArray[np.float64]
 Memory: TypeAlias = tuple[NDArray[Any], ...]
 """What a controller remembers: arrays whose leading axis counts the N vehicles it steers."""
+
+CRUISE_SPEED = 0.4
+"""Reference speed [m/s] above which controllers use their gains for cruise."""
+SPEED_FLOOR = 0.02
+"""Floor [m/s] under a reference speed that something is divided by."""
+
+
+def squared_speed(u_R: Number, v_R: Number, ns: Namespace) -> Number:
+    """Return the square [m^2/s^2] of `reference_speed`."""
+    return ns.clip(u_R * u_R + v_R * v_R, SPEED_FLOOR * SPEED_FLOOR, math.inf)
+
+
+def reference_speed(u_R: Number, v_R: Number, ns: Namespace) -> Number:
+    """Return the speed [m/s] of a reference with velocities u_R, v_R, at least `SPEED_FLOOR`."""
+    return ns.sqrt(squared_speed(u_R, v_R, ns))
+
+
+def is_fast(u_R: Number, v_R: Number) -> Any:
+    """Return whether a reference with velocities u_R, v_R [m/s] is faster than `CRUISE_SPEED`, for each vehicle."""
+    return u_R * u_R + v_R * v_R > CRUISE_SPEED * CRUISE_SPEED
 
 
 class Controller(Protocol):
@@ -59,9 +81,36 @@ class Remembering:
         rows, o, extra = batched(observation, self.preview)
         state = renewed(state, self.controller.start(len(rows)), episode_start)
         F_u, F_r, state = self.controller.forces(o, state, extra)
-        action = np.stack((F_u / o.F_u_max, F_r / o.F_r_max), axis=1)
-        action = np.clip(action, -1.0, 1.0).astype(np.float32)
+        action = np.stack(action_of((F_u, F_r), o, ARRAYS), axis=1).astype(np.float32)
         return (action[0] if observation.ndim == 1 else action), state
+
+
+class BySpeed:
+    """Two controllers in one: at each instant the first steers the slow vehicles and the second the fast ones.
+
+    Both have the same kind of memory, and each goes on with what the other has left in it; both need the same preview.
+    """
+
+    def __init__(self, slow: Controller, cruise: Controller) -> None:
+        """Join two controllers; where the reference is faster than `CRUISE_SPEED`, the second one acts."""
+        self.slow, self.cruise = slow, cruise
+        self.preview = preview_of(slow)
+
+    def start(self, n: int) -> Memory:
+        """Return the memory at the start of n episodes."""
+        return self.slow.start(n)
+
+    def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
+        """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
+        fast = is_fast(o.u_R, o.v_R)
+        if fast.all():
+            return self.cruise.forces(o, memory, extra)
+        F_u, F_r, after = self.slow.forces(o, memory, extra)
+        if not fast.any():
+            return F_u, F_r, after
+        C_u, C_r, cruise_after = self.cruise.forces(o, memory, extra)
+        chosen = tuple(np.where(along(fast, a), b, a) for a, b in zip(after, cruise_after, strict=True))
+        return np.where(fast, C_u, F_u), np.where(fast, C_r, F_r), chosen
 
 
 def batched(observation: NDArray[Any], preview: Sequence[int]) -> tuple[NDArray[Any], Observation, NDArray[Any]]:

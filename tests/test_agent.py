@@ -177,7 +177,7 @@ def test_missing_folder():
 def test_zero_head_reproduces_the_expert(expert):
     weights = weights_of(SIZES) | {"head.weight": np.zeros((2, 8)), "head.bias": np.zeros(2)}
     policy = Agent(SIZES, weights, expert, (0.5, 0.5)).policy()
-    peer = baselines.control.zero.Zero() if expert == "none" else make_policy(expert)
+    peer = baselines.control.open_loop.Zero() if expert == "none" else make_policy(expert)
     env = UnderactuatedAUVTrackVectorEnv(3, ["cruise-storm", "slow-noise", "cruise-actuator"])
     observation, _ = env.reset(seed=0)
     state, other, first = None, None, np.ones(3, dtype=bool)

@@ -14,7 +14,7 @@ from baselines import make_policy
 from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES, Inputs
 from baselines.agents.networks import Gru, Mlp
-from baselines.control.zero import Zero
+from baselines.control.open_loop import Zero
 from baselines.training.apg.closed_loop import CURVE, NEAR, Carried, ClosedLoop, Loss, law_of
 from baselines.training.apg.fleet import Fleet
 from baselines.training.apg.torch_network import torch_network, weights_of

@@ -20,7 +20,8 @@ from baselines.control.integral import FORMS
 from baselines.control.los_pid import PIDGains
 from baselines.control.lqi import Weights, error_dynamics, gain_schedule, optimal_gain, sampled_model
 from baselines.gains import loading as gain_files
-from baselines.gains.loading import BySpeed, load_gains
+from baselines.gains.loading import load_gains
+from baselines.policy import BySpeed
 from baselines.tuning.search import TUNABLES
 
 NAMES = ["integral", "integral-normalised", "los-pid", "lqi"]

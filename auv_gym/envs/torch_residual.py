@@ -79,5 +79,5 @@ class TorchResidualAction(gym.vector.VectorWrapper[Tensor, Tensor, Tensor, Tenso
     def _extended(self, observation: Tensor) -> Tensor:
         """Return observations (N, columns + 2) with the expert's actions, in float32 as every policy's are."""
         o = Observation._make(decode(observation[:, :SIZE].unbind(dim=1), TENSORS))
-        base = torch.stack(action_of(self.expert.forces(o, TENSORS), (o.F_u_max, o.F_r_max), TENSORS), dim=1)
+        base = torch.stack(action_of(self.expert.forces(o, TENSORS), o, TENSORS), dim=1)
         return torch.cat((observation, base.to(torch.float32).to(observation.dtype)), dim=1)

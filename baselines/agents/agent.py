@@ -28,7 +28,7 @@ from baselines.agents.loading import is_path
 from baselines.agents.model_card import CURVE, model_card
 from baselines.agents.networks import Network, Weights, check_weights, network_of, network_record
 from baselines.agents.residual_policy import ResidualPolicy
-from baselines.control.zero import NO_EXPERT, Zero
+from baselines.control.open_loop import NO_EXPERT, Zero
 
 FORMAT = 2
 """Version of the folder's layout."""

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from auv_gym.errors import to_body, to_world
 from auv_gym.namespaces import Namespace, Number
 from auv_gym.preview import checked_preview
-from baselines.control.backstepping import MIN_SPEED
+from baselines.policy import reference_speed
 
 BOUND = 8.0
 """Largest magnitude of a feature."""
@@ -28,7 +28,7 @@ class Feature(NamedTuple):
 
     name: str
     unit: str
-    scale: str  # U: the reference's speed, at least `MIN_SPEED`; F_u_max, F_r_max: the actuators' limits
+    scale: str  # U: the reference's speed, at least `policy.SPEED_FLOOR`; F_u_max, F_r_max: the actuators' limits
     meaning: str
 
 
@@ -68,12 +68,8 @@ INTEGRALS = 4
 def scaled_errors(o: Sequence[Number], ns: Namespace) -> tuple[Any, ...]:
     """Return the first `ERRORS` features before they are clipped."""
     e_x, e_y, psi_e, u_e, v_e, r_e, u_R, v_R = o[:8]
-    per_U = _per_speed(u_R, v_R, ns)
+    per_U = 1 / reference_speed(u_R, v_R, ns)
     return e_x * per_U, e_y * per_U, 2 * psi_e, 2 * u_e * per_U, 2 * v_e * per_U, 8 * r_e
-
-
-def _per_speed(u_R: Number, v_R: Number, ns: Namespace) -> Any:
-    return 1 / ns.sqrt(ns.clip(u_R * u_R + v_R * v_R, MIN_SPEED * MIN_SPEED, 1e6))
 
 
 @dataclass(frozen=True)
@@ -126,7 +122,7 @@ class Inputs:
         x2, y2 = x2 + dt * (x - SLOW * x2), y2 + dt * (y - SLOW * y2)
         fast_x, fast_y = to_body(x1, y1, c, s)
         slow_x, slow_y = to_body(x2, y2, c, s)
-        per_U = _per_speed(u_R, v_R, ns)
+        per_U = 1 / reference_speed(u_R, v_R, ns)
         sums = (0.25 * fast_x, 0.25 * fast_y, 0.1 * slow_x, 0.1 * slow_y) if self.integrals else ()
         straight = (per_U / (periods * dt) for periods in self.preview)
         later = zip(straight, ahead[::2], ahead[1::2], strict=True)

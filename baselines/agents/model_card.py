@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from baselines.control.zero import NO_EXPERT
+from baselines.control.open_loop import NO_EXPERT
 
 CURVE = "learning_curve.png"
 TEXT = """# {name}

@@ -19,8 +19,11 @@ from numpy.typing import NDArray
 from auv_gym.intervals import check_number
 from auv_gym.namespaces import ARRAYS, FLOATS, Namespace, Number
 from auv_gym.scenario import as_vehicle
-from auv_gym.task import decoded_terms
+from auv_gym.task import Observation, action_of, decode_observation
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from baselines.policy import is_fast, reference_speed, squared_speed
+
+U_R, V_R = (Observation._fields.index(name) for name in ("u_R", "v_R"))
 
 
 class StabilityWarning(UserWarning):
@@ -66,11 +69,6 @@ GAINS = {
 }
 """Gain sets by name, each with its origin."""
 
-CRUISE_SPEED = 0.4
-"""Reference speed [m/s] from which the expert uses the cruise gains."""
-MIN_SPEED = 0.02
-"""Floor [m/s] under the reference speed that the normalised form and the bounded error divide by."""
-
 
 class BacksteppingErrors(NamedTuple):
     """What backstepping drives to zero, and the factor g that multiplies the yaw rate in (28c)."""
@@ -87,7 +85,7 @@ def backstepping_errors(o: Sequence[Number], mass_ratio: float, gains: Gains, ns
     kap = gains.k + gains.k1
     z_v, g = v_e + kap * e_y, mass_ratio * (u_R + u_e)  # (26): alpha = -R^T (K + K_1) x_e
     if gains.reference_speed is not None:
-        scale = gains.reference_speed / ns.sqrt(ns.clip(u_R * u_R + v_R * v_R, MIN_SPEED * MIN_SPEED, math.inf))
+        scale = gains.reference_speed / reference_speed(u_R, v_R, ns)
         z_v, g = scale * z_v, scale * g
     return BacksteppingErrors(u_e + kap * e_x, z_v, r_e - gains.cr * (g * z_v - psi_e), g)  # (40)
 
@@ -128,8 +126,7 @@ def bounded_error(o: Sequence[Number], horizon: float, ns: Namespace = FLOATS) -
     still sees; that bounds the heading it asks for and its forces.
     """
     e_x, e_y, *rest = o
-    u_R, v_R = o[6], o[7]
-    U2 = ns.clip(u_R * u_R + v_R * v_R, MIN_SPEED * MIN_SPEED, math.inf)
+    U2 = squared_speed(o[U_R], o[V_R], ns)
     shrink = 1 / ns.sqrt(1 + (e_x * e_x + e_y * e_y) / (horizon * horizon * U2))
     return shrink * e_x, shrink * e_y, *rest
 
@@ -138,8 +135,8 @@ class Backstepping:
     """The tracking law as a policy with Stable-Baselines3's `predict`, for one observation or a batch.
 
     Args:
-        gains: a `Gains`, a name in `GAINS`, or "auto": the paper's gains where the reference is slower than
-            `CRUISE_SPEED`, the cruise gains elsewhere.
+        gains: a `Gains`, a name in `GAINS`, or "auto": the cruise gains where the reference is faster
+            than `policy.CRUISE_SPEED`, the paper's gains elsewhere.
         vehicle: the vehicle that the law believes in; an object, a name or a dict.
         horizon: bound on the position error as a travel time [s], see `bounded_error`; None: no bound.
 
@@ -172,7 +169,7 @@ class Backstepping:
             o = bounded_error(o, self.horizon, ns)
         if self._slow is self._fast:
             return tracking_forces(o, self.vehicle, self._fast, ns)
-        fast = o[6] * o[6] + o[7] * o[7] > CRUISE_SPEED * CRUISE_SPEED
+        fast = is_fast(o[U_R], o[V_R])
         if isinstance(fast, bool):
             return tracking_forces(o, self.vehicle, self._fast if fast else self._slow, ns)
         slow_forces, fast_forces = (tracking_forces(o, self.vehicle, g, ns) for g in (self._slow, self._fast))
@@ -193,16 +190,14 @@ class Backstepping:
         Raises:
             ValueError: the observation has another shape.
         """
-        o = decoded_terms(observation)
+        o = decode_observation(observation)
         if observation.ndim == 1:
-            if o[6] > self._max_speed:
-                self._warn(o[6])
-            F_u, F_r = self.forces(o)
-            return np.array((_clip(F_u / o[13]), _clip(F_r / o[14])), dtype=np.float32), state
-        if (u_R := float(o[6].max(initial=0.0))) > self._max_speed:
+            if o.u_R > self._max_speed:
+                self._warn(o.u_R)
+            return np.array(action_of(self.forces(o), o, FLOATS), dtype=np.float32), state
+        if (u_R := float(o.u_R.max(initial=0.0))) > self._max_speed:
             self._warn(u_R)
-        F_u, F_r = self.forces(o, ARRAYS)
-        return np.clip(np.stack((F_u / o[13], F_r / o[14]), axis=1), -1.0, 1.0).astype(np.float32), state
+        return np.stack(action_of(self.forces(o, ARRAYS), o, ARRAYS), axis=1).astype(np.float32), state
 
     def _warn(self, u_R: float) -> None:
         if not self._warned:
@@ -213,7 +208,3 @@ class Backstepping:
                 StabilityWarning,
                 stacklevel=3,
             )
-
-
-def _clip(action: float) -> float:
-    return -1.0 if action < -1.0 else 1.0 if action > 1.0 else action

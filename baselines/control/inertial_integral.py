@@ -9,8 +9,8 @@ import numpy as np
 from auv_gym.errors import to_body, to_world
 from auv_gym.namespaces import ARRAYS
 from auv_gym.task import Observation
-from baselines.control.backstepping import MIN_SPEED, bounded_error
-from baselines.policy import Array
+from baselines.control.backstepping import bounded_error
+from baselines.policy import Array, reference_speed
 
 
 def integrated(xi: Array, o: Observation, rate: float, horizon: float) -> Array:
@@ -28,7 +28,7 @@ def integrated(xi: Array, o: Observation, rate: float, horizon: float) -> Array:
     e_x, e_y, *_ = bounded_error(o, horizon, ARRAYS)
     moves = (np.abs(o.a_u) < 1.0) & (np.abs(o.a_r) < 1.0)
     grown: Array = xi + rate * o.dt * moves * np.array(to_world(e_x, e_y, o.cos_psi, o.sin_psi))
-    bound = horizon * np.maximum(np.hypot(o.u_R, o.v_R), MIN_SPEED)
+    bound = horizon * reference_speed(o.u_R, o.v_R, ARRAYS)
     shrunk: Array = grown * np.minimum(1.0, bound / np.maximum(np.hypot(*grown), math.ulp(1.0)))
     return shrunk
 

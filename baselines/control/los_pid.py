@@ -18,10 +18,10 @@ from auv_gym.namespaces import ARRAYS, wrap_angle
 from auv_gym.scenario import as_vehicle
 from auv_gym.task import Observation
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
-from baselines.control.backstepping import MIN_SPEED, bounded_error
+from baselines.control.backstepping import bounded_error
 from baselines.control.inertial_integral import integrated, seen_from_body
 from baselines.gains.loading import by_speed
-from baselines.policy import Array, Memory, Remembering
+from baselines.policy import Array, Memory, Remembering, reference_speed
 
 LARGEST_INTEGRAL = 0.5
 """Bound [rad s] of the heading autopilot's integral."""
@@ -64,7 +64,7 @@ class LineOfSightPID:
         g, vehicle = self.gains, self.vehicle
         m11, m22, m33 = vehicle.m11, vehicle.m22, vehicle.m33
         u, v, r = o.u_R + o.u_e, o.v_R + o.v_e, o.r_R + o.r_e
-        U = np.maximum(np.hypot(o.u_R, o.v_R), MIN_SPEED)
+        U = reference_speed(o.u_R, o.v_R, ARRAYS)
         gamma = np.arctan2(o.v_R, o.u_R)
         xi = integrated(memory[0].T, o, g.rate, g.horizon)
         e_x, e_y, *_ = bounded_error(o, g.horizon, ARRAYS)

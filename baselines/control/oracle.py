@@ -27,8 +27,8 @@ from auv_gym.paths import evaluate
 from auv_gym.planner import PathRates, assemble, path_rates, sideslip_rest, sideslip_step, sideslip_terms, slow_sideslip
 from auv_gym.scenario import Scenario
 from auv_gym.vehicle import Coefficients, Vehicle
-from baselines.control.backstepping import CRUISE_SPEED
 from baselines.control.truth import Array, Truth, nothing_sent
+from baselines.policy import is_fast
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Oracle:
         speeds = np.hypot(self._plan.state[:, 3], self._plan.state[:, 4]).mean(axis=0)
         self._gains = np.array(
             [
-                regulator(e.vehicle, V, WEIGHTS["cruise" if e.path.speed > CRUISE_SPEED else "slow"])
+                regulator(e.vehicle, V, WEIGHTS["cruise" if is_fast(e.path.speed, 0.0) else "slow"])
                 for e, V in zip(episodes, speeds.tolist(), strict=True)
             ]
         )

@@ -16,7 +16,6 @@ from auv_gym.intervals import check_number
 from auv_gym.namespaces import ARRAYS, wrap_angle
 from auv_gym.task import Observation
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
-from baselines.control.backstepping import MIN_SPEED
 from baselines.estimation.sea_model import (
     BIAS,
     CURRENT,
@@ -37,7 +36,7 @@ from baselines.estimation.sea_model import (
     wave_transition,
 )
 from baselines.estimation.water_frame import Motion, reference_motion
-from baselines.policy import Array, Memory
+from baselines.policy import SPEED_FLOOR, Array, Memory
 
 FIRST_NOISE = np.array((0.05, 0.05, 0.015, 0.02, 0.02, 0.005))
 """Standard deviations that the measurements are believed to have before the third difference exists, SI units."""
@@ -157,7 +156,7 @@ class ExtendedKalmanFilter:
 
     def _units(self, o: Observation) -> tuple[Array, Array, Array]:
         """Return the units of `Tuning`: speeds (N, 1), loads (N, 3); and the actuators' limits (N, 2)."""
-        speed = np.maximum(np.hypot(o.u_R, o.v_R), MIN_SPEED)[:, None]
+        speed = np.maximum(np.hypot(o.u_R, o.v_R), SPEED_FLOOR)[:, None]  # hypot: recorded rows repeat to the bit
         return speed, self._drag * speed, np.array((o.F_u_max, o.F_r_max)).T
 
     def _excitation(self, o: Observation) -> Array:

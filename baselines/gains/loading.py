@@ -8,13 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from auv_gym.policy import preview_of
 from auv_gym.presets import REGIMES
-from auv_gym.task import Observation
-from baselines.control.backstepping import CRUISE_SPEED
-from baselines.policy import Array, Controller, Memory, along
+from baselines.policy import BySpeed, Controller
 
 FOLDER = Path(__file__).parent
 
@@ -60,34 +55,6 @@ def load_gains(name: str, regime: str, names: Sequence[str]) -> dict[str, float]
     except ValueError as error:
         raise ValueError(f"{file} is not valid JSON: {error}") from error
     return checked_gains(record.get("gains") if isinstance(record, dict) else record, names, str(file))
-
-
-class BySpeed:
-    """Two controllers in one: at each instant the first steers the slow vehicles and the second the fast ones.
-
-    Both have the same kind of memory, and each goes on with what the other has left in it; both need the same preview.
-    """
-
-    def __init__(self, slow: Controller, cruise: Controller) -> None:
-        """Join two controllers; where the reference is faster than `CRUISE_SPEED`, the second one acts."""
-        self.slow, self.cruise = slow, cruise
-        self.preview = preview_of(slow)
-
-    def start(self, n: int) -> Memory:
-        """Return the memory at the start of n episodes."""
-        return self.slow.start(n)
-
-    def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
-        """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
-        fast = o.u_R * o.u_R + o.v_R * o.v_R > CRUISE_SPEED * CRUISE_SPEED
-        if fast.all():
-            return self.cruise.forces(o, memory, extra)
-        F_u, F_r, after = self.slow.forces(o, memory, extra)
-        if not fast.any():
-            return F_u, F_r, after
-        C_u, C_r, cruise_after = self.cruise.forces(o, memory, extra)
-        chosen = tuple(np.where(along(fast, a), b, a) for a, b in zip(after, cruise_after, strict=True))
-        return np.where(fast, C_u, F_u), np.where(fast, C_r, F_r), chosen
 
 
 def by_speed(

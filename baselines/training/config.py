@@ -14,7 +14,7 @@ from auv_gym.records import from_record
 from auv_gym.scenario import Scenario
 from baselines import make_policy
 from baselines.agents.loading import is_path
-from baselines.control.zero import NO_EXPERT, Zero
+from baselines.control.open_loop import NO_EXPERT, Zero
 from baselines.evaluation.rollout import Privileged
 from baselines.evaluation.score import EXPERT
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from auv_gym.presets import CASES
-from baselines.control.zero import NO_EXPERT
+from baselines.control.open_loop import NO_EXPERT
 from baselines.training.hyperparameters import words_of
 from baselines.training.request import Request
 

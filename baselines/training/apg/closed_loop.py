@@ -18,10 +18,10 @@ from auv_gym.simulation import Parts
 from auv_gym.task import SIZE, Observation, action_of, decode
 from baselines.agents.features import INTEGRALS, STANDARD, Inputs
 from baselines.agents.networks import ACTIONS
-from baselines.control.backstepping import CRUISE_SPEED, Backstepping, tracking_forces
+from baselines.control.backstepping import U_R, V_R, Backstepping, tracking_forces
 from baselines.control.ekf_law import EkfLaw
-from baselines.control.zero import Zero
-from baselines.gains.loading import BySpeed
+from baselines.control.open_loop import Zero
+from baselines.policy import BySpeed, is_fast
 
 Law = Callable[[Sequence[Any], Namespace], tuple[Any, Any]]
 """Forces F_u [N], F_r [N m] from the terms of an observation in SI units, as `Backstepping.forces`."""
@@ -102,7 +102,7 @@ class ClosedLoop:
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return the command, shape (ACTIONS, N), integrals, correction and hidden state; see `step`."""
         o = Observation._make(decode(carried.observation.unbind(), TENSORS))
-        base = action_of(self.law(o, TENSORS), (o.F_u_max, o.F_r_max), TENSORS)
+        base = action_of(self.law(o, TENSORS), o, TENSORS)
         if outside is not None:  # the expert's value, the law's slope
             base = (outside[0] + (base[0] - base[0].detach()), outside[1] + (base[1] - base[1].detach()))
         seen = encode_preview(ahead.reshape(-1, 2, ahead.shape[-1]), o, TENSORS).unbind() if len(ahead) else ()
@@ -160,6 +160,6 @@ def law_of(expert: Policy) -> tuple[Law, bool]:
 
 
 def _by_speed(slow: EkfLaw, cruise: EkfLaw, o: Sequence[Any], ns: Namespace) -> tuple[Any, Any]:
-    fast = o[6] * o[6] + o[7] * o[7] > CRUISE_SPEED * CRUISE_SPEED
+    fast = is_fast(o[U_R], o[V_R])
     slow_forces, cruise_forces = (tracking_forces(o, law.vehicle, law.gains, ns) for law in (slow, cruise))
     return ns.where(fast, cruise_forces[0], slow_forces[0]), ns.where(fast, cruise_forces[1], slow_forces[1])

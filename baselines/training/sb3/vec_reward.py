@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn, VecEnvWrapper
 
+from auv_gym.namespaces import ARRAYS
 from auv_gym.task import decode_observation
-from baselines.control.backstepping import MIN_SPEED
+from baselines.policy import SPEED_FLOOR, reference_speed
 
 Array = NDArray[np.float64]
 
@@ -39,7 +40,7 @@ class VecErrorCost(VecEnvWrapper):
     def __init__(self, venv: VecEnv, weight: float = 1.0, share: float = 1.0, lead: float | None = None) -> None:
         super().__init__(venv)
         self.weight, self.share, self.lead = weight, share, lead
-        self._speed = np.full(self.num_envs, MIN_SPEED)
+        self._speed = np.full(self.num_envs, SPEED_FLOOR)
 
     def reset(self) -> VecEnvObs:
         """Start an episode everywhere."""
@@ -75,4 +76,4 @@ class VecErrorCost(VecEnvWrapper):
     def _remember(self, observation: VecEnvObs) -> None:
         """Keep the reference's speeds [m/s], shape (N,), of this instant for the next step."""
         o = decode_observation(np.asarray(observation))
-        self._speed = np.maximum(np.hypot(o.u_R, o.v_R), MIN_SPEED)
+        self._speed = reference_speed(o.u_R, o.v_R, ARRAYS)

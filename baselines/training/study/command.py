@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from baselines.control.zero import NO_EXPERT
+from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation import suites
 from baselines.evaluation.progress import progress
 from baselines.evaluation.runner import Cell, Run, run_all
