@@ -5,80 +5,24 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated
 
-from tyro.conf import arg
-
-from baselines.tools.command_line import parse, run
-
-PROGRAM = "train.py"
-
-
-@dataclass(frozen=True)
-class Options:
-    """Train a network that corrects an expert; keep it, its learning curve and all it takes to go on in a folder.
-
-    Exit status: 0 done, 1 the training failed or could not be written, 2 wrong usage.
-    """
-
-    algo: str = "apg"
-    """The algorithm: "apg" (analytic gradient: back-propagation through the simulator), or one of Stable-Baselines3:
-    "ppo", "sac", "td3", "tqc"."""
-    scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ("cruise",)
-    """What to train on: names of presets, .toml and .json files, or a regime, "cruise" or "slow", for all of its cases
-    (storms three times, noise and slow actuators twice as often); NAME:WEIGHT weighs one against the others. Default:
-    cruise."""
-    expert: Annotated[str | None, arg(metavar="E", help_behavior_hint="")] = None
-    """The policy that is corrected, by name; "none" to learn without one. Default: backstepping."""
-    authority: Annotated[tuple[float, ...], arg(metavar="A [A]", help_behavior_hint="")] = ()
-    """Largest correction of surge and yaw command, as fractions of the vehicle's limits, in (0, 2]; one number for
-    both. Default: what the hyper-parameters say."""
-    seed: int = 0
-    """Seed of networks, exploration and episodes."""
-    seeds: int = 1
-    """How many seeds to train with, from the one above on, each in a folder seed-N of its own."""
-    jobs: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
-    """Worker processes for several seeds, one thread each. Default: 2, or 1 on a single processor."""
-    timesteps: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
-    """Control steps to train for, summed over vehicles. Default: what the hyper-parameters say."""
-    hyperparameters: Annotated[Path | None, arg(metavar="FILE.yml", help_behavior_hint="")] = None
-    """In rl_zoo3's format. Default: those that ship with the package."""
-    set: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE [...]", help_behavior_hint="")] = ()
-    """Hyper-parameters in place of the file's, such as "effort_weight=0.1" or "preview=[5,10]"."""
-    out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
-    """Folder of the run; nothing in it is overwritten. Default: runs/train/ALGO-SCENARIO."""
-    resume: bool = False
-    """Go on with the run that the same options have begun in the folder, from its last checkpoint."""
+from baselines.tools.command_line import UsageError, parse, run
+from baselines.training.options import PROGRAM, Options
 
 
 def main(arguments: Sequence[str]) -> int:
     """Train as the arguments say and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments do not make sense, or what training needs is not installed.
     """
     options = parse(Options, arguments, PROGRAM)
-    from baselines.training.command import train
-    from baselines.training.request import Request
-
-    request = Request.of(
-        options.algo,
-        options.scenario,
-        options.expert,
-        options.authority,
-        options.seed,
-        options.seeds,
-        options.jobs,
-        options.timesteps,
-        options.hyperparameters,
-        options.set,
-        options.out,
-        options.resume,
-        f"python {PROGRAM} {shlex.join(arguments)}",
-    )
-    return train(request)
+    try:
+        from baselines.training.command import train
+        from baselines.training.request import Request
+    except ImportError as error:
+        raise UsageError(f"{error}; training needs more packages: pip install 'auv-gym[train]'") from error
+    return train(Request.of(options, f"python {PROGRAM} {shlex.join(arguments)}"))
 
 
 if __name__ == "__main__":

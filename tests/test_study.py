@@ -1,5 +1,6 @@
 """The study of learned agents: its scores against the evaluation's own, its files, its section of the results page."""
 
+import shlex
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -13,10 +14,11 @@ from baselines.evaluation.results import studies as study_page
 from baselines.evaluation.results.collection import collected
 from baselines.evaluation.score import EXPERT, ORACLE, lead, score, seeds_score
 from baselines.evaluation.study_files import InSuite, Study, load_all, save
-from baselines.tools.command_line import run
+from baselines.tools.command_line import parse, run
+from baselines.training.options import Options
 from baselines.training.run_folder import AGENT, PROGRESS
 from baselines.training.study import command as study
-from baselines.training.trainings import Training
+from baselines.training.trainings import request_of, training
 
 REGIME, SUITE = "cruise", "benchmark-v1"
 
@@ -126,7 +128,7 @@ def test_trained_agents_are_run_on_the_cells_of_their_regime(tmp_path, monkeypat
         (folder / PROGRESS).write_text("timesteps,seconds,score\n10,1.0,0.5\n20,2.0,\n30,3.0,0.7\n")
     few = [replace(cell, episodes=cell.episodes[:2]) for cell in study.cells_of(SUITE, REGIME)[:2]]
     monkeypatch.setattr(study, "cells_of", lambda suite, regime: few)
-    variant = study.Variant("A test.", REGIME, Training("apg", REGIME), 5, (SUITE,))
+    variant = study.Variant("A test.", REGIME, training("apg", REGIME), (SUITE,))
     request = SimpleNamespace(folders=folders, command="python train.py")
     found = study.studied(variant, request, 1)
     first, _ = collected(SUITE)
@@ -137,20 +139,22 @@ def test_trained_agents_are_run_on_the_cells_of_their_regime(tmp_path, monkeypat
 
 
 def test_trainings_are_what_train_py_can_repeat(tmp_path):
-    training = Training("ppo", REGIME, (0.2, 0.4), timesteps=5000, changes={"gamma": 0.5})
-    request = training.request(tmp_path / "a", seeds=2)
+    small = training("ppo", REGIME, (0.2, 0.4), timesteps=5000, changes={"gamma": 0.5})
+    request = request_of(replace(small, seeds=2), tmp_path / "a")
     assert [config.seed for config in request.configs] == [0, 1]
     assert request.configs[0].authority == (0.2, 0.4)
     assert request.configs[0].hyperparameters["gamma"] == 0.5
-    assert "--set gamma=0.5 --authority 0.2 0.4 --timesteps 5000 --seeds 2" in request.command
-    assert Training("ppo", REGIME).request(tmp_path / "b").command == f"python train.py --algo ppo --scenario {REGIME}"
+    assert "--authority 0.2 0.4 --seeds 2 --timesteps 5000 --set gamma=0.5" in request.command
+    assert parse(Options, shlex.split(request.command)[2:], "train.py") == replace(small, seeds=2)
+    plain = request_of(training("ppo", REGIME), tmp_path / "b")
+    assert plain.command == f"python train.py --algo ppo --scenario {REGIME}"
 
 
 @pytest.mark.parametrize("name", study.VARIANTS)
 def test_variants_can_be_trained(name, tmp_path):
     variant = study.VARIANTS[name]
-    request = variant.training.request(tmp_path / name, variant.seeds)
-    assert len(request.configs) == variant.seeds
+    request = request_of(variant.training, tmp_path / name)
+    assert len(request.configs) == variant.training.seeds > 1
     assert request.configs[0].scenarios[0][0].name.startswith(variant.regime)
 
 

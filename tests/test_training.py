@@ -24,8 +24,9 @@ from baselines.training import command, request, shipped
 from baselines.training.config import ALGORITHMS, LARGEST_SEED, TRAINING_SEED, Config
 from baselines.training.hyperparameters import ENV_ID, changes_of, load_hyperparameters, words_of
 from baselines.training.hyperparameters import shipped as shipped_file
+from baselines.training.options import Options
 from baselines.training.run_folder import Run, read_config, read_progress
-from baselines.training.trainings import SHIPPED, Training
+from baselines.training.trainings import SHIPPED, training
 from baselines.training.validation import VALIDATION_SEED
 from baselines.tuning.search import VALIDATION_EPISODES
 from baselines.tuning.search import VALIDATION_SEED as TUNING_VALIDATION_SEED
@@ -246,7 +247,7 @@ def test_kill_in_the_middle_of_a_write_leaves_a_folder_to_go_on_with(call, capsy
     (Path("out/agent")).rename("agent")
     Path("out/.checkpoint.pt.1.tmp").write_bytes(b"half")
     assert call(*tiny("ppo"), "--resume") == 0
-    assert not list(Path("out").glob(".*"))
+    assert not list(Path("out").glob(".*.tmp"))
     assert same(weights("out/agent"), weights("agent"))
     Path("out/agent").rename("again")
     Path("out/checkpoint.pt").write_bytes(Path("out/checkpoint.pt").read_bytes()[:1000])
@@ -340,7 +341,7 @@ def test_hyperparameters_are_set_one_by_one(tmp_path):
     changes = changes_of(words)
     assert changes == {"a": 3e-4, "b": "lin_0.1", "c": [5, 10], "d": True, "e": {"net": {"pi": [8]}}}
     assert changes_of(words_of(changes)) == changes
-    given = request.Request.of("ppo", ["cruise-storm"], changes=["gamma=0.5"], out=tmp_path / "run")
+    given = request.Request.of(Options("ppo", ("cruise-storm",), set=("gamma=0.5",), out=tmp_path / "run"))
     plain = load_hyperparameters(shipped_file("ppo")).values
     assert given.configs[0].hyperparameters == {**plain, "gamma": 0.5}
 
@@ -364,7 +365,7 @@ def test_shipped_agents_can_be_trained_again(name, call, monkeypatch, tmp_path):
 
 def test_shipped_agents_are_installed_and_unknown_ones_refused(call, monkeypatch, tmp_path):
     monkeypatch.setattr(shipped, "AGENTS", tmp_path / "agents")
-    monkeypatch.setattr(shipped, "SHIPPED", {"ppo-small": Training("ppo", "small.toml")})
+    monkeypatch.setattr(shipped, "SHIPPED", {"ppo-small": training("ppo", "small.toml")})
     monkeypatch.setattr(request, "shipped", lambda algo: tmp_path / f"{algo}.yml")
     assert shipped.main(["--timesteps", "64", "--install"]) == 0
     assert same(weights("agents/ppo-small"), weights("runs/shipped/ppo-small/agent"))

@@ -29,12 +29,11 @@ from baselines.agents.model_card import CURVE, model_card
 from baselines.agents.networks import Network, Weights, check_weights, network_of, network_record
 from baselines.agents.residual_policy import ResidualPolicy
 from baselines.control.open_loop import NO_EXPERT, Zero
+from baselines.tools.files import guarded, read_bytes, read_json, synchronise, write_atomically
 
 FORMAT = 2
 """Version of the folder's layout."""
 WEIGHTS, RECORD, CARD = "weights.safetensors", "agent.json", "card.md"
-LARGEST_FILE = 2**26
-"""Largest file [bytes] that is read."""
 OBSERVATION_LAYOUT = [[t.name, t.scale] for t in TERMS]
 ENTRIES = (
     "format",
@@ -152,9 +151,9 @@ class Agent:
             ValueError: a file is damaged, or of another version; the message says which.
         """
         folder = Path(folder)
-        try:
-            record = _checked_record(_read(folder / RECORD))
-            data = _read(folder / WEIGHTS)
+        with guarded(f"agent {folder}"):
+            record = _checked_record(read_json(folder / RECORD))
+            data = read_bytes(folder / WEIGHTS)
             if hashlib.sha256(data).hexdigest() != record["weights_sha256"]:
                 raise ValueError(f"{WEIGHTS} is not what {RECORD} describes: its SHA-256 differs")
             return cls(
@@ -167,8 +166,6 @@ class Agent:
                 record["region"],
                 from_record(Inputs, record["inputs"], "inputs"),
             )
-        except ValueError as error:
-            raise ValueError(f"agent {folder}: {error}") from error
 
 
 def feature_layout(inputs: Inputs) -> list[list[str]]:
@@ -176,20 +173,8 @@ def feature_layout(inputs: Inputs) -> list[list[str]]:
     return [[f.name, f.scale] for f in inputs.features]
 
 
-def _read(file: Path) -> bytes:
-    with file.open("rb") as stream:
-        data = stream.read(LARGEST_FILE + 1)
-    if len(data) > LARGEST_FILE:
-        raise ValueError(f"{file.name} is larger than {LARGEST_FILE} bytes")
-    return data
-
-
-def _checked_record(data: bytes) -> dict[str, Any]:
+def _checked_record(record: Any) -> dict[str, Any]:
     """Return an agent's description; raise ValueError if it is damaged or of another version."""
-    try:
-        record = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{RECORD} is not valid JSON: {error}") from error
     if not isinstance(record, dict) or set(record) != set(ENTRIES):
         raise ValueError(f"{RECORD} must have the entries {', '.join(ENTRIES)}, and no others")
     if record["format"] != FORMAT:
@@ -231,8 +216,9 @@ def _replace(folder: Path, files: Mapping[str, bytes]) -> None:
         new, old = Path(temporary) / "new", Path(temporary) / "old"
         new.mkdir()
         for name, data in files.items():
-            (new / name).write_bytes(data)
+            write_atomically(new / name, data)
         if folder.exists():
             folder.replace(old)
         new.replace(folder)
+        synchronise(folder.parent)
         shutil.rmtree(old, ignore_errors=True)

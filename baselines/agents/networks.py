@@ -121,7 +121,7 @@ def network_of(record: Any) -> Network:
     Raises:
         ValueError: the kind is unknown, a size is missing, unknown or out of range.
     """
-    if not isinstance(record, Mapping) or record.get("kind") not in NETWORKS:
+    if not isinstance(record, Mapping) or record.get("kind") not in list(NETWORKS):
         raise ValueError(f"network is {record!r}; it must be a table whose kind is one of {', '.join(NETWORKS)}")
     cls, sizes = NETWORKS[record["kind"]], {key: value for key, value in record.items() if key != "kind"}
     try:
@@ -164,5 +164,5 @@ def _check_sizes(**sizes: Any) -> None:
 
 
 def _check_choice(name: str, value: Any, allowed: Mapping[str, Any]) -> None:
-    if value not in allowed:
+    if value not in list(allowed):
         raise ValueError(f"network {name} is {value!r}; allowed are {', '.join(allowed)}")

@@ -1,23 +1,33 @@
-"""What the command lines share: options from a dataclass, and mistakes answered in one line."""
+"""What the command lines share: options from a dataclass, mistakes answered in one line, threads, and a tidy end."""
 
 from __future__ import annotations
 
 import contextlib
 import io
+import os
+import signal
 import sys
-from collections.abc import Callable, Sequence
-from typing import TypeVar
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields
+from typing import Any, NoReturn, TypeVar
 
 import tyro
+from threadpoolctl import threadpool_limits
 
 Options = TypeVar("Options")
 
 DONE, FAILED, WRONG_USAGE = 0, 1, 2
 """Exit statuses."""
+THREADS = "OMP_NUM_THREADS"
+"""Variable that says how many threads a process computes with; without it, one."""
 
 
 class UsageError(Exception):
     """A user's mistake; the message says in one line what to change."""
+
+
+class WorkerError(Exception):
+    """A worker process was lost; the message says in one line what is known about it."""
 
 
 def parse(options: type[Options], arguments: Sequence[str], program: str) -> Options:
@@ -43,7 +53,10 @@ def parse(options: type[Options], arguments: Sequence[str], program: str) -> Opt
 
 
 def _first_paragraph(box: str) -> str:
-    """Return what stands between title and first rule of a message that tyro has drawn as a box, on one line."""
+    """Return what stands between title and first rule of a message that tyro has drawn as a box, on one line.
+
+    All that tyro offers besides is a hook in a private module, which it says may change in any release.
+    """
     words: list[str] = []
     for row in box.splitlines()[1:]:
         if row.strip(" │─╰╯-"):
@@ -53,13 +66,73 @@ def _first_paragraph(box: str) -> str:
     return " ".join(words).strip(" .") or "the arguments are not understood"
 
 
+def words_of(options: Any, defaults: Any) -> list[str]:
+    """Return the words of a command line that turn one value of a dataclass into another.
+
+    Args:
+        options: what the words are to give.
+        defaults: what is there without a word; of the same class.
+    """
+    words = []
+    for f in fields(options):
+        if (value := getattr(options, f.name)) != getattr(defaults, f.name):
+            given = value if isinstance(value, tuple) else () if value is True else (value,)
+            words += [f"--{f.name.replace('_', '-')}", *map(str, given)]
+    return words
+
+
 def run(command: Callable[[Sequence[str]], int], program: str) -> int:
-    """Run a command on this process's arguments and return its exit status; a mistake is one line on stderr."""
+    """Run a command on this process's arguments and return its exit status; a mistake is one line on stderr.
+
+    It computes with one thread unless `THREADS` says otherwise, and SIGTERM ends it as SIGINT does.
+    """
+    status, line = FAILED, ""
     try:
-        return command(sys.argv[1:])
+        with _terminable():
+            set_threads()
+            status = command(sys.argv[1:])
+        sys.stdout.flush()
     except UsageError as error:
-        print(f"{program}: {' '.join(str(error).split())}", file=sys.stderr)
-        return WRONG_USAGE
+        status, line = WRONG_USAGE, str(error)
+    except WorkerError as error:
+        line = str(error)
+    except OSError as error:
+        status, line = FAILED, f"cannot go on: {error}"
+        _drop_output()
     except KeyboardInterrupt:
-        print(f"{program}: interrupted", file=sys.stderr)
-        return FAILED
+        line = "interrupted"
+    if line:
+        print(f"{program}: {' '.join(line.split())}", file=sys.stderr)
+    return status
+
+
+def set_threads() -> None:
+    """Make libraries compute with as many threads as `THREADS` says, those that are still to be loaded too.
+
+    Without a word one: networks and batches here are small, and threads that wait for one another on a busy machine
+    cost more than they bring.
+    """
+    count = os.environ.setdefault(THREADS, "1").partition(",")[0]
+    if not count.isdecimal() or not 0 < int(count) <= 1024:
+        raise UsageError(f"{THREADS} is {os.environ[THREADS]!r}; it must be an integer in [1, 1024]")
+    threadpool_limits(int(count))
+
+
+@contextlib.contextmanager
+def _terminable() -> Iterator[None]:
+    """Let SIGTERM unwind what is running, so that its worker processes end with it."""
+
+    def end(*_: object) -> NoReturn:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _drop_output() -> None:
+    """Let nothing more be written to stdout, which may be what has failed: the interpreter would try it at its end."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,22 +1,191 @@
-"""Files that are either whole or absent, and strict JSON."""
+"""Files that are whole or absent, and one guard for all that is read: nothing in a file raises but ValueError."""
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import math
 import os
+import stat
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+LARGEST_FILE = 2**26
+"""Largest file [bytes] that is read."""
+DEEPEST = 50
+"""Most lists and tables inside of one another."""
+LARGEST_TREE = 2**20
+"""Most entries of a file, aliases counted as often as they are used."""
+LARGEST_INTEGER = 2**1000
+"""Magnitude of an integer that a float can still hold."""
+DAMAGE = (
+    ArithmeticError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    RecursionError,
+    TypeError,
+    ValueError,
+    csv.Error,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+"""What readers raise at damaged or hostile input."""
+
+
+@contextmanager
+def guarded(what: str, *more: type[Exception]) -> Iterator[None]:
+    """Turn whatever damaged input makes a reader raise into ValueError; OSError passes, since it names the file itself.
+
+    Args:
+        what: begins the message.
+        more: further exceptions of the reader's own.
+
+    Raises:
+        ValueError: the input is damaged.
+    """
+    damage: tuple[type[Exception], ...] = (*DAMAGE, *more)
+    try:
+        yield
+    except damage as error:
+        reason = " ".join(str(error).split()) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
+        raise ValueError(f"{what}: {reason[:1000]}") from error
+
+
+def read_bytes(file: Path, largest: int = LARGEST_FILE) -> bytes:
+    """Return what is in a file of at most `largest` bytes.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is larger, or no regular file: a pipe or device may have no end.
+    """
+    if not stat.S_ISREG(file.stat().st_mode):
+        raise ValueError(f"{file} is no regular file")
+    with file.open("rb") as stream:
+        data = stream.read(largest + 1)
+    if len(data) > largest:
+        raise ValueError(f"{file} is larger than {largest} bytes")
+    return data
+
+
+def read_text(file: Path) -> str:
+    """Return the text of a UTF-8 file; raises as `read_bytes`, and ValueError where it is no such text."""
+    data = read_bytes(file)
+    with guarded(f"{file} is no UTF-8 text"):
+        return data.decode()
+
+
+def read_json(file: Path) -> Any:
+    """Return the value that a JSON file holds.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is no JSON, or not one that `checked_plain` takes; the message names the file.
+    """
+    data = read_bytes(file)
+    with guarded(f"{file} is not valid JSON"):
+        return checked_plain(json.loads(data))
+
+
+def read_csv(file: Path) -> list[dict[str, str]]:
+    """Return the rows of a CSV file with one line of headings, empty entries left out; raises as `read_json`."""
+    text = read_text(file)
+    with guarded(f"{file} is not valid CSV"):
+        rows = list(csv.DictReader(io.StringIO(text), restkey="", strict=True))
+        if any("" in row for row in rows):
+            raise ValueError("a row is longer than the line of headings")
+        return [{name: entry for name, entry in row.items() if entry} for row in rows]
+
+
+def read_yaml(file: Path) -> Any:
+    """Return the value that a YAML file holds; raises as `read_json`."""
+    text = read_text(file)
+    with guarded(f"{file} is not valid YAML"):
+        return parse_yaml(text)
+
+
+def parse_yaml(text: str) -> Any:
+    """Return the value of a YAML text.
+
+    Raises:
+        ValueError: it is no YAML, or not one that `checked_plain` takes, or its aliases make it too large.
+    """
+    import yaml
+
+    with guarded("YAML", yaml.YAMLError):
+        loader = yaml.SafeLoader(text)
+        if (node := loader.get_single_node()) is None:
+            return None
+        _weigh(node, {})
+        return checked_plain(loader.construct_document(node))
+
+
+def _weigh(node: Any, known: dict[int, float]) -> float:
+    """Return how many entries a YAML node has once its aliases are written out, before anything is written out."""
+    if id(node) not in known:
+        known[id(node)] = math.inf  # what it has if it is inside of itself
+        children = node.value if isinstance(node.value, list) else []
+        pairs = (child if isinstance(child, tuple) else (child,) for child in children)
+        known[id(node)] = 1 + sum(_weigh(child, known) for pair in pairs for child in pair)
+    if known[id(node)] > LARGEST_TREE:
+        raise ValueError(f"its aliases make it larger than {LARGEST_TREE} entries")
+    return known[id(node)]
+
+
+def checked_plain(value: Any) -> Any:
+    """Return a value that is made of tables, lists, numbers, strings and nothing else.
+
+    Raises:
+        ValueError: it is not; or it is nested deeper than `DEEPEST`, has more than `LARGEST_TREE` entries, an integer
+            beyond `LARGEST_INTEGER`, or text that UTF-8 cannot hold.
+    """
+    left, count = [(value, 0)], 0
+    while left:
+        entry, depth = left.pop()
+        count += 1
+        if depth > DEEPEST or count > LARGEST_TREE:
+            raise ValueError(f"it is nested deeper than {DEEPEST} or has more than {LARGEST_TREE} entries")
+        if isinstance(entry, Mapping):
+            left += [(x, depth + 1) for pair in entry.items() for x in pair]
+        elif isinstance(entry, list):
+            left += [(x, depth + 1) for x in entry]
+        elif isinstance(entry, str):
+            entry.encode()
+        elif isinstance(entry, int) and abs(entry) > LARGEST_INTEGER:
+            raise ValueError(f"it holds an integer of {entry.bit_length()} bits")
+        elif not isinstance(entry, (int, float, type(None))):
+            raise ValueError(f"it holds {entry!r}, which is no number, text, list or table")
+    return value
+
 
 def write_atomically(file: Path, content: str | bytes) -> None:
-    """Write a file so that no reader ever sees half of it."""
+    """Write a file so that no reader ever sees half of it, whatever is killed or loses its power in between."""
     temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
     try:
-        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
+        with temporary.open("wb") as stream:
+            stream.write(content.encode() if isinstance(content, str) else content)
+            stream.flush()
+            os.fsync(stream.fileno())
         temporary.replace(file)
+        synchronise(file.parent)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def synchronise(folder: Path) -> None:
+    """Make what has been renamed in a folder last, where the system lets a folder be opened."""
+    with suppress(PermissionError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def json_text(record: Any) -> str:

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import os
 import socket
+import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 from urllib.parse import urlsplit
 
 import joblib
+from joblib.externals.loky.process_executor import BrokenProcessPool
+
+from baselines.tools.command_line import WorkerError
 
 PATIENCE = 5.0
 """Seconds until an address counts as not answering; Ray itself waits for two minutes."""
 NAMED = ("auto", "local")
-"""Addresses that are none: a cluster that this machine belongs to, and one made for the occasion."""
+"""Names in place of an address: the cluster that this machine belongs to, and one made for the occasion."""
+DEFAULT_JOBS = min(2, os.cpu_count() or 1)
+WATCH = 0.5
+"""Seconds between two looks of a worker process at whether its parent is still there."""
 
 
 class ClusterError(ValueError):
@@ -28,11 +37,33 @@ class Workers:
     jobs: int = 1
     on_cluster: bool = False  # the one that `connect` has reached
 
+    @classmethod
+    def of(cls, jobs: int | None, cluster: str | None) -> Workers:
+        """Return the workers of a command line's options.
+
+        Args:
+            jobs: how many; None: as many as a cluster has processors, on this machine `DEFAULT_JOBS`.
+            cluster: its address, see `connect`; None: this machine.
+
+        Raises:
+            ClusterError: see `connect`.
+            ValueError: there are none.
+        """
+        if jobs is not None and jobs < 1:
+            raise ValueError(f"--jobs is {jobs}; it must be 1 or more")
+        if cluster is None:
+            return cls(jobs or DEFAULT_JOBS)
+        processors = connect(cluster)
+        return cls(jobs or processors, on_cluster=True)
+
     def results(self, function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
         """Yield what the function returns for each task's arguments, as it arrives.
 
-        A worker gets one thread, since it shares its machine with the others. On a cluster every machine needs this
-        project in the same version, and the files that the arguments name.
+        A worker gets one thread, since it shares its machine with the others, and ends with the process that started
+        it. On a cluster every machine needs this project in the same version, and the files that the arguments name.
+
+        Raises:
+            WorkerError: a worker process has ended before its task.
         """
         jobs = min(self.jobs, len(tasks))
         if self.on_cluster and tasks:
@@ -45,10 +76,29 @@ class Workers:
         elif jobs <= 1:
             yield from (function(*task) for task in tasks)
         else:
-            with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
-                yield from joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(
-                    joblib.delayed(function)(*task) for task in tasks
-                )
+            calls = [joblib.delayed(_watched)(os.getpid(), function, task) for task in tasks]
+            try:
+                with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
+                    yield from joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(calls)
+            except BrokenProcessPool as error:
+                reason = str(error).partition(chr(10))[0]
+                raise WorkerError(f"a worker process was lost, perhaps for want of memory: {reason}") from error
+
+
+def _watched(parent: int, function: Callable[..., Any], task: tuple[Any, ...]) -> Any:
+    """Call a function in a worker process that ends with its parent, even one that is killed."""
+    _watch(parent)
+    return function(*task)
+
+
+@cache
+def _watch(parent: int) -> None:
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(WATCH)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _call(function: Callable[..., Any], task: tuple[Any, ...]) -> Any:

@@ -6,21 +6,21 @@ import importlib
 import sys
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import joblib
-
 from baselines.agents.agent import Agent
 from baselines.evaluation.report.numbers import versions
-from baselines.tools.command_line import DONE, FAILED
+from baselines.evaluation.request import checked
+from baselines.tools.command_line import DONE, FAILED, WRONG_USAGE, UsageError
 from baselines.tools.files import write_atomically
 from baselines.training.config import ALGORITHMS, Config
 from baselines.training.learning_curve import learning_curve
 from baselines.training.progress import live, plain
 from baselines.training.request import Request
-from baselines.training.run_folder import AGENT, Run, TrainingError, read_progress
+from baselines.training.run_folder import AGENT, Run, TrainingError, locked, read_progress
 
 CURVE = "learning_curve.png"
 
@@ -30,42 +30,40 @@ def train(request: Request) -> int:
 
     Progress goes to stderr: a live line on a terminal, else a line for each validation.
     """
-    tasks = list(zip(request.configs, request.folders, strict=True))
-    if len(tasks) == 1:
-        statuses = [train_one(*tasks[0], request.command, "")]
-    else:
-        with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
-            statuses = joblib.Parallel(n_jobs=min(request.jobs, len(tasks)))(
-                joblib.delayed(train_one)(config, folder, request.command, f"{folder.name}: ")
-                for config, folder in tasks
-            )
-        if not any(statuses):
-            rows = [read_progress(folder) for folder in request.folders]
-            write_atomically(request.out / CURVE, learning_curve(rows, [folder.name for folder in request.folders]))
-    return max(statuses)
+    several = len(request.folders) > 1
+    tasks = [
+        (config, folder.absolute() if request.workers.on_cluster else folder, request.command, several)
+        for config, folder in zip(request.configs, request.folders, strict=True)
+    ]
+    status = DONE
+    for each, line in request.workers.results(train_one, tasks):
+        print(line, file=sys.stderr if each else sys.stdout)
+        status = max(status, each)
+    if several and status == DONE:
+        rows = [checked(partial(read_progress, folder)) for folder in request.folders]
+        write_atomically(request.out / CURVE, learning_curve(rows, [folder.name for folder in request.folders]))
+    return status
 
 
-def train_one(config: Config, folder: Path, command: str, label: str) -> int:
-    """Train one agent in its folder and return the exit status; what goes wrong is one line on stderr."""
+def train_one(config: Config, folder: Path, command: str, one_of_several: bool = False) -> tuple[int, str]:
+    """Train one agent in its folder; return the exit status, and the line that says what has come of it."""
+    label = f"{folder.name}: " if one_of_several else ""
     if (folder / AGENT).exists():
-        print(f"{label}{folder} holds the finished agent: python evaluate.py --policy {folder / AGENT}")
-        return DONE
+        return DONE, f"{label}{folder} holds the finished agent: python evaluate.py --policy {folder / AGENT}"
     try:
-        with live(config) if not label else nullcontext(plain(label)) as show:
+        with locked(folder), nullcontext(plain(label)) if one_of_several else live(config) as show:
             run = Run(config, folder, show)
             agent = importlib.import_module(ALGORITHMS[config.algo]).train(run)
             score = _finish(run, agent, command)
+    except UsageError as error:
+        return WRONG_USAGE, f"{label}{error}"
     except TrainingError as error:
-        print(f"{label}{' '.join(str(error).split())}", file=sys.stderr)
-        return FAILED
+        return FAILED, f"{label}{' '.join(str(error).split())}"
     except OSError as error:
-        print(f"{label}cannot write to {folder}: {error.strerror or error}", file=sys.stderr)
-        return FAILED
+        return FAILED, f"{label}cannot write to {folder}: {error.strerror or error}"
     except KeyboardInterrupt:
-        print(f"{label}interrupted; the same command with --resume goes on", file=sys.stderr)
-        return FAILED
-    print(f"{label}validation score {score:.3f} after {run.seconds:.0f} s; agent: {folder / AGENT}")
-    return DONE
+        return FAILED, f"{label}interrupted; the same command with --resume goes on"
+    return DONE, f"{label}validation score {score:.3f} after {run.seconds:.0f} s; agent: {folder / AGENT}"
 
 
 def _finish(run: Run, agent: Agent, command: str) -> float:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,10 +14,12 @@ from auv_gym.scenario import Scenario
 from baselines.evaluation.request import checked, checked_folder, checked_scenario
 from baselines.evaluation.score import EXPERT
 from baselines.tools.command_line import UsageError
+from baselines.tools.workers import Workers
 from baselines.training.config import ALGORITHMS, Config
 from baselines.training.hyperparameters import changes_of, load_hyperparameters, shipped
 from baselines.training.mixtures import MIXTURES
-from baselines.training.run_folder import AGENT, read_config
+from baselines.training.options import Options
+from baselines.training.run_folder import AGENT, LOCK, read_config
 
 DEFAULT_AUTHORITY = (0.5,)
 DEFAULT_TIMESTEPS = 1_000_000
@@ -31,69 +32,46 @@ class Request:
     configs: tuple[Config, ...]
     folders: tuple[Path, ...]
     out: Path
-    jobs: int
+    workers: Workers
     command: str = ""  # as the user gave it
 
     @classmethod
-    def of(
-        cls,
-        algo: str,
-        scenarios: Sequence[str],
-        expert: str | None = None,
-        authority: Sequence[float] = (),
-        seed: int = 0,
-        seeds: int = 1,
-        jobs: int | None = None,
-        timesteps: int | None = None,
-        hyperparameters: Path | None = None,
-        changes: Sequence[str] = (),
-        out: Path | None = None,
-        resume: bool = False,
-        command: str = "",
-    ) -> Request:
+    def of(cls, options: Options, command: str = "") -> Request:
         """Return the request of a command line's options; its folders exist and are writable then.
 
         Raises:
             UsageError: an option is wrong, or a folder holds something else; the message says what is allowed.
         """
-        for name, value in (("--seeds", seeds), ("--jobs", jobs)):
-            if value is not None and value < 1:
-                raise UsageError(f"{name} is {value}; it must be 1 or more")
-        config = _config(algo, scenarios, expert, authority, seed, timesteps, hyperparameters, changes)
-        configs = tuple(checked(partial(replace, config, seed=seed + i)) for i in range(seeds))
+        if options.seeds < 1:
+            raise UsageError(f"--seeds is {options.seeds}; it must be 1 or more")
+        config = _config(options)
+        configs = tuple(checked(partial(replace, config, seed=config.seed + i)) for i in range(options.seeds))
         checked(partial(check, config))
-        out = out or Path("runs/train") / f"{algo}-{'-'.join(name_of(s) for s in scenarios)}"
-        folders = (out,) if seeds == 1 else tuple(out / f"seed-{c.seed}" for c in configs)
+        name = f"{options.algo}-{'-'.join(name_of(s) for s in options.scenario)}"
+        out = options.out or Path("runs/train") / name
+        folders = (out,) if len(configs) == 1 else tuple(out / f"seed-{c.seed}" for c in configs)
         for each, folder in zip(configs, folders, strict=True):
-            _check_contents(each, folder, resume)
+            _check_contents(each, folder, options.resume)
+        workers = checked(partial(Workers.of, options.jobs, options.cluster))
         for folder in folders:
             checked_folder(folder)
-        return cls(configs, folders, out, jobs or min(2, os.cpu_count() or 1), command)
+        return cls(configs, folders, out, workers, command)
 
 
-def _config(
-    algo: str,
-    scenarios: Sequence[str],
-    expert: str | None,
-    authority: Sequence[float],
-    seed: int,
-    timesteps: int | None,
-    hyperparameters: Path | None,
-    changes: Sequence[str],
-) -> Config:
+def _config(options: Options) -> Config:
     """Return the configuration of a command line's options; what they leave open the hyper-parameters say."""
-    if algo not in ALGORITHMS:
-        raise UsageError(f"unknown algorithm {algo!r}; allowed are {', '.join(ALGORITHMS)}")
-    found = checked(partial(load_hyperparameters, hyperparameters or shipped(algo)))
-    changed = checked(partial(changes_of, changes))
+    if options.algo not in ALGORITHMS:
+        raise UsageError(f"unknown algorithm {options.algo!r}; allowed are {', '.join(ALGORITHMS)}")
+    found = checked(partial(load_hyperparameters, options.hyperparameters or shipped(options.algo)))
+    changed = checked(partial(changes_of, options.set))
     return checked(
         lambda: Config(
-            algo,
-            resolved(scenarios),
-            expert or found.expert or EXPERT,
-            _pair(authority or found.authority or DEFAULT_AUTHORITY),
-            seed,
-            next(n for n in (timesteps, found.timesteps, DEFAULT_TIMESTEPS) if n is not None),
+            options.algo,
+            resolved(options.scenario),
+            options.expert or found.expert or EXPERT,
+            _pair(options.authority or found.authority or DEFAULT_AUTHORITY),
+            options.seed,
+            next(n for n in (options.timesteps, found.timesteps, DEFAULT_TIMESTEPS) if n is not None),
             {**found.values, **changed},
         )
     )
@@ -151,7 +129,7 @@ def _check_contents(config: Config, folder: Path, resume: bool) -> None:
     """Raise UsageError if a folder holds something other than a run to go on with."""
     there = checked(partial(read_config, folder))
     if there is None:
-        if folder.is_dir() and any(folder.iterdir()):
+        if folder.is_dir() and any(file.name != LOCK for file in folder.iterdir()):
             raise UsageError(f"--out {folder} is not empty and holds no run of train.py; choose another folder")
         return
     if (mine := config.to_dict()) != (theirs := there.to_dict()):

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
-import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import TYPE_CHECKING, Any
 
+from filelock import FileLock, Timeout
+
 from auv_gym.policy import Policy
-from baselines.tools.files import json_text, write_atomically
+from baselines.tools.command_line import UsageError
+from baselines.tools.files import guarded, json_text, read_csv, read_json, write_atomically
 from baselines.training.config import Config
 from baselines.training.validation import Validation, validation_cell
 
@@ -24,6 +28,10 @@ if TYPE_CHECKING:
 CONFIG, PROGRESS, CHECKPOINT, AGENT = "config.json", "progress.csv", "checkpoint.pt", "agent"
 """What a run folder holds; besides `EVENTS`, `validation.YARDSTICKS` and the learning curve."""
 EVENTS = "tensorboard"
+LOCK = ".lock"
+"""File in a run folder that the process holds which writes there; it stays behind and then means nothing."""
+DIGEST = hashlib.sha256().digest_size
+"""Bytes in front of a checkpoint: the SHA-256 of the rest."""
 VALIDATIONS = 20
 """How often in a run an agent is validated; as often a checkpoint is kept."""
 
@@ -43,16 +51,37 @@ class State:
     seconds_left: float | None
 
 
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold a run folder, made if need be, for this process alone; a process that is killed lets go of it.
+
+    Raises:
+        OSError: it cannot be written to.
+        UsageError: another process holds it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with FileLock(folder / LOCK, blocking=False):
+            yield
+    except Timeout:
+        raise UsageError(f"another training writes to {folder}; wait for it, or choose another folder") from None
+
+
 class Run:
     """A training run, which a trainer logs to and goes on from.
 
     A trainer calls `load_checkpoint` once before anything else, then `log`, `validate` and `save_checkpoint`. One
-    process writes to the folder.
+    process writes to the folder, see `locked`.
 
     Args:
         config: what determines the run.
         folder: made if need be; what it holds must be of the same configuration.
         on_state: called whenever something is known about how far the run is.
+
+    Raises:
+        OSError: the folder cannot be written to.
+        TrainingError: the folder holds another run.
+        ValueError: what it holds is damaged.
     """
 
     def __init__(self, config: Config, folder: Path, on_state: Callable[[State], None] = lambda _: None) -> None:
@@ -61,11 +90,13 @@ class Run:
         self._on_state = on_state
         self._rows: list[dict[str, float]] = []
         self._begin, self._earlier, self._start = time.monotonic(), 0.0, 0
-        folder.mkdir(parents=True, exist_ok=True)
         for left in folder.glob(".*.tmp"):  # of a run that was killed
             left.unlink()
-        if not (folder / CONFIG).exists():
+        if (there := read_config(folder)) is None:
+            folder.mkdir(parents=True, exist_ok=True)
             write_atomically(folder / CONFIG, json_text(config.to_dict()))
+        elif there.to_dict() != config.to_dict():
+            raise TrainingError(f"{folder} holds another training; choose another folder")
 
     @cached_property
     def validation(self) -> Validation:
@@ -127,26 +158,34 @@ class Run:
 
         buffer = io.BytesIO()
         torch.save({"state": dict(state), "seconds": self.seconds, "timesteps": int(state["timesteps"])}, buffer)
-        write_atomically(self.folder / CHECKPOINT, buffer.getvalue())
+        data = buffer.getvalue()
+        write_atomically(self.folder / CHECKPOINT, hashlib.sha256(data).digest() + data)
 
     def load_checkpoint(self) -> dict[str, Any] | None:
         """Return the state of the last checkpoint, None if there is none; what was logged after it is forgotten.
 
         Raises:
             OSError: the folder cannot be read.
-            TrainingError: the checkpoint is damaged, or of other versions of the libraries.
+            TrainingError: a file is damaged, or of other versions of the libraries.
         """
         import torch
 
         file = self.folder / CHECKPOINT
         if not file.exists():
             return None
+        content = file.read_bytes()
+        digest, data = content[:DIGEST], content[DIGEST:]
         try:
-            record = torch.load(file, map_location="cpu", weights_only=False)
+            if hashlib.sha256(data).digest() != digest:  # before anything is unpickled
+                raise ValueError("it is damaged, its SHA-256 differs")
+            record = torch.load(io.BytesIO(data), map_location="cpu", weights_only=False)
+            rows = [row for row in read_progress(self.folder) if row["timesteps"] <= record["timesteps"]]
+            if not rows or "score" not in rows[-1]:
+                raise ValueError(f"{PROGRESS} is damaged, it ends before the checkpoint")
         except (AttributeError, EOFError, ImportError, KeyError, RuntimeError, ValueError, UnpicklingError) as error:
             raise TrainingError(f"cannot go on from {file}: {error}; begin again in another folder") from error
         self._earlier, self._begin, self._start = record["seconds"], time.monotonic(), record["timesteps"]
-        self._rows = [row for row in read_progress(self.folder) if row["timesteps"] <= self._start]
+        self._rows = rows
         state: dict[str, Any] = record["state"]
         return state
 
@@ -169,13 +208,17 @@ class Run:
 
 
 def read_progress(folder: Path) -> list[dict[str, float]]:
-    """Return the rows of a folder's progress.csv without their empty entries; none if there is no such file."""
-    try:
-        text = (folder / PROGRESS).read_text(encoding="utf-8")
-    except FileNotFoundError:
+    """Return the rows of a folder's progress.csv without their empty entries; none if there is no such file.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is damaged.
+    """
+    if not (folder / PROGRESS).exists():
         return []
-    table = csv.DictReader(io.StringIO(text))
-    return [{k: int(v) if k == "timesteps" else float(v) for k, v in row.items() if v} for row in table]
+    with guarded(f"{folder / PROGRESS} is damaged"):
+        rows = read_csv(folder / PROGRESS)
+        return [{"timesteps": int(row.pop("timesteps")), **{k: float(v) for k, v in row.items()}} for row in rows]
 
 
 def read_config(folder: Path) -> Config | None:
@@ -186,13 +229,11 @@ def read_config(folder: Path) -> Config | None:
         ValueError: it is damaged.
     """
     try:
-        text = (folder / CONFIG).read_text(encoding="utf-8")
+        record = read_json(folder / CONFIG)
     except (FileNotFoundError, NotADirectoryError):
         return None
-    try:
-        return Config.from_dict(json.loads(text))
-    except ValueError as error:
-        raise ValueError(f"{folder / CONFIG}: {error}") from error
+    with guarded(str(folder / CONFIG)):
+        return Config.from_dict(record)
 
 
 def _csv(rows: list[dict[str, float]]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -15,7 +15,7 @@ from baselines.agents.loading import AGENTS
 from baselines.tools.command_line import DONE, UsageError, parse, run
 from baselines.training.command import CURVE, train
 from baselines.training.run_folder import AGENT
-from baselines.training.trainings import SHIPPED
+from baselines.training.trainings import SHIPPED, request_of
 
 PROGRAM = "python -m baselines.training.shipped"
 
@@ -48,7 +48,8 @@ def main(arguments: Sequence[str]) -> int:
         raise UsageError(f"no agent {unknown[0]!r} ships with the package; allowed are {', '.join(SHIPPED)}")
     for name in options.name or SHIPPED:
         print(f"{name}:", flush=True)
-        request = SHIPPED[name].request(options.out / name, timesteps=options.timesteps)
+        training = replace(SHIPPED[name], timesteps=options.timesteps or SHIPPED[name].timesteps)
+        request = request_of(training, options.out / name)
         if (status := train(request)) != DONE:
             return status
         if options.install:

@@ -4,64 +4,52 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from auv_gym.presets import CASES
 from baselines.control.open_loop import NO_EXPERT
-from baselines.training.hyperparameters import words_of
+from baselines.tools.command_line import words_of
+from baselines.training.hyperparameters import words_of as changed_words
+from baselines.training.options import PROGRAM, Options
 from baselines.training.request import Request
 
+UNNAMED = Options(algo="", scenario=())
+"""What the command of a training is without words: algorithm and scenario are always named."""
 
-@dataclass(frozen=True)
-class Training:
-    """What an agent is trained on and how; what is None or empty is as the algorithm's hyper-parameters say."""
 
-    algo: str
-    scenario: str  # what `train.py --scenario` takes, words apart
-    authority: tuple[float, ...] = ()
-    expert: str | None = None
-    timesteps: int | None = None
-    changes: Mapping[str, Any] = field(default_factory=dict)  # of the hyper-parameters
+def training(
+    algo: str,
+    scenario: str,
+    authority: tuple[float, ...] = (),
+    expert: str | None = None,
+    timesteps: int | None = None,
+    changes: Mapping[str, Any] = MappingProxyType({}),
+) -> Options:
+    """Return what an agent is trained on and how; what is None or empty is as the algorithm's hyper-parameters say.
 
-    def request(self, folder: Path, seeds: int = 1, jobs: int = 1, timesteps: int | None = None) -> Request:
-        """Return the training in a folder, to begin or to go on with.
+    Args:
+        algo: the algorithm.
+        scenario: what `train.py --scenario` takes, words apart.
+        authority: see `Options`, as the next two.
+        expert: the policy that is corrected.
+        timesteps: control steps.
+        changes: of the hyper-parameters.
+    """
+    words = tuple(changed_words(changes))
+    return Options(algo, tuple(scenario.split()), expert, authority, timesteps=timesteps, set=words)
 
-        Args:
-            folder: of the run, or of the runs of several seeds.
-            seeds: how many trainings, which differ in the seed alone.
-            jobs: how many of them at the same time.
-            timesteps: control steps, in place of the training's own.
 
-        Raises:
-            UsageError: the folder holds something else.
-        """
-        steps, changes = timesteps or self.timesteps, words_of(self.changes)
-        words = [f"--algo {self.algo} --scenario {self.scenario}"]
-        if changes:
-            words.append(f"--set {shlex.join(changes)}")
-        if self.expert:
-            words.append(f"--expert {self.expert}")
-        if self.authority:
-            words.append(f"--authority {' '.join(map(str, self.authority))}")
-        if steps:
-            words.append(f"--timesteps {steps}")
-        if seeds > 1:
-            words.append(f"--seeds {seeds}")
-        return Request.of(
-            self.algo,
-            self.scenario.split(),
-            self.expert,
-            self.authority,
-            seeds=seeds,
-            jobs=jobs,
-            timesteps=steps,
-            changes=changes,
-            out=folder,
-            resume=True,
-            command=f"python train.py {' '.join(words)}",
-        )
+def request_of(training: Options, folder: Path, jobs: int = 1) -> Request:
+    """Return a training in a folder, or in one of its folders for each seed, to begin or to go on with.
+
+    Raises:
+        UsageError: the folder holds something else.
+    """
+    words = words_of(training, UNNAMED)
+    return Request.of(replace(training, out=folder, jobs=jobs, resume=True), f"python {PROGRAM} {shlex.join(words)}")
 
 
 def weighted(regime: str, **weights: int) -> str:
@@ -87,20 +75,20 @@ SPINS: Mapping[str, int] = {"actuator": 3, "storm": 2}
 """Weights of the cases for PPO: fast vehicles with slow actuators spin under it."""
 HARDEST: Mapping[str, int] = {"noise": 2, "actuator": 4, "storm": 4}
 """Weights of the cases where commands cost next to nothing: what is left of the error, and what spins then."""
-SHIPPED: Mapping[str, Training] = {
-    "apg-cruise": Training("apg", "cruise"),
-    "apg-slow": Training("apg", "slow", SLOW_AUTHORITY, changes=SLOW),
-    "apg-preview-cruise": Training("apg", weighted("cruise", **HARDEST), (1.0, 1.6), None, 16_000_000, FREE),
-    "apg-preview-slow": Training("apg", weighted("slow", **HARDEST), SLOW_AUTHORITY, changes=EXACT),
-    "apg-adverse-cruise": Training("apg", "cruise-adverse"),
-    "apg-adverse-slow": Training("apg", "slow-adverse", SLOW_AUTHORITY, changes=SLOW),
-    "apg-scratch-cruise": Training("apg", "cruise", (1.0, 1.0), NO_EXPERT),
-    "apg-scratch-slow": Training("apg", "slow", (1.0, 1.0), NO_EXPERT, changes=SLOW),
-    "ppo-cruise": Training("ppo", weighted("cruise", **SPINS)),
-    "ppo-slow": Training("ppo", weighted("slow", **SPINS), (0.6, 1.0)),
-    "sac-cruise": Training("sac", "cruise"),
-    "sac-slow": Training("sac", "slow", (0.6, 1.0)),
-    "td3-cruise": Training("td3", "cruise"),
-    "td3-slow": Training("td3", "slow", (0.6, 0.6)),
+SHIPPED: Mapping[str, Options] = {
+    "apg-cruise": training("apg", "cruise"),
+    "apg-slow": training("apg", "slow", SLOW_AUTHORITY, changes=SLOW),
+    "apg-preview-cruise": training("apg", weighted("cruise", **HARDEST), (1.0, 1.6), None, 16_000_000, FREE),
+    "apg-preview-slow": training("apg", weighted("slow", **HARDEST), SLOW_AUTHORITY, changes=EXACT),
+    "apg-adverse-cruise": training("apg", "cruise-adverse"),
+    "apg-adverse-slow": training("apg", "slow-adverse", SLOW_AUTHORITY, changes=SLOW),
+    "apg-scratch-cruise": training("apg", "cruise", (1.0, 1.0), NO_EXPERT),
+    "apg-scratch-slow": training("apg", "slow", (1.0, 1.0), NO_EXPERT, changes=SLOW),
+    "ppo-cruise": training("ppo", weighted("cruise", **SPINS)),
+    "ppo-slow": training("ppo", weighted("slow", **SPINS), (0.6, 1.0)),
+    "sac-cruise": training("sac", "cruise"),
+    "sac-slow": training("sac", "slow", (0.6, 1.0)),
+    "td3-cruise": training("td3", "cruise"),
+    "td3-slow": training("td3", "slow", (0.6, 0.6)),
 }
 """The trainings of the agents that ship with the package, by their names."""

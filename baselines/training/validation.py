@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import copy
 import hashlib
-import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from baselines.evaluation.rollout import PolicyError, rollout
 from baselines.evaluation.runner import Cell, drawn
 from baselines.evaluation.score import EXPERT, LARGEST_TAIL, ORACLE, beyond, capped, regime_of
 from baselines.evaluation.suites import load
-from baselines.tools.files import json_text, write_atomically
+from baselines.tools.files import guarded, json_text, read_json, write_atomically
 
 SUITE = "benchmark-v1-validation"
 VALIDATION_SEED = 30_000_000
@@ -142,20 +142,20 @@ def _yardsticks(cells: Sequence[Cell], folder: Path | None) -> tuple[float, floa
     """Return the mean capped tails [m] of expert and oracle, from the folder if it has them."""
     file = folder / YARDSTICKS if folder else None
     key = hashlib.sha256(" ".join([__version__, *(cell.hash for cell in cells)]).encode()).hexdigest()
-    if file and (record := _kept(file)).get("hash") == key:
-        return record["expert_m"], record["oracle_m"]
+    if file and (kept := _kept(file, key)):
+        return kept
     expert_m, oracle_m = (_mean([_capped_tail(name, cell) for cell in cells]) for name in (EXPERT, ORACLE))
     if file:
         write_atomically(file, json_text({"hash": key, "expert_m": expert_m, "oracle_m": oracle_m}))
     return expert_m, oracle_m
 
 
-def _kept(file: Path) -> Mapping[str, Any]:
-    try:
-        record: Mapping[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return record
+def _kept(file: Path, key: str) -> tuple[float, float] | None:
+    """Return what a file has kept for the episodes of a key; None where it is missing, damaged or of others."""
+    with suppress(OSError, ValueError), guarded(str(file)):
+        record = read_json(file)
+        return (float(record["expert_m"]), float(record["oracle_m"])) if record["hash"] == key else None
+    return None
 
 
 def _capped_tail(name: str, cell: Cell) -> Array:

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from baselines.tools.files import parse_yaml, read_yaml
+
 FOLDER = Path(__file__).parent
 ENV_ID = "UnderactuatedAUVTrackResidual-v0"
 
@@ -34,12 +36,7 @@ def load_hyperparameters(file: Path) -> Hyperparameters:
         OSError: the file cannot be read.
         ValueError: it is no such file.
     """
-    import yaml
-
-    try:
-        tables = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ValueError(f"{file} is not valid YAML: {error}") from error
+    tables = read_yaml(file)
     table = tables.get(ENV_ID) if isinstance(tables, Mapping) else None
     if not isinstance(table, Mapping) or not all(isinstance(key, str) for key in table):
         raise ValueError(f"{file} has no table of hyper-parameters under {ENV_ID}")
@@ -63,14 +60,12 @@ def changes_of(words: Sequence[str]) -> dict[str, Any]:
     Raises:
         ValueError: a word is of another form.
     """
-    import yaml
-
     changes = {}
     for word in words:
         name, _, text = word.partition("=")
         try:
-            value = yaml.safe_load(text)
-        except yaml.YAMLError:
+            value = parse_yaml(text)
+        except ValueError:
             value = None
         if not name or value is None:
             raise ValueError(f"--set {word!r} sets nothing; it must be NAME=VALUE, such as effort_weight=0.1")

@@ -156,7 +156,7 @@ def _noise(values: dict[str, Any]) -> ActionNoise | None:
     kind, std = values.pop("noise_type", None), values.pop("noise_std", 0.0)
     if kind is None:
         return None
-    if kind not in NOISES or isinstance(std, bool) or not isinstance(std, (int, float)) or not std >= 0:
+    if kind not in list(NOISES) or isinstance(std, bool) or not isinstance(std, (int, float)) or not std >= 0:
         kinds = " or ".join(NOISES)
         raise ValueError(f"noise is {kind!r} of noise_std {std!r}; it must be {kinds}, of a number of at least 0")
     return NOISES[kind](np.zeros(2), np.full(2, float(std)))
@@ -182,7 +182,7 @@ def _named(entries: Any, table: Mapping[str, Callable[..., T]], kind: str) -> li
     made: list[Callable[..., T]] = []
     for entry in entries if isinstance(entries, (list, tuple)) else [entries]:
         name, arguments = next(iter(entry.items())) if isinstance(entry, Mapping) and len(entry) == 1 else (entry, {})
-        if name not in table:
+        if name not in list(table):
             raise ValueError(f"unknown {kind} {name!r}; allowed are {', '.join(table)}")
         known = list(inspect.signature(table[name]).parameters)
         if not isinstance(arguments, Mapping) or not set(arguments) <= set(known):

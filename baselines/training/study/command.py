@@ -7,7 +7,7 @@ and keeps the tail errors of every episode in `baselines/evaluation/studies/`, w
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,10 +22,11 @@ from baselines.evaluation.study_files import SUITES, Study, save
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.workers import Workers
 from baselines.training.command import train
+from baselines.training.options import Options as TrainOptions
 from baselines.training.request import Request
 from baselines.training.run_folder import AGENT, read_progress
 from baselines.training.shipped import install
-from baselines.training.trainings import EXACT, SHIPPED, Training
+from baselines.training.trainings import EXACT, SHIPPED, request_of, training
 
 PROGRAM = "python -m baselines.training.study"
 
@@ -36,8 +37,7 @@ class Variant:
 
     about: str  # one line for the results page
     regime: str
-    training: Training
-    seeds: int
+    training: TrainOptions  # the number of seeds included
     suites: tuple[str, ...] = SUITES
 
 
@@ -48,8 +48,8 @@ SHORT, FEW = 3_000_000, 2
 
 
 def _short(about: str, expert: str | None = None, authority: tuple[float, ...] = (), **changes: Any) -> Variant:
-    training = Training("apg", "cruise", authority, expert, SHORT, changes)
-    return Variant(about, "cruise", training, FEW, ("benchmark-v1",))
+    each = training("apg", "cruise", authority, expert, SHORT, changes)
+    return Variant(about, "cruise", replace(each, seeds=FEW), ("benchmark-v1",))
 
 
 FAMILIES: Mapping[str, str] = {
@@ -77,13 +77,13 @@ SHORT_TRAININGS: Mapping[str, Variant] = {
 """Trainings that show what one thing is worth."""
 
 
-def _shipped(name: str, training: Training) -> Variant:
+def _shipped(name: str, each: TrainOptions) -> Variant:
     family, regime = name.rsplit("-", 1)
-    return Variant(FAMILIES[family], regime, training, SEEDS)
+    return Variant(FAMILIES[family], regime, replace(each, seeds=SEEDS))
 
 
 VARIANTS: Mapping[str, Variant] = {
-    **{name: _shipped(name, training) for name, training in SHIPPED.items()},
+    **{name: _shipped(name, each) for name, each in SHIPPED.items()},
     **SHORT_TRAININGS,
 }
 """The agents of the study, by name."""
@@ -117,7 +117,7 @@ def main(arguments: Sequence[str]) -> int:
         raise UsageError(f"the study has no {unknown[0]!r}; allowed are {', '.join(VARIANTS)}")
     for name in options.name or VARIANTS:
         variant = VARIANTS[name]
-        request = variant.training.request(options.out / name, variant.seeds, options.jobs)
+        request = request_of(variant.training, options.out / name, options.jobs)
         if (status := train(request)) != DONE:
             return status
         if options.install and name in SHIPPED:
