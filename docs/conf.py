@@ -12,6 +12,7 @@ from typing import Any
 
 from docutils import nodes
 from docutils.statemachine import StringList
+from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
@@ -22,9 +23,13 @@ project = "auv_gym"
 author = "auv_gym contributors"
 version = release = auv_gym.__version__
 extensions = ["myst_parser"]
+myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
 html_theme = "furo"
 html_title = f"{project} {version}"
+html_static_path = ["_static"]
+html_css_files = ["tables.css"]
+html_math_renderer = "mathml"  # what browsers draw themselves: no script, no network
 exclude_patterns = ["_build"]
 
 PROPERTIES = (property, functools.cached_property)
@@ -107,7 +112,16 @@ def inside(_app: Sphinx, _name: str, source: list[str]) -> None:
     source[0] = source[0].replace("](../CONTRIBUTING.md)", "](contributing.md)")
 
 
+def formula(translator: Any, node: nodes.Element) -> None:
+    """Write a formula as MathML."""
+    block = isinstance(node, nodes.math_block)
+    text = tex2mathml(node.astext(), as_block=block)
+    translator.body.append(f"<p>{text}</p>" if block else text)
+    raise nodes.SkipNode
+
+
 def setup(app: Sphinx) -> None:
-    """Add the directive and the hook."""
+    """Add the directive, the hook and the formulas."""
+    app.add_html_math_renderer("mathml", (formula, None), (formula, None))
     app.add_directive("module-reference", ModuleReference)
     app.connect("source-read", inside)

@@ -1,0 +1,237 @@
+"""What the Makefile and the pages tell a user to type: each verb and each line runs, where it is long in a quick form.
+
+Verbs run in a copy of the repository whose environment is the one that runs the tests, so nothing is installed.
+"""
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import evaluate
+from auv_gym.presets import PRESETS
+from baselines.agents.loading import AGENTS
+
+ROOT = Path(__file__).parents[1]
+MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
+VERBS = re.search(r"^\.PHONY: (.*)$", MAKEFILE, re.MULTILINE)[1].split()
+TINY = "--algo ppo --scenario tiny.toml --timesteps 512 --set n_envs=8 n_steps=16 batch_size=64"
+QUICK = {
+    "help": "",
+    "demo": "--episodes 1 --jobs 1",
+    "format": "",
+    "bench": "--quick --out bench",
+    "train": f"{TINY} --out run",
+    "train-all": "ppo-cruise --timesteps 512",
+    "results": "--out pages",
+    "docs": "",
+    "clean": "",
+}
+"""Options of the verbs that are run here."""
+BY_CI = {"test", "lint", "typecheck"}
+"""Verbs that `.ci/run` itself runs."""
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+FROZEN = ("benchmark-v1", "ood-v1", "unmodelled-v1")
+ELSEWHERE = {
+    r"make( .*)?": "the verbs, below",
+    r"pip install .*": "`make`'s stamps, and the extras exist, below",
+    r"python train\.py.*": "test_training.py::test_documented_commands_run",
+    r"python -m baselines\.evaluation\.suites check .*": "test_suites.py::test_episodes_generate_what_they_did",
+    r"python -m rl_zoo3\.train .*": "test_sb3.py reads its format; rl_zoo3 itself is no dependency",
+    r"python evaluate\.py --suite (paper|presets)": "`make demo`, below",
+    r"python evaluate\.py --stability .*": "test_stability.py",
+}
+"""Lines of the pages that do not run one by one here, and where they do."""
+
+
+def lines():
+    """Return the shell lines of all pages, without comments."""
+    blocks = [m for page in PAGES for m in FENCE.finditer(page.read_text(encoding="utf-8")) if m[1] in ("bash", "sh")]
+    found = [line.split(" #")[0].strip() for block in blocks for line in block[2].splitlines()]
+    return list(dict.fromkeys(line for line in found if line and not line.startswith("#")))
+
+
+def quick(line):
+    """Return the words behind `python` with which a line is run: one episode of one short scenario."""
+    words = shlex.split(line)[1:]
+    if words[:2] == ["-m", "baselines.evaluation.suites"]:
+        return [*words[:3], "unmodelled-v1", "--policy", "open-loop", "--episodes", "1"]
+    if words == ["evaluate.py"] or (words[0] == "evaluate.py" and "--help" not in words):
+        for option, count in (("--suite", 2), ("--episodes", 2), ("--jobs", 2)):
+            if option in words:
+                at = words.index(option)
+                assert option != "--suite" or words[at + 1] in FROZEN
+                del words[at : at + count]
+        scenario = [] if "--scenario" in words else ["--scenario", "cruise-calm"]
+        return [*words, *scenario, "--episodes", "1", "--jobs", "1"]
+    return words
+
+
+def elsewhere(line):
+    return next((where for pattern, where in ELSEWHERE.items() if re.fullmatch(pattern, line)), None)
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory):
+    """Return a copy of the repository with an environment in which nothing is left to install."""
+    folder = tmp_path_factory.mktemp("verbs") / "auv_gym"
+    left = (".git", ".venv", "build", "dist", "runs", "__pycache__", ".*_cache", ".hypothesis")
+    shutil.copytree(ROOT, folder, ignore=shutil.ignore_patterns(*left))
+    (folder / ".venv").mkdir()
+    (folder / ".venv" / "bin").symlink_to(Path(sys.executable).parent)
+    for name in ("venv", *re.findall(r"\$\(VENV\)/(\w+)\.stamp", MAKEFILE)):
+        stamp = folder / ".venv" / f"{name}.stamp"
+        stamp.touch()
+        os.utime(stamp, (time.time() + 3600,) * 2)
+
+    tiny = 'name = "tiny"\nsteps = 15\n\n[path]\nspeed = 1.0\nturn_rate = 0.1\n'
+    (folder / "tiny.toml").write_text(tiny, encoding="utf-8")
+    return folder
+
+
+def called(folder, *command):
+    """Run a command in a folder and return what it prints; make's own variables are not handed on."""
+    kept = {key: value for key, value in os.environ.items() if not key.startswith(("MAKE", "MFLAGS"))}
+    environment = {**kept, "PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{shlex.join(command)}\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+def made(copy, verb):
+    return called(copy, "make", verb, f"ARGS={QUICK[verb]}")
+
+
+def test_every_verb_is_run():
+    assert set(VERBS) == {*QUICK, *BY_CI}
+    assert set(re.findall(r"^([a-z-]+):.*## ", MAKEFILE, re.MULTILINE)) == set(VERBS)
+    assert re.search(r"^test: lint typecheck ##", MAKEFILE, re.MULTILINE)
+    assert (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()[-1] == "exec make test"
+
+
+def test_help_lists_the_verbs(copy):
+    assert set(re.findall(r"^  (\S+)", made(copy, "help"), re.MULTILINE)) == set(VERBS)
+    assert called(copy, "make") == made(copy, "help")
+
+
+def test_demo_recomputes_the_paper_and_runs_every_preset(copy):
+    made(copy, "demo")
+    for name in ("paper", "scenarios"):
+        assert (copy / "runs" / "demo" / name / "report.html").exists()
+
+
+def test_bench_measures_in_a_quick_form(copy):
+    text = made(copy, "bench")
+    for case in ("scalar residual", "residual, zero action", "end one after the other", "gradient through", "PPO"):
+        assert case in text
+    assert (copy / "bench" / "bench.json").exists()
+    assert (copy / "bench" / "bench.png").exists()
+
+
+def test_train_makes_an_agent(copy):
+    made(copy, "train")
+    assert (copy / "run" / "agent" / "agent.json").exists()
+
+
+def test_train_all_trains_those_that_are_named(copy):
+    made(copy, "train-all")
+    assert [run.name for run in (copy / "runs" / "shipped").iterdir()] == ["ppo-cruise"]
+
+
+def test_results_are_the_pages_that_are_kept(copy):
+    made(copy, "results")
+    for page in (copy / "pages").glob("*.md"):
+        assert page.read_bytes() == (ROOT / "docs" / page.name).read_bytes()
+
+
+def test_docs_are_built_without_a_warning(copy):
+    pytest.importorskip("sphinx")
+    pytest.importorskip("furo")
+    made(copy, "docs")
+    html = (copy / "build" / "docs" / "metrics.html").read_text(encoding="utf-8")
+    assert "<math" in html
+    assert "\\frac" not in html
+
+
+def test_format_mends_what_lint_complains_about(copy):
+    file = copy / "auv_gym" / "untidy.py"
+    file.write_text('"""Untidy."""\nimport os\nx = [ 1,2 ]\n', encoding="utf-8")
+    made(copy, "format")
+    assert file.read_text(encoding="utf-8") == '"""Untidy."""\n\nx = [1, 2]\n'
+    file.unlink()
+
+
+def test_clean_leaves_what_was_not_built(tmp_path):
+    shutil.copy(ROOT / "Makefile", tmp_path)
+    for name in (".venv/bin", "build/docs", "dist", "auv_gym/__pycache__", ".pytest_cache", "runs/train"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "auv_gym" / "kept.py").touch()
+    made(tmp_path, "clean")
+    left = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*")}
+    assert left == {"Makefile", "auv_gym", "auv_gym/kept.py", "runs", "runs/train"}
+
+
+def test_every_line_of_the_pages_is_run_or_listed():
+    for line in lines():
+        assert elsewhere(line) or line.startswith(("python evaluate.py", "python -m baselines.")), line
+    for pattern, where in ELSEWHERE.items():
+        assert any(re.fullmatch(pattern, line) for line in lines()), pattern
+        if match := re.match(r"(test_\w+\.py)(?:::(\w+))?", where):
+            assert f"def {match[2] or ''}" in (ROOT / "tests" / match[1]).read_text(encoding="utf-8"), where
+
+
+def test_verbs_and_extras_that_the_pages_name_exist():
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    extras = set(re.findall(r"^(\w+) = \[", project.split("[project.optional-dependencies]")[1], re.MULTILINE))
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        assert set(re.findall(r"(?:^|`)make ([a-z][\w-]*)", text, re.MULTILINE)) <= set(VERBS), page
+        for names in re.findall(r"\.\[([\w,]+)\]", text):
+            assert set(names.split(",")) <= extras, page
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return a folder with the files that the pages' lines name."""
+    from stable_baselines3 import PPO
+
+    from baselines.evaluation.rollout import make_env
+
+    folder = tmp_path_factory.mktemp("lines")
+    for page in PAGES:
+        for language, text in FENCE.findall(page.read_text(encoding="utf-8")):
+            name = text.split("\n", 1)[0].removeprefix("# ")
+            if re.fullmatch(r"\w+\.(py|toml|yml)", name) and language in ("python", "toml", "yaml"):
+                (folder / name).write_text(text, encoding="utf-8")
+    for run, agent in (("apg-cruise", "apg-cruise"), ("ppo-slow", "ppo-slow")):
+        shutil.copytree(AGENTS / agent, folder / "runs" / "train" / run / "agent")
+    model = PPO("MlpPolicy", make_env(PRESETS["cruise-calm"]), n_steps=8, batch_size=8, device="cpu")
+    for name in ("model.zip", "runs/ppo/model.zip"):
+        model.save(folder / name)
+    return folder
+
+
+@pytest.mark.parametrize(
+    "line", [line for line in lines() if line.startswith("python evaluate") and not elsewhere(line)]
+)
+def test_line_of_evaluate_runs(line, folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    if "--help" in line:
+        with pytest.raises(SystemExit, match="0"):
+            evaluate.main(quick(line)[1:])
+    else:
+        assert evaluate.main(quick(line)[1:]) == 0
+
+
+@pytest.mark.parametrize(
+    "line", sorted({shlex.join(quick(x)) for x in lines() if "-m baselines" in x and not elsewhere(x)})
+)
+def test_line_of_a_module_runs(line, copy):
+    called(copy, sys.executable, *shlex.split(line))
