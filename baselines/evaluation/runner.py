@@ -192,7 +192,7 @@ def run_task(
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            result = rollout(make_policy(policy), scenario, episodes, step_limit, on_step)
+            result = rollout(make_policy(policy, scenario.vehicle), scenario, episodes, step_limit, on_step)
         except PolicyError as exception:
             error = str(exception)
         except Exception as exception:  # noqa: BLE001, whatever a policy raises costs it its row, not the others theirs

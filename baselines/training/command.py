@@ -83,6 +83,6 @@ def _finish(run: Run, agent: Agent, command: str) -> float:
         "scores": {"validation episodes": round(best["score"], 3)},
         "validation": {name: best[name] for name in ("timesteps", "score", "error_m", "lost")},
     }
-    region = run.validation.run(agent.policy()).region
+    region = run.validation.run(agent.policy(vehicle=run.config.vehicle)).region
     replace(agent, region=region, training={**training, **agent.training}).save(run.folder / AGENT, curve)
     return best["score"]

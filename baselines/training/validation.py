@@ -161,7 +161,7 @@ def _kept(file: Path) -> Mapping[str, Any]:
 def _capped_tail(name: str, cell: Cell) -> Array:
     """Return the capped tails [m] of a policy; infinite where the oracle does not know how."""
     try:
-        measures = rollout(make_policy(name), cell.scenario, cell.episodes, math.inf).measures
+        measures = rollout(make_policy(name, cell.scenario.vehicle), cell.scenario, cell.episodes, math.inf).measures
     except (PolicyError, ValueError):
         if name == EXPERT:
             raise
