@@ -17,7 +17,7 @@ from baselines.evaluation import suites
 from baselines.evaluation.metrics import Array, Measures
 from baselines.evaluation.report.numbers import versions
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import LARGEST_TAIL, beyond
+from baselines.evaluation.score import LARGEST_TAIL, cut, is_lost
 from baselines.tools.files import write_atomically
 
 FOLDER = Path(__file__).parent / "data" / "studies"
@@ -64,14 +64,12 @@ class InSuite:
     def capped(self, regime: str) -> tuple[Array, ...]:
         """Return the tails with that of an episode that was lost cut at `score.LARGEST_TAIL`."""
         cap = LARGEST_TAIL[regime]
-        return tuple(np.where(gone, cap, tail) for gone, tail in zip(self._gone(cap), self.tails, strict=True))
+        return tuple(cut(tail, ended, cap) for tail, ended in zip(self.tails, self.lost, strict=True))
 
     def losses(self, regime: str) -> int:
-        """Return how many episodes of all seeds were lost, as `score.lost_share` counts."""
-        return sum(int(gone.sum()) for gone in self._gone(LARGEST_TAIL[regime]))
-
-    def _gone(self, cap: float) -> list[NDArray[np.bool_]]:
-        return [beyond(tail, lost, cap) for tail, lost in zip(self.tails, self.lost, strict=True)]
+        """Return how many episodes of all seeds are lost, see `score.is_lost`."""
+        cap = LARGEST_TAIL[regime]
+        return sum(int(is_lost(t, ended, cap).sum()) for t, ended in zip(self.tails, self.lost, strict=True))
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from baselines.evaluation.metrics import Measures, Spread, Summary, ratio, summa
 from baselines.evaluation.paper.numbers import Reproduction
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import EXPERT, ORACLE, Pooled, Score, lost_share, paired, pooled, regime_of, score
+from baselines.evaluation.score import EXPERT, ORACLE, Pooled, Score, losses, paired, pooled, regime_of, score
 from baselines.tools.files import finite, json_text
 
 
@@ -89,7 +89,7 @@ def to_record(result: Result) -> dict[str, Any]:
         "effort_ratio": result.effort_ratio,
         "smoothness_ratio": result.smoothness_ratio,
         "failures": s.failures if s else None,
-        "lost": lost_share(run.measures, regime) if run.measures else None,
+        "lost": losses(run.measures, regime) / len(run.measures) if run.measures else None,
         "saturation": s.saturation if s else None,
         "return_mean": s.return_mean if s else None,
         "seconds": run.seconds if s else None,

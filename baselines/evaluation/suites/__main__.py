@@ -13,7 +13,7 @@ from baselines import list_policies
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.progress import progress
 from baselines.evaluation.report.numbers import versions
-from baselines.evaluation.runner import STEP_LIMIT, Cell, run_all
+from baselines.evaluation.runner import STEP_LIMIT, Cell, runs
 from baselines.evaluation.score import regime_of
 from baselines.evaluation.suites.builder import SUITES, build
 from baselines.tools.command_line import DONE, FAILED, UsageError, parse, run
@@ -83,12 +83,14 @@ def _record(suite: suites.Suite, options: Options) -> int:
         own = [cell for cell in cells if regime_of(cell.scenario.name) in regimes]
         steps = sum(len(cell.episodes) * cell.scenario.steps for cell in own)
         with progress(len(own), steps) as report:
-            note = report.board.note
-            runs = run_all((policy,), own, Workers(options.jobs), report.run, note, options.step_limit)
+            found = []
+            for result in runs((policy,), own, Workers(options.jobs), options.step_limit, report.board.note):
+                report.run(result)
+                found.append(result)
         try:
-            recorded.save(suite, runs, versions(), regimes=regimes)
+            recorded.save(suite, found, versions(), regimes=regimes)
         except ValueError as error:
-            reasons = dict.fromkeys(run.error for run in runs if run.error)
+            reasons = dict.fromkeys(run.error for run in found if run.error)
             print(f"{PROGRAM}: {error}: {'; '.join(map(str, reasons))}", file=sys.stderr)
             failed = True
     return FAILED if failed else DONE
