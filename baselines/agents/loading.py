@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib
 import importlib.util
 import inspect
@@ -48,25 +47,6 @@ def caution(name: str) -> str | None:
     if name.endswith(".zip"):
         return f"{name} holds pickled objects, which can run any code when they are loaded: only load what you trust"
     return None
-
-
-def fingerprint(name: str) -> str:
-    """Return a SHA-256 of the files that a policy's name stands for; "" for one that is made of the project's code.
-
-    Of a path that is the file, or what is in the folder; of an agent's name its folder. What a module imports does not
-    count.
-    """
-    name = name.removesuffix(FADING)
-    path = Path(name.rpartition(":")[0] if ".py:" in name else name)
-    if not is_path(name) and not path.is_dir():
-        path = AGENTS / name
-    files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
-    digest, empty = hashlib.sha256(), True
-    for file in files:
-        if file.is_file() and "__pycache__" not in file.parts:
-            digest.update(f"{file.relative_to(path)}\n".encode() + hashlib.sha256(file.read_bytes()).digest())
-            empty = False
-    return "" if empty else digest.hexdigest()
 
 
 def told(factory: Callable[..., Any], vehicle: Any) -> dict[str, Any]:

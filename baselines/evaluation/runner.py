@@ -22,7 +22,7 @@ from auv_gym import __version__
 from auv_gym.episode import Episode
 from auv_gym.scenario import Scenario
 from baselines import make_policy
-from baselines.agents.loading import fingerprint
+from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import Measures, Track
 from baselines.evaluation.rollout import PolicyError, Rollout, rollout
 from baselines.tools.workers import Workers
@@ -83,7 +83,7 @@ class Run:
     error: str | None = None
     warnings: tuple[str, ...] = ()
     recorded: Recorded | None = None  # None: the episodes ran now
-    fingerprint: str = ""  # of the policy's files, see `agents.loading.fingerprint`
+    fingerprint: str = ""  # of the policy's files, see `fingerprints.fingerprint`
     known: bool = False  # left by an evaluation that was interrupted
 
     @property

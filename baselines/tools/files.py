@@ -1,12 +1,19 @@
-"""Files that are either whole or absent, and strict JSON."""
+"""Files that are either whole or absent, strict JSON, and the versions that they name."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
+import platform
 from pathlib import Path
 from typing import Any
+
+import gymnasium
+import numpy as np
+import scipy
+
+import auv_gym
 
 
 def write_atomically(file: Path, content: str | bytes) -> None:
@@ -31,3 +38,14 @@ def finite(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [finite(entry) for entry in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what the numbers depend on."""
+    return {
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "gymnasium": gymnasium.__version__,
+        "auv_gym": auv_gym.__version__,
+    }

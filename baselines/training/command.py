@@ -13,9 +13,8 @@ from typing import Any
 import joblib
 
 from baselines.agents.agent import Agent
-from baselines.evaluation.report.numbers import versions
 from baselines.tools.command_line import DONE, FAILED
-from baselines.tools.files import write_atomically
+from baselines.tools.files import versions, write_atomically
 from baselines.training.config import ALGORITHMS, Config
 from baselines.training.learning_curve import learning_curve
 from baselines.training.progress import live, plain
