@@ -12,9 +12,10 @@ from auv_gym.envs.lanes import ScenarioLike
 from auv_gym.envs.residual import ResidualAction, VectorResidualAction
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.policy import Policy, preview_of
+from auv_gym.presets import as_scenario
 from auv_gym.scenario import Scenario
 from auv_gym.vehicle import Vehicle
-from baselines.agents.loading import AGENTS, FADING, is_path, load_policy, shipped_agents
+from baselines.agents.loading import AGENTS, FADING, is_path, load_policy, shipped_agents, told
 from baselines.control.backstepping import Backstepping
 from baselines.control.current_observer import make_current_observer
 from baselines.control.ekf_law import make_ekf_law
@@ -61,22 +62,28 @@ def list_policies() -> dict[str, str]:
     return {name: text for name, (_, _, text) in POLICIES.items()} | agents
 
 
-def make_policy(name: str, **options: Any) -> Policy:
+def make_policy(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None = None, **options: Any) -> Policy:
     """Return a policy by name or path; options override those of the entry.
 
     A path is FILE.py:FACTORY or a FILE.zip of Stable-Baselines3, which can run any code when it is loaded, or the
     folder of a trained agent, which cannot. An agent's name or folder may be followed by `FADING`.
+
+    Args:
+        name: see above.
+        vehicle: the one that the task knows; a law, or the expert of an agent, believes in it, and a policy whose
+            factory takes no `vehicle` is not told. None: the paper's.
+        options: of the factory.
 
     Raises:
         OSError: the file cannot be read.
         ValueError: the name is unknown, the file holds no policy, or the policy does not take such options.
     """
     if name.endswith(FADING):
-        return make_policy(name.removesuffix(FADING), **{"fade": True, **options})
+        return make_policy(name.removesuffix(FADING), vehicle, **{"fade": True, **options})
     if is_path(name):
-        return load_policy(name, **options)
+        return load_policy(name, vehicle, **options)
     if name in shipped_agents():
-        return load_policy(str(AGENTS / name), **options)
+        return load_policy(str(AGENTS / name), vehicle, **options)
     if name not in POLICIES:
         known = ", ".join(list_policies())
         raise ValueError(
@@ -84,9 +91,15 @@ def make_policy(name: str, **options: Any) -> Policy:
         )
     factory, defaults, _ = POLICIES[name]
     try:
-        return factory(**{**defaults, **options})
+        return factory(**{**defaults, **told(factory, vehicle), **options})
     except TypeError as error:
         raise ValueError(f"policy {name!r} does not take these options: {error}") from error
+
+
+def common_vehicle(scenarios: Sequence[Scenario]) -> Vehicle | None:
+    """Return the vehicle that all scenarios know; None where they differ: one policy cannot believe in several."""
+    first = scenarios[0].vehicle
+    return first if all(scenario.vehicle == first for scenario in scenarios) else None
 
 
 def make_residual_env(
@@ -104,10 +117,12 @@ def make_residual_env(
         vehicle: likewise.
         control_dt: likewise.
         render_mode: likewise.
-        expert: a policy or the name of one; the observation has the preview that it needs.
+        expert: a policy, or the name of one, which is told the known vehicle; the observation has the preview that it
+            needs.
         authority: see `ResidualAction`.
     """
-    policy = make_policy(expert) if isinstance(expert, str) else expert
+    known = as_scenario(scenario).changed(vehicle).vehicle
+    policy = make_policy(expert, known) if isinstance(expert, str) else expert
     env = UnderactuatedAUVTrackEnv(scenario, vehicle, control_dt, render_mode, preview_of(policy))
     return ResidualAction(env, policy, authority)
 
@@ -132,13 +147,16 @@ def make_residual_vector_env(
         vehicle: likewise.
         control_dt: likewise.
         render_mode: likewise.
-        expert: a policy or the name of one; with backend "torch" a law that computes on tensors.
+        expert: a policy, or the name of one, which is told the known vehicle, if it is the same one everywhere; with
+            backend "torch" a law that computes on tensors.
         authority: see `VectorResidualAction`.
         backend: see `auv_gym.envs.make_track_vector_env`.
         device: likewise.
         dtype: likewise.
     """
-    policy: Any = make_policy(expert) if isinstance(expert, str) else expert
+    given = [scenario] if isinstance(scenario, (Scenario, str, Mapping)) else scenario
+    known = common_vehicle([as_scenario(s).changed(vehicle) for s in given])
+    policy: Any = make_policy(expert, known) if isinstance(expert, str) else expert
     preview = preview_of(policy)
     env = make_track_vector_env(num_envs, scenario, vehicle, control_dt, render_mode, backend, device, dtype, preview)
     if backend == "numpy":

@@ -23,9 +23,9 @@ from baselines.evaluation.metrics import Measures
 from baselines.evaluation.report.numbers import compare
 from baselines.evaluation.report.terminal import results_table
 from baselines.evaluation.request import Request
-from baselines.evaluation.rollout import PolicyError, make_env, rollout, run_episode
+from baselines.evaluation.rollout import PolicyError, make_env, rollout
 from baselines.evaluation.rows import RowStore
-from baselines.evaluation.runner import LANES, drawn, run_all, run_task
+from baselines.evaluation.runner import LANES, Task, drawn, run_all, runs
 from baselines.tools.command_line import run
 from baselines.tools.files import write_atomically
 from baselines.tools.workers import Workers
@@ -379,13 +379,40 @@ def test_policies_meet_the_same_episodes():
     """Start and reference of an episode do not depend on the policy; they are those of an environment's reset."""
     scenario = PRESETS["slow-storm"]
     cell = drawn(scenario, 2, 4)
-    one, other = (run_task(p, scenario, cell.episodes).rollout.track for p in ("backstepping", "open-loop"))
+    one, other = (Task(p, scenario, cell.episodes).run()[1].rollout.track for p in ("backstepping", "open-loop"))
     shorter = min(len(one.reference), len(other.reference))
     np.testing.assert_array_equal(one.position[0], other.position[0])
     np.testing.assert_array_equal(one.reference[:shorter], other.reference[:shorter])
     env = make_env(scenario)
     env.reset(seed=4)
     np.testing.assert_allclose(one.position[0], env.unwrapped.state[:2], rtol=1e-12)
+
+
+@dataclasses.dataclass
+class EpisodeRecord:
+    """One episode of n control steps, fewer than the scenario's if it was lost."""
+
+    errors: np.ndarray  # [m] shape (n,)
+    actions: np.ndarray  # shape (n, 2)
+    lost: bool
+    positions: np.ndarray  # x, y [m] at the start and after each step, shape (n + 1, 2); those of the reference too
+    references: np.ndarray
+
+
+def run_episode(env, policy, seed):
+    """Return one episode of a policy in a scalar environment: another loop than the evaluation's, to compare with."""
+    observation, _ = env.reset(seed=seed)
+    memory, first, over = None, np.array([True]), False
+    errors, actions, rows = [], [], [(*env.unwrapped.state[:2], *env.unwrapped.reference[:2])]
+    while not over:
+        action, memory = policy.predict(observation, memory, first)
+        observation, _, lost, truncated, info = env.step(action)
+        errors.append(info["position_error"])
+        actions.append(np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0))
+        rows.append((*env.unwrapped.state[:2], *env.unwrapped.reference[:2]))
+        first, over = np.array([False]), lost or truncated
+    table = np.array(rows)
+    return EpisodeRecord(np.array(errors), np.array(actions), lost, table[:, :2], table[:, 2:])
 
 
 def test_side_by_side_as_one_by_one():
@@ -397,7 +424,7 @@ def test_side_by_side_as_one_by_one():
         records = [run_episode(make_env(scenario), policy, 3 + i) for i in range(12)]
         assert result.measures.lost.any()
         assert result.measures.lost.tolist() == [record.lost for record in records]
-        errors = np.array([metrics.padded(record.errors, 90) for record in records]).T
+        errors = np.array([np.pad(record.errors, (0, 90 - len(record.errors)), "edge") for record in records]).T
         np.testing.assert_allclose(result.errors, errors, rtol=1e-5)
         np.testing.assert_allclose(result.measures.tail, metrics.tail_rmse(errors), rtol=1e-6)
         for i, record in enumerate(records):
@@ -428,11 +455,10 @@ def test_a_policy_must_act_for_every_episode():
 
 
 def test_runs_come_cell_by_cell_with_progress():
-    seen, steps = [], {}
+    steps = {}
     policies, cells = ("backstepping", "open-loop"), [drawn(s, 6, 7) for s in (SMALL, PRESETS["slow-calm"])]
-    runs = run_all(policies, cells, on_run=seen.append, note=steps.__setitem__)
-    assert [(run.scenario.name, run.policy) for run in runs] == [(c.scenario.name, p) for c in cells for p in policies]
-    assert seen == runs
+    found = list(runs(policies, cells, note=steps.__setitem__))
+    assert [(run.scenario.name, run.policy) for run in found] == [(c.scenario.name, p) for c in cells for p in policies]
     assert sum(steps.values()) == sum(6 * 2 * cell.scenario.steps for cell in cells)
 
 
@@ -493,9 +519,11 @@ def test_an_episode_is_measured_as_the_environment_reports_it():
     record = run_episode(make_env(SMALL), baselines.make_policy("open-loop"), 3)
     assert record.errors.shape == (45,)
     assert record.actions.shape == (45, 2)
-    assert record.track.position.shape == record.track.reference.shape == (46, 2)
-    distance = np.linalg.norm(record.track.position - record.track.reference, axis=1)
+    distance = np.linalg.norm(record.positions - record.references, axis=1)
     np.testing.assert_allclose(distance[1:], record.errors, rtol=1e-12)
+    track = rollout(baselines.make_policy("open-loop"), SMALL, drawn(SMALL, 1, 3).episodes, 1.0).track
+    assert track.position.shape == track.reference.shape == (45, 2)
+    np.testing.assert_allclose(track.position, record.positions[:-1], rtol=1e-9)
 
 
 def test_a_lost_episode_ends():
@@ -506,7 +534,7 @@ def test_a_lost_episode_ends():
 
 
 def test_warnings_of_a_policy_are_kept():
-    part = run_task("backstepping-paper", PRESETS["cruise-calm"], drawn(PRESETS["cruise-calm"], 1, 0).episodes)
+    _, part = Task("backstepping-paper", PRESETS["cruise-calm"], drawn(PRESETS["cruise-calm"], 1, 0).episodes).run()
     assert part.error is None
     assert "stable up to" in part.warnings[0]
 

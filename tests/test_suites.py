@@ -14,12 +14,13 @@ from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES
 from baselines.agents.networks import Gru
 from baselines.evaluation import recorded, suites
-from baselines.evaluation.report.numbers import compare, pool, versions
+from baselines.evaluation.report.numbers import compare, pool
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Cell, drawn, run_all
 from baselines.evaluation.suites.__main__ import main
 from baselines.evaluation.suites.builder import FAMILIES, SUITES, build
 from baselines.tools.command_line import UsageError
+from baselines.tools.files import versions
 
 NAMES = suites.list_suites()
 
@@ -121,7 +122,7 @@ def test_recorded_rows_belong_to_a_hash(small, tmp_path):
     with pytest.raises(ValueError, match="open-loop has no result in cruise-actuator"):
         recorded.save(suite, runs[:1], versions(), tmp_path)
     (tmp_path / "small" / "open-loop.npz").write_bytes(b"PK")
-    assert "cannot be read" in recorded.load(suite, tmp_path).refused["open-loop"]
+    assert "is damaged: BadZipFile" in recorded.load(suite, tmp_path).refused["open-loop"]
 
 
 def test_recorded_rows_belong_to_an_agents_files(small, tmp_path, monkeypatch):

@@ -10,8 +10,16 @@ import numpy as np
 import pytest
 
 import evaluate
-from baselines import make_policy
+from auv_gym.presets import PRESETS
+from auv_gym.vehicle import Vehicle
+from baselines import common_vehicle, make_policy, make_residual_vector_env
+from baselines.agents.agent import Agent
+from baselines.agents.features import FEATURES
+from baselines.agents.networks import Gru
+from baselines.evaluation.rollout import rollout
+from baselines.evaluation.runner import drawn, run_all
 from baselines.tools.command_line import UsageError
+from baselines.training.config import Config
 
 PAGE = (Path(__file__).parents[1] / "docs" / "metrics.md").read_text(encoding="utf-8")
 COMMON = ("--scenario", "cruise-calm", "--episodes", "2", "--jobs", "1", "--out", "out")
@@ -91,3 +99,51 @@ def test_zip_acts_as_its_model(models, algorithm):
 def test_zip_of_another_task(models):
     with pytest.raises(ValueError, match=r"takes observations \(20,\)"):
         make_policy(str(models / "residual.zip"))
+
+
+BELIEVING = """
+from baselines.control.backstepping import Backstepping
+
+
+class Law(Backstepping):
+    def __init__(self, vehicle="paper"):
+        super().__init__(vehicle=vehicle)
+
+
+def make_open_loop():
+    from baselines import make_policy
+
+    return make_policy("open-loop")
+"""
+
+
+def test_policies_are_told_the_vehicle_that_the_scenario_knows(tmp_path, monkeypatch):
+    """By name, as an agent's expert and from a file, the law knows the heavy vehicle of a scenario."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text(BELIEVING)
+    heavy = Vehicle(m11=600.0, m22=840.0, m33=300.0, d11=160.0, d22=320.0, d33=180.0, X_uu=40.0)
+    scenario = PRESETS["cruise-calm"].changed(vehicle=heavy)
+    network = Gru(len(FEATURES), 2, 2, 2)
+    zeros = {name: np.zeros(shape, np.float32) for name, shape in network.shapes.items()}
+    Agent(network, zeros, "backstepping", (0.5, 0.5)).save("agent")
+    cell = drawn(scenario, 2, 0)
+    told = rollout(make_policy("backstepping", vehicle=heavy), scenario, cell.episodes, 1.0).measures.tail
+    wrong = rollout(make_policy("backstepping"), scenario, cell.episodes, 1.0).measures.tail
+    runs = run_all(("backstepping", "./agent", "mine.py:Law", "mine.py:make_open_loop"), [cell])
+    for run in runs[:3]:
+        np.testing.assert_array_equal(run.measures.tail, told)
+    assert runs[3].error is None
+    assert told.mean() < 0.5 * wrong.mean()
+    assert Config(scenarios=((scenario, 1.0),)).make_expert().vehicle == heavy
+    assert make_policy("ekf", heavy).controller.slow.vehicle == heavy
+    assert make_policy("open-loop", heavy)
+    residual = gym.make("auv_gym:UnderactuatedAUVTrackResidual-v0", scenario=scenario)
+    assert residual.unwrapped.scenario.vehicle == residual.get_wrapper_attr("expert").vehicle == heavy
+
+
+def test_an_expert_by_name_is_told_the_vehicle_that_all_know():
+    heavy = Vehicle(m11=600.0, m22=840.0, m33=300.0, d11=160.0, d22=320.0, d33=180.0, X_uu=40.0)
+    one, other = PRESETS["cruise-calm"], PRESETS["cruise-calm"].changed(vehicle=heavy)
+    assert (common_vehicle([one, one]), common_vehicle([one, other])) == (one.vehicle, None)
+    for scenario, known in ((other, heavy), ([one, other], one.vehicle)):
+        assert make_residual_vector_env(2, scenario).expert.vehicle == known

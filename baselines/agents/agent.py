@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from auv_gym.policy import Policy, checked_authority
 from auv_gym.records import from_record, to_record
 from auv_gym.task import TERMS
+from auv_gym.vehicle import Vehicle
 from baselines.agents.features import ERRORS, STANDARD, Inputs
 from baselines.agents.loading import is_path
 from baselines.agents.model_card import CURVE, model_card
@@ -82,12 +83,13 @@ class Agent:
                 raise ValueError(f"region is {self.region!r}; it must be {ERRORS} positive numbers")
         check_weights(self.network, self.weights)
 
-    def policy(self, fade: bool = False) -> Policy:
+    def policy(self, fade: bool = False, vehicle: Vehicle | None = None) -> Policy:
         """Return the policy: expert and network together.
 
         Args:
             fade: whether corrections fade to the expert's bare action where an error leaves the region that was seen in
                 training; at twice its size nothing of them is left.
+            vehicle: what the expert believes in, see `baselines.make_policy`.
 
         Raises:
             ValueError: the expert is unknown, or corrections are to fade and there is no expert, or no known region.
@@ -98,7 +100,7 @@ class Agent:
             raise ValueError("the agent does not know the region that it has seen, so it cannot fade; train it again")
         from baselines import make_policy
 
-        expert = Zero() if self.expert == NO_EXPERT else make_policy(self.expert)
+        expert = Zero() if self.expert == NO_EXPERT else make_policy(self.expert, vehicle)
         region = self.region if fade else None
         return ResidualPolicy(expert, self.network, self.weights, self.authority, region, self.inputs)
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib
 import importlib.util
+import inspect
 import json
 import sys
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -48,30 +49,21 @@ def caution(name: str) -> str | None:
     return None
 
 
-def fingerprint(name: str) -> str:
-    """Return a SHA-256 of the files that a policy's name stands for; "" for one that is made of the project's code.
-
-    Of a path that is the file, or what is in the folder; of an agent's name its folder. What a module imports does not
-    count.
-    """
-    name = name.removesuffix(FADING)
-    path = Path(name.rpartition(":")[0] if ".py:" in name else name)
-    if not is_path(name) and not path.is_dir():
-        path = AGENTS / name
-    files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
-    digest, empty = hashlib.sha256(), True
-    for file in files:
-        if file.is_file() and "__pycache__" not in file.parts:
-            digest.update(f"{file.relative_to(path)}\n".encode() + hashlib.sha256(file.read_bytes()).digest())
-            empty = False
-    return "" if empty else digest.hexdigest()
+def told(factory: Callable[..., Any], vehicle: Any) -> dict[str, Any]:
+    """Return the option that tells a factory of the known vehicle; none if there is none, or it takes no `vehicle`."""
+    try:
+        takes = vehicle is not None and "vehicle" in inspect.signature(factory).parameters
+    except (TypeError, ValueError):  # of something without a signature
+        takes = False
+    return {"vehicle": vehicle} if takes else {}
 
 
-def load_policy(path: str, **options: Any) -> Policy:
+def load_policy(path: str, vehicle: Any = None, **options: Any) -> Policy:
     """Return the policy of a path, see the module.
 
     Args:
         path: "FILE.py:FACTORY", whose factory is called with the options, "FILE.zip", or an agent's folder.
+        vehicle: the known one, see `baselines.make_policy`.
         options: of the factory, or `fade` of an agent, see `baselines.agents.agent.Agent.policy`; a model takes none.
 
     Raises:
@@ -82,18 +74,18 @@ def load_policy(path: str, **options: Any) -> Policy:
         model = path.endswith(".zip")
         if unknown := [name for name in options if model or name != "fade"]:
             raise ValueError(f"policy {path!r} takes no option {unknown[0]!r}" + ("" if model else ", only fade"))
-        return _model(Path(path)) if model else _agent(Path(path), **options)
+        return _model(Path(path)) if model else _agent(Path(path), vehicle, **options)
     file, _, factory = path.rpartition(":")
-    return _made(Path(file), factory, options)
+    return _made(Path(file), factory, vehicle, options)
 
 
-def _agent(folder: Path, fade: bool = False) -> Policy:
+def _agent(folder: Path, vehicle: Any, fade: bool = False) -> Policy:
     from baselines.agents.agent import Agent
 
-    return Agent.load(folder).policy(fade)
+    return Agent.load(folder).policy(fade, vehicle)
 
 
-def _made(file: Path, factory: str, options: dict[str, Any]) -> Policy:
+def _made(file: Path, factory: str, vehicle: Any, options: dict[str, Any]) -> Policy:
     with file.open("rb"):
         pass  # says that it is missing before the importer does
     name = f"user_policy_{file.stem}"
@@ -106,10 +98,11 @@ def _made(file: Path, factory: str, options: dict[str, Any]) -> Policy:
         spec.loader.exec_module(module)
     except Exception as error:
         raise ValueError(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
-    if not callable(getattr(module, factory, None)):
+    make = getattr(module, factory, None)
+    if not callable(make):
         raise ValueError(f"{file} has no function or class {factory!r} that makes a policy")
     try:
-        policy: Policy = getattr(module, factory)(**options)
+        policy: Policy = make(**{**told(make, vehicle), **options})
     except Exception as error:
         raise ValueError(f"{factory} of {file} fails: {type(error).__name__}: {error}") from error
     if not callable(getattr(policy, "predict", None)):

@@ -13,7 +13,7 @@ from baselines.evaluation.report.numbers import Result, compare, pool, recording
 from baselines.evaluation.report.terminal import console, reproduction_tables, results_table, score_table
 from baselines.evaluation.request import Request
 from baselines.evaluation.rows import RowStore
-from baselines.evaluation.runner import Run, run_all
+from baselines.evaluation.runner import Run, runs
 from baselines.evaluation.score import ORACLE, Pooled
 from baselines.tools.command_line import DONE, FAILED
 from baselines.tools.files import write_atomically
@@ -33,35 +33,28 @@ def evaluate(request: Request) -> int:
         with progress(runs_to_do, steps) as report:
             if request.suite == "paper":
                 reproduction = reproduce(report.message)
-            runs = _run(request, store, report)
+            found = _run(request, store, report)
             report.message("plots")
-            results, scores = compare(runs), pool(runs)
+            results, scores = compare(found), pool(found)
             _write(request, results, scores, reproduction)
     except OSError as error:
         print(f"cannot write to {request.out}: {error.strerror}", file=sys.stderr)
         return FAILED
     _print(request, results, scores, reproduction)
-    return FAILED if any(run.error for run in runs) else DONE
+    return FAILED if any(run.error for run in found) else DONE
 
 
 def _run(request: Request, store: RowStore, report: Listener) -> list[Run]:
     """Return the runs of a request; each is kept in the store when it is complete."""
-
-    def on_run(run: Run) -> None:
+    found, known = list(request.earlier), store.load if request.resume else lambda _: None
+    note = report.board.note
+    for run in runs(request.policies, request.cells, request.workers, request.step_limit, note, known):
         store.save(run)
         report.run(run)
-
-    live = run_all(
-        request.policies,
-        request.cells,
-        request.workers,
-        on_run,
-        report.board.note,
-        request.step_limit,
-        store.load if request.resume else lambda _: None,
-    )
+        found.append(run)
     order = [cell.scenario.name for cell in request.cells]
-    return sorted((*live, *request.earlier), key=lambda run: order.index(run.scenario.name))
+    names = [*request.policies, *(run.policy for run in request.earlier)]
+    return sorted(found, key=lambda run: (order.index(run.scenario.name), names.index(run.policy)))
 
 
 def _write(request: Request, results: list[Result], scores: list[Pooled], reproduction: Reproduction | None) -> None:

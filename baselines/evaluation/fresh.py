@@ -19,11 +19,11 @@ from tyro.conf import arg
 from auv_gym.presets import REGIMES
 from baselines import list_policies
 from baselines.evaluation import recorded, suites
-from baselines.evaluation.report.numbers import versions
 from baselines.evaluation.runner import drawn, run_all
 from baselines.evaluation.score import EXPERT, ORACLE, regime_of
 from baselines.evaluation.suites import Suite
 from baselines.tools.command_line import DONE, FAILED, UsageError, parse, run
+from baselines.tools.files import versions
 from baselines.tools.workers import Workers
 
 PROGRAM = "python -m baselines.evaluation.fresh"

@@ -83,11 +83,6 @@ class Summary:
     return_mean: float
 
 
-def padded(errors: Array, steps: int) -> Array:
-    """Return the errors, shape (steps,): an episode that was lost keeps the error at which it ended."""
-    return np.concatenate((errors, np.full(steps - len(errors), errors[-1])))
-
-
 def rmse(errors: Array) -> Array:
     """Return sqrt(mean_k e_k^2) [m]."""
     return np.asarray(np.sqrt(np.mean(np.square(errors), axis=0)))

@@ -1,15 +1,15 @@
 """What policies did in the frozen suites when they were last run: rows to compare with, without waiting for slow ones.
 
 A file SUITE/POLICY.npz each, made by `python -m baselines.evaluation.suites record SUITE --policy POLICY ...`. It names
-the suite's hash and the fingerprint of the policy's files; where one of them is another now, its rows do not count. A
-slow policy may have run the first episodes of each cell only, and an agent the cells of its regime.
+the suite's hash; `STAMPS` has, for each file, its own hash and the fingerprint of the policy that made it. Where one of
+the three is another now, the rows do not count, until they are recorded anew or `verify` finds that the policy still
+gives the same numbers. A slow policy may have run the first episodes of each cell only, an agent its regime's cells.
 """
 
 from __future__ import annotations
 
-import io
+import hashlib
 import json
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from datetime import datetime, timezone
@@ -17,19 +17,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from auv_gym.presets import REGIMES
 from baselines import list_policies
 from baselines.agents.agent import Agent
-from baselines.agents.loading import AGENTS, FADING, fingerprint, shipped_agents
+from baselines.agents.loading import AGENTS, FADING, shipped_agents
+from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.runner import Cell, Recorded, Run
 from baselines.evaluation.score import regime_of
+from baselines.evaluation.store import Stored, reading, write
 from baselines.evaluation.suites import Suite
-from baselines.tools.files import write_atomically
+from baselines.tools.files import json_text, write_atomically
 
 FOLDER = Path(__file__).parent / "data" / "recorded"
+STAMPS = "fingerprints.json"
 
 
 @dataclass(frozen=True)
@@ -41,47 +43,82 @@ class Found:
 
 
 def load(suite: Suite, folder: Path = FOLDER) -> Found:
-    """Return the recorded runs of a suite."""
+    """Return the recorded runs of a suite that count."""
     runs: list[Run] = []
     refused: dict[str, str] = {}
-    files = {file.stem: file for file in (folder / suite.name).glob("*.npz")}
-    order = list(list_policies())
-    for policy in sorted(files, key=lambda name: (order.index(name) if name in order else len(order), name)):
-        try:
-            record, rows = _read(files[policy])
-            if (reason := _reason(record, suite)) is None:
-                runs += _runs(record, rows, suite)
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-            reason = f"cannot be read: {error}"
-        if reason is not None:
-            refused[policy] = reason
+    stamps = _stamps(folder)
+    for policy in recorded_policies(suite, folder):
+        found = _counted(suite, policy, stamps, folder)
+        if isinstance(found, str):
+            refused[policy] = found
+        else:
+            runs += found
     return Found(tuple(runs), refused)
 
 
-def _reason(record: Mapping[str, Any], suite: Suite) -> str | None:
-    """Return why a record does not count, if so."""
-    if record["suite_hash"] != suite.hash:
-        return f"another {suite.name}, of hash {record['suite_hash'][:12]}"
-    if record["fingerprint"] != fingerprint(record["policy"]):
-        return "the policy's files have changed since"
-    return None
+def _counted(suite: Suite, policy: str, stamps: Mapping[str, list[str]], folder: Path) -> list[Run] | str:
+    """Return the runs that are kept of a policy, or why they do not count."""
+    try:
+        own = read(suite, policy, folder)
+        if stamps.get(f"{suite.name}/{policy}") != _stamp(suite, policy, folder):
+            return "the policy's files have changed since, or the rows have"
+    except (OSError, ValueError) as error:
+        return str(error)
+    return own
 
 
-def _read(file: Path) -> tuple[dict[str, Any], NDArray[np.float32]]:
-    with np.load(file, allow_pickle=False) as arrays:
-        return json.loads(str(arrays["record"])), arrays["measures"]
+def recorded_policies(suite: Suite, folder: Path = FOLDER) -> list[str]:
+    """Return the names of the policies that rows are kept of, in the order of the registry."""
+    names, order = {file.stem for file in (folder / suite.name).glob("*.npz")}, list(list_policies())
+    return sorted(names, key=lambda name: (order.index(name) if name in order else len(order), name))
 
 
-def _runs(record: Mapping[str, Any], rows: NDArray[np.float32], suite: Suite) -> list[Run]:
-    bounds = np.cumsum([0, *record["episodes"]]).tolist()
-    when, runs = Recorded(record["date"], record["versions"]), []
-    for i, cell in enumerate(_cells(suite, record.get("regimes", REGIMES))):
-        *values, lost = rows[:, bounds[i] : bounds[i + 1]].astype(np.float64)
-        measures: Any = (*values, lost > 0)
-        run = Run(record["policy"], cell.scenario, cell.hash, Measures(*measures), recorded=when)
-        times = {name: record[name][i] for name in ("seconds", "decision_seconds")}
-        runs.append(replace(run, fingerprint=record["fingerprint"], **times))
+def read(suite: Suite, policy: str, folder: Path = FOLDER) -> list[Run]:
+    """Return the runs that are kept of a policy, cell by cell, whatever it is made of now.
+
+    Raises:
+        OSError: there is no such file.
+        ValueError: it is damaged, of another suite or of another policy.
+    """
+    with reading(folder / suite.name / f"{policy}.npz") as stored:
+        record, rows = stored.record, stored.arrays["measures"].astype(np.float64)
+        bounds = np.cumsum([0, *record["episodes"]]).tolist()
+        cells, when = cells_of(suite, record.get("regimes", REGIMES)), Recorded(record["date"], record["versions"])
+        runs = []
+        for i, (cell, a, b) in enumerate(zip(cells, bounds[:-1], bounds[1:], strict=True)):
+            *values, lost = rows[:, a:b]
+            measures: Any = (*values, lost > 0)
+            run = Run(policy, cell.scenario, cell.hash, Measures(*measures), recorded=when)
+            seconds, decision = float(record["seconds"][i]), float(record["decision_seconds"][i])
+            runs.append(replace(run, seconds=seconds, decision_seconds=decision))
+        kept, text_hash = str(record["policy"]), str(record["suite_hash"])
+        if rows.shape != (len(fields(Measures)), bounds[-1]):
+            raise ValueError(f"its rows have shape {rows.shape}")
+    if kept != policy:
+        raise ValueError(f"its file holds the rows of {kept}")
+    if text_hash != suite.hash:
+        raise ValueError(f"another {suite.name}, of hash {text_hash[:12]}")
     return runs
+
+
+def _stamp(suite: Suite, policy: str, folder: Path) -> list[str]:
+    """Return the hash of a file of rows, and the fingerprint of what would make them now."""
+    rows = (folder / suite.name / f"{policy}.npz").read_bytes()
+    return [hashlib.sha256(rows).hexdigest(), fingerprint(policy)]
+
+
+def _stamps(folder: Path) -> dict[str, list[str]]:
+    try:
+        record: dict[str, list[str]] = json.loads((folder / STAMPS).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        record = {}
+    return record
+
+
+def stamp(suite: Suite, policy: str, folder: Path = FOLDER) -> None:
+    """Write down that the rows of a policy are what it does now."""
+    stamps = _stamps(folder) | {f"{suite.name}/{policy}": _stamp(suite, policy, folder)}
+    write_atomically(folder / STAMPS, json_text(dict(sorted(stamps.items()))))
 
 
 def regimes_of(policy: str) -> tuple[str, ...]:
@@ -93,7 +130,7 @@ def regimes_of(policy: str) -> tuple[str, ...]:
     return tuple(regime for regime in REGIMES if regime in own) or REGIMES
 
 
-def _cells(suite: Suite, regimes: Sequence[str]) -> list[Cell]:
+def cells_of(suite: Suite, regimes: Sequence[str]) -> list[Cell]:
     """Return a suite's cells in these regimes."""
     return [cell for cell in suite.cells if regime_of(cell.scenario.name) in regimes]
 
@@ -111,7 +148,7 @@ def save(
         ValueError: a run failed, or is missing.
     """
     policy, own = runs[0].policy, {run.scenario.name: run for run in runs if run.measures is not None}
-    names = [cell.scenario.name for cell in _cells(suite, regimes)]
+    names = [cell.scenario.name for cell in cells_of(suite, regimes)]
     if missing := [name for name in names if name not in own]:
         raise ValueError(f"{policy} has no result in {', '.join(missing)}")
     ordered = [own[name] for name in names]
@@ -121,7 +158,6 @@ def save(
         "suite": suite.name,
         "suite_hash": suite.hash,
         "policy": policy,
-        "fingerprint": runs[0].fingerprint,
         "date": datetime.now(timezone.utc).date().isoformat(),
         "versions": dict(versions),
         "regimes": list(regimes),
@@ -130,7 +166,5 @@ def save(
         "decision_seconds": [run.decision_seconds for run in ordered],
     }
     rows = np.stack([getattr(measures, f.name) for f in fields(Measures)]).astype(np.float32)
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, record=np.array(json.dumps(record)), measures=rows)
-    (folder / suite.name).mkdir(parents=True, exist_ok=True)
-    write_atomically(folder / suite.name / f"{policy}.npz", buffer.getvalue())
+    write(folder / suite.name / f"{policy}.npz", Stored(record, {"measures": rows}))
+    stamp(suite, policy, folder)

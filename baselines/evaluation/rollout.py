@@ -1,11 +1,14 @@
-"""Runs a policy through episodes: side by side in the vector environment, or one in the scalar environment."""
+"""The one loop that runs a policy through episodes, side by side in the vector environment."""
 
 from __future__ import annotations
 
+import copy
+import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, runtime_checkable
+from functools import cache
+from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import gymnasium as gym
 import numpy as np
@@ -21,6 +24,8 @@ from baselines.evaluation.metrics import Array, Measures, Track, effort, rmse, s
 ENV_ID = "auv_gym:UnderactuatedAUVTrack-v0"
 PATIENCE = 10
 """Control steps before a policy's speed is judged: the first ones may compile or load."""
+Begun: TypeAlias = tuple[UnderactuatedAUVTrackVectorEnv, Array]
+"""An environment at the beginning of its episodes, and what is observed there."""
 
 
 @runtime_checkable
@@ -49,6 +54,102 @@ class Rollout:
     decision_seconds: float  # processor time of the policy for one vehicle and control step
 
 
+class Moment(NamedTuple):
+    """What one control step of N episodes gives."""
+
+    observation: Array  # what was acted on, shape (N, terms)
+    command: Array  # shape (N, 2), zero where an episode has ended
+    reward: Array  # shape (N,), as the next two
+    error: Array  # [m] distance to the reference after the step
+    running: NDArray[np.bool_]  # not ended before the step; what is said of the others means nothing
+    lost: NDArray[np.bool_]  # ended by this step, beyond the lost distance
+
+
+class Watch:
+    """Adds up the time that a policy takes."""
+
+    def __init__(self, limit: float = math.inf) -> None:
+        """Begin at nothing; `limit` is the largest time for a decision of one vehicle [s], on average since then."""
+        self.limit, self.decisions, self._wall, self._processor = limit, 0, 0.0, 0.0
+
+    @property
+    def decision_seconds(self) -> float:
+        """Processor time of a decision of one vehicle [s]."""
+        return self._processor / self.decisions
+
+    def __enter__(self) -> None:
+        self._since = time.perf_counter(), time.process_time()
+
+    def __exit__(self, *_: object) -> None:
+        self._wall += time.perf_counter() - self._since[0]
+        self._processor += time.process_time() - self._since[1]
+
+    def count(self, n: int, k: int) -> None:
+        """Count the decisions of n vehicles at step k; raise PolicyError where they took too long."""
+        self.decisions += n
+        if k >= PATIENCE and self._wall / self.decisions > self.limit:
+            raise PolicyError(f"a decision takes {self._wall / self.decisions:.3g} s; allowed are {self.limit:g} s")
+
+
+def play(policy: Policy, begun: Begun, steps: int, watch: Watch | None = None) -> Iterator[Moment]:
+    """Yield what a policy does, step by step, until all episodes have ended.
+
+    Args:
+        policy: what acts; it gets its own memory back, and `episode_start`, True at an episode's first step.
+        begun: the environment and its first observation.
+        steps: most steps.
+        watch: what measures the policy's time.
+
+    Raises:
+        PolicyError: the policy's actions are not N pairs of finite numbers, or it is too slow.
+    """
+    (env, observation), watch = begun, watch or Watch()
+    privileged = policy if isinstance(policy, Privileged) else None
+    memory, first, running = None, np.ones(env.num_envs, dtype=bool), np.ones(env.num_envs, dtype=bool)
+    for k in range(steps):
+        with watch:
+            if privileged:
+                privileged.observe(env)
+            action, memory = policy.predict(observation, memory, first)
+        watch.count(env.num_envs, k)
+        command = _checked(action, running, k)
+        following, reward, terminated, truncated, info = env.step(command)
+        first, error = terminated | truncated, info["position_error"]
+        if first.any():
+            error = np.where(first, info["final_info"]["position_error"], error)
+        yield Moment(observation, command, reward, error, running, running & terminated)
+        observation, running = following, running & ~first
+        if not running.any():
+            return
+
+
+def beginning(cells: Sequence[tuple[Scenario, Sequence[Episode]]], preview: tuple[int, ...]) -> Begun:
+    """Return the beginning of the episodes of some scenarios, all side by side.
+
+    Args:
+        cells: scenarios of the same number of substeps, with episodes of each.
+        preview: what is observed of the reference ahead, see `auv_gym.preview`.
+    """
+    # What an environment begins where an episode has ended is left alone: a straight line, which costs nothing to plan.
+    after = [replace(scenario, path=Line(episodes[0].path.speed)) for scenario, episodes in cells]
+    scenarios = [scenario for scenario, (_, own) in zip(after, cells, strict=True) for _ in own]
+    env = UnderactuatedAUVTrackVectorEnv(len(scenarios), scenarios, preview=preview)
+    observation, _ = env.reset(seed=0, options={"episode": [episode for _, own in cells for episode in own]})
+    return env, observation
+
+
+class Repeatable:
+    """Episodes side by side that policies run one after the other; they are planned once for each preview."""
+
+    def __init__(self, begin: Callable[[tuple[int, ...]], Begun]) -> None:
+        """Take what makes their beginning with a preview."""
+        self._begin = cache(begin)
+
+    def play(self, policy: Policy, steps: int) -> Iterator[Moment]:
+        """Yield what a policy does, see `play`."""
+        return play(policy, copy.deepcopy(self._begin(preview_of(policy))), steps)
+
+
 def rollout(
     policy: Policy,
     scenario: Scenario,
@@ -59,51 +160,31 @@ def rollout(
     """Return N episodes of a policy, side by side; each ends where the scenario ends it.
 
     Args:
-        policy: what acts; it gets its own memory back, and `episode_start`, True at the first step.
+        policy: see `play`.
         scenario: what the episodes are of.
         episodes: what is to run.
         step_limit: largest time for a decision of one vehicle [s], on average since the start.
         on_step: called after each control step with their number so far.
 
     Raises:
-        PolicyError: the policy's actions are not N pairs of finite numbers, or it is too slow.
+        PolicyError: see `play`.
     """
-    begin, n = time.perf_counter(), len(episodes)
-    # What an environment begins where an episode has ended is left alone: a straight line, which costs nothing to plan.
-    env = UnderactuatedAUVTrackVectorEnv(
-        n, replace(scenario, path=Line(episodes[0].path.speed)), preview=preview_of(policy)
-    )
-    privileged = policy if isinstance(policy, Privileged) else None
-    if privileged:
-        privileged.prepare(scenario, episodes)
-    observation, _ = env.reset(seed=0, options={"episode": list(episodes)})
-    log = _Log(scenario.steps, n, [_row(env)])
-    memory, first, thinking, computing = None, np.ones(n, dtype=bool), 0.0, 0.0
-    for k in range(scenario.steps):
-        since, used = time.perf_counter(), time.process_time()
-        if privileged:
-            privileged.observe(env)
-        action, memory = policy.predict(observation, memory, first)
-        thinking, computing = thinking + time.perf_counter() - since, computing + time.process_time() - used
-        decisions = n * (k + 1)
-        if k >= PATIENCE and thinking / decisions > step_limit:
-            raise PolicyError(f"a decision takes {thinking / decisions:.3g} s; allowed are {step_limit:g} s")
-        command = _checked(action, log.running, k)
-        observation, reward, terminated, truncated, info = env.step(command)
-        first = terminated | truncated
-        final = info["final_info"]["position_error"] if first.any() else 0.0
-        log.add(k, command, np.where(first, final, info["position_error"]), reward, terminated)
-        if log.running[0] and not first[0]:
+    start, watch = time.perf_counter(), Watch(step_limit)
+    if isinstance(policy, Privileged):
+        policy.prepare(scenario, episodes)
+    env, observation = beginning([(scenario, episodes)], preview_of(policy))
+    log = _Log(scenario.steps, len(episodes), [_row(env)])
+    for k, moment in enumerate(play(policy, (env, observation), scenario.steps, watch)):
+        log.add(k, moment)
+        if log.running[0] and k + 1 < scenario.steps:
             log.rows.append(_row(env))
         on_step(k + 1)
-        if not log.running.any():
-            break
     return Rollout(
         log.measures(scenario),
         log.errors.astype(np.float32),
         _track(log.rows),
-        time.perf_counter() - begin,
-        computing / decisions,
+        time.perf_counter() - start,
+        watch.decision_seconds,
     )
 
 
@@ -115,14 +196,13 @@ class _Log:
         self.rows = rows  # of the first episode's track
         self.running, self._lost, self._length = np.ones(n, dtype=bool), np.zeros(n, dtype=bool), np.full(n, steps)
 
-    def add(self, k: int, actions: Array, errors: Array, rewards: Array, lost: NDArray[np.bool_]) -> None:
+    def add(self, k: int, m: Moment) -> None:
         """Take up step k; episodes that have ended keep their last error."""
-        running, lost = self.running, self.running & lost
-        self._actions[k], self._rewards[k] = np.clip(actions, -1.0, 1.0), np.where(running, rewards, 0.0)
-        self.errors[k] = np.where(running, errors, self.errors[k - 1])
-        self._lost |= lost
-        self._length[lost] = k + 1
-        self.running = running & ~lost
+        self._actions[k], self._rewards[k] = np.clip(m.command, -1.0, 1.0), np.where(m.running, m.reward, 0.0)
+        self.errors[k] = np.where(m.running, m.error, self.errors[k - 1])
+        self._lost |= m.lost
+        self._length[m.lost] = k + 1
+        self.running = m.running & ~m.lost
         if not self.running.any():
             self.errors[k + 1 :] = self.errors[k]
 
@@ -165,33 +245,6 @@ def make_env(scenario: Scenario) -> gym.Env[Any, Any]:
         ValueError: the scenario's path cannot be followed.
     """
     return gym.make(ENV_ID, scenario=scenario, disable_env_checker=True)
-
-
-@dataclass(frozen=True)
-class EpisodeRecord:
-    """What is kept of one episode that ran for n control steps, n < N if it was lost."""
-
-    seed: int
-    errors: Array  # e_k [m], shape (n,)
-    actions: Array  # a_k, shape (n, 2)
-    lost: bool
-    track: Track
-
-
-def run_episode(env: gym.Env[Any, Any], policy: Policy, seed: int) -> EpisodeRecord:
-    """Return one episode of a policy in a scalar environment."""
-    observation, _ = env.reset(seed=seed)
-    memory, first, over, lost = None, np.array([True]), False, False
-    errors, actions, rows = [], [], [_row(env.unwrapped)]
-    while not over:
-        action, memory = policy.predict(observation, memory, first)
-        observation, _, lost, truncated, info = env.step(action)
-        errors.append(info["position_error"])
-        actions.append(action)
-        rows.append(_row(env.unwrapped))
-        first, over = np.array([False]), lost or truncated
-    commands = np.clip(np.array(actions, dtype=np.float64), -1.0, 1.0)
-    return EpisodeRecord(seed, np.array(errors), commands, lost, _track(rows))
 
 
 def _row(env: Any) -> Array:

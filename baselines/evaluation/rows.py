@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import io
-import json
-import zipfile
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from auv_gym.scenario import Scenario
 from baselines.evaluation.metrics import Measures, Track
 from baselines.evaluation.runner import Run
-from baselines.tools.files import write_atomically
+from baselines.evaluation.store import Stored, reading, write
+
+PLAIN = ("policy", "fingerprint", "cell_hash", "seconds", "decision_seconds")
+"""Fields of a run that are kept as they are."""
 
 
 @dataclass(frozen=True)
@@ -25,54 +22,30 @@ class RowStore:
 
     def save(self, run: Run) -> None:
         """Keep a run; no reader ever sees half of it."""
-        if run.measures is not None:
-            self.folder.mkdir(exist_ok=True)
-            write_atomically(self._file(run.key), _packed(run))
+        if run.measures is None or run.track is None or run.bands is None:
+            return
+        record = {name: getattr(run, name) for name in PLAIN}
+        record |= {"scenario": run.scenario.to_dict(), "warnings": list(run.warnings)}
+        arrays = {f"measures_{f.name}": getattr(run.measures, f.name) for f in fields(Measures)}
+        arrays |= {f"track_{f.name}": getattr(run.track, f.name) for f in fields(Track)}
+        write(self._file(run.key), Stored(record, {**arrays, "bands": run.bands}))
 
     def load(self, key: str) -> Run | None:
-        """Return the run of a key; None if there is none, or its file is damaged."""
+        """Return the run of a key; None if there is none, its file is damaged, or it is the row of something else."""
         try:
-            return unpacked(self._file(key).read_bytes())
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+            with reading(self._file(key)) as stored:
+                record, arrays = stored.record, stored.arrays
+                run = Run(
+                    **{name: record[name] for name in PLAIN},
+                    scenario=Scenario.from_dict(record["scenario"]),
+                    measures=Measures(*(arrays[f"measures_{f.name}"] for f in fields(Measures))),
+                    bands=arrays["bands"],
+                    track=Track(*(arrays[f"track_{f.name}"] for f in fields(Track))),
+                    warnings=tuple(map(str, record["warnings"])),
+                )
+                return run if run.key == key else None
+        except (OSError, ValueError):
             return None
 
     def _file(self, key: str) -> Path:
         return self.folder / f"{key}.npz"
-
-
-def _packed(run: Run) -> bytes:
-    assert run.measures is not None
-    assert run.track is not None
-    assert run.bands is not None
-    record = {
-        "policy": run.policy,
-        "fingerprint": run.fingerprint,
-        "scenario": run.scenario.to_dict(),
-        "cell_hash": run.cell_hash,
-        "seconds": run.seconds,
-        "decision_seconds": run.decision_seconds,
-        "warnings": run.warnings,
-    }
-    arrays: dict[str, Any] = {f"measures_{f.name}": getattr(run.measures, f.name) for f in fields(Measures)}
-    arrays |= {f"track_{f.name}": getattr(run.track, f.name) for f in fields(Track)}
-    buffer = io.BytesIO()
-    np.savez(buffer, record=np.array(json.dumps(record)), bands=run.bands, **arrays)
-    return buffer.getvalue()
-
-
-def unpacked(content: bytes) -> Run:
-    """Return the run of a file's content."""
-    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-        record = json.loads(str(arrays["record"]))
-        return Run(
-            record["policy"],
-            Scenario.from_dict(record["scenario"]),
-            record["cell_hash"],
-            Measures(*(arrays[f"measures_{f.name}"] for f in fields(Measures))),
-            arrays["bands"],
-            Track(*(arrays[f"track_{f.name}"] for f in fields(Track))),
-            record["seconds"],
-            record["decision_seconds"],
-            warnings=tuple(record["warnings"]),
-            fingerprint=record["fingerprint"],
-        )

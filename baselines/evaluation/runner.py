@@ -8,9 +8,11 @@ import json
 import math
 import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from gymnasium.utils import seeding
@@ -20,7 +22,7 @@ from auv_gym import __version__
 from auv_gym.episode import Episode
 from auv_gym.scenario import Scenario
 from baselines import make_policy
-from baselines.agents.loading import fingerprint
+from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import Measures, Track
 from baselines.evaluation.rollout import PolicyError, Rollout, rollout
 from baselines.tools.workers import Workers
@@ -81,7 +83,7 @@ class Run:
     error: str | None = None
     warnings: tuple[str, ...] = ()
     recorded: Recorded | None = None  # None: the episodes ran now
-    fingerprint: str = ""  # of the policy's files, see `agents.loading.fingerprint`
+    fingerprint: str = ""  # of the policy's files, see `fingerprints.fingerprint`
     known: bool = False  # left by an evaluation that was interrupted
 
     @property
@@ -104,100 +106,103 @@ class Part:
     warnings: tuple[str, ...]
 
 
-def run_all(
+@dataclass(frozen=True)
+class Task:
+    """What a worker does at a time: some episodes of one policy in one scenario.
+
+    It makes the policy anew, so that no result depends on what the worker did before.
+    """
+
+    policy: str
+    scenario: Scenario
+    episodes: Sequence[Episode]
+    step_limit: float = STEP_LIMIT  # [s] largest time of a decision
+    note: Callable[[str, int], None] = lambda *_: (
+        None
+    )  # told the task's number and how many steps its vehicles have done
+    number: tuple[int, int] = (0, 0)  # of the run, and of the part of it
+
+    def run(self) -> tuple[tuple[int, int], Part]:
+        """Return the number and what comes out; an exception of the policy ends it and becomes the `error`."""
+        result, error = None, None
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            try:
+                policy = make_policy(self.policy, self.scenario.vehicle)
+                result = rollout(policy, self.scenario, self.episodes, self.step_limit, self._progress())
+            except PolicyError as exception:
+                error = str(exception)
+            except (Exception, SystemExit) as exception:  # noqa: BLE001, whatever it raises costs it its row, not the others theirs
+                error = " ".join(f"{type(exception).__name__}: {exception}".split())
+        self._tell(self.scenario.steps)
+        return self.number, Part(result, error, tuple(dict.fromkeys(str(warning.message) for warning in caught)))
+
+    def _progress(self) -> Callable[[int], None]:
+        """Return what tells now and then how many control steps are done."""
+        last = time.monotonic()
+
+        def on_step(k: int) -> None:
+            nonlocal last
+            if time.monotonic() - last > NOTE_INTERVAL:
+                self._tell(k)
+                last = time.monotonic()
+
+        return on_step
+
+    def _tell(self, k: int) -> None:
+        self.note("-".join(map(str, self.number)), len(self.episodes) * k)
+
+
+def runs(
     policies: Sequence[str],
     cells: Sequence[Cell],
     workers: Workers = Workers(),  # noqa: B008, it is frozen
-    on_run: Callable[[Run], None] = lambda _: None,
-    note: Callable[[str, int], None] = lambda *_: None,
     step_limit: float = STEP_LIMIT,
+    note: Callable[[str, int], None] = lambda *_: None,
     known: Callable[[str], Run | None] = lambda _: None,
-) -> list[Run]:
-    """Return a run of each policy in each cell, cell by cell.
+) -> Iterator[Run]:
+    """Yield the run of each policy in each cell when it is complete.
 
     Args:
         policies: their names, see `baselines.make_policy`.
         cells: what they run in.
         workers: where they run.
-        on_run: called with each run when it is complete.
-        note: called, wherever a task runs, with its name and the control steps that its vehicles have done.
         step_limit: largest time of a decision [s].
+        note: called, wherever a task runs, with its name and the control steps that its vehicles have done.
         known: returns the run of a key if it is there already.
     """
     prints = {policy: fingerprint(policy) for policy in policies}
     pairs = [(policy, cell) for cell in cells for policy in policies]
-    runs: dict[int, Run] = {}
+    tasks: list[Task] = []
     for i, (policy, cell) in enumerate(pairs):
         if (run := known(run_key(policy, prints[policy], cell.hash))) is not None:
-            runs[i] = replace(run, known=True)
             note(f"{i}-0", len(cell.episodes) * cell.scenario.steps)
-            on_run(runs[i])
-    tasks = [
-        (i, j, policy, cell.scenario, chunk, step_limit, note)
-        for i, (policy, cell) in enumerate(pairs)
-        if i not in runs
-        for j, chunk in enumerate(_chunks(cell.episodes))
-    ]
+            yield replace(run, known=True)
+            continue
+        chunks = enumerate(_chunks(cell.episodes))
+        tasks += [Task(policy, cell.scenario, chunk, step_limit, note, (i, j)) for j, chunk in chunks]
+    missing = Counter(task.number[0] for task in tasks)
     parts: dict[int, dict[int, Part]] = {}
-    for i, j, part in workers.results(_indexed, tasks):
-        policy, cell = pairs[i]
+    for (i, j), part in workers.results(Task.run, [(task,) for task in tasks]):
         parts.setdefault(i, {})[j] = part
-        count = len(_chunks(cell.episodes))
-        if len(parts[i]) == count:
-            done = parts.pop(i)
-            run = replace(_joined(policy, cell, [done[k] for k in range(count)]), fingerprint=prints[policy])
-            changed = fingerprint(policy) != prints[policy]
-            runs[i] = replace(run, measures=None, error="its files changed while it ran") if changed else run
-            on_run(runs[i])
-    return [runs[i] for i in range(len(pairs))]
+        if len(parts[i]) == missing[i]:
+            policy, cell = pairs[i]
+            run = _joined(policy, cell, [part for _, part in sorted(parts.pop(i).items())])
+            if fingerprint(policy) != prints[policy]:
+                run = replace(run, measures=None, error="its files changed while it ran")
+            yield replace(run, fingerprint=prints[policy])
+
+
+def run_all(policies: Sequence[str], cells: Sequence[Cell], *options: Any, **named: Any) -> list[Run]:
+    """Return a run of each policy in each cell, cell by cell; the options are those of `runs`."""
+    order = {(cell.scenario.name, policy): i for i, (cell, policy) in enumerate(itertools.product(cells, policies))}
+    return sorted(runs(policies, cells, *options, **named), key=lambda run: order[run.scenario.name, run.policy])
 
 
 def _chunks(episodes: Sequence[Episode]) -> list[Sequence[Episode]]:
     """Return the episodes in even parts of at most `LANES`."""
     bounds = np.linspace(0, len(episodes), math.ceil(len(episodes) / LANES) + 1).astype(int).tolist()
     return [episodes[a:b] for a, b in itertools.pairwise(bounds)]
-
-
-def _indexed(
-    i: int,
-    j: int,
-    policy: str,
-    scenario: Scenario,
-    episodes: Sequence[Episode],
-    step_limit: float,
-    note: Callable[[str, int], None],
-) -> tuple[int, int, Part]:
-    n, last = len(episodes), time.monotonic()
-
-    def on_step(k: int) -> None:
-        nonlocal last
-        if time.monotonic() - last > NOTE_INTERVAL:
-            note(f"{i}-{j}", n * k)
-            last = time.monotonic()
-
-    part = run_task(policy, scenario, episodes, step_limit, on_step)
-    note(f"{i}-{j}", n * scenario.steps)
-    return i, j, part
-
-
-def run_task(
-    policy: str,
-    scenario: Scenario,
-    episodes: Sequence[Episode],
-    step_limit: float = STEP_LIMIT,
-    on_step: Callable[[int], None] = lambda _: None,
-) -> Part:
-    """Return some episodes of a policy. An exception of the policy ends them and becomes the `error`."""
-    result, error = None, None
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        try:
-            result = rollout(make_policy(policy), scenario, episodes, step_limit, on_step)
-        except PolicyError as exception:
-            error = str(exception)
-        except Exception as exception:  # noqa: BLE001, whatever a policy raises costs it its row, not the others theirs
-            error = " ".join(f"{type(exception).__name__}: {exception}".split())
-    return Part(result, error, tuple(dict.fromkeys(str(warning.message) for warning in caught)))
 
 
 def _joined(policy: str, cell: Cell, parts: Sequence[Part]) -> Run:

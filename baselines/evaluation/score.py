@@ -72,21 +72,35 @@ def regime_of(scenario: str) -> str | None:
     return next((regime for regime in REGIMES if scenario.startswith(f"{regime}-")), None)
 
 
+def largest_tail(regime: str | None) -> float:
+    """Return the tail RMSE [m] from which an episode is lost: infinite for scenarios that belong to no regime."""
+    return LARGEST_TAIL[regime] if regime else math.inf
+
+
+def is_lost(tail: Array, ended: NDArray[np.bool_], cap: float) -> NDArray[np.bool_]:
+    """Return which episodes are lost, the one rule of it.
+
+    Args:
+        tail: tail RMSE [m].
+        ended: whether they ended beyond the lost distance, shape as `tail`.
+        cap: tail [m] from which they count as lost.
+    """
+    return ended | ~(tail < cap)
+
+
+def cut(tail: Array, ended: NDArray[np.bool_], cap: float) -> Array:
+    """Return the tail RMSE [m] with the cap in place of those of episodes that are lost; see `is_lost`."""
+    return np.where(is_lost(tail, ended, cap), cap, tail) if math.isfinite(cap) else tail
+
+
 def capped(m: Measures, regime: str | None) -> Array:
     """Return the tail RMSE [m], shape (M,), cut at `LARGEST_TAIL`: that of an episode that was lost."""
-    cap = LARGEST_TAIL[regime] if regime else math.inf
-    return np.where(beyond(m.tail, m.lost, cap), cap, m.tail)
+    return cut(m.tail, m.lost, largest_tail(regime))
 
 
-def beyond(tail: Array, lost: NDArray[np.bool_], cap: float) -> NDArray[np.bool_]:
-    """Return which episodes count with the cap [m] and no more: those that ended lost, or whose tail reaches it."""
-    return lost & math.isfinite(cap) | ~(tail < cap)
-
-
-def lost_share(m: Measures, regime: str | None) -> float:
-    """Return the share of episodes that ended beyond the lost distance or whose tail reaches `LARGEST_TAIL`."""
-    cap = LARGEST_TAIL[regime] if regime else math.inf
-    return float(np.mean(m.lost | (m.tail >= cap)))
+def losses(m: Measures, regime: str | None) -> int:
+    """Return how many episodes are lost, see `is_lost`."""
+    return int(is_lost(m.tail, m.lost, largest_tail(regime)).sum())
 
 
 def score(expert: Sequence[Array], policy: Sequence[Array], oracle: Sequence[Array]) -> Score:
@@ -174,5 +188,5 @@ def pooled(policy: str, regime: str, measures: Mapping[str, Mapping[str, Measure
         float(np.mean(np.concatenate([m.tail for m in own]))),
         plain,
         cut,
-        float(np.mean(np.concatenate([np.full(len(m), lost_share(m, regime)) for m in own]))),
+        sum(losses(m, regime) for m in own) / sum(map(len, own)),
     )

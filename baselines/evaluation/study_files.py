@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime, timezone
@@ -15,10 +13,10 @@ from numpy.typing import NDArray
 
 from baselines.evaluation import suites
 from baselines.evaluation.metrics import Array, Measures
-from baselines.evaluation.report.numbers import versions
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import LARGEST_TAIL, beyond
-from baselines.tools.files import write_atomically
+from baselines.evaluation.score import LARGEST_TAIL, cut, is_lost
+from baselines.evaluation.store import Stored, reading, write
+from baselines.tools.files import versions
 
 FOLDER = Path(__file__).parent / "data" / "studies"
 SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1")
@@ -64,14 +62,12 @@ class InSuite:
     def capped(self, regime: str) -> tuple[Array, ...]:
         """Return the tails with that of an episode that was lost cut at `score.LARGEST_TAIL`."""
         cap = LARGEST_TAIL[regime]
-        return tuple(np.where(gone, cap, tail) for gone, tail in zip(self._gone(cap), self.tails, strict=True))
+        return tuple(cut(tail, ended, cap) for tail, ended in zip(self.tails, self.lost, strict=True))
 
     def losses(self, regime: str) -> int:
-        """Return how many episodes of all seeds were lost, as `score.lost_share` counts."""
-        return sum(int(gone.sum()) for gone in self._gone(LARGEST_TAIL[regime]))
-
-    def _gone(self, cap: float) -> list[NDArray[np.bool_]]:
-        return [beyond(tail, lost, cap) for tail, lost in zip(self.tails, self.lost, strict=True)]
+        """Return how many episodes of all seeds are lost, see `score.is_lost`."""
+        cap = LARGEST_TAIL[regime]
+        return sum(int(is_lost(t, ended, cap).sum()) for t, ended in zip(self.tails, self.lost, strict=True))
 
 
 @dataclass(frozen=True)
@@ -124,21 +120,21 @@ def save(name: str, study: Study, folder: Path = FOLDER) -> None:
         lengths = [tail.shape[1] for tail in found.tails]
         entry |= {"effort": found.effort.tolist(), "smoothness": found.smoothness.tolist(), "lengths": lengths}
         record["suites"][suite] = entry
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, record=np.array(json.dumps(record)), **arrays)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_atomically(folder / f"{name}.npz", buffer.getvalue())
+    write(folder / f"{name}.npz", Stored(record, arrays))
 
 
 def load_all(folder: Path = FOLDER) -> dict[str, Study]:
-    """Return the studies that are kept, by name; what they say of a suite that has changed since is left out."""
+    """Return the studies that are kept, by name; what they say of a suite that has changed since is left out.
+
+    Raises:
+        ValueError: a file is damaged.
+    """
     return {file.stem: _load(file) for file in sorted(folder.glob("*.npz"))}
 
 
 def _load(file: Path) -> Study:
-    with np.load(file, allow_pickle=False) as arrays:
-        record = json.loads(str(arrays["record"]))
-        found = {}
+    with reading(file) as stored:
+        record, arrays, found = dict(stored.record), stored.arrays, {}
         for suite, entry in record.pop("suites").items():
             if entry["hash"] != suites.load(suite).hash:
                 continue
@@ -147,5 +143,5 @@ def _load(file: Path) -> Study:
             values: dict[str, Any] = {key: np.array(entry.pop(key)) for key in ("effort", "smoothness")}
             entry["cells"] = tuple(entry["cells"])
             found[suite] = InSuite(tails=tuple(t.astype(np.float64) for t in tails), lost=lost, **entry, **values)
-        curves = [arrays[f"curve/{i}"] for i in range(sum(name.startswith("curve/") for name in arrays.files))]
-    return Study(**record, suites=found, curves=tuple(curves))
+        curves = [arrays[f"curve/{i}"] for i in range(sum(name.startswith("curve/") for name in arrays))]
+        return Study(**record, suites=found, curves=tuple(curves))

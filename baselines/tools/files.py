@@ -1,4 +1,4 @@
-"""Files that are whole or absent, and one guard for all that is read: nothing in a file raises but ValueError."""
+"""Files that are whole or absent, one guard for all that is read, and the versions that files name."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import io
 import json
 import math
 import os
+import platform
 import stat
 import zipfile
 import zlib
@@ -14,6 +15,12 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+
+import gymnasium
+import numpy as np
+import scipy
+
+import auv_gym
 
 LARGEST_FILE = 2**26
 """Largest file [bytes] that is read."""
@@ -200,3 +207,14 @@ def finite(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [finite(entry) for entry in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what the numbers depend on."""
+    return {
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "gymnasium": gymnasium.__version__,
+        "auv_gym": auv_gym.__version__,
+    }

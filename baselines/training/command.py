@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from baselines.agents.agent import Agent
-from baselines.evaluation.report.numbers import versions
 from baselines.evaluation.request import checked
 from baselines.tools.command_line import DONE, FAILED, WRONG_USAGE, UsageError
-from baselines.tools.files import write_atomically
+from baselines.tools.files import versions, write_atomically
 from baselines.training.config import ALGORITHMS, Config
 from baselines.training.learning_curve import learning_curve
 from baselines.training.progress import live, plain
@@ -81,6 +80,6 @@ def _finish(run: Run, agent: Agent, command: str) -> float:
         "scores": {"validation episodes": round(best["score"], 3)},
         "validation": {name: best[name] for name in ("timesteps", "score", "error_m", "lost")},
     }
-    region = run.validation.run(agent.policy()).region
+    region = run.validation.run(agent.policy(vehicle=run.config.vehicle)).region
     replace(agent, region=region, training={**training, **agent.training}).save(run.folder / AGENT, curve)
     return best["score"]

@@ -12,7 +12,8 @@ from typing import Any
 from auv_gym.policy import Policy, checked_authority
 from auv_gym.records import from_record
 from auv_gym.scenario import Scenario
-from baselines import make_policy
+from auv_gym.vehicle import Vehicle
+from baselines import common_vehicle, make_policy
 from baselines.agents.loading import is_path
 from baselines.control.open_loop import NO_EXPERT, Zero
 from baselines.evaluation.rollout import Privileged
@@ -78,10 +79,15 @@ class Config:
             raise ValueError(
                 f"expert is {self.expert!r}; an agent's expert must be a policy's name, since paths run code"
             )
-        policy = make_policy(self.expert)
+        policy = make_policy(self.expert, self.vehicle)
         if isinstance(policy, Privileged):
             raise ValueError(f"expert {self.expert!r} looks behind the observation; choose one that does not")
         return policy
+
+    @property
+    def vehicle(self) -> Vehicle | None:
+        """The vehicle that all scenarios know and the expert believes in; None where they differ."""
+        return common_vehicle([scenario for scenario, _ in self.scenarios])
 
     @property
     def names(self) -> tuple[str, ...]:

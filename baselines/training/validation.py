@@ -2,30 +2,28 @@
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from auv_gym import __version__
-from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.namespaces import ARRAYS
-from auv_gym.paths import Line
-from auv_gym.policy import Policy, preview_of
+from auv_gym.policy import Policy
 from auv_gym.scenario import Scenario
 from auv_gym.task import decode_observation
 from baselines import make_policy
 from baselines.agents.features import ERRORS, scaled_errors
 from baselines.evaluation.metrics import Array, tail_rmse
-from baselines.evaluation.rollout import PolicyError, rollout
+from baselines.evaluation.rollout import PolicyError, Repeatable, beginning, rollout
 from baselines.evaluation.runner import Cell, drawn
-from baselines.evaluation.score import EXPERT, LARGEST_TAIL, ORACLE, beyond, capped, regime_of
+from baselines.evaluation.score import EXPERT, ORACLE, capped, cut, is_lost, largest_tail, regime_of
 from baselines.evaluation.suites import load
 from baselines.tools.files import guarded, json_text, read_json, write_atomically
 
@@ -69,53 +67,30 @@ class Validation:
         self._of = np.repeat(np.arange(len(cells)), [len(cell.episodes) for cell in cells])
         self._caps = [_cap(cell.scenario) for cell in cells]
         self.steps = max(cell.scenario.steps for cell in cells)
-        self._begun: dict[tuple[int, ...], tuple[UnderactuatedAUVTrackVectorEnv, Array]] = {}
+        self._episodes = Repeatable(partial(beginning, [(cell.scenario, cell.episodes) for cell in cells]))
         self.expert_m, self.oracle_m = _yardsticks(cells, folder)
-
-    def _begin(self, preview: tuple[int, ...]) -> tuple[UnderactuatedAUVTrackVectorEnv, Array]:
-        """Return an environment at the start of the episodes, and the first observation; planned once for a preview."""
-        if preview not in self._begun:
-            episodes = [episode for cell in self.cells for episode in cell.episodes]
-            # What begins where an episode has ended is left alone: a straight line, which costs nothing to plan.
-            begun = [replace(cell.scenario, path=Line(cell.episodes[0].path.speed)) for cell in self.cells]
-            scenarios = [begun[i] for i in self._of.tolist()]
-            env = UnderactuatedAUVTrackVectorEnv(len(episodes), scenarios, preview=preview)
-            observation, _ = env.reset(seed=0, options={"episode": episodes})
-            self._begun[preview] = env, observation
-        env, observation = self._begun[preview]
-        return copy.deepcopy(env), observation
 
     def run(self, policy: Policy) -> Verdict:
         """Return what a policy does, the mean over scenarios.
 
         Raises:
-            ValueError: its actions are not finite.
+            PolicyError: its actions are not finite.
         """
-        (env, observation), n = self._begin(preview_of(policy)), len(self._of)
-        memory, first = None, np.ones(n, dtype=bool)
-        running, lost = np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
-        errors, scaled = np.zeros((self.steps, n)), np.full((self.steps, ERRORS, n), math.nan)
-        for k in range(self.steps):
-            scaled[k] = np.where(running, scaled_errors(decode_observation(observation), ARRAYS), math.nan)
-            action, memory = policy.predict(observation, memory, first)
-            observation, _, terminated, truncated, info = env.step(action)
-            first = terminated | truncated
-            errors[k] = info["position_error"]
-            if first.any():
-                errors[k, first] = info["final_info"]["position_error"][first]
-            lost |= running & terminated
-            running &= ~first
-        tails = []
+        n = len(self._of)
+        lost, errors, scaled = np.zeros(n, dtype=bool), np.zeros((self.steps, n)), np.empty((self.steps, ERRORS, n))
+        scaled.fill(math.nan)
+        for k, moment in enumerate(self._episodes.play(policy, self.steps)):
+            seen = scaled_errors(decode_observation(moment.observation), ARRAYS)
+            scaled[k] = np.where(moment.running, seen, math.nan)
+            errors[k] = moment.error
+            lost |= moment.lost
+        tails, gone = [], []
         for i, (cell, cap) in enumerate(zip(self.cells, self._caps, strict=True)):
-            tail = tail_rmse(errors[: cell.scenario.steps, self._of == i])
-            tails.append(np.where(beyond(tail, lost[self._of == i], cap), cap, tail))
+            tail, ended = tail_rmse(errors[: cell.scenario.steps, self._of == i]), lost[self._of == i]
+            tails.append(cut(tail, ended, cap))
+            gone.append(is_lost(tail, ended, cap))
         error = _mean(tails)
-        return Verdict(
-            self.score(error),
-            error,
-            _mean([t >= c for t, c in zip(tails, self._caps, strict=True)]),
-            _seen(scaled),
-        )
+        return Verdict(self.score(error), error, _mean(gone), _seen(scaled))
 
     def score(self, error_m: float) -> float:
         """Return the score of a mean capped tail [m]; where the oracle is no better than the expert, 1 is no error."""
@@ -130,8 +105,8 @@ def _seen(scaled: Array) -> tuple[float, ...]:
 
 
 def _cap(scenario: Scenario) -> float:
-    regime = regime_of(scenario.name)
-    return LARGEST_TAIL[regime] if regime else scenario.lost_distance
+    cap = largest_tail(regime_of(scenario.name))
+    return cap if math.isfinite(cap) else scenario.lost_distance
 
 
 def _mean(cells: Sequence[Any]) -> float:
@@ -161,7 +136,7 @@ def _kept(file: Path, key: str) -> tuple[float, float] | None:
 def _capped_tail(name: str, cell: Cell) -> Array:
     """Return the capped tails [m] of a policy; infinite where the oracle does not know how."""
     try:
-        measures = rollout(make_policy(name), cell.scenario, cell.episodes, math.inf).measures
+        measures = rollout(make_policy(name, cell.scenario.vehicle), cell.scenario, cell.episodes, math.inf).measures
     except (PolicyError, ValueError):
         if name == EXPERT:
             raise

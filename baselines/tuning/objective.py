@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.policy import Policy, preview_of
+from auv_gym.policy import Policy
 from auv_gym.presets import CASES, PRESETS
-from baselines.evaluation.metrics import Array, effort, smoothness, tail_rmse
-from baselines.evaluation.score import LARGEST_TAIL
+from baselines.evaluation.metrics import effort, smoothness, tail_rmse
+from baselines.evaluation.rollout import Begun, Repeatable
+from baselines.evaluation.score import LARGEST_TAIL, cut, is_lost
 
 
 @dataclass(frozen=True)
@@ -42,37 +42,32 @@ class Course:
         self.steps, self.lost_distance = presets[0].steps, presets[0].lost_distance
         # Nothing ends or begins within the run: one step more than are run, and vehicles go on when they are lost.
         scenarios = [replace(s, steps=s.steps + 1, lost_distance=64.0) for s in presets]
-        self._lanes, self._seed = [scenarios[i] for i in self.cases.tolist()], seed
-        self._begun: dict[tuple[int, ...], tuple[UnderactuatedAUVTrackVectorEnv, Array]] = {}
+        lanes = [scenarios[i] for i in self.cases.tolist()]
+
+        def begin(preview: tuple[int, ...]) -> Begun:
+            env = UnderactuatedAUVTrackVectorEnv(len(lanes), lanes, preview=preview)
+            return env, env.reset(seed=seed)[0]
+
+        self._episodes = Repeatable(begin)
 
     def run(self, policy: Policy) -> Result:
-        """Return what a policy does on the course."""
-        env, observation = copy.deepcopy(self._beginning(preview_of(policy)))
-        memory, first = None, np.ones(len(self.cases), dtype=bool)
-        errors = np.zeros((self.steps, len(self.cases)))
-        actions = np.zeros((self.steps, len(self.cases), 2))
-        for k in range(self.steps):
-            action, memory = policy.predict(observation, memory, first)
-            observation, *_, info = env.step(action)
-            first = np.zeros_like(first)
-            errors[k], actions[k] = info["position_error"], action
-        tail = tail_rmse(errors)
-        tail = np.where((errors.max(axis=0) > self.lost_distance) | ~(tail < self.cap), self.cap, tail)
+        """Return what a policy does on the course.
+
+        Raises:
+            PolicyError: its actions are not finite.
+        """
+        moments = list(self._episodes.play(policy, self.steps))
+        errors, actions = (np.array([getattr(m, key) for m in moments]) for key in ("error", "command"))
+        tail, farther = tail_rmse(errors), errors.max(axis=0) > self.lost_distance
+        tail = cut(tail, farther, self.cap)
         means = [float(tail[self.cases == i].mean()) for i in range(len(CASES))]
         return Result(
             error_m=float(np.mean(means)),
             case_error_m=dict(zip(CASES, means, strict=True)),
-            lost=float(np.mean(tail == self.cap)),
+            lost=float(np.mean(is_lost(tail, farther, self.cap))),
             effort=effort(actions),
             smoothness=smoothness(actions),
         )
-
-    def _beginning(self, preview: tuple[int, ...]) -> tuple[UnderactuatedAUVTrackVectorEnv, Array]:
-        """Return the episodes at their beginning, and what is observed of them with a preview."""
-        if preview not in self._begun:
-            env = UnderactuatedAUVTrackVectorEnv(len(self._lanes), self._lanes, preview=preview)
-            self._begun[preview] = env, env.reset(seed=self._seed)[0]
-        return self._begun[preview]
 
 
 def compared(result: Result, expert: Result) -> dict[str, Any]:

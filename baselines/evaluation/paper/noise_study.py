@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from auv_gym.scenario import Scenario
 from auv_gym.sensors import Sensors
 from baselines.control.backstepping import Backstepping
-from baselines.evaluation.rollout import make_env, run_episode
+from baselines.evaluation.rollout import beginning, play
+from baselines.evaluation.runner import drawn
 
 Array = NDArray[np.float64]
 
@@ -55,9 +56,10 @@ def noise_study(cut_offs: Sequence[float | None] = CUT_OFFS, seeds: Sequence[int
     runs = []
     for cut_off in cut_offs:
         scenario = noise_scenario(cut_off)
-        env, law = make_env(scenario), Backstepping(gains="paper")
-        records = [run_episode(env, law, seed) for seed in seeds]
+        episodes = [drawn(scenario, 1, seed).episodes[0] for seed in seeds]
+        begun = beginning([(scenario, episodes)], ())
+        moments = list(play(Backstepping(gains="paper"), begun, scenario.steps))[TRANSIENT:]
         limits = np.array((scenario.actuators.F_u_max, scenario.actuators.F_r_max))
-        force = np.stack([record.actions[TRANSIENT:] * limits for record in records])
-        runs.append(NoiseRun(cut_off, force, np.stack([record.errors[TRANSIENT:] for record in records])))
+        force, error = (np.stack([getattr(m, key) for m in moments], axis=1) for key in ("command", "error"))
+        runs.append(NoiseRun(cut_off, force * limits, error))
     return runs

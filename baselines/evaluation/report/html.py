@@ -7,10 +7,11 @@ from html import escape
 from string import Template
 
 from baselines.evaluation.metrics import WORST
-from baselines.evaluation.report.numbers import Result, recordings, to_record, versions
+from baselines.evaluation.report.numbers import Result, recordings, to_record
 from baselines.evaluation.report.page import figure, number, page, table
 from baselines.evaluation.request import Request
 from baselines.evaluation.score import LARGEST_TAIL, Pooled, interval_text, score_text
+from baselines.tools.files import versions
 
 CAPTIONS = {
     "score_by_case": "Scores in each scenario, 95 % intervals of a paired bootstrap over episodes.",

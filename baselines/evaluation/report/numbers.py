@@ -5,23 +5,19 @@ from __future__ import annotations
 import csv
 import io
 import math
-import platform
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import gymnasium
 import numpy as np
-import scipy
 
-import auv_gym
 from auv_gym.presets import REGIMES
 from baselines.evaluation.metrics import Measures, Spread, Summary, ratio, summarise
 from baselines.evaluation.paper.numbers import Reproduction
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import EXPERT, ORACLE, Pooled, Score, lost_share, paired, pooled, regime_of, score
-from baselines.tools.files import finite, json_text
+from baselines.evaluation.score import EXPERT, ORACLE, Pooled, Score, losses, paired, pooled, regime_of, score
+from baselines.tools.files import finite, json_text, versions
 
 
 @dataclass(frozen=True)
@@ -89,7 +85,7 @@ def to_record(result: Result) -> dict[str, Any]:
         "effort_ratio": result.effort_ratio,
         "smoothness_ratio": result.smoothness_ratio,
         "failures": s.failures if s else None,
-        "lost": lost_share(run.measures, regime) if run.measures else None,
+        "lost": losses(run.measures, regime) / len(run.measures) if run.measures else None,
         "saturation": s.saturation if s else None,
         "return_mean": s.return_mean if s else None,
         "seconds": run.seconds if s else None,
@@ -112,17 +108,6 @@ def recordings(results: Sequence[Result]) -> str:
             policies = found.setdefault(str(result.run.recorded), [])
             policies += [result.run.policy] if result.run.policy not in policies else []
     return "; ".join(f"{', '.join(policies)} ({when})" for when, policies in found.items())
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of what the numbers depend on."""
-    return {
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "scipy": scipy.__version__,
-        "gymnasium": gymnasium.__version__,
-        "auv_gym": auv_gym.__version__,
-    }
 
 
 def results_json(

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from baselines.evaluation.paper.numbers import Reproduction, Row
 from baselines.evaluation.report.numbers import Result
-from baselines.evaluation.score import LARGEST_TAIL, Pooled, interval_text, lost_share, regime_of, score_text
+from baselines.evaluation.score import LARGEST_TAIL, Pooled, interval_text, losses, regime_of, score_text
 
 WIDTH = 200
 """Columns of a table that does not go to a terminal."""
@@ -76,7 +76,7 @@ def _cells(result: Result) -> dict[str, str]:
         "effort": effort,
         "smoothness": smoothness,
         "saturated": f"{100 * s.saturation:.1f} %" if s else "-",
-        "lost": f"{round(lost_share(m, regime_of(run.scenario.name)) * len(m))} of {len(m)}" if m else "-",
+        "lost": f"{losses(m, regime_of(run.scenario.name))} of {len(m)}" if m else "-",
         "ms": f"{1e3 * run.decision_seconds:.2g}" if s else "-",
     }
 

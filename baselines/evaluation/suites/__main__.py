@@ -1,4 +1,4 @@
-"""Build, check and record the frozen suites: `python -m baselines.evaluation.suites --help`."""
+"""Build, check, record and verify the frozen suites: `python -m baselines.evaluation.suites --help`."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from tyro.conf import Positional, arg
 from baselines import list_policies
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.progress import progress
-from baselines.evaluation.report.numbers import versions
-from baselines.evaluation.runner import STEP_LIMIT, Cell, run_all
+from baselines.evaluation.runner import STEP_LIMIT, Cell, Run, runs
 from baselines.evaluation.score import regime_of
 from baselines.evaluation.suites.builder import SUITES, build
+from baselines.evaluation.suites.verify import Verdict, cells_to_run, told
 from baselines.tools.command_line import DONE, FAILED, UsageError, parse, run
+from baselines.tools.files import versions
 from baselines.tools.workers import Workers
 
 PROGRAM = "python -m baselines.evaluation.suites"
@@ -24,19 +25,24 @@ PROGRAM = "python -m baselines.evaluation.suites"
 
 @dataclass(frozen=True)
 class Options:
-    """Build a frozen suite, check that its episodes still generate what they did, or record what policies do in it.
+    """Build frozen suites, check their episodes, record what policies do in them, or verify that they still do it.
 
-    Exit status: 0 done, 1 the suite is damaged, its episodes differ or a policy failed, 2 wrong usage.
+    Exit status: 0 done, 1 a suite is damaged, episodes or rows differ, or a policy failed, 2 wrong usage.
     """
 
-    action: Annotated[Positional[Literal["build", "check", "record"]], arg(metavar="build|check|record")]
-    """Build replaces the file and its hash; check compares every episode; record keeps the policies' results."""
-    name: Annotated[Positional[str], arg(metavar="NAME")]
-    """The suite."""
+    action: Annotated[Positional[Literal["build", "check", "record", "verify"]], arg(metavar="ACTION")]
+    """build: replace a suite's file and its hash. check: compare every episode with what it generated. record: keep the
+    policies' results. verify: run what is recorded again and compare every number with the recorded one, to the bit."""
+    name: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME ...]")] = ()
+    """The suites; check and verify take all without any."""
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
-    """Policies to record; without any, all that have a name."""
+    """Policies to record or verify; without any, all that have a name, or that are recorded."""
     episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Record the first episodes of each cell only, for a policy that is too slow for all."""
+    cells: Annotated[tuple[str, ...], arg(metavar="C [C ...]", help_behavior_hint="")] = ()
+    """Verify in the cells of these scenarios only. Whole cells: a few of the episodes give other last bits."""
+    stamp: bool = False
+    """Write down for the policies whose rows are equal that these are what they give now, so that they count again."""
     step_limit: float = STEP_LIMIT
     """Seconds that a policy may take for a decision, on average; a slower one fails."""
     jobs: int = 1
@@ -44,54 +50,88 @@ class Options:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Build or check as the arguments say and return the exit status.
+    """Do as the arguments say and return the exit status.
 
     Raises:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    if options.name not in SUITES:
-        raise UsageError(f"unknown suite {options.name!r}; allowed are {', '.join(SUITES)}")
-    if options.action == "build":
-        print(f"{suites.save(options.name, build(options.name))}  {options.name}")
-        return DONE
+    if unknown := [name for name in options.name if name not in SUITES]:
+        raise UsageError(f"unknown suite {unknown[0]!r}; allowed are {', '.join(SUITES)}")
+    if not options.name and options.action in ("build", "record"):
+        raise UsageError(f"name the suite to {options.action}: {', '.join(SUITES)}")
+    if unknown := [policy for policy in options.policy if policy not in list_policies()]:
+        raise UsageError(f"{unknown[0]!r} is not the name of a policy; allowed are {', '.join(list_policies())}")
+    if options.episodes is not None and (options.episodes < 1 or options.action != "record"):
+        raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more, and is for record")
+    action = {"build": _build, "check": _check, "record": _record, "verify": _verify}[options.action]
     try:
-        suite = suites.load(options.name)
-        if options.action == "record":
-            return _record(suite, options)
-        for cell, recorded in zip(suite.cells, suite.digests, strict=True):
-            suites.check_cell(cell, recorded)
+        return max([action(name, options) for name in options.name or SUITES])
     except suites.SuiteError as error:
         print(f"{PROGRAM}: {error}", file=sys.stderr)
         return FAILED
+
+
+def _build(name: str, _: Options) -> int:
+    print(f"{suites.save(name, build(name))}  {name}")
+    return DONE
+
+
+def _check(name: str, _: Options) -> int:
+    suite = suites.load(name)
+    for cell, digests in zip(suite.cells, suite.digests, strict=True):
+        suites.check_cell(cell, digests)
     episodes = sum(len(cell.episodes) for cell in suite.cells)
     print(f"{suite.hash}  {suite.name}: {len(suite.cells)} cells, {episodes} episodes, all as they were")
     return DONE
 
 
-def _record(suite: suites.Suite, options: Options) -> int:
+def _record(name: str, options: Options) -> int:
     """Record policy by policy, so that an interruption costs one of them."""
-    policies = options.policy or tuple(list_policies())
-    if unknown := [policy for policy in policies if policy not in list_policies()]:
-        raise UsageError(f"{unknown[0]!r} is not the name of a policy; allowed are {', '.join(list_policies())}")
-    if options.episodes is not None and options.episodes < 1:
-        raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more")
-    cells = tuple(Cell(cell.scenario, cell.episodes[: options.episodes]) for cell in suite.cells)
-    failed = False
-    for policy in policies:
+    suite, status = suites.load(name), DONE
+    for policy in options.policy or tuple(list_policies()):
         regimes = recorded.regimes_of(policy)
-        own = [cell for cell in cells if regime_of(cell.scenario.name) in regimes]
-        steps = sum(len(cell.episodes) * cell.scenario.steps for cell in own)
-        with progress(len(own), steps) as report:
-            note = report.board.note
-            runs = run_all((policy,), own, Workers(options.jobs), report.run, note, options.step_limit)
+        own = [cell for cell in suite.cells if regime_of(cell.scenario.name) in regimes]
+        found = _run(policy, [Cell(cell.scenario, cell.episodes[: options.episodes]) for cell in own], options)
         try:
-            recorded.save(suite, runs, versions(), regimes=regimes)
+            recorded.save(suite, found, versions(), regimes=regimes)
         except ValueError as error:
-            reasons = dict.fromkeys(run.error for run in runs if run.error)
+            reasons = dict.fromkeys(run.error for run in found if run.error)
             print(f"{PROGRAM}: {error}: {'; '.join(map(str, reasons))}", file=sys.stderr)
-            failed = True
-    return FAILED if failed else DONE
+            status = FAILED
+    return status
+
+
+def _verify(name: str, options: Options) -> int:
+    """Verify policy by policy, and say of each whether its rows are the same."""
+    suite, status = suites.load(name), DONE
+    for policy in [p for p in recorded.recorded_policies(suite) if p in (options.policy or (p,))]:
+        try:
+            old = {run.scenario.name: run for run in recorded.read(suite, policy)}
+            cells = cells_to_run(suite, list(old.values()), options.cells)
+            again = _run(policy, cells, options) if cells else []
+            verdicts = [Verdict.of(old[run.scenario.name], run) for run in again]
+        except (OSError, ValueError) as error:
+            print(f"FAILED     {policy} in {name}: {error}", flush=True)
+            status = FAILED
+            continue
+        if verdicts:
+            print(told(f"{policy} in {name}", verdicts), flush=True)
+        if any(verdict.differing for verdict in verdicts):
+            status = FAILED
+        elif verdicts and options.stamp:
+            recorded.stamp(suite, policy)
+    return status
+
+
+def _run(policy: str, cells: Sequence[Cell], options: Options) -> list[Run]:
+    """Return a policy's runs, telling how far they are."""
+    found = []
+    with progress(len(cells), sum(len(cell.episodes) * cell.scenario.steps for cell in cells)) as report:
+        for result in runs((policy,), cells, Workers(options.jobs), options.step_limit, report.board.note):
+            report.run(result)
+            found.append(result)
+    return found
 
 
 if __name__ == "__main__":

@@ -233,7 +233,7 @@ class Trainer:
     def validate(self) -> None:
         """Measure the agent on the validation episodes, keep the best, and save a checkpoint."""
         weights = weights_of(self.averaged.module)
-        score = self.run.validate(self.agent(weights).policy(), self.timesteps)
+        score = self.run.validate(self.agent(weights).policy(vehicle=self.run.config.vehicle), self.timesteps)
         if score > self.score:
             self.score, self.best = score, weights
         self.run.save_checkpoint(self._state())

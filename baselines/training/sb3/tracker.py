@@ -73,7 +73,7 @@ class Tracker(BaseCallback):
             raise TrainingError(f"training diverged after {self.num_timesteps} steps: lower learning_rate")
         self.run.log(self.num_timesteps, **self._learned())
         agent = exported(self.model.policy, self.run.config)
-        score = self.run.validate(agent.policy(), self.num_timesteps)
+        score = self.run.validate(agent.policy(vehicle=self.run.config.vehicle), self.num_timesteps)
         if score > self._best:
             self._best, self._agent = score, agent
         self._validated = self.num_timesteps

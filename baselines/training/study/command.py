@@ -16,7 +16,7 @@ from tyro.conf import Positional, arg
 from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation import suites
 from baselines.evaluation.progress import progress
-from baselines.evaluation.runner import Cell, Run, run_all
+from baselines.evaluation.runner import Cell, Run, runs
 from baselines.evaluation.score import regime_of
 from baselines.evaluation.study_files import SUITES, Study, save
 from baselines.tools.command_line import DONE, UsageError, parse
@@ -143,7 +143,8 @@ def _rolled_out(agents: Sequence[str], cells: Sequence[Cell], jobs: int) -> list
     """Return the runs of each agent in the cells."""
     steps = sum(len(cell.episodes) * cell.scenario.steps for cell in cells)
     with progress(len(agents) * len(cells), len(agents) * steps) as report:
-        runs = run_all(agents, cells, Workers(jobs), report.run, report.board.note)
-    names = [cell.scenario.name for cell in cells]
-    found = {(r.policy, r.scenario.name): r for r in runs}
-    return [[found[agent, name] for name in names] for agent in agents]
+        found: dict[tuple[str, str], Run] = {}
+        for run in runs(agents, cells, Workers(jobs), note=report.board.note):
+            report.run(run)
+            found[run.policy, run.scenario.name] = run
+    return [[found[agent, cell.scenario.name] for cell in cells] for agent in agents]

@@ -1,0 +1,149 @@
+"""What makes a policy's numbers, as a hash: rows that were made by something else do not count."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.util
+import inspect
+import json
+from collections.abc import Iterable, Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from baselines import POLICIES
+from baselines.agents.agent import RECORD, WEIGHTS
+from baselines.agents.loading import AGENTS, FADING, is_path, shipped_agents
+from baselines.control.open_loop import NO_EXPERT
+from baselines.gains.loading import FOLDER as GAINS
+
+ROOMS = ("baselines.agents", "baselines.control", "baselines.estimation", "baselines.gains", "baselines.policy")
+"""Modules that policies are made of; what tunes, trains and measures them stands elsewhere."""
+AGENT_CODE = "baselines.agents.residual_policy"
+ACTING = ("format", "network", "inputs", "features", "observation", "expert", "authority")
+"""Entries of agent.json that an agent's actions depend on; `region` does where corrections fade."""
+LARGEST_FILE = 2**28
+"""Largest file [bytes] that is read."""
+
+
+def fingerprint(name: str) -> str:
+    """Return a SHA-256 of what makes a policy's numbers; "" where there is nothing of that name.
+
+    Of FILE.py:FACTORY and FILE.zip that is the file; what it imports does not count. Of an agent the weights, what acts
+    in its description, its expert and the code that runs it. Of a controller its options, its gains and the code of
+    the modules that it is made of, without docstrings, comments and format.
+
+    Raises:
+        ValueError: a file is larger than `LARGEST_FILE`.
+    """
+    bare = name.removesuffix(FADING)
+    try:
+        if bare.endswith(".zip") or ".py:" in bare:
+            return _hash([_bytes(Path(bare if bare.endswith(".zip") else bare.rpartition(":")[0]))])
+        if bare in POLICIES:
+            return _of_controller(bare)
+        if bare in shipped_agents() or is_path(bare):
+            return _of_agent(AGENTS / bare if bare in shipped_agents() else Path(bare), bare != name)
+    except OSError:
+        pass
+    return ""
+
+
+def _of_agent(folder: Path, fades: bool) -> str:
+    record = json.loads(_bytes(folder / RECORD))
+    acting = {key: record.get(key) for key in (*ACTING, *(("region",) if fades else ()))}
+    expert = record["expert"]
+    parts = [json.dumps(acting, sort_keys=True), "" if expert == NO_EXPERT else fingerprint(expert)]
+    return _hash([_bytes(folder / WEIGHTS), *parts, *(unit.digest for unit in _closure(AGENT_CODE))])
+
+
+def _of_controller(name: str) -> str:
+    factory, options, _ = POLICIES[name]
+    made_in = getattr(factory, "__module__", type(factory).__module__)
+    code = list(_closure(made_in))
+    if not code and (file := inspect.getsourcefile(inspect.getmodule(factory) or type(factory))):
+        code = [_unit(Path(file))]
+    words = set().union(*(unit.words for unit in code))
+    gains = [file for file in sorted(GAINS.glob("*.json")) if file.stem.rpartition("-")[0] in words]
+    numbers = [json.dumps([file.name, _gains(file)], sort_keys=True) for file in gains]
+    return _hash([repr(sorted(options.items())), *numbers, *(unit.digest for unit in code)])
+
+
+def _gains(file: Path) -> Any:
+    record = json.loads(_bytes(file))
+    return record.get("gains", record) if isinstance(record, dict) else record
+
+
+class Unit(NamedTuple):
+    """A module of Python code."""
+
+    digest: str
+    imports: frozenset[str]  # names of modules, or of something in them
+    words: frozenset[str]  # its string constants
+
+
+def _closure(module: str) -> Iterator[Unit]:
+    """Yield a module and all that it imports within `ROOMS`, in the order of their names; nothing for one outside."""
+    units: dict[str, Unit] = {}
+    waiting = {module}
+    while waiting:
+        name = waiting.pop()
+        if name in units or not f"{name}.".startswith(tuple(f"{room}." for room in ROOMS)):
+            continue
+        try:
+            spec = importlib.util.find_spec(name)
+        except ModuleNotFoundError:  # its parent is a module: the name is of something in it
+            spec = None
+        if spec is not None and spec.origin is not None:
+            units[name] = _unit(Path(spec.origin))
+            waiting |= units[name].imports
+    return (units[name] for name in sorted(units))
+
+
+def _unit(file: Path) -> Unit:
+    state = file.stat()
+    return _parsed(file, state.st_mtime_ns, state.st_size)
+
+
+@lru_cache(maxsize=256)
+def _parsed(file: Path, *_: int) -> Unit:
+    """Return the unit of a file, read again where its time or size are others."""
+    tree = ast.parse(_bytes(file))
+    imports: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            imports |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+        elif isinstance(node, ast.Import):
+            imports |= {alias.name for alias in node.names}
+    words = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+    return Unit(_hash([repr(_plain(tree))]), frozenset(imports), frozenset(words))
+
+
+def _plain(node: Any) -> Any:
+    """Return a syntax tree as lists, the same in every version of Python, without strings that stand alone."""
+    if isinstance(node, list):
+        return [_plain(item) for item in node if not _stands_alone(item)]
+    if not isinstance(node, ast.AST):
+        return repr(node)
+    entries = ((name, value) for name, value in ast.iter_fields(node) if value is not None and value != [])
+    return [type(node).__name__, *((name, _plain(value)) for name, value in entries)]
+
+
+def _stands_alone(node: Any) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+
+
+def _bytes(file: Path) -> bytes:
+    if not file.is_file():
+        raise FileNotFoundError(file)
+    if file.stat().st_size > LARGEST_FILE:
+        raise ValueError(f"{file} is larger than {LARGEST_FILE} bytes, so it is no policy's")
+    return file.read_bytes()
+
+
+def _hash(parts: Iterable[str | bytes]) -> str:
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(hashlib.sha256(part.encode() if isinstance(part, str) else part).digest())
+    return digest.hexdigest()

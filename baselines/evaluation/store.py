@@ -1,0 +1,74 @@
+"""What is measured, on disk: a record of plain JSON and arrays in one .npz file, whole or absent, checked when read."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.tools.files import write_atomically
+
+LARGEST_FILE, LARGEST_CONTENT = 2**26, 2**29
+"""Largest file [bytes] that is read, and largest sum of what it unpacks to."""
+RECORD = "record"
+"""Name of the array that holds the JSON text."""
+
+
+@dataclass(frozen=True)
+class Stored:
+    """The content of a file."""
+
+    record: Mapping[str, Any]
+    arrays: Mapping[str, NDArray[Any]]
+
+
+def write(file: Path, stored: Stored) -> None:
+    """Write a file; no reader ever sees half of it.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    buffer = io.BytesIO()
+    arrays: dict[str, Any] = {**stored.arrays, RECORD: np.array(json.dumps(stored.record))}
+    np.savez_compressed(buffer, **arrays)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(file, buffer.getvalue())
+
+
+@contextmanager
+def reading(file: Path) -> Iterator[Stored]:
+    """Give the content of a file; whatever goes wrong while it is taken apart is the file's fault.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is too large, damaged, or holds something else than is looked for.
+    """
+    try:
+        yield _read(file)
+    except OSError:
+        raise
+    except Exception as error:  # of any kind: zlib.error, TypeError, MemoryError, RuntimeError ...
+        raise ValueError(f"{file} is damaged: {' '.join(f'{type(error).__name__}: {error}'.split())}") from error
+
+
+def _read(file: Path) -> Stored:
+    with file.open("rb") as stream:
+        data = stream.read(LARGEST_FILE + 1)
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        size = sum(entry.file_size for entry in archive.infolist())
+    if len(data) > LARGEST_FILE or size > LARGEST_CONTENT:
+        raise ValueError(f"it is larger than {LARGEST_FILE} bytes, or than {LARGEST_CONTENT} unpacked")
+    with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+        found = {name: arrays[name] for name in arrays.files}
+    record = json.loads(str(found.pop(RECORD)))
+    if not isinstance(record, dict):
+        raise ValueError("its record is no table")
+    return Stored(record, found)
