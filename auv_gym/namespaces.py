@@ -96,7 +96,8 @@ SMALL = 256
 """Arrays from this size on take sine and cosine from the tangent of half the angle, exact to 4e-16: NumPy vectorises
 its tangent but not these two, which makes it a third of their cost."""
 
-FLOATS = Namespace(math.sin, math.cos, math.sqrt, math.floor, _clip, _where, _scaled_floats, _bounded_floats, np.array)
+_floor = (1.0).__rfloordiv__  # as math.floor, but of whatever is no number any more, too
+FLOATS = Namespace(math.sin, math.cos, math.sqrt, _floor, _clip, _where, _scaled_floats, _bounded_floats, np.array)
 ARRAYS = Namespace(
     _sin_array, _cos_array, np.sqrt, np.floor, _clip_array, np.where, _scaled_arrays, _bounded_arrays, np.stack
 )

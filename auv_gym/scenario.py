@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from auv_gym.intervals import Interval, check_interval, check_number, draw
 from auv_gym.paths import PAPER_CIRCLE, PATHS, Path
 from auv_gym.records import from_record, to_record
 from auv_gym.sensors import Sensors
-from auv_gym.simulation import Parts
+from auv_gym.simulation import Parameters, Parts, Shear
 from auv_gym.vehicle import PAPER_VEHICLE, VEHICLES, Vehicle
 
 if sys.version_info >= (3, 11):
@@ -27,8 +27,11 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+T = TypeVar("T")
 DRAWS = 96
 """Uniform numbers reserved for one episode's parameters."""
+ATTEMPTS = 20
+"""How many episodes are drawn at most until one can be followed."""
 
 
 @dataclass(frozen=True)
@@ -170,6 +173,23 @@ class Scenario:
             outages=self.sensors.draw_outages(np.random.default_rng([noise_seed, 1]), self.duration),
         )
 
+    def drawn(self, rng: np.random.Generator, plan: Callable[[Episode], T]) -> tuple[Episode, T]:
+        """Return one episode and what `plan` makes of it; an episode that it refuses is drawn anew.
+
+        Raises:
+            ValueError: the path is not drawn, or `ATTEMPTS` episodes in a row are refused; the generator is as it was.
+        """
+        state = rng.bit_generator.state
+        for left in reversed(range(ATTEMPTS if isinstance(self.path, RandomPath) else 1)):
+            episode = self.draw(rng)
+            try:
+                return episode, plan(episode)
+            except ValueError:
+                if not left:
+                    rng.bit_generator.state = state
+                    raise
+        raise AssertionError("unreachable")
+
     @property
     def parts(self) -> Parts:
         """What the simulation of its episodes needs."""
@@ -198,8 +218,8 @@ class Scenario:
             scenario = replace(scenario, control_dt=float(control_dt), steps=round(self.duration / control_dt))
         return scenario
 
-    def parameters(self, episode: Episode) -> tuple[float, ...]:
-        """Return the constants of an episode in the order of `simulation.Parameters`, its numbers only.
+    def parameters(self, episode: Episode) -> Parameters:
+        """Return the constants of an episode.
 
         Raises:
             ValueError: the episode has what this scenario's episodes cannot have.
@@ -213,21 +233,23 @@ class Scenario:
         ):
             if there and not part:
                 raise ValueError(f"the episode has {what}, which scenario {self.name!r} has not: give it one that has")
-        return (
-            self.control_dt / self.substeps,
-            *episode.vehicle.coefficients,
-            act.F_u_max,
-            act.F_r_max,
-            *Response.of(episode.lag, act.F_u_rate, act.F_r_rate, self.control_dt),
-            self.sensors.filter_gain(self.control_dt),
-            self.error_scale,
-            self.rate_weight,
-            self.lost_distance,
-            act.F_u_max * episode.effectiveness[0],
-            act.F_r_max * episode.effectiveness[1],
-            *episode.reach,
-            float(episode.delay),
-            *episode.current.shear,
+        return Parameters(
+            h=self.control_dt / self.substeps,
+            coefficients=episode.vehicle.coefficients,
+            F_u_max=act.F_u_max,
+            F_r_max=act.F_r_max,
+            response=Response.of(episode.lag, act.F_u_rate, act.F_r_rate, self.control_dt),
+            filter_gain=self.sensors.filter_gain(self.control_dt),
+            error_scale=self.error_scale,
+            rate_weight=self.rate_weight,
+            lost_distance=self.lost_distance,
+            thrust_u=act.F_u_max * episode.effectiveness[0],
+            thrust_r=act.F_r_max * episode.effectiveness[1],
+            reach_u=episode.reach[0],
+            reach_r=episode.reach[1],
+            delay=float(episode.delay),
+            shear=Shear(*episode.current.shear),
+            parts=parts,
         )
 
     def to_dict(self) -> dict[str, Any]:

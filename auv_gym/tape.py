@@ -18,13 +18,15 @@ from auv_gym.episode import Episode
 from auv_gym.errors import to_world
 from auv_gym.namespaces import ARRAYS
 from auv_gym.scenario import Scenario
-from auv_gym.simulation import SAMPLE
+from auv_gym.simulation import CURRENT, LOAD, NOISE, REFERENCE, SAMPLE, SAMPLE_ROWS
 
 Array = NDArray[np.float64]
 Lanes = NDArray[np.int64]
 
 GROUP = 128  # lanes read together: few enough for the cache, many enough for NumPy
 TILE = 8  # lanes transposed together: one cache line of the result
+MEASURED, GUSTS = slice(0, 6), slice(6, 8)  # of the standard normals of a control step: six measurements, two gusts
+NORMALS = 8
 
 
 class Tape:
@@ -46,7 +48,8 @@ class Tape:
         self._next[lane] = 0
         noise, gusty = scenario.sensors.noise, episode.current.gust > 0
         self._noise[lane], self._bias[lane] = noise, episode.bias
-        first, end = 0 if any(noise) else 6, 8 if gusty else 6  # of eight normals: six measurements, two gusts
+        first = MEASURED.start if any(noise) else GUSTS.start
+        end = GUSTS.stop if gusty else MEASURED.stop
         self._drawn[lane] = None
         if first < end:
             self._drawn[lane] = np.random.Generator(np.random.SFC64(episode.noise_seed)), first, end
@@ -57,40 +60,40 @@ class Tape:
         self._waves.load(lane, episode.waves, scenario.control_dt)
 
     def read(self, lanes: Sequence[int] | Lanes, n: int, out: Array | None = None) -> Array:
-        """Return the next n <= block samples of these lanes, shape (n, SAMPLE, len(lanes)), and wind on.
+        """Return the next n <= block samples of these lanes, shape (n, SAMPLE_ROWS, len(lanes)), and wind on.
 
         Behind an episode's last instant a lane repeats its last reference. The samples are written to `out`, if given.
         """
         if out is None:
-            out = np.empty((n, SAMPLE, len(lanes)))
+            out = np.empty((n, SAMPLE_ROWS, len(lanes)))
         for first in range(0, len(lanes), GROUP):
             self._read(np.asarray(lanes[first : first + GROUP]), out[:, :, first : first + GROUP])
         return out
 
     def _read(self, lanes: Lanes, out: Array) -> None:
         first = self._next[lanes]
-        _transpose(self._references(lanes, len(out)), out[:, :8])
+        _transpose(self._references(lanes, len(out)), out[:, REFERENCE])
         normals = self._normals(lanes, len(out))
-        self._gusts.read(lanes, normals, first, out[:, 8:10])
-        self._waves.read(lanes, first, out[:, 10:13])
+        self._gusts.read(lanes, normals, first, out[:, CURRENT])
+        self._waves.read(lanes, first, out[:, LOAD])
         bias = self._bias[lanes].T
         if normals is None:
-            out[:, 13:19] = bias
+            out[:, NOISE] = bias
         else:
-            _transpose(normals[:, :, :6], out[:, 13:19])
-            out[:, 13:19] *= self._noise[lanes].T
-            out[:, 13:19] += bias
-        out[:, 19] = 1.0
+            _transpose(normals[:, :, MEASURED], out[:, NOISE])
+            out[:, NOISE] *= self._noise[lanes].T
+            out[:, NOISE] += bias
+        out[:, SAMPLE.fix] = 1.0
         if self._fixes:
             for i, lane in enumerate(lanes.tolist()):
                 if lane in self._fixes:
                     part = self._fixes[lane][first[i] : first[i] + len(out)]
-                    out[: len(part), 19, i] = part
+                    out[: len(part), SAMPLE.fix, i] = part
         self._next[lanes] += len(out)
 
     def _references(self, lanes: Lanes, n: int) -> Array:
         """Return the next rows of the tables, shape (lanes, n, 8)."""
-        rows = np.empty((len(lanes), n, 8))
+        rows = np.empty((len(lanes), n, REFERENCE.stop))
         for row, lane, k in zip(rows, lanes.tolist(), self._next[lanes].tolist(), strict=True):
             table = self._tables[lane]
             have = len(table) - k
@@ -102,13 +105,13 @@ class Tape:
         return rows
 
     def _normals(self, lanes: Lanes, n: int) -> Array | None:
-        """Return standard normals, shape (lanes, n, 8), zero where a lane uses none; None if no lane does."""
+        """Return standard normals, shape (lanes, n, NORMALS), zero where a lane uses none; None if no lane does."""
         random = [(i, *drawn) for i, lane in enumerate(lanes.tolist()) if (drawn := self._drawn[lane])]
         if not random:
             return None
-        normals = np.zeros((len(lanes), n, 8))
+        normals = np.zeros((len(lanes), n, NORMALS))
         for i, generator, a, b in random:
-            if b - a == 8:
+            if b - a == NORMALS:
                 generator.standard_normal(out=normals[i])
             else:
                 normals[i, :, a:b] = generator.standard_normal((n, b - a))
@@ -150,13 +153,13 @@ class _Gusts:
         self._sigma[lane] = current.gust
         smoothing = math.exp(-dt / current.smoothing) if current.smoothing > 0 else 0.0
         self._decay[lane] = math.exp(-dt / current.gust_time), smoothing
-        slowest = math.sqrt((table[:, 3] ** 2 + table[:, 4] ** 2).min()) if math.isfinite(current.cap) else 1.0
-        self._cap[lane] = current.cap * slowest
+        u_R, v_R = table[:, SAMPLE.u_R], table[:, SAMPLE.v_R]
+        self._cap[lane] = current.cap * (math.sqrt((u_R**2 + v_R**2).min()) if math.isfinite(current.cap) else 1.0)
 
     def read(self, lanes: Lanes, normals: Array | None, first: Lanes, out: Array) -> None:
         """Write the current from step `first` of each lane on, shape (n, 2, lanes).
 
-        It is driven by the last two of standard normals (lanes, n, 8).
+        It is driven by the `GUSTS` of standard normals (lanes, n, NORMALS).
         """
         fresh = first == 0
         out[:] = self._mean[lanes].T
@@ -169,7 +172,7 @@ class _Gusts:
             for a, b in set(map(tuple, decay.tolist())):  # lanes that share their time constants
                 group = windy[(decay == (a, b)).all(axis=1)]
                 part = _range(group)
-                gusts = self._filtered(lanes[group], normals[part, :, 6:], fresh[group], a, b)
+                gusts = self._filtered(lanes[group], normals[part, :, GUSTS], fresh[group], a, b)
                 out[:, :, part] += self._sigma[lanes[group]] * gusts.transpose(1, 2, 0)
         cap = self._cap[lanes]
         if np.isfinite(cap).any():
@@ -180,7 +183,7 @@ class _Gusts:
     def _filtered(self, lanes: Lanes, normals: Array, fresh: NDArray[np.bool_], a: float, b: float) -> Array:
         """Return s / sigma for standard normals, both of shape (lanes, n, 2)."""
         gain = (1 - b) * math.sqrt(1 - a * a)
-        if fresh.any():
+        if fresh.any():  # `lfilter` adds its first state to gain w_0, which gives s_0 = w_0, and its second to s_1
             first = normals[fresh, 0]
             self._state[lanes[fresh]] = np.stack(((1 - gain) * first, -a * b * first), axis=1)
         smooth, self._state[lanes] = lfilter([gain], [1.0, -a - b, a * b], normals, axis=1, zi=self._state[lanes])

@@ -136,4 +136,4 @@ def reward(
 
 def lost(squared_error: Number, lost_distance: Number) -> Number:
     """Return whether the vehicle is lost: farther than lost_distance [m] from the reference."""
-    return squared_error > lost_distance * lost_distance
+    return (squared_error <= lost_distance * lost_distance) ^ True  # so that what is no number any more is lost, too

@@ -8,7 +8,7 @@ import torch
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.presets import PRESETS
-from auv_gym.simulation import PARAMETERS
+from auv_gym.simulation import PARAMETER_ROWS
 from auv_gym.task import TERMS
 from baselines import make_policy
 from baselines.agents.agent import Agent
@@ -49,7 +49,7 @@ def unrolled(loop, net, vehicles, carried, past=None):
         if past:
             action, past[1] = past[0].predict(carried.observation.detach().numpy().T, past[1])
             outside = torch.tensor(action.T.astype(float))
-        carried, loss, squared_error = loop.step(net, carried, ahead, sample, vehicles.parameters, outside)
+        carried, loss, squared_error = loop.step(net, carried, ahead, sample, vehicles.simulator.constants, outside)
         total = total + loss.mean()
     return total, carried, squared_error
 
@@ -139,7 +139,7 @@ def test_fleet_begins_episodes_between_windows():
     short = replace(PRESETS["slow-calm"], steps=20)
     vehicles = Fleet([short] * 4, 0, 6)
     carried = vehicles.reset(3)._replace(hidden=torch.ones(4, 3), integrals=torch.ones(4, 4))
-    assert vehicles.parameters.shape == (PARAMETERS, 4)
+    assert vehicles.simulator.constants.shape == (PARAMETER_ROWS, 4)
     begun = []
     for _ in range(9):
         assert [len(rows) for rows in vehicles.window()] == [6, 6]
@@ -305,6 +305,7 @@ def test_gradients_that_are_not_finite_are_skipped(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor")  # torch looks, and hides its own warning
 def test_compiled_step_equals_eager():
     from baselines.training.apg.trainer import compiled
 
@@ -320,7 +321,7 @@ def test_compiled_step_equals_eager():
         carried = Carried(*(x.requires_grad_() for x in vehicles.reset(8)))
         net.zero_grad()
         for ahead, sample in zip(*vehicles.window(), strict=True):
-            carried, loss, _ = step(net, carried, ahead, sample, vehicles.parameters)
+            carried, loss, _ = step(net, carried, ahead, sample, vehicles.simulator.constants)
         loss.sum().backward()
         gradients.append([p.grad.clone() for p in net.parameters() if p.grad is not None])
     for mine, theirs in zip(*gradients, strict=True):

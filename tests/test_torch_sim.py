@@ -15,7 +15,8 @@ from auv_gym import simulation
 from auv_gym.envs.torch_sim import TorchSimulator, simulate, step_function
 from auv_gym.namespaces import ARRAYS, tensors
 from auv_gym.presets import PRESETS
-from auv_gym.simulation import SAMPLE, Parameters, Parts
+from auv_gym.rows import filled
+from auv_gym.simulation import PLANT, PLANT_ROWS, SAMPLE_ROWS, Parameters, Parts
 from auv_gym.task import SCALES, SIZE
 from auv_gym.vehicle import PAPER_VEHICLE
 from baselines.control.backstepping import GAINS, tracking_forces
@@ -155,7 +156,7 @@ def test_gradients_through_50_steps_equal_finite_differences_of_numpy():
         return result
 
     def unpacked(state):
-        return (*state[:10], tuple(state[10:]))
+        return filled(PLANT, state)
 
     x = torch.full((2, n), 0.02, dtype=torch.float64, requires_grad=True)
     value = total(unpacked(start), samples, constants, tensors(), x, torch.sum)
@@ -177,9 +178,9 @@ def test_gradients_through_50_steps_equal_finite_differences_of_numpy():
 def test_no_nan_gradients_at_zero_error():
     """The vehicle on its reference, at rest relative to nothing: every square root and absolute value at its corner."""
     constants = started(2, "slow-calm")[2]
-    state = torch.zeros(16, 2, dtype=torch.float64, requires_grad=True)
+    state = torch.zeros(PLANT_ROWS, 2, dtype=torch.float64, requires_grad=True)
     action = torch.zeros(2, 2, dtype=torch.float64, requires_grad=True)
-    step = simulate(state, action, torch.zeros(SAMPLE, 2, dtype=torch.float64), constants)
+    step = simulate(state, action, torch.zeros(SAMPLE_ROWS, 2, dtype=torch.float64), constants)
     terms = (step.observation * torch.from_numpy(SCALES)[:, None]).unbind()
     for gains in ("paper", "normalised"):
         F_u, F_r = tracking_forces(terms, PAPER_VEHICLE, GAINS[gains], tensors())

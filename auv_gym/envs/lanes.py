@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from functools import reduce
 from typing import Any, NamedTuple
 
@@ -10,14 +11,17 @@ import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
+from auv_gym import simulation
 from auv_gym.episode import Episode, checked_options, with_options
+from auv_gym.namespaces import ARRAYS
 from auv_gym.planner import plan
 from auv_gym.presets import as_scenario
-from auv_gym.preview import Preview
+from auv_gym.preview import Preview, encode_preview
+from auv_gym.rows import leaves
 from auv_gym.scenario import Scenario
-from auv_gym.simulation import PARAMETERS, SAMPLE, Parameters, Parts
+from auv_gym.simulation import PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts, Plant, Terms
 from auv_gym.tape import Tape
-from auv_gym.task import check_reference
+from auv_gym.task import Observation, check_reference, encode
 from auv_gym.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -29,11 +33,20 @@ BLOCK_SAMPLES = 2**18  # ... fewer where that many vehicles times steps are exce
 PLANNED_AT_ONCE = 256  # references planned in one batch, for the same reason
 
 
+class Planned(NamedTuple):
+    """An episode that is ready to begin."""
+
+    episode: Episode
+    table: Array  # of the reference, shape (steps + 1, 8)
+    constants: tuple[float, ...]  # the numbers of its `simulation.Parameters`
+
+
 class Beginning(NamedTuple):
     """New episodes in n of the lanes."""
 
     lanes: Indices  # which, shape (n,)
-    states: Array  # x, y, psi, u, v, r, velocities relative to the water, shape (6, n)
+    plant: Plant  # rows of shape (n,)
+    observation: Array  # the first ones, shape (n, columns)
     errors: Array  # [m] position error, shape (n,)
 
 
@@ -49,9 +62,10 @@ class Lanes:
 
     Attributes:
         scenarios: one for each lane.
-        samples: a block of samples ahead, shape (block, SAMPLE, N); `sample` is the row of the present time.
-        row: the present row of the block.
-        constants: the rows of `parameters`, shape (PARAMETERS, N).
+        samples: a block of samples ahead, shape (block, SAMPLE_ROWS, N).
+        row: the row of the present time in that block; -1 if it was the last of the block before.
+        blocks: how many blocks have been read.
+        constants: the rows of `parameters`, shape (PARAMETER_ROWS, N).
         k: control steps since each lane's reset, shape (N,).
         preview: the references' positions ahead.
 
@@ -79,16 +93,17 @@ class Lanes:
         self._tape = Tape(num_envs, block)
         self.preview = Preview(num_envs, preview, int(self._steps.max()))
         self._fixed: dict[tuple[Any, ...], Array] = {}  # tables of scenarios whose path is not drawn
-        self.samples, self.row = np.zeros((block, SAMPLE, num_envs)), 0
-        self.constants = np.ones((PARAMETERS, num_envs))
+        self.samples, self.row, self.blocks = np.zeros((block, SAMPLE_ROWS, num_envs)), 0, 0
+        self._before = self.samples[0]  # the last sample of the block before
+        self.constants = np.ones((PARAMETER_ROWS, num_envs))
         self.parts = reduce(Parts.joined, {s.parts: None for s in self.scenarios})
         self.parameters = Parameters.of(tuple(self.constants), self.parts)
         self.k: Indices = np.zeros(num_envs, dtype=np.int64)
 
     @property
     def sample(self) -> Any:
-        """The samples of the present time, an array (SAMPLE, N)."""
-        return self.samples[self.row]
+        """The samples of the present time, an array (SAMPLE_ROWS, N)."""
+        return self._before if self.row < 0 else self.samples[self.row]
 
     @property
     def time(self) -> Array:
@@ -96,33 +111,44 @@ class Lanes:
         return np.asarray(self.k * self._dt)
 
     @property
-    def truncated(self) -> NDArray[np.bool_]:
-        """Whether each episode has run all of its steps, shape (N,)."""
-        ended: NDArray[np.bool_] = self.k == self._steps
-        return ended
+    def truncating(self) -> NDArray[np.bool_]:
+        """Whether the coming control step is the last one of each episode, shape (N,)."""
+        ending: NDArray[np.bool_] = self.k + 1 >= self._steps
+        return ending
+
+    def coming(self) -> Array:
+        """Return the samples at the end of the coming control step, an array (SAMPLE_ROWS, N); time stays."""
+        if self.row + 1 == len(self.samples):
+            self._before = self.samples[-1].copy()
+            self._tape.read(self.all, len(self.samples), self.samples)
+            self.row, self.blocks = -1, self.blocks + 1
+        coming: Array = self.samples[self.row + 1]
+        return coming
 
     def advance(self) -> None:
-        """Go on by one control step; reads the next block where this one ends, and then `row` is 0."""
+        """Go on by one control step, whose samples `coming` has returned."""
         self.row += 1
         self.k += 1
-        if self.row == len(self.samples):
-            self._tape.read(self.all, self.row, self.samples)
-            self.row = 0
 
     def reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> Beginning:
         """Begin new episodes everywhere, or where `options["reset_mask"]` says; lane i gets seed + i.
 
         Raises:
-            ValueError: unknown or wrong options, or a wrong number of seeds; nothing has changed then.
+            ValueError: unknown or wrong options, a wrong number of seeds, or an episode that cannot be planned; nothing
+                has changed then.
+            gymnasium.error.Error: a seed is no integer, or negative; nothing has changed then.
         """
         lanes, choices = self._checked_options(options or {})
         seeds = seed if isinstance(seed, Iterable) else [None if seed is None else seed + i for i in self.all.tolist()]
         if len(seeds) != len(self.all):
             raise ValueError(f"seed has {len(seeds)} entries; it must be one integer, or {len(self.all)} of them")
-        seeded = {i: seeding.np_random(int(s))[0] for i, s in enumerate(seeds) if s is not None}
+        plain = [int(s) if isinstance(s, np.integer) else s for s in seeds]
+        seeded = {i: seeding.np_random(s)[0] for i, s in enumerate(plain) if s is not None}
+        generators = [seeded.get(i, generator) for i, generator in enumerate(self._generators)]
+        planned = self._planned(lanes, generators, choices)
         for i in lanes.tolist():
-            self._generators[i] = seeded.get(i, self._generators[i])
-        return self.begin(lanes, choices)
+            self._generators[i] = generators[i]
+        return self.begin(lanes, planned)
 
     def _checked_options(self, options: Mapping[str, Any]) -> tuple[Indices, list[dict[str, Any]]]:
         """Return the lanes to reset and every lane's options."""
@@ -144,34 +170,86 @@ class Lanes:
                 choice.update(checked_options({key: value if shared else value[i]}))
         return lanes, choices
 
-    def begin(self, lanes: Indices, choices: Sequence[Mapping[str, Any]] = ()) -> Beginning:
-        """Begin a new episode in each of the lanes, with every lane's checked options of `reset`."""
-        episodes = []
-        for i in lanes.tolist():
-            chosen: Episode | None = choices[i].get("episode") if choices else None
-            episode = chosen or self.scenarios[i].draw(self._generators[i])
-            episodes.append(with_options(episode, choices[i]) if choices and choices[i] else episode)
-        for i, episode, table in zip(lanes.tolist(), episodes, self._tables(lanes, episodes), strict=True):
+    def planned(self, lanes: Indices) -> list[Planned]:
+        """Return the next episode of each of the lanes, ready to begin.
+
+        Raises:
+            ValueError: see `Scenario.drawn`; nothing has changed then.
+        """
+        return self._planned(lanes, self._generators, [{}] * len(self.all))
+
+    def _planned(
+        self, lanes: Indices, generators: Sequence[np.random.Generator], choices: Sequence[Mapping[str, Any]]
+    ) -> list[Planned]:
+        """Return an episode for each of the lanes, with every lane's checked options of `reset`."""
+        states = [generators[i].bit_generator.state for i in lanes.tolist()]
+        try:
+            drawn = [choices[i].get("episode") or self.scenarios[i].draw(generators[i]) for i in lanes.tolist()]
+            tables = self._tables(lanes, drawn)
+            for j, i in enumerate(lanes.tolist()):
+                if tables[j] is None:  # cannot be followed
+                    generators[i].bit_generator.state = states[j]
+                    drawn[j], tables[j] = self._feasible(i, choices[i].get("episode"), generators[i])
+            episodes = [with_options(episode, choices[i]) for i, episode in zip(lanes.tolist(), drawn, strict=True)]
+            return [
+                Planned(episode, table, leaves(self.scenarios[i].parameters(episode)))
+                for i, episode, table in zip(lanes.tolist(), episodes, tables, strict=True)
+            ]
+        except ValueError:
+            for i, state in zip(lanes.tolist(), states, strict=True):
+                generators[i].bit_generator.state = state
+            raise
+
+    def begin(self, lanes: Indices, planned: Sequence[Planned]) -> Beginning:
+        """Begin these episodes in the lanes."""
+        for i, (episode, table, constants) in zip(lanes.tolist(), planned, strict=True):
             self._tape.load(i, self.scenarios[i], episode, table)
-            self.constants[:, i] = self.scenarios[i].parameters(episode)
-        self.preview.load(lanes, [episode.path for episode in episodes], self._dt[lanes])
+            self.constants[:, i] = constants
+        self.preview.load(lanes, [episode.path for episode, _, _ in planned], self._dt[lanes])
         self.begun = True
         self.k[lanes] = 0
-        self.samples[self.row :, :, lanes] = self._tape.read(lanes, len(self.samples) - self.row)
-        references = self.samples[self.row, :4][:, lanes].T.tolist()
-        states = [episode.initial_state(R) for episode, R in zip(episodes, references, strict=True)]
-        errors = np.hypot(*np.array([episode.initial_error[:2] for episode in episodes]).T)
-        return Beginning(lanes, np.array(states).T, errors)
+        if self.row < 0:
+            self._before[:, lanes] = self._tape.read(lanes, 1)[0]
+        ahead = self.samples[max(self.row, 0) :]
+        ahead[:, :, lanes] = self._tape.read(lanes, len(ahead))
+        states = np.array([episode.initial_state(table[0].tolist()) for episode, table, _ in planned]).T
+        p = Parameters.of(tuple(self.constants[:, lanes]), self.parts)
+        plant, terms = simulation.start(tuple(states), self.sample[:, lanes], p, ARRAYS)
+        errors = np.hypot(*np.array([episode.initial_error[:2] for episode, _, _ in planned]).T)
+        return Beginning(lanes, plant, self.encoded(terms, lanes), errors)
 
-    def _tables(self, lanes: Indices, episodes: Sequence[Episode]) -> list[Array]:
-        """Return the reference table of each episode, planning those of one clock and vehicle together."""
-        tables: list[Array] = [np.empty(0)] * len(episodes)
+    def encoded(self, terms: Terms, lanes: Indices) -> Array:
+        """Return the observations of n lanes with their previews, shape (n, columns), for terms in SI units."""
+        observation: Array = encode(terms, ARRAYS).T
+        if not self.preview.periods:
+            return observation
+        columns = encode_preview(self.preview.ahead(lanes, self.k[lanes]), Observation._make(terms), ARRAYS)
+        return np.hstack((observation, columns.T))
+
+    def _plan_of(self, lane: int) -> tuple[float, int, Vehicle, float, float]:
+        """Return what a plan depends on besides the path, the arguments of `reference_tables`."""
+        s = self.scenarios[lane]
+        return s.control_dt, s.steps, s.vehicle, s.actuators.F_u_max, s.actuators.F_r_max
+
+    def _feasible(self, lane: int, episode: Episode | None, rng: np.random.Generator) -> tuple[Episode, Array]:
+        """Return an episode of a lane, the given one or one that can be followed, and its reference table."""
+
+        def table_of(episode: Episode) -> Array:
+            return reference_tables([episode], *self._plan_of(lane))[0]
+
+        return (episode, table_of(episode)) if episode else self.scenarios[lane].drawn(rng, table_of)
+
+    def _tables(self, lanes: Indices, episodes: Sequence[Episode]) -> list[Any]:
+        """Return the reference table of each episode, None where it cannot be followed.
+
+        Those of one clock and vehicle are planned together.
+        """
+        tables: list[Any] = [None] * len(episodes)
         groups: dict[Any, list[int]] = {}
         for j, (i, episode) in enumerate(zip(lanes.tolist(), episodes, strict=True)):
-            s = self.scenarios[i]
-            plan_of = (s.control_dt, s.steps, s.vehicle, s.actuators.F_u_max, s.actuators.F_r_max)
-            if episode.path is s.path:
-                fixed = (*plan_of, id(s.path))
+            plan_of, path = self._plan_of(i), self.scenarios[i].path
+            if episode.path is path:
+                fixed = (*plan_of, id(path))
                 if fixed not in self._fixed:
                     self._fixed[fixed] = reference_tables([episode], *plan_of)[0]
                 tables[j] = self._fixed[fixed]
@@ -180,8 +258,9 @@ class Lanes:
         for plan_of, members in groups.items():
             for first in range(0, len(members), PLANNED_AT_ONCE):
                 batch = members[first : first + PLANNED_AT_ONCE]
-                for j, table in zip(batch, reference_tables([episodes[j] for j in batch], *plan_of), strict=True):
-                    tables[j] = table
+                with suppress(ValueError):  # about one of them: all are planned alone then
+                    for j, table in zip(batch, reference_tables([episodes[j] for j in batch], *plan_of), strict=True):
+                        tables[j] = table
         return tables
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import gymnasium as gym
@@ -22,6 +22,15 @@ class TensorExpert(Protocol):
 
     def forces(self, o: Sequence[Any], ns: Namespace) -> tuple[Any, Any]:
         """Return F_u [N], F_r [N m] for the terms of an observation in SI units, tensors of shape (N,)."""
+
+
+Law = Callable[[Sequence[Any], Namespace], tuple[Any, Any]]
+"""`TensorExpert.forces`."""
+
+
+def expert_action(law: Law, o: Observation) -> tuple[Tensor, Tensor]:
+    """Return the action of a law, surge and yaw, shape (N,) each, for observations in SI units."""
+    return action_of(law(o, TENSORS), o, TENSORS)
 
 
 class TorchResidualAction(gym.vector.VectorWrapper[Tensor, Tensor, Tensor, Tensor, Tensor]):
@@ -79,5 +88,5 @@ class TorchResidualAction(gym.vector.VectorWrapper[Tensor, Tensor, Tensor, Tenso
     def _extended(self, observation: Tensor) -> Tensor:
         """Return observations (N, columns + 2) with the expert's actions, in float32 as every policy's are."""
         o = Observation._make(decode(observation[:, :SIZE].unbind(dim=1), TENSORS))
-        base = torch.stack(action_of(self.expert.forces(o, TENSORS), o, TENSORS), dim=1)
+        base = torch.stack(expert_action(self.expert.forces, o), dim=1)
         return torch.cat((observation, base.to(torch.float32).to(observation.dtype)), dim=1)

@@ -38,14 +38,14 @@ from auv_gym import simulation
 from auv_gym.envs.lanes import Beginning, Indices, Lanes, ScenarioLike
 from auv_gym.namespaces import tensors
 from auv_gym.preview import encode_preview, observation_bounds
-from auv_gym.simulation import MEMORY, PARAMETERS, SAMPLE, Parameters, Parts, Plant
+from auv_gym.rows import filled, leaves
+from auv_gym.simulation import PARAMETER_ROWS, PLANT, PLANT_ROWS, SAMPLE_ROWS, Parameters, Parts
 from auv_gym.task import Observation, encode
 from auv_gym.vehicle import Vehicle
 
 logger = logging.getLogger(__name__)
 
 TENSORS = tensors()
-STATE = 10 + MEMORY  # rows of a `simulation.Plant`
 PLAIN = Parts()
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
 
@@ -53,7 +53,7 @@ DTYPES = {"float32": torch.float32, "float64": torch.float64}
 class Transition(NamedTuple):
     """What one control step gives; tensors of the state's type."""
 
-    state: Tensor  # shape (STATE, N)
+    state: Tensor  # shape (PLANT_ROWS, N)
     observation: Tensor  # shape (SIZE, N)
     reward: Tensor  # shape (N,)
     done: Tensor  # 1 where the vehicle is lost, else 0, shape (N,)
@@ -65,28 +65,20 @@ def simulate(state: Tensor, action: Tensor, sample: Tensor, parameters: Tensor, 
     """Return what `simulation.step` makes of N vehicles: a pure function, differentiable in state and action.
 
     Args:
-        state: the rows of a `simulation.Plant`, shape (STATE, N).
+        state: the rows of a `simulation.Plant`, shape (PLANT_ROWS, N).
         action: surge and yaw command as fractions of the limits, shape (2, N).
-        sample: the rows of a `simulation.Sample`, shape (SAMPLE, N).
-        parameters: the rows of `simulation.Parameters`, shape (PARAMETERS, N).
+        sample: the rows of a `simulation.Sample`, shape (SAMPLE_ROWS, N).
+        parameters: the rows of `simulation.Parameters`, shape (PARAMETER_ROWS, N).
         parts: what is in use.
     """
     p = Parameters.of(parameters.unbind(), parts)
     plant, terms, (reward, lost, squared_error, saturated) = simulation.step(
-        _unpacked(state), action.unbind(), sample.unbind(), p, TENSORS
+        filled(PLANT, state.unbind()), action.unbind(), sample.unbind(), p, TENSORS
     )
+    rows = torch.stack(leaves(plant))
     return Transition(
-        _packed(plant), encode(terms, TENSORS), reward, lost.to(state.dtype), squared_error, saturated.to(state.dtype)
+        rows, encode(terms, TENSORS), reward, lost.to(state.dtype), squared_error, saturated.to(state.dtype)
     )
-
-
-def _packed(plant: Plant) -> Tensor:
-    return torch.stack(simulation.rows_of(plant))
-
-
-def _unpacked(state: Tensor) -> Plant:
-    rows = state.unbind()
-    return (*rows[:10], rows[10:])
 
 
 @cache
@@ -111,7 +103,7 @@ def can_compile(device: torch.device) -> bool:
 
 
 def _ones(device: torch.device, dtype: torch.dtype) -> list[Tensor]:
-    return [torch.ones(rows, 8, device=device, dtype=dtype) for rows in (STATE, 2, SAMPLE, PARAMETERS)]
+    return [torch.ones(rows, 8, device=device, dtype=dtype) for rows in (PLANT_ROWS, 2, SAMPLE_ROWS, PARAMETER_ROWS)]
 
 
 def _runs(function: Callable[..., Any], *inputs: Tensor) -> bool:
@@ -177,7 +169,7 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._step = step_function(self.device, self.dtype, self._lanes.parts, compiled)
-        self._samples = self._tensor(self._lanes.samples)
+        self._samples, self._block = self._tensor(self._lanes.samples), self._lanes.blocks
         self._constants = self._tensor(self._lanes.constants)
         self._state: Tensor | None = None
         self._observation = self._tensor(np.zeros((num_envs, len(bounds))))
@@ -186,8 +178,18 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
         return torch.tensor(np.asarray(array), dtype=self.dtype, device=self.device)
 
     @property
+    def parts(self) -> Parts:
+        """What is in use of the simulation."""
+        return self._lanes.parts
+
+    @property
+    def constants(self) -> Tensor:
+        """The rows of `simulation.Parameters` of the running episodes, shape (PARAMETER_ROWS, N)."""
+        return self._constants
+
+    @property
     def state(self) -> Tensor:
-        """The rows of the `simulation.Plant`s, shape (STATE, N)."""
+        """The rows of the `simulation.Plant`s, shape (PLANT_ROWS, N)."""
         if self._state is None:
             raise ResetNeeded("no episode has begun: call reset() first")
         return self._state
@@ -209,18 +211,48 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
 
     def _begin(self, beginning: Beginning, observation: Tensor) -> Tensor:
         """Put vehicles at the start of their episodes; return the observations (N, columns) with their first ones."""
-        host = self._lanes
-        where = torch.as_tensor(beginning.lanes, device=self.device)
-        constants, ahead = host.constants[:, beginning.lanes], host.samples[host.row :, :, beginning.lanes]
-        self._constants = self._constants.index_copy(1, where, self._tensor(constants))  # the graph may need the old
-        # Past autograd's eyes: the graph holds views of earlier rows, which stay as they are.
-        self._samples.data[host.row + 1 :, :, where] = self._tensor(ahead[1:])
-        p = Parameters.of(self._tensor(constants).unbind(), host.parts)
-        states = self._tensor(beginning.states).unbind()
-        plant, terms = simulation.start(states, self._tensor(ahead[0]).unbind(), p, TENSORS)  # type: ignore[arg-type]
-        begun, first = _packed(plant), self._with_preview(encode(terms, TENSORS), beginning.lanes).T
+        host, lanes = self._lanes, beginning.lanes
+        where = torch.as_tensor(lanes, device=self.device)
+        self._constants = self._constants.index_copy(1, where, self._tensor(host.constants[:, lanes]))
+        if self._block == host.blocks:
+            # A graph holds rows of earlier instants, which stay; `data` spares autograd the change of those to come.
+            self._samples.data[host.row + 1 :, :, where] = self._tensor(host.samples[host.row + 1 :, :, lanes])
+        begun = self._tensor(np.array(leaves(beginning.plant)))
         self._state = begun if self._state is None else self._state.index_copy(1, where, begun)
-        return observation.index_copy(0, where, first)
+        return observation.index_copy(0, where, self._tensor(beginning.observation))
+
+    def window(self, steps: int) -> tuple[Tensor, Tensor]:
+        """Return what the next control steps bring, and let their time pass; the vehicles stay for `renew` to place.
+
+        For each step: where the reference will be, displacements x, y in the world [m] as `Preview.ahead` has them,
+        shape (steps, 2 P, N); and the sample at its end, shape (steps, SAMPLE_ROWS, N).
+        """
+        host, ahead, samples = self._lanes, [], []
+        for _ in range(steps):
+            if host.preview.periods:
+                ahead.append(host.preview.ahead(host.all, host.k))
+            samples.append(host.coming().copy())
+            host.advance()
+        shape = steps, host.preview.columns, self.num_envs
+        return self._tensor(np.reshape(ahead, shape)), self._tensor(np.array(samples))
+
+    def renew(self, state: Tensor, terms: Tensor, over: np.typing.NDArray[np.bool_]) -> Tensor:
+        """Place the vehicles where a `window` has brought them, and begin new episodes where `over` (N,) is True.
+
+        Args:
+            state: the rows of the plants, as `simulate` returns them, without a graph.
+            terms: the observations as `simulate` returns them, shape (SIZE, N), likewise.
+            over: where; others go on.
+
+        Returns:
+            The observations from which it goes on, shape (N, columns); `state` and `constants` have changed as well.
+        """
+        lanes = over.nonzero()[0]
+        planned = self._lanes.planned(lanes)
+        self._state, self._observation = state, self._with_preview(terms, self._lanes.all).T
+        if planned:
+            self._observation = self._begin(self._lanes.begin(lanes, planned), self._observation)
+        return self._observation
 
     def _with_preview(self, rows: Tensor, lanes: Indices) -> Tensor:
         """Return the observations (columns, n) of n lanes, whose terms are given, with their previews."""
@@ -239,26 +271,29 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
             ResetNeeded: no episode has begun.
         """
         commands, state, host = self._checked(actions), self.state, self._lanes
-        host.advance()
-        if host.row == 0:
-            self._samples = self._tensor(host.samples)
-        sample = self._samples[host.row]
+        host.coming()
+        if self._block != host.blocks:
+            self._samples, self._block = self._tensor(host.samples), host.blocks
+        sample = self._samples[host.row + 1]
         graph = torch.is_grad_enabled() and (commands.requires_grad or state.requires_grad)
         if graph and not state.requires_grad:
             state = state.detach().requires_grad_()
         # Always of one layout, and all with a graph or all without: every other combination would be compiled anew.
         inputs = state, commands.T.contiguous(), sample, self._constants
         with torch.set_grad_enabled(graph):
-            self._state, rows, reward, lost, squared, saturated = self._step(*inputs)
-        observation, errors = self._with_preview(rows, host.all).T, squared.detach().sqrt()
-        terminated = lost > 0.5
-        truncated = torch.as_tensor(host.truncated, device=self.device)
+            landed, rows, reward, lost, squared, saturated = self._step(*inputs)
+        terminated, truncated = lost > 0.5, torch.as_tensor(host.truncating, device=self.device)
         done = terminated | truncated
+        ended = done.nonzero()[:, 0].cpu().numpy()
+        planned = host.planned(ended) if len(ended) else []  # may be refused: nothing has changed so far
+        host.advance()
+        self._state = landed
+        observation, errors = self._with_preview(rows, host.all).T, squared.detach().sqrt()
         info: dict[str, Any] = {}
-        if done.any():
+        if planned:
             info = {"final_obs": observation, "_final_obs": done, "_final_info": done}
             info["final_info"] = self._info(errors, saturated)
-            beginning = host.begin(done.nonzero()[:, 0].cpu().numpy())
+            beginning = host.begin(ended, planned)
             observation = self._begin(beginning, observation)
             errors = errors.masked_scatter(done, self._tensor(beginning.errors))
             saturated = saturated * ~done

@@ -19,7 +19,7 @@ from auv_gym.presets import as_scenario
 from auv_gym.preview import Preview, encode_preview, observation_bounds
 from auv_gym.rendering import Renderer, View
 from auv_gym.scenario import Scenario
-from auv_gym.simulation import Parameters, Terms, current_at, ground_state, start, step
+from auv_gym.simulation import CURRENT, REFERENCE, Terms, current_at, ground_state, start, step
 from auv_gym.tape import Tape
 from auv_gym.task import Observation, check_reference, encode
 from auv_gym.vehicle import Vehicle
@@ -167,20 +167,21 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         """Start a new episode; see the class for the options, `gymnasium.Env.reset` for the seed."""
         checked = checked_options(options)
         super().reset(seed=seed)
-        episode = with_options(
-            checked["episode"] if "episode" in checked else self.scenario.draw(self.np_random), checked
-        )
-        reference = self._plan(episode.path)
+        if "episode" in checked:
+            episode, reference = checked["episode"], self._plan(checked["episode"].path)
+        else:
+            episode, reference = self.scenario.drawn(self.np_random, lambda episode: self._plan(episode.path))
+        episode = with_options(episode, checked)
+        parameters = self.scenario.parameters(episode)
         self._tape.load(0, self.scenario, episode, reference.table)
         self._preview.load((0,), (episode.path,), (self._dt,))
         self._read()
-        self._parameters = Parameters.of(self.scenario.parameters(episode), self.scenario.parts)
-        sample = self._rows[0]
-        self._plant, terms = start(episode.initial_state(sample), sample, self._parameters, FLOATS)
+        self._parameters, sample = parameters, self._rows[0]
+        self._plant, terms = start(episode.initial_state(sample), sample, parameters, FLOATS)
         self._k, self._row, self._over = 0, 0, False
         error = math.hypot(episode.initial_error[0], episode.initial_error[1])
         self._info = {"position_error": error, "saturated": False, "time": 0.0}
-        self._trail = [self._plant[:2]]
+        self._trail = [(self._plant.x, self._plant.y)]
         if self.render_mode == "human":
             self.render()
         return self._encoded(terms), self._info
@@ -191,6 +192,10 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
             return observation
         ahead = self._preview.ahead((0,), self._k)
         return np.append(observation, encode_preview(ahead, Observation._make(terms), ARRAYS))
+
+    @property
+    def _sample(self) -> Any:
+        return self._rows[self._row]
 
     def _read(self) -> None:
         self._rows = self._tape.read((0,), BLOCK)[:, :, 0].tolist()
@@ -213,7 +218,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self._plant, terms, (reward, lost, squared_error, saturated) = step(
             self._plant, command, self._rows[self._row], self._parameters, FLOATS
         )
-        truncated = self._k == self._steps
+        truncated = self._k >= self._steps
         self._over = truncated or lost
         self._info = {
             "position_error": math.sqrt(squared_error),
@@ -221,7 +226,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
             "time": self._k * self._dt,
         }
         if self.render_mode is not None:
-            self._trail.append(self._plant[:2])
+            self._trail.append((self._plant.x, self._plant.y))
             if self.render_mode == "human":
                 self.render()
         return self._encoded(terms), reward, lost, truncated, self._info
@@ -229,23 +234,23 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     @property
     def state(self) -> Array:
         """x, y [m], psi [rad], u, v [m/s] over ground, r [rad/s]; shape (6,)."""
-        return np.array(ground_state(self._plant, self._rows[self._row], self._parameters, FLOATS))
+        return np.array(ground_state(self._plant, self._sample[CURRENT], self._parameters, FLOATS))
 
     @property
     def reference(self) -> ReferencePoint:
         """The reference at this time, SI units."""
-        return ReferencePoint(*self._rows[self._row][:8])
+        return ReferencePoint(*self._sample[REFERENCE])
 
     @property
     def force(self) -> Array:
         """F_u [N], F_r [N m] that the actuators apply at this time; shape (2,)."""
-        return np.array(self._plant[6:8])
+        return np.array((self._plant.F_u, self._plant.F_r))
 
     @property
     def current(self) -> Array:
         """V_x, V_y [m/s] of the water in the world, where the vehicle is; shape (2,)."""
-        x, y = self._plant[:2]
-        return np.array(current_at(x, y, self._rows[self._row], self._parameters, FLOATS))
+        plant = self._plant
+        return np.array(current_at(plant.x, plant.y, self._sample[CURRENT], self._parameters, FLOATS))
 
     @property
     def time(self) -> float:

@@ -12,12 +12,12 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from auv_gym.envs.lanes import Beginning, Indices, Lanes, ScenarioLike, checked_actions, replaced
+from auv_gym.envs.lanes import Beginning, Lanes, ScenarioLike, checked_actions, replaced
 from auv_gym.envs.track_env import ReferencePoint
 from auv_gym.namespaces import ARRAYS
-from auv_gym.preview import encode_preview, observation_bounds
-from auv_gym.simulation import Parameters, Plant, Terms, current_at, ground_state, start, step
-from auv_gym.task import Observation, encode
+from auv_gym.preview import observation_bounds
+from auv_gym.rows import filled, leaves
+from auv_gym.simulation import CURRENT, PLANT, REFERENCE, Plant, current_at, ground_state, step
 from auv_gym.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -88,33 +88,19 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
             ValueError: unknown or wrong options, or a wrong number of seeds; nothing has changed then.
         """
         beginning = self._lanes.reset(seed, options)
-        self._observation = self._observation.copy()
-        self._observation[beginning.lanes] = self._begin(beginning)
+        self._begin(beginning)
+        self._observation[beginning.lanes] = beginning.observation
         errors = np.zeros(self.num_envs)
         errors[beginning.lanes] = beginning.errors
         begun = np.isin(self._lanes.all, beginning.lanes)
         return self._observation.copy(), self._info(errors, ~self._everywhere, begun)
 
-    def _begin(self, beginning: Beginning) -> Array:
-        """Put vehicles at the start of their episodes; return their first observations (n, columns)."""
-        lanes, states, _ = beginning
-        there = Parameters.of(tuple(self._lanes.constants[:, lanes]), self._lanes.parts)
-        begun, terms = start(tuple(states), self._lanes.sample[:, lanes], there, ARRAYS)
-        old = begun if self._plant is None else self._plant
-        self._plant = (
-            *(replaced(a, lanes, b) for a, b in zip(old[:-1], begun[:-1], strict=True)),
-            tuple(replaced(a, lanes, b) for a, b in zip(old[-1], begun[-1], strict=True)),
-        )
-        return self._encoded(terms, lanes)
-
-    def _encoded(self, terms: Terms, lanes: Indices) -> Array:
-        """Return the observations of n lanes, shape (n, columns)."""
-        preview = self._lanes.preview
-        if not preview.periods:
-            return encode(terms, ARRAYS).T  # type: ignore[no-any-return]
-        ahead = preview.ahead(lanes, self._lanes.k[lanes])
-        columns = encode_preview(ahead, Observation._make(terms), ARRAYS)
-        return np.hstack((encode(terms, ARRAYS).T, columns.T))
+    def _begin(self, beginning: Beginning) -> None:
+        """Put vehicles at the start of their episodes."""
+        begun = leaves(beginning.plant)
+        old = begun if self._plant is None else leaves(self._plant)
+        rows = [replaced(a, beginning.lanes, b) for a, b in zip(old, begun, strict=True)]
+        self._plant = filled(PLANT, rows)
 
     def step(self, actions: NDArray[Any]) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
         """Advance every vehicle by one control period; start the next episode where one ends.
@@ -125,25 +111,29 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
         """
         commands = tuple(np.ascontiguousarray(checked_actions(actions, self.num_envs).T))
         plant, lanes = self._running, self._lanes
-        lanes.advance()
-        self._plant, terms, (reward, lost, squared, saturated) = step(
-            plant, commands, lanes.sample, lanes.parameters, ARRAYS
+        plant, terms, (reward, lost, squared, saturated) = step(
+            plant, commands, tuple(lanes.coming()), lanes.parameters, ARRAYS
         )
-        observation, errors, truncated = self._encoded(terms, lanes.all), np.sqrt(squared), lanes.truncated
+        truncated = lanes.truncating
         done = lost | truncated
+        ended = done.nonzero()[0]
+        planned = lanes.planned(ended) if len(ended) else []  # may be refused: nothing has changed so far
+        lanes.advance()
+        self._plant = plant
+        observation, errors = lanes.encoded(terms, lanes.all), np.sqrt(squared)
         info: dict[str, Any] = {}
-        if done.any():
-            ended = done.nonzero()[0]
+        if planned:
             final = np.full(self.num_envs, None, dtype=object)
             for i in ended.tolist():
                 final[i] = observation[i].copy()
             info = {"final_obs": final, "_final_obs": done, "_final_info": done}
             info["final_info"] = self._info(errors, saturated, done)
-            beginning = lanes.begin(ended)
-            observation[ended], errors[ended] = self._begin(beginning), beginning.errors
+            beginning = lanes.begin(ended, planned)
+            self._begin(beginning)
+            observation[ended], errors[ended] = beginning.observation, beginning.errors
             saturated = saturated & ~done
         info.update(self._info(errors, saturated, self._everywhere))
-        self._observation = observation
+        self._observation = observation.copy()
         return observation, reward, lost, truncated, info
 
     def _info(self, errors: Array, saturated: Mask, mask: Mask) -> dict[str, Any]:
@@ -160,23 +150,23 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
     def state(self) -> Array:
         """x, y [m], psi [rad], u, v [m/s] over ground, r [rad/s]; shape (N, 6)."""
         lanes = self._lanes
-        return np.stack(ground_state(self._running, lanes.sample, lanes.parameters, ARRAYS), axis=1)
+        return np.stack(ground_state(self._running, lanes.sample[CURRENT], lanes.parameters, ARRAYS), axis=1)
 
     @property
     def reference(self) -> ReferencePoint:
         """The references at this time, SI units, fields of shape (N,)."""
-        return ReferencePoint(*self._lanes.sample[:8].copy())
+        return ReferencePoint(*self._lanes.sample[REFERENCE].copy())
 
     @property
     def force(self) -> Array:
         """F_u [N], F_r [N m] that the actuators apply at this time; shape (N, 2)."""
-        return np.stack(self._running[6:8], axis=1)
+        return np.stack((self._running.F_u, self._running.F_r), axis=1)
 
     @property
     def current(self) -> Array:
         """V_x, V_y [m/s] of the water in the world, where the vehicles are; shape (N, 2)."""
-        lanes, (x, y) = self._lanes, self._running[:2]
-        return np.stack(current_at(x, y, lanes.sample, lanes.parameters, ARRAYS), axis=1)
+        lanes, plant = self._lanes, self._running
+        return np.stack(current_at(plant.x, plant.y, lanes.sample[CURRENT], lanes.parameters, ARRAYS), axis=1)
 
     @property
     def time(self) -> Array:

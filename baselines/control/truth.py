@@ -13,8 +13,9 @@ from auv_gym.dynamics import State
 from auv_gym.envs.lanes import reference_tables
 from auv_gym.episode import Episode
 from auv_gym.namespaces import ARRAYS
+from auv_gym.rows import filled, leaves
 from auv_gym.scenario import Scenario
-from auv_gym.simulation import Parameters, Plant, step
+from auv_gym.simulation import PLANT, Parameters, step
 from auv_gym.tape import Tape
 
 Array = NDArray[np.float64]
@@ -49,7 +50,7 @@ class Truth:
         Raises:
             InfeasibleReferenceError: an episode's path cannot be followed.
         """
-        rows = np.array([scenario.parameters(episode) for episode in episodes]).T
+        rows = np.array([leaves(scenario.parameters(episode)) for episode in episodes]).T
         return cls(Parameters.of(tuple(rows), scenario.parts), samples(scenario, episodes))
 
     def foretell(self, state: State, force: Array, sent: Array, k: NDArray[np.int64]) -> Array:
@@ -62,7 +63,7 @@ class Truth:
             k: the control step of each episode, shape (N,).
         """
         nothing = np.zeros(len(k))
-        plant: Plant = (*state, *force, *sent[0], (*(nothing,) * 8, *sent[1], *sent[2]))
+        plant = filled(PLANT, (*state, *force, *sent[0], *(nothing,) * 8, *sent[1], *sent[2]))
         found = np.stack(plant[:8])
         for j in range(int(self.parameters.delay.max())):
             coming = self.samples[np.minimum(k + 1 + j, len(self.samples) - 1), :, np.arange(len(k))].T

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -10,21 +10,20 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from auv_gym.envs.torch_sim import PLAIN, STATE, TENSORS, simulate
+from auv_gym.envs.torch_residual import Law, expert_action
+from auv_gym.envs.torch_sim import PLAIN, TENSORS, simulate
 from auv_gym.namespaces import Namespace
 from auv_gym.policy import Policy, corrected
 from auv_gym.preview import encode_preview
-from auv_gym.simulation import Parts
-from auv_gym.task import SIZE, Observation, action_of, decode
+from auv_gym.rows import filled
+from auv_gym.simulation import PLANT, PLANT_ROWS, Parameters, Parts
+from auv_gym.task import SIZE, Observation, decode
 from baselines.agents.features import INTEGRALS, STANDARD, Inputs
 from baselines.agents.networks import ACTIONS
 from baselines.control.backstepping import U_R, V_R, Backstepping, tracking_forces
 from baselines.control.ekf_law import EkfLaw
 from baselines.control.open_loop import Zero
 from baselines.policy import BySpeed, is_fast
-
-Law = Callable[[Sequence[Any], Namespace], tuple[Any, Any]]
-"""Forces F_u [N], F_r [N m] from the terms of an observation in SI units, as `Backstepping.forces`."""
 
 NEAR, CURVE = 2.0, 0.3
 """Where the error's loss turns from a parabola into a logarithm, in units of its scale, and how curved the first is."""
@@ -35,7 +34,7 @@ TINY = 1e-6
 class Carried(NamedTuple):
     """What goes from one control step to the next: tensors whose last axis counts the N vehicles, but `hidden`'s."""
 
-    state: Tensor  # rows of a `simulation.Plant`, shape (STATE, N)
+    state: Tensor  # rows of a `simulation.Plant`, shape (PLANT_ROWS, N)
     observation: Tensor  # shape (SIZE, N)
     integrals: Tensor  # of the features, shape (INTEGRALS, N)
     correction: Tensor  # the last one, shape (ACTIONS, N)
@@ -45,7 +44,7 @@ class Carried(NamedTuple):
     def zeros(cls, n: int, hidden: int, dtype: torch.dtype) -> Carried:
         """Return what n vehicles begin with, but for state and observation."""
         state, observation, integrals, correction = (
-            torch.zeros(rows, n, dtype=dtype) for rows in (STATE, SIZE, INTEGRALS, ACTIONS)
+            torch.zeros(rows, n, dtype=dtype) for rows in (PLANT_ROWS, SIZE, INTEGRALS, ACTIONS)
         )
         return cls(state, observation, integrals, correction, torch.zeros(n, hidden, dtype=dtype))
 
@@ -102,7 +101,7 @@ class ClosedLoop:
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return the command, shape (ACTIONS, N), integrals, correction and hidden state; see `step`."""
         o = Observation._make(decode(carried.observation.unbind(), TENSORS))
-        base = action_of(self.law(o, TENSORS), o, TENSORS)
+        base = expert_action(self.law, o)
         if outside is not None:  # the expert's value, the law's slope
             base = (outside[0] + (base[0] - base[0].detach()), outside[1] + (base[1] - base[1].detach()))
         seen = encode_preview(ahead.reshape(-1, 2, ahead.shape[-1]), o, TENSORS).unbind() if len(ahead) else ()
@@ -128,15 +127,16 @@ class ClosedLoop:
         Args:
             network: see `TorchGru`.
             carried: from the step before.
-            ahead: the preview of `inputs` in the world [m], shape (2 P, N), see `Fleet.window`.
-            sample: the rows of a `simulation.Sample`, shape (SAMPLE, N).
-            parameters: the rows of `simulation.Parameters`, shape (PARAMETERS, N).
+            ahead: the preview of `inputs` in the world [m], shape (2 P, N), see `TorchSimulator.window`.
+            sample: the rows of a `simulation.Sample`, shape (SAMPLE_ROWS, N).
+            parameters: the rows of `simulation.Parameters`, shape (PARAMETER_ROWS, N).
             outside: the action of an expert that does not compute on tensors, shape (ACTIONS, N); `law` has its slope.
         """
         command, integrals, correction, hidden = self.act(network, carried, ahead, outside)
         t = simulate(carried.state, command, sample, parameters, self.parts)
-        dt = self.parts.substeps * parameters[0]
-        loss = self.loss.of(t.squared_error, parameters[17], command, carried.state[8:10], dt)
+        p, before = Parameters.of(parameters.unbind(), self.parts), filled(PLANT, carried.state.unbind())
+        previous, dt = torch.stack((before.a_u, before.a_r)), p.h * self.parts.substeps
+        loss = self.loss.of(t.squared_error, p.error_scale, command, previous, dt)
         return Carried(t.state, t.observation, integrals, correction, hidden), loss, t.squared_error
 
 

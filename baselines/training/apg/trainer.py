@@ -167,7 +167,7 @@ class Trainer:
             self._restore(state)
         law, self._exact = law_of(self._expert)
         loss = Loss.weighted(settings.effort_weight, settings.rate_weight)
-        loop = ClosedLoop(law, torch.tensor(config.authority), loss, self.fleet.parts, settings.inputs)
+        loop = ClosedLoop(law, torch.tensor(config.authority), loss, self.fleet.simulator.parts, settings.inputs)
         self._step = compiled(loop) if settings.compiled else loop.step
 
     @property
@@ -211,7 +211,7 @@ class Trainer:
         """Return the mean loss of a window and its mean position error [m]; begin new episodes behind it."""
         carried = Carried(*(x.detach().requires_grad_() for x in self.carried))  # as compiled, from the first step on
         loss, distance = torch.zeros(()), torch.zeros(())
-        fresh, parameters = self.fleet.fresh, self.fleet.parameters
+        fresh, parameters = self.fleet.fresh, self.fleet.simulator.constants
         for ahead, sample in zip(*self.fleet.window(), strict=True):
             outside = () if self._exact else (self._act(carried.observation, ahead, fresh),)
             seen = ahead[self._seen]

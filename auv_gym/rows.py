@@ -1,0 +1,51 @@
+"""Nested NamedTuples of numbers to and from plain rows: the one place where a number's name meets its position.
+
+class Point(NamedTuple):
+x: Number
+y: Number
+
+class Arrow(NamedTuple):
+foot: Point
+length: Number
+
+places = numbered(Arrow)  # Arrow(foot=Point(x=0, y=1), length=2)
+arrow = filled(places, (0.5, 2.0, 3.0))  # Arrow(foot=Point(x=0.5, y=2.0), length=3.0)
+leaves(arrow)  # (0.5, 2.0, 3.0)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import count
+from typing import Any, TypeVar, get_type_hints
+
+T = TypeVar("T", bound=tuple[Any, ...])
+
+
+def numbered(cls: type[T]) -> T:
+    """Return a nested NamedTuple with the place of each number in the row of all of them.
+
+    Fields that have a default, which stand last, are no numbers: here and below they keep it.
+    """
+    places = count()
+
+    def instance(kind: Any) -> Any:
+        hints = [get_type_hints(kind)[name] for name in kind._fields if name not in kind._field_defaults]
+        return kind(*(instance(hint) if hasattr(hint, "_fields") else next(places) for hint in hints))
+
+    made: T = instance(cls)
+    return made
+
+
+def leaves(tree: Any) -> tuple[Any, ...]:
+    """Return the numbers of a nested NamedTuple in a row."""
+    own = tree[: len(tree) - len(tree._field_defaults)]
+    return tuple(leaf for value in own for leaf in (leaves(value) if isinstance(value, tuple) else (value,)))
+
+
+def filled(places: T, rows: Sequence[Any]) -> T:
+    """Return a nested NamedTuple, of numbers, arrays or tensors, for the row of them and what `numbered` gave."""
+    tree: Any = places
+    own = tree[: len(tree) - len(tree._field_defaults)]
+    made: T = type(tree)(*(filled(place, rows) if isinstance(place, tuple) else rows[place] for place in own))
+    return made
