@@ -40,6 +40,11 @@ def is_fast(u_R: Number, v_R: Number) -> Any:
     return u_R * u_R + v_R * v_R > CRUISE_SPEED * CRUISE_SPEED
 
 
+def first_order(dt: Number, time: Number) -> Any:
+    """Return the share of the way that a first-order response of a time constant [s] makes in dt [s], for arrays."""
+    return -np.expm1(-dt / time)
+
+
 def action_of(forces: Force, o: Observation, ns: Namespace) -> tuple[Number, Number]:
     """Return the action that commands F_u [N], F_r [N m], within [-1, 1]; its limits are those of the observation."""
     F_u, F_r = forces
