@@ -142,7 +142,7 @@ def decided(plan: TruePlan, gains: Array, state: State, force: Array, sent: Arra
 
 
 def settling_gains(scenario: Scenario, episodes: Sequence[Episode], plan: TruePlan) -> Array:
-    """Return the gains of N regulators, shape (N, 2, 6), softer where a vehicle would go astray.
+    """Return the gains of N regulators, shape (N, 2, 6), softer where that keeps a vehicle from going astray.
 
     A firm regulator whose torque is at its limit, behind a slow actuator, can spin a fast vehicle for good. The oracle
     sees that coming, as it can rehearse the episode.
@@ -157,8 +157,8 @@ def settling_gains(scenario: Scenario, episodes: Sequence[Episode], plan: TruePl
         part = true_plan(scenario, chosen)
         tried = regulators(chosen, part, softer)
         found = rehearsed(part, tried, chosen)
-        better = found < error[few]
-        gains[few[better]], error[few[better]] = tried[better], found[better]
+        settled = found < ASTRAY
+        gains[few[settled]], error[few[settled]] = tried[settled], found[settled]
     return gains
 
 
