@@ -39,6 +39,11 @@ def is_fast(u_R: Number, v_R: Number) -> Any:
     return u_R * u_R + v_R * v_R > CRUISE_SPEED * CRUISE_SPEED
 
 
+def first_order(dt: Number, time: Number) -> Any:
+    """Return the share of the way that a first-order response of a time constant [s] makes in dt [s], for arrays."""
+    return -np.expm1(-dt / time)
+
+
 class Controller(Protocol):
     """A control law with memory, for N vehicles at once."""
 

@@ -99,7 +99,7 @@ def test_small_errors_fade_as_certified_along_a_varying_path():
 
 
 def test_coarse_loops_agree_with_those_about_steady_motion():
-    from baselines.evaluation.stability.analysis import linearise
+    from baselines.control.linearisation import linearise
 
     law = Backstepping("paper")
     A = loops(PAPER_VEHICLE, law, 1.0, Box(0.0, 0.0), DT, 1)[0]

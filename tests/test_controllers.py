@@ -17,12 +17,12 @@ from auv_gym.scenario import Start
 from auv_gym.task import BOUNDS, SCALES
 from auv_gym.vehicle import PAPER_VEHICLE as V
 from baselines.control.integral import FORMS
+from baselines.control.linearisation import error_dynamics
 from baselines.control.los_pid import PIDGains
-from baselines.control.lqi import Weights, error_dynamics, gain_schedule, optimal_gain, sampled_model
+from baselines.control.lqi import LqiWeights, gain_schedule, optimal_gain, sampled_model
 from baselines.gains import loading as gain_files
 from baselines.gains.loading import load_gains
 from baselines.policy import BySpeed
-from baselines.tuning.search import TUNABLES
 
 NAMES = ["integral", "integral-normalised", "los-pid", "lqi"]
 
@@ -53,7 +53,7 @@ def test_on_the_reference_in_calm_water_it_stays(name, speed):
 @pytest.mark.parametrize("name", NAMES)
 def test_a_constant_current_leaves_no_steady_error_on_a_line_and_little_on_a_circle(name):
     """With gains whose integral forgets the start within the run, the tuned ones have their own time."""
-    gains = {**TUNABLES[name].start["slow"], **INTEGRATING[name]}
+    gains = {**load_gains(name, "slow", gain_names(name), "start"), **INTEGRATING[name]}
     policy, law = baselines.make_policy(name, gains=gains), baselines.make_policy("backstepping")
     offset = final_errors(law, 0.2, 0.3, 600).min()
     assert offset > 0.05
@@ -123,13 +123,13 @@ def test_memory_stays_bounded_however_far_the_vehicle_is(name):
 
 def gain_names(name):
     return {"integral": FORMS["printed"], "integral-normalised": FORMS["normalised"]}.get(
-        name, PIDGains._fields if name == "los-pid" else Weights._fields
+        name, PIDGains._fields if name == "los-pid" else LqiWeights._fields
     )
 
 
 # The LQI against independent computations.
 
-WEIGHTS = Weights(**dict(zip(Weights._fields, (0.5, 0.3, 1.0, 1.0, 0.3, 1.0, 0.3, 0.2, 0.2, 5.0), strict=True)))
+WEIGHTS = LqiWeights(**dict(zip(LqiWeights._fields, (0.5, 0.3, 1.0, 1.0, 0.3, 1.0, 0.3, 0.2, 0.2, 5.0), strict=True)))
 
 
 @pytest.mark.parametrize(("u_R", "r_R"), [(0.1, 0.0), (0.7, 0.1), (1.5, -0.05)])
@@ -145,7 +145,7 @@ def test_error_dynamics_are_the_linearised_equations(u_R, r_R):
         r = r_R + z[5]
         return np.array([e_x_dot + r * z[1], e_y_dot - r * z[0], *rates[2:]])
 
-    A, B = error_dynamics(u_R, r_R, V)
+    A, B = error_dynamics(V, u_R, -V.m11 * u_R * r_R / V.d22, r_R)
     h = 1e-6
     A_numeric = np.array([(body_rates(h * d, plan) - body_rates(-h * d, plan)) / (2 * h) for d in np.eye(6)]).T
     B_numeric = np.array([(body_rates(np.zeros(6), d) - body_rates(np.zeros(6), -d)) / 2 for d in np.eye(2)]).T
@@ -185,12 +185,12 @@ def test_interpolated_gains_stabilise_vehicles_of_other_lags(regime, lag):
 
     In slow motion the tuned gains are too high for a lag of 0.6 s: a limit cycle of a millimetre is their price.
     """
-    w = Weights(**load_gains("lqi", regime, Weights._fields))
+    w = LqiWeights(**load_gains("lqi", regime, LqiWeights._fields))
     dt, speeds = {"slow": (0.2, (0.1, 0.2, 0.33)), "cruise": (0.1, (0.5, 0.93, 1.5))}[regime]
     actuators = PRESETS[f"{regime}-actuator"].actuators
     for u_R in speeds:
         for r_R in (0.0, 0.07):
-            A, B = error_dynamics(u_R, r_R, V)
+            A, B = error_dynamics(V, u_R, -V.m11 * u_R * r_R / V.d22, r_R)
             M = np.zeros((14, 14))  # errors 6, xi 2, true forces 2, modelled forces 2, command 2
             M[:6, :6], M[:6, 8:10] = A, B
             M[6:8, 6:8], M[6:8, :2] = [[0, r_R], [-r_R, 0]], w.rate * np.eye(2)
@@ -245,6 +245,6 @@ def test_given_gains_replace_the_files(folder, name):
 
 def test_unknown_regime_and_form_are_refused():
     with pytest.raises(ValueError, match="unknown regime 'fast'; allowed are slow, cruise"):
-        load_gains("lqi", "fast", Weights._fields)
+        load_gains("lqi", "fast", LqiWeights._fields)
     with pytest.raises(ValueError, match="unknown form 'other'; allowed are printed, normalised"):
         baselines.make_policy("integral", form="other")

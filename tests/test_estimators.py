@@ -19,9 +19,8 @@ from auv_gym.task import Observation, decode_observation
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 from baselines import make_policy
 from baselines.control.backstepping import Gains, tracking_forces
-from baselines.control.current_observer import START as OBSERVER
-from baselines.control.current_observer import CurrentObserver
-from baselines.control.ekf_law import START, make_ekf_law
+from baselines.control.current_observer import OBSERVER_GAINS, CurrentObserver
+from baselines.control.ekf_law import EKF_GAINS, make_ekf_law
 from baselines.estimation.kalman import ExtendedKalmanFilter
 from baselines.estimation.sea_model import (
     SIZE,
@@ -34,6 +33,7 @@ from baselines.estimation.sea_model import (
     wave_transition,
 )
 from baselines.estimation.water_frame import Motion, Sea, WaterPlan, reference_motion, water_errors
+from baselines.gains.loading import load_gains
 from baselines.policy import Remembering
 
 DRAGGY = Vehicle(m11=215.0, m22=265.0, m33=80.0, d11=70.0, d22=100.0, d33=50.0, X_uu=30.0, Y_vv=80.0, N_rr=20.0)
@@ -150,7 +150,7 @@ def belief(scenario, policy, lanes=24, steps=500):
 def test_filter_finds_the_current_through_noise():
     """A path that turns tells current and load apart, if the load is believed to be steady."""
     calm = dict.fromkeys(("surge_bias", "sway_bias", "yaw_bias", "surge_waves", "sway_waves", "yaw_waves"), 0.01)
-    gains = {**START["cruise"], "current": 0.01, "gust": 0.001, **calm}
+    gains = {**load_gains("ekf", "cruise", EKF_GAINS), "current": 0.01, "gust": 0.001, **calm}
     memory, env = belief(replace(CURRENT, sensors=PRESETS["cruise-noise"].sensors), make_ekf_law(gains))
     z = Estimate(*memory[1].T)
     off = np.hypot(z.V_x - env.current[:, 0], z.V_y - env.current[:, 1])
@@ -321,7 +321,7 @@ def test_lanes_do_not_know_each_other(name):
 
 
 def test_gains_of_the_observer_are_its_poles():
-    gains, dt = dict(OBSERVER["cruise"], fast=1.2, slow=0.4), 0.3
+    gains, dt = dict(load_gains("current-observer", "cruise", OBSERVER_GAINS), fast=1.2, slow=0.4), 0.3
     copy, follow = CurrentObserver(gains, PAPER_VEHICLE).sampled_gains(np.array([dt]))
     for axis, drag in enumerate((70 / 215, 100 / 265)):
         a, l1, l2 = np.exp(-drag * dt), copy[axis, 0], follow[axis, 0]

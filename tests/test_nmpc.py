@@ -16,12 +16,13 @@ from auv_gym.scenario import Scenario, Start
 from auv_gym.task import SIZE
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 from baselines.control.nmpc.casadi_solver import CasadiSolver
-from baselines.control.nmpc.controller import GAINS, PREVIEW, START, one_period_on
+from baselines.control.nmpc.controller import NMPC_GAINS, PREVIEW, one_period_on
 from baselines.control.nmpc.gauss_newton import bounded_minimum, descent, improved, solved, state_derivatives
-from baselines.control.nmpc.problem import COMMANDS, STATES, Horizon, OptimalControl, Weights, stage
+from baselines.control.nmpc.problem import COMMANDS, STATES, CostWeights, Horizon, OptimalControl, stage
+from baselines.gains.loading import load_gains
 
 DRAGGY = Vehicle(m11=215.0, m22=265.0, m33=80.0, d11=70.0, d22=100.0, d33=50.0, X_uu=30.0, Y_vv=80.0, N_rr=20.0)
-WEIGHTS = Weights(huber=0.3, surge=3e-3, yaw=3e-3, sway=0.2, terminal=1.0)
+WEIGHTS = CostWeights(huber=0.3, surge=3e-3, yaw=3e-3, sway=0.2, terminal=1.0)
 STAGES = 12
 
 
@@ -126,7 +127,7 @@ def test_commands_one_period_on_are_the_means_of_the_same_commands():
 
 
 def gains(**changes):
-    return {**START["cruise"], **changes}
+    return {**load_gains("nmpc", "cruise", NMPC_GAINS), **changes}
 
 
 def observations(n, scenario="cruise-storm"):
@@ -244,7 +245,6 @@ def test_what_is_missing_is_said(monkeypatch):
         baselines.make_policy("nmpc", gains=gains(surge=0.0))
     with pytest.raises(ValueError, match="nmpc has the gains k9; they must be huber, surge"):
         baselines.make_policy("nmpc", gains={"k9": 1.0})
-    assert set(START["slow"]) == set(START["cruise"]) == set(GAINS)
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(ValueError, match=r"not installed: pip install 'auv-gym\[mpc\]'"):
         baselines.make_policy("nmpc", solver="casadi")

@@ -5,7 +5,7 @@ import pytest
 
 from auv_gym.presets import CASES, PRESETS
 from baselines import make_policy
-from baselines.control.oracle import fleet, true_plan
+from baselines.control.oracle import ASTRAY, fleet, regulators, rehearsed, settling_gains, true_plan
 from baselines.evaluation.rollout import Privileged, rollout
 from baselines.evaluation.runner import drawn
 
@@ -19,6 +19,25 @@ def test_better_than_the_expert_in_every_case(regime, case):
     assert not oracle.lost.any()
     assert oracle.tail.mean() < expert.tail.mean()
     assert oracle.tail.mean() < (0.004 if regime == "slow" else 0.01)
+
+
+SPINS = (279, 913, 1447, 1958, 2605, 3115, 3256, 3559, 3773, 4534, 4620)
+"""Which of 5000 drawn episodes of cruise-actuator a firm regulator spins in, by their seeds less 700,000,000."""
+
+
+def test_fast_vehicles_behind_slow_actuators_do_not_spin():
+    """Those that would spin get a softer regulator, the others keep theirs to the bit."""
+    scenario = PRESETS["cruise-actuator"]
+    episodes = [drawn(scenario, 1, 700_000_000 + i).episodes[0] for i in (*SPINS, 0, 1, 2)]
+    plan = true_plan(scenario, episodes)
+    firm = regulators(episodes, plan)
+    gains = settling_gains(scenario, episodes, plan)
+    np.testing.assert_array_equal((gains != firm).any(axis=(1, 2)), [True] * len(SPINS) + [False] * 3)
+    foreseen = rehearsed(plan, firm, episodes)
+    assert foreseen[: len(SPINS)].min() > ASTRAY
+    run = rollout(make_policy("oracle"), scenario, episodes, 1.0)
+    assert run.measures.tail.max() < 0.01
+    np.testing.assert_allclose(run.measures.rmse, rehearsed(plan, gains, episodes), rtol=1e-4)
 
 
 def test_the_true_plan_is_followed_open_loop():

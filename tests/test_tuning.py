@@ -1,15 +1,19 @@
 """The tuning command: its objective is the evaluation's error, its search improves, its files have a provenance."""
 
 import json
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import baselines
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.presets import CASES, PRESETS
+from auv_gym.presets import CASES, PRESETS, REGIMES
 from auv_gym.task import SIZE
+from baselines.control.backstepping import GAINS, LAW_GAINS
+from baselines.control.integral import FORMS
 from baselines.gains import loading as gain_files
 from baselines.gains.loading import load_gains
 from baselines.tools.command_line import DONE, UsageError
@@ -22,6 +26,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(gain_files, "FOLDER", tmp_path / "gains")
     monkeypatch.setattr(tuning, "FOLDER", tmp_path / "gains")
     monkeypatch.setattr(tuning, "VALIDATION_EPISODES", 8)
+    shutil.copytree(Path(gain_files.__file__).parent, tmp_path / "gains", ignore=shutil.ignore_patterns("*.py", "__*"))
     return tmp_path / "gains"
 
 
@@ -70,7 +75,7 @@ def test_lost_episodes_count_with_the_cap():
 
 def test_search_improves_within_its_evaluations_and_repeats():
     course = Course("slow", 8, TUNING_SEED)
-    start = TUNABLES["backstepping"].start["slow"]
+    start = {name: getattr(GAINS["paper"], name) for name in LAW_GAINS}
     before = course.run(TUNABLES["backstepping"].factory(dict(start))).error_m
     best = tune(TUNABLES["backstepping"], course, start, 30)
     assert list(best) == list(start)
@@ -79,20 +84,52 @@ def test_search_improves_within_its_evaluations_and_repeats():
 
 
 def test_file_holds_gains_and_provenance_and_can_be_resumed(folder, capsys):
+    file, names = folder / "integral-slow.json", FORMS["printed"]
+    before = json.loads(file.read_text())
     arguments = ["integral", "--regime", "slow", "--episodes", "8", "--evaluations", "1"]
     assert main([*arguments, "--dry"]) == DONE
-    assert not folder.exists()
-    with pytest.raises(UsageError, match="there are no gains"):
-        main([*arguments, "--resume"])
+    assert json.loads(file.read_text()) == before
     assert main(arguments) == DONE
-    record = json.loads((folder / "integral-slow.json").read_text())
+    record = json.loads(file.read_text())
     assert record["command"] == f"python -m baselines.tuning {' '.join(arguments)}"
     assert {"date", "versions", "error_m", "episodes", "seed", "validation"} <= set(record)
-    gains = load_gains("integral", "slow", list(record["gains"]))
-    assert gains == pytest.approx(TUNABLES["integral"].start["slow"])
+    gains = load_gains("integral", "slow", names)
+    assert gains == pytest.approx(before["start"])  # one evaluation is spent on where the search began
+    file.write_text(json.dumps({"start": before["start"], "gains": before["gains"]}))
     capsys.readouterr()
     assert main([*arguments[:-1], "0", "--resume"]) == DONE
-    assert json.loads(capsys.readouterr().out)["gains"] == pytest.approx(gains)
+    assert json.loads(capsys.readouterr().out)["gains"] == pytest.approx(before["gains"])
+    file.unlink()
+    with pytest.raises(UsageError, match=r'there are no gains in .*; write some to begin at, {"gains": ...}, then'):
+        main(arguments)
+
+
+@pytest.mark.parametrize("regime", REGIMES)
+@pytest.mark.parametrize("name", TUNABLES)
+def test_every_controller_can_be_searched(folder, name, regime, monkeypatch):
+    monkeypatch.setattr(Course, "run", brief)
+    assert main([name, "--regime", regime, "--episodes", "8", "--evaluations", "2"]) == DONE
+    record = json.loads((folder / f"{name}-{regime}.json").read_text())
+    assert record["evaluations"] == 2
+    assert "origin" not in record
+    assert list(record["gains"]) == list(record["start"]) == list(TUNABLES[name].names)
+
+
+def brief(course, policy, run=Course.run):
+    """Return what a policy does in the first three steps of a course."""
+    course.steps = 3
+    return run(course, policy)
+
+
+def test_what_no_search_has_found_says_so():
+    for file in sorted(gain_files.FOLDER.glob("*.json")):
+        record = json.loads(file.read_text())
+        assert record["command"].startswith(
+            f"python -m baselines.tuning {record['policy']} --regime {record['regime']}"
+        )
+        by_hand = record.get("origin", "").startswith("set by hand")
+        assert by_hand == (record["evaluations"] == 0)
+        assert by_hand != ("start" in record)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
@@ -68,6 +68,15 @@ GAINS = {
     "normalised": Gains(k=0.4, k1=0.7, cu=0.23, ku=0.0, c=2.0, kc=0.0, cr=0.155, reference_speed=0.1),
 }
 """Gain sets by name, each with its origin."""
+LAW_GAINS = ("k", "k1", "cu", "ku", "c", "kc", "cr")
+"""Names of the gains of the law as printed."""
+UNDAMPED_GAINS = ("k", "cu", "c", "cr", "reference_speed")
+"""Names of those of the speed-normalised form without nonlinear damping, for laws that know what disturbs them."""
+
+
+def undamped(gains: Mapping[str, float]) -> Gains:
+    """Return the gains of the speed-normalised form without nonlinear damping; further ones are ignored."""
+    return Gains(k1=0.0, ku=0.0, kc=0.0, **{name: gains[name] for name in UNDAMPED_GAINS})
 
 
 class BacksteppingErrors(NamedTuple):

@@ -24,24 +24,13 @@ from auv_gym.namespaces import ARRAYS
 from auv_gym.scenario import as_vehicle
 from auv_gym.task import Observation, V
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
-from baselines.control.backstepping import Gains, tracking_forces
+from baselines.control.backstepping import UNDAMPED_GAINS, tracking_forces, undamped
 from baselines.estimation.water_frame import Sea, WaterPlan, reference_motion, water_errors
 from baselines.gains.loading import by_speed
 from baselines.policy import Array, Memory, Remembering
 
-LAW = ("k", "cu", "c", "cr", "reference_speed")
-GAINS = (*LAW, "fast", "slow")
-"""Names of the gains: the speed-normalised law's, without damping terms, and the observer's poles [1/s]."""
-START = {
-    "slow": {
-        "k": 4.836, "cu": 0.663, "c": 1.458, "cr": 1.275, "reference_speed": 0.228, "fast": 6.3, "slow": 0.87,
-    },
-    "cruise": {
-        "k": 9.0, "cu": 0.3125, "c": 1.971, "cr": 1.2, "reference_speed": 0.25, "fast": 5.8, "slow": 1.28,
-    },
-}  # fmt: skip
-"""Gains to begin a search at, by regime: from an evolution strategy on tuning episodes that charged .0005 of the score
-for each unit of the smoothness ratio."""
+OBSERVER_GAINS = (*UNDAMPED_GAINS, "fast", "slow")
+"""Names of the gains: the law's, see `backstepping.undamped`, and the observer's poles [1/s]."""
 
 
 class CurrentObserver:
@@ -52,8 +41,8 @@ class CurrentObserver:
     """
 
     def __init__(self, gains: Mapping[str, float], vehicle: Vehicle) -> None:
-        """Make the controller; its gains are named in `GAINS`."""
-        self.gains = Gains(k1=0.0, ku=0.0, kc=0.0, **{name: gains[name] for name in LAW})
+        """Make the controller; its gains are named in `OBSERVER_GAINS`."""
+        self.gains = undamped(gains)
         self.vehicle, self.plan = vehicle, WaterPlan(vehicle)
         self._poles = gains["fast"], gains["slow"]
         self._drag = np.array((vehicle.d11 / vehicle.m11, vehicle.d22 / vehicle.m22))[:, None]
@@ -104,11 +93,11 @@ def make_current_observer(
     """Return the law with its observer as a policy.
 
     Args:
-        gains: at every speed, in place of the tuned ones, which depend on the speed; their names are in `GAINS`.
+        gains: named in `OBSERVER_GAINS`, at every speed, in place of the tuned ones, which depend on the speed.
         vehicle: the vehicle that the law believes in; an object, a name or a dict.
 
     Raises:
         ValueError: unknown vehicle, or wrong gains.
     """
     known = as_vehicle(vehicle)
-    return Remembering(by_speed("current-observer", GAINS, lambda g: CurrentObserver(g, known), gains))
+    return Remembering(by_speed("current-observer", OBSERVER_GAINS, lambda g: CurrentObserver(g, known), gains))

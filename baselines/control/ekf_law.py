@@ -17,42 +17,27 @@ from auv_gym.namespaces import ARRAYS
 from auv_gym.scenario import as_vehicle
 from auv_gym.task import Observation
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
-from baselines.control.backstepping import Gains, tracking_forces
+from baselines.control.backstepping import UNDAMPED_GAINS, tracking_forces, undamped
 from baselines.estimation.kalman import ExtendedKalmanFilter, Tuning
 from baselines.estimation.sea_model import WAVE_FREQUENCY, Estimate, waves_after
 from baselines.estimation.water_frame import Sea, WaterPlan, reference_motion, water_errors
 from baselines.gains.loading import by_speed
 from baselines.policy import Array, Memory, Remembering
 
-LAW = ("k", "cu", "c", "cr", "reference_speed")
-FILTER = tuple(field.name for field in fields(Tuning))
-GAINS = (*LAW, "lead", *FILTER)
-"""Names of the gains: the speed-normalised law's, without damping terms; `lead` [1/s], how fast the actuators' force is
-to approach what the law asks for; and the filter's `Tuning`."""
-START = {
-    "slow": {
-        "k": 8.374, "cu": 0.5543, "c": 2.035, "cr": 0.9135, "reference_speed": 0.2267, "lead": 0.7181,
-        "acceleration": 0.009436, "current": 0.00328, "gust": 0.008117, "surge_bias": 0.07683, "sway_bias": 0.1239,
-        "yaw_bias": 0.1951, "surge_waves": 0.1865, "sway_waves": 0.4014, "yaw_waves": 0.06114,
-    },
-    "cruise": {
-        "k": 14.07, "cu": 0.3624, "c": 1.687, "cr": 1.383, "reference_speed": 0.1836, "lead": 1.766,
-        "acceleration": 0.006087, "current": 0.005479, "gust": 0.01167, "surge_bias": 0.2457, "sway_bias": 0.1185,
-        "yaw_bias": 0.1312, "surge_waves": 0.1209, "sway_waves": 0.4196, "yaw_waves": 0.1615,
-    },
-}  # fmt: skip
-"""Gains to begin a search at, by regime: from an evolution strategy on tuning episodes that charged .001 of the score
-for each unit of the smoothness ratio."""
+FILTER_GAINS = tuple(field.name for field in fields(Tuning))
+EKF_GAINS = (*UNDAMPED_GAINS, "lead", *FILTER_GAINS)
+"""Names of the gains: the law's, see `backstepping.undamped`; `lead` [1/s], how fast the actuators' force is to
+approach what the law asks for; and the filter's `Tuning`."""
 
 
 class EkfLaw:
     """The law with its filter, a `Controller`; its memory is that of the filter, then that of its `WaterPlan`."""
 
     def __init__(self, gains: Mapping[str, float], vehicle: Vehicle) -> None:
-        """Make the controller; its gains are named in `GAINS`."""
+        """Make the controller; its gains are named in `EKF_GAINS`."""
         self.vehicle, self.lead = vehicle, gains["lead"]
-        self.gains = Gains(k1=0.0, ku=0.0, kc=0.0, **{name: gains[name] for name in LAW})
-        self.filter = ExtendedKalmanFilter(vehicle, Tuning(**{name: gains[name] for name in FILTER}))
+        self.gains = undamped(gains)
+        self.filter = ExtendedKalmanFilter(vehicle, Tuning(**{name: gains[name] for name in FILTER_GAINS}))
         self.plan = WaterPlan(vehicle)
 
     def start(self, n: int) -> Memory:
@@ -86,11 +71,11 @@ def make_ekf_law(
     """Return the law with its filter as a policy.
 
     Args:
-        gains: at every speed, in place of the tuned ones, which depend on the speed; their names are in `GAINS`.
+        gains: at every speed, in place of the tuned ones, which depend on the speed; their names are in `EKF_GAINS`.
         vehicle: the vehicle that law and filter believe in; an object, a name or a dict.
 
     Raises:
         ValueError: unknown vehicle, or wrong gains.
     """
     known = as_vehicle(vehicle)
-    return Remembering(by_speed("ekf", GAINS, lambda g: EkfLaw(g, known), gains))
+    return Remembering(by_speed("ekf", EKF_GAINS, lambda g: EkfLaw(g, known), gains))

@@ -17,15 +17,17 @@ from auv_gym.namespaces import ARRAYS
 from auv_gym.scenario import as_vehicle
 from auv_gym.task import Observation
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
-from baselines.control.backstepping import Gains, bounded_error, tracking_forces
+from baselines.control.backstepping import LAW_GAINS, Gains, bounded_error, tracking_forces
 from baselines.control.inertial_integral import integrated, seen_from_body
 from baselines.gains.loading import by_speed
 from baselines.policy import Array, Memory, Remembering
 
-LAW = ("k", "k1", "cu", "ku", "c", "kc", "cr")
-INTEGRAL = ("rate", "horizon", "surge")
+INTEGRAL_GAINS = ("rate", "horizon", "surge")
 """[1/s] of the integral; [s] bound of error and integral as a travel time of the reference; [1] share of surge."""
-FORMS = {"printed": (*LAW, *INTEGRAL), "normalised": (*LAW, "reference_speed", *INTEGRAL)}
+FORMS = {
+    "printed": (*LAW_GAINS, *INTEGRAL_GAINS),
+    "normalised": (*LAW_GAINS, "reference_speed", *INTEGRAL_GAINS),
+}
 """Names of the gains by form of the law: as printed, or normalised with the speed."""
 
 
@@ -34,9 +36,9 @@ class IntegralLaw:
 
     def __init__(self, gains: Mapping[str, float], vehicle: Vehicle) -> None:
         """Make the law; with a gain `reference_speed` in its speed-normalised form."""
-        law = {name: value for name, value in gains.items() if name not in INTEGRAL}
+        law = {name: value for name, value in gains.items() if name not in INTEGRAL_GAINS}
         self.gains = Gains(**law)
-        self.rate, self.horizon, self.surge = (gains[name] for name in INTEGRAL)
+        self.rate, self.horizon, self.surge = (gains[name] for name in INTEGRAL_GAINS)
         self.vehicle = vehicle
 
     def start(self, n: int) -> Memory:

@@ -21,7 +21,7 @@ from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 from baselines.control.backstepping import bounded_error
 from baselines.control.inertial_integral import integrated, seen_from_body
 from baselines.gains.loading import by_speed
-from baselines.policy import Array, Memory, Remembering, reference_speed
+from baselines.policy import Array, Memory, Remembering, first_order, reference_speed
 
 LARGEST_INTEGRAL = 0.5
 """Bound [rad s] of the heading autopilot's integral."""
@@ -74,7 +74,7 @@ class LineOfSightPID:
         along, across = to_world(e_x + eta_x, e_y + eta_y, c, s)  # in the path's frame
         speed, drift = to_world(u, v, c, s)
         drift_angle = wrap_angle(np.arctan2(v, np.maximum(u, 0.5 * U)) - gamma, ARRAYS)
-        crab = memory[1] - np.expm1(-o.dt / g.crab_time) * (drift_angle - memory[1])
+        crab = memory[1] + first_order(o.dt, g.crab_time) * (drift_angle - memory[1])
         ahead = g.lookahead * U
         lean = -np.arctan2(across, ahead) - g.crab * crab  # [rad] wanted of psi_e
         lean_rate = -drift * ahead / (ahead * ahead + across * across)

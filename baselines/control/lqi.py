@@ -23,8 +23,9 @@ from auv_gym.task import Observation
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 from baselines.control.backstepping import bounded_error
 from baselines.control.inertial_integral import integrated, seen_from_body
+from baselines.control.linearisation import error_dynamics
 from baselines.gains.loading import by_speed
-from baselines.policy import Array, Memory, Remembering
+from baselines.policy import Array, Memory, Remembering, first_order
 
 SPEEDS = np.geomspace(0.05, 2.5, 14)
 TURN_RATES = np.linspace(-0.18, 0.18, 7)
@@ -33,7 +34,7 @@ TURN_RATES = np.linspace(-0.18, 0.18, 7)
 STATES, FORCES = 8, 2
 
 
-class Weights(NamedTuple):
+class LqiWeights(NamedTuple):
     """The cost of a second, and what is assumed of the actuators.
 
     It is |e|^2 + |xi|^2 + velocity^2 |R(psi) e'|^2 + (heading U psi_e)^2 + (turn r_e)^2, plus for surge and for yaw
@@ -53,34 +54,17 @@ class Weights(NamedTuple):
     horizon: float  # [s] bound of error and integral, likewise
 
 
-def error_dynamics(u_R: float, r_R: float, vehicle: Vehicle) -> tuple[Array, Array]:
-    """Return A (6, 6), B (6, 2) of the errors (e_x, e_y, psi_e, u_e, v_e, r_e) about steady motion, from (17)-(20).
-
-    The forces are the deviations from F_uR and F_rR; v_R is that of the steady turn (5).
-    """
-    m11, m22, m33, d11, d22, d33 = vehicle.coefficients[:6]
-    v_R = -m11 * u_R * r_R / d22
-    A = np.array(
-        [
-            [0.0, r_R, -v_R, 1.0, 0.0, 0.0],
-            [-r_R, 0.0, u_R, 0.0, 1.0, 0.0],
-            [0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
-            [0.0, 0.0, 0.0, -d11 / m11, m22 * r_R / m11, m22 * v_R / m11],  # (20a)
-            [0.0, 0.0, 0.0, -m11 * r_R / m22, -d22 / m22, -m11 * u_R / m22],  # (20b)
-            [0.0, 0.0, 0.0, (m11 - m22) * v_R / m33, (m11 - m22) * u_R / m33, -d33 / m33],  # (20c)
-        ]
-    )
-    B = np.zeros((6, FORCES))
-    B[3, 0], B[5, 1] = 1 / m11, 1 / m33
-    return A, B
+def steady_sway(u_R: float, r_R: float, vehicle: Vehicle) -> float:
+    """Return v_R [m/s] of a steady turn with linear drag, (5)."""
+    return -vehicle.m11 * u_R * r_R / vehicle.d22
 
 
-def sampled_model(u_R: float, r_R: float, vehicle: Vehicle, w: Weights, dt: float) -> tuple[Array, Array]:
+def sampled_model(u_R: float, r_R: float, vehicle: Vehicle, w: LqiWeights, dt: float) -> tuple[Array, Array]:
     """Return Phi (12, 12), Gamma (12, 2) of one control period with the command held.
 
     The states are the six errors, xi in the body frame (2), the lagged forces (2) and the previous command (2).
     """
-    A6, B6 = error_dynamics(u_R, r_R, vehicle)
+    A6, B6 = error_dynamics(vehicle, u_R, steady_sway(u_R, r_R, vehicle), r_R)
     turning = np.array([[0.0, r_R], [-r_R, 0.0]])
     n = STATES + FORCES
     M = np.zeros((n + FORCES, n + FORCES))  # of the states but the last two, and the command
@@ -93,8 +77,10 @@ def sampled_model(u_R: float, r_R: float, vehicle: Vehicle, w: Weights, dt: floa
     return Phi, Gamma
 
 
-def optimal_gain(u_R: float, r_R: float, vehicle: Vehicle, w: Weights, dt: float, limits: tuple[float, float]) -> Array:
-    """Return K (2, 12) of command = -K z that minimises the cost of `Weights`, z as in `sampled_model`.
+def optimal_gain(
+    u_R: float, r_R: float, vehicle: Vehicle, w: LqiWeights, dt: float, limits: tuple[float, float]
+) -> Array:
+    """Return K (2, 12) of command = -K z that minimises the cost of `LqiWeights`, z as in `sampled_model`.
 
     Args:
         u_R: [m/s].
@@ -105,7 +91,7 @@ def optimal_gain(u_R: float, r_R: float, vehicle: Vehicle, w: Weights, dt: float
         limits: of the actuators, F_u [N] and F_r [N m].
     """
     Phi, Gamma = sampled_model(u_R, r_R, vehicle, w, dt)
-    v_R = -vehicle.m11 * u_R * r_R / vehicle.d22
+    v_R = steady_sway(u_R, r_R, vehicle)
     weighted = np.zeros((STATES, STATES))  # errors times the roots of their weights
     weighted[[0, 1, 6, 7], [0, 1, 6, 7]] = 1.0
     weighted[2, 2], weighted[5, 5] = w.heading * np.hypot(u_R, v_R), w.turn
@@ -120,7 +106,7 @@ def optimal_gain(u_R: float, r_R: float, vehicle: Vehicle, w: Weights, dt: float
 
 
 @lru_cache(maxsize=16)
-def gain_schedule(vehicle: Vehicle, w: Weights, dt: float, limits: tuple[float, float]) -> RegularGridInterpolator:
+def gain_schedule(vehicle: Vehicle, w: LqiWeights, dt: float, limits: tuple[float, float]) -> RegularGridInterpolator:
     """Return K (N, 2, 12) as a function of points (N, 2) of u_R, r_R inside the grid; arguments as `optimal_gain`."""
     gains = [[optimal_gain(u, r, vehicle, w, dt, limits) for r in TURN_RATES.tolist()] for u in SPEEDS.tolist()]
     return RegularGridInterpolator((SPEEDS, TURN_RATES), np.array(gains))
@@ -130,8 +116,8 @@ class LQI:
     """The controller, a `Controller`; its memory is xi (N, 2) [m] and the modelled forces (N, 2) [N], [N m]."""
 
     def __init__(self, gains: Mapping[str, float], vehicle: Vehicle) -> None:
-        """Make the controller; its gains are the fields of `Weights`."""
-        self.weights = Weights(**gains)
+        """Make the controller; its gains are the fields of `LqiWeights`."""
+        self.weights = LqiWeights(**gains)
         self.vehicle = vehicle
 
     def start(self, n: int) -> Memory:
@@ -145,7 +131,7 @@ class LQI:
         plan = np.array((o.F_uR, o.F_rR))
         previous = np.array((o.a_u * o.F_u_max, o.a_r * o.F_r_max))
         lagged = memory[1].T
-        lagged = lagged + -np.expm1(-o.dt / w.lag) * (previous - lagged)
+        lagged = lagged + first_order(o.dt, w.lag) * (previous - lagged)
         e_x, e_y, *rest = bounded_error(o, w.horizon, ARRAYS)
         z = np.array((e_x, e_y, *rest[:4], *seen_from_body(xi, o), *(lagged - plan), *(previous - plan)))
         F_u, F_r = plan - np.einsum("nij,jn->in", self._gain(o), z)
@@ -169,11 +155,11 @@ def make_lqi(
     """Return the gain-scheduled LQI as a policy.
 
     Args:
-        gains: the fields of `Weights`, at every speed, in place of the tuned ones, which depend on the speed.
+        gains: the fields of `LqiWeights`, at every speed, in place of the tuned ones, which depend on the speed.
         vehicle: the vehicle that the law believes in; an object, a name or a dict.
 
     Raises:
         ValueError: unknown vehicle, or wrong gains.
     """
     known = as_vehicle(vehicle)
-    return Remembering(by_speed("lqi", Weights._fields, lambda g: LQI(g, known), gains))
+    return Remembering(by_speed("lqi", LqiWeights._fields, lambda g: LQI(g, known), gains))

@@ -17,7 +17,7 @@ from auv_gym.dynamics import Force, Load, rk4_step
 from auv_gym.errors import to_body
 from auv_gym.namespaces import ARRAYS
 from auv_gym.vehicle import Vehicle
-from baselines.policy import Array
+from baselines.policy import Array, first_order
 
 WAVE_FREQUENCY = 0.8
 """Natural frequency of the wave oscillators [rad/s]."""
@@ -68,7 +68,7 @@ BIAS, LAG, WAVES = slice(12, 15), 15, slice(16, 22)
 
 def lag_response(lag: Array, dt: Array) -> Response:
     """Return `Response.of` for rows of positive time constants [s], without rate limits."""
-    gain = -np.expm1(-dt / lag)
+    gain = first_order(dt, lag)
     return Response(gain, (1 - lag / dt * gain) / gain, np.inf, np.inf)
 
 

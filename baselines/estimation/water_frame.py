@@ -28,8 +28,8 @@ LARGEST_CURRENT = 0.85
 """Largest current that is planned for, as a share of the reference's speed: forward motion needs one below 1."""
 HARDEST_BRAKING = 0.95
 """Largest braking -v_p'/v_p through the water, as a share of d22/m22, beyond which the sideslip grows without bound."""
-LARGEST_SIDESLIP = 1.2
-"""Largest sideslip [rad]."""
+LARGEST_SINE = math.sin(1.2)
+"""Sine of the largest sideslip, 1.2 rad."""
 
 
 class Motion(NamedTuple):
@@ -118,8 +118,7 @@ class WaterPlan:
         acceleration = motion.a_x - sea.V_x_rate, motion.a_y - sea.V_y_rate
         position = np.zeros((2, len(speed)))
         along = path_rates(np.array((position, velocity, acceleration, jerk.T))[:, :, None])
-        hardest = -HARDEST_BRAKING * self.vehicle.d22 / self.vehicle.m22 * along.v_p
-        return replace(along, v_p_dot=np.maximum(along.v_p_dot, hardest))
+        return braked(along, HARDEST_BRAKING * self.vehicle.d22 / self.vehicle.m22)
 
     def _step(
         self, along: PathRates, Y: Array | float, sideslip: Array, fresh: NDArray[np.bool_], dt: Array
@@ -132,12 +131,16 @@ class WaterPlan:
         def rest_of(w: Array) -> Array:
             return np.asarray(push + sideslip_rest(slope, square, turn, w, np.sqrt))
 
-        largest = math.sin(LARGEST_SIDESLIP)
-        w, rest = sideslip_step(sideslip[:, 0], sideslip[:, 1], rest_of, self.vehicle.d22 / Dm * dt, largest)
+        w, rest = sideslip_step(sideslip[:, 0], sideslip[:, 1], rest_of, self.vehicle.d22 / Dm * dt, LARGEST_SINE)
         if fresh.any():
-            w = np.where(fresh, np.clip(slow_sideslip(along, self.vehicle), -largest, largest), w)
+            w = np.where(fresh, np.clip(slow_sideslip(along, self.vehicle), -LARGEST_SINE, LARGEST_SINE), w)
             rest = rest_of(w)
         return w, rest
+
+
+def braked(along: PathRates, hardest: float) -> PathRates:
+    """Return the rates along a path through the water with a braking -v_p'/v_p [1/s] of at most `hardest`."""
+    return replace(along, v_p_dot=np.maximum(along.v_p_dot, -hardest * along.v_p))
 
 
 def _jerk(acceleration: Array, past: Array, dt: Array) -> Array:

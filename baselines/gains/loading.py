@@ -40,21 +40,38 @@ def checked_gains(gains: Any, names: Sequence[str], source: str) -> dict[str, fl
     return {key: float(gains[key]) for key in names}
 
 
-def load_gains(name: str, regime: str, names: Sequence[str]) -> dict[str, float]:
+def load_gains(name: str, regime: str, names: Sequence[str], part: str = "gains") -> dict[str, float]:
     """Return the gains of a controller for a regime, "slow" or "cruise".
+
+    Args:
+        name: the controller's name, which its files begin with.
+        regime: "slow" or "cruise".
+        names: the names of its gains.
+        part: "gains", or "start" for those that the search began at; where there was no search, they are the same.
 
     Raises:
         ValueError: there is no such regime or file, the file is not valid JSON, or its gains are not those of `names`.
+    """
+    record = gain_record(name, regime)
+    return checked_gains(record.get(part, record.get("gains")), names, str(gain_file(name, regime)))
+
+
+def gain_record(name: str, regime: str) -> dict[str, Any]:
+    """Return the file of a controller's gains for a regime; what is no record is taken for its gains.
+
+    Raises:
+        ValueError: there is no such regime or file, or the file is not valid JSON.
     """
     file = gain_file(name, regime)
     try:
         record = json.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
         command = f"python -m baselines.tuning {name} --regime {regime}"
-        raise ValueError(f"there are no gains in {file}; make them: {command}") from None
+        how = f'write some to begin at, {{"gains": ...}}, then {command}'
+        raise ValueError(f"there are no gains in {file}; {how}") from None
     except ValueError as error:
         raise ValueError(f"{file} is not valid JSON: {error}") from error
-    return checked_gains(record.get("gains") if isinstance(record, dict) else record, names, str(file))
+    return record if isinstance(record, dict) else {"gains": record}
 
 
 def by_speed(

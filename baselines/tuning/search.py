@@ -22,18 +22,14 @@ from tyro.conf import Positional, arg
 from auv_gym.policy import Policy
 from auv_gym.presets import CASES
 from baselines import make_policy
-from baselines.control.backstepping import GAINS, Backstepping, Gains
-from baselines.control.current_observer import START as OBSERVER
-from baselines.control.current_observer import make_current_observer
-from baselines.control.ekf_law import START as EKF
-from baselines.control.ekf_law import make_ekf_law
-from baselines.control.integral import LAW as LAW_GAINS
-from baselines.control.integral import integral_law
-from baselines.control.los_pid import make_los_pid
-from baselines.control.lqi import make_lqi
-from baselines.control.nmpc.controller import START as PREDICTIVE
-from baselines.control.nmpc.controller import make_nmpc
-from baselines.gains.loading import FOLDER, gain_file, load_gains
+from baselines.control.backstepping import GAINS, LAW_GAINS, Backstepping, Gains
+from baselines.control.current_observer import OBSERVER_GAINS, make_current_observer
+from baselines.control.ekf_law import EKF_GAINS, make_ekf_law
+from baselines.control.integral import FORMS, integral_law
+from baselines.control.los_pid import PIDGains, make_los_pid
+from baselines.control.lqi import LqiWeights, make_lqi
+from baselines.control.nmpc.controller import NMPC_GAINS, make_nmpc
+from baselines.gains.loading import FOLDER, gain_file, gain_record, load_gains
 from baselines.policy import Array
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tuning.objective import Course, compared
@@ -52,49 +48,22 @@ class Tunable:
     """A controller whose gains can be tuned."""
 
     factory: Callable[[dict[str, float]], Policy]  # the policy with these gains at every speed
-    start: Mapping[str, GainSet]  # gains to begin the search at, by regime; all above 0
+    names: Sequence[str]  # of the gains
+    start: Mapping[str, Gains] | None = None  # to begin the search at, by regime; None: those of its file
     ratio: float = 30.0  # gains are searched from start / ratio to start * ratio
 
 
-LAW, CRUISE_LAW = ({key: getattr(GAINS[name], key) for key in LAW_GAINS} for name in ("paper", "cruise"))
-INTEGRAL = {"rate": 0.05, "horizon": 5.0, "surge": 0.2}
-NORMALISED = {**LAW, "reference_speed": 0.1, **INTEGRAL}
-CRUISE_NORMALISED = {
-    "k": 1.5, "k1": 2.0, "cu": 0.2, "ku": 0.15, "c": 1.0, "kc": 0.05, "cr": 0.9, "reference_speed": 0.4,
-    "rate": 0.04, "horizon": 6.5, "surge": 0.05,
-}  # fmt: skip
-PID = {
-    "lookahead": 4.0, "rate": 0.05, "horizon": 5.0, "crab": 0.5, "crab_time": 2.0, "heading": 1.0, "turn": 1.5,
-    "heading_integral": 0.05, "munk": 1.0, "along": 0.3, "speed": 0.8,
-}  # fmt: skip
-CRUISE_PID = {
-    "lookahead": 0.5, "rate": 0.02, "horizon": 2.0, "crab": 0.6, "crab_time": 4.0, "heading": 2.0, "turn": 8.0,
-    "heading_integral": 0.4, "munk": 1.0, "along": 3.0, "speed": 4.0,
-}  # fmt: skip
-SLOW_LQI = {
-    "velocity": 0.5, "heading": 0.1, "turn": 0.4, "surge_effort": 0.15, "surge_rate": 0.2, "yaw_effort": 0.05,
-    "yaw_rate": 0.1, "lag": 0.3, "rate": 1.0, "horizon": 4.0,
-}  # fmt: skip
-CRUISE_LQI = {
-    "velocity": 0.3, "heading": 0.3, "turn": 0.2, "surge_effort": 0.04, "surge_rate": 0.08, "yaw_effort": 0.2,
-    "yaw_rate": 0.03, "lag": 0.45, "rate": 0.4, "horizon": 0.4,
-}  # fmt: skip
-
 TUNABLES: dict[str, Tunable] = {
-    "backstepping": Tunable(lambda gains: Backstepping(Gains(**gains)), {"slow": LAW, "cruise": CRUISE_LAW}),
-    "integral": Tunable(
-        lambda gains: integral_law("printed", gains),
-        {"slow": {**LAW, **INTEGRAL}, "cruise": {**CRUISE_LAW, **INTEGRAL}},
+    "backstepping": Tunable(
+        lambda gains: Backstepping(Gains(**gains)), LAW_GAINS, {"slow": GAINS["paper"], "cruise": GAINS["cruise"]}
     ),
-    "integral-normalised": Tunable(
-        lambda gains: integral_law("normalised", gains),
-        {"slow": NORMALISED, "cruise": CRUISE_NORMALISED},
-    ),
-    "current-observer": Tunable(make_current_observer, OBSERVER),
-    "ekf": Tunable(make_ekf_law, EKF),
-    "los-pid": Tunable(make_los_pid, {"slow": PID, "cruise": CRUISE_PID}),
-    "lqi": Tunable(make_lqi, {"slow": SLOW_LQI, "cruise": CRUISE_LQI}),
-    "nmpc": Tunable(make_nmpc, PREDICTIVE),
+    "integral": Tunable(lambda gains: integral_law("printed", gains), FORMS["printed"]),
+    "integral-normalised": Tunable(lambda gains: integral_law("normalised", gains), FORMS["normalised"]),
+    "current-observer": Tunable(make_current_observer, OBSERVER_GAINS),
+    "ekf": Tunable(make_ekf_law, EKF_GAINS),
+    "los-pid": Tunable(make_los_pid, PIDGains._fields),
+    "lqi": Tunable(make_lqi, LqiWeights._fields),
+    "nmpc": Tunable(make_nmpc, NMPC_GAINS),
 }
 """What can be tuned, by name: add an entry here."""
 
@@ -204,7 +173,7 @@ class Options:
     price: float = 0.0
     """What is minimised is the error times the mean squared change of the command to this power; 0: the error alone."""
     resume: bool = False
-    """Begin at the gains that the file holds already."""
+    """Begin at the gains that the file holds, not where the search that found them began."""
     dry: bool = False
     """Print only; leave the file as it is."""
 
@@ -227,6 +196,7 @@ def main(arguments: Sequence[str]) -> int:
         "regime": options.regime,
         "gains": gains,
         "start": dict(start),
+        **_origin(options),
         "command": f"{PROGRAM} {shlex.join(arguments)}",
         "episodes": options.episodes,
         "seed": options.seed,
@@ -259,10 +229,18 @@ def _check(options: Options) -> None:
 
 def _start(options: Options) -> GainSet:
     """Return the gains that a search begins at."""
-    start = TUNABLES[options.name].start[options.regime]
-    if not options.resume:
-        return start
+    tunable = TUNABLES[options.name]
+    if tunable.start and not options.resume:
+        return {name: getattr(tunable.start[options.regime], name) for name in tunable.names}
+    part = "gains" if options.resume else "start"
     try:
-        return load_gains(options.name, options.regime, list(start))
+        return load_gains(options.name, options.regime, tunable.names, part)
     except ValueError as error:
         raise UsageError(str(error)) from error
+
+
+def _origin(options: Options) -> dict[str, str]:
+    """Return where gains come from that no search has found."""
+    if options.evaluations or TUNABLES[options.name].start:
+        return {}
+    return {"origin": gain_record(options.name, options.regime).get("origin", "set by hand, not by this tuner")}

@@ -19,19 +19,17 @@ from auv_gym.namespaces import ARRAYS
 from auv_gym.scenario import as_vehicle
 from auv_gym.task import Observation
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
-from baselines.control.backstepping import GAINS as LAWS
-from baselines.control.backstepping import tracking_forces
-from baselines.control.ekf_law import FILTER
-from baselines.control.ekf_law import START as EKF
+from baselines.control.backstepping import GAINS, tracking_forces
+from baselines.control.ekf_law import FILTER_GAINS
 from baselines.control.nmpc.gauss_newton import solved
 from baselines.control.nmpc.problem import (
     COMMANDS,
     STATES,
+    CostWeights,
     Horizon,
     Integers,
     OptimalControl,
     Plan,
-    Weights,
     replaced,
     taken,
 )
@@ -44,21 +42,10 @@ PREVIEW = (1, 2, 4, 6, 8, 11, 14, 17, 20, 24, 28, 32, 36, 40, 45, 50)
 """Where the stages of the horizon end, in control periods: 5 s ahead at cruise, 10 s in slow motion."""
 STEPS, FIRST_STEPS = 6, 12
 """Most Gauss-Newton steps at an instant, and at the first instant of an episode."""
-LAW = ("huber", "surge", "yaw", "sway", "terminal")
-GAINS = (*LAW, *FILTER)
-"""Names of the gains: those of `Weights`, with `surge` and `yaw` for 100 N and 100 N m; and the filter's `Tuning`."""
-START = {
-    "slow": {
-        "huber": 0.015, "surge": 0.05, "yaw": 0.05, "sway": 0.1, "terminal": 1.0,
-        **{name: EKF["slow"][name] for name in FILTER}, "acceleration": 0.006,
-    },
-    "cruise": {
-        "huber": 0.03, "surge": 0.06, "yaw": 0.06, "sway": 0.1, "terminal": 1.0,
-        **{name: EKF["cruise"][name] for name in FILTER}, "acceleration": 0.0045,
-        "surge_bias": 0.29, "sway_bias": 0.14, "yaw_bias": 0.155,
-    },
-}  # fmt: skip
-"""Gains to begin a search at, by regime: from some fifty trials on tuning episodes, about the tuned filter of `ekf`."""
+COST_GAINS = ("huber", "surge", "yaw", "sway", "terminal")
+NMPC_GAINS = (*COST_GAINS, *FILTER_GAINS)
+"""Names of the gains: those of `CostWeights`, with `surge` and `yaw` for 100 N and 100 N m; and the filter's
+`Tuning`."""
 
 Solver = Callable[[Plan, Horizon, Integers], Plan]
 """Returns a better plan than the first one, after at most so many steps, shape (N,)."""
@@ -76,14 +63,14 @@ class PredictiveControl:
         """Make the controller.
 
         Args:
-            gains: named in `GAINS`.
+            gains: named in `NMPC_GAINS`.
             vehicle: that it believes in.
             solver: one of `SOLVERS`.
         """
         self.vehicle = vehicle
-        self.filter = ExtendedKalmanFilter(vehicle, Tuning(**{name: gains[name] for name in FILTER}))
+        self.filter = ExtendedKalmanFilter(vehicle, Tuning(**{name: gains[name] for name in FILTER_GAINS}))
         scale = {"surge": 0.01, "yaw": 0.01}
-        weights = Weights(**{name: scale.get(name, 1.0) * gains[name] for name in LAW})
+        weights = CostWeights(**{name: scale.get(name, 1.0) * gains[name] for name in COST_GAINS})
         self.problem = OptimalControl(vehicle, weights)
         self._solve = SOLVERS[solver](self.problem)
         self._ends = np.array(PREVIEW, dtype=np.float64)
@@ -104,7 +91,7 @@ class PredictiveControl:
             guess = self._guess(z, o, np.einsum("jk,nki->jin", self._next, planned), fresh, ahead)
             plan = self._solve(guess, ahead, np.where(fresh, FIRST_STEPS, STEPS))
         # A vehicle that spins too fast for the prediction is left to the law that is safe from that.
-        law = np.array(tracking_forces(o, self.vehicle, LAWS["normalised"], ARRAYS))
+        law = np.array(tracking_forces(o, self.vehicle, GAINS["normalised"], ARRAYS))
         commands = np.where(np.isfinite(plan.cost), plan.commands, law)
         return commands[0, 0], commands[0, 1], (*after, np.ascontiguousarray(commands.transpose(2, 0, 1)))
 
@@ -170,7 +157,7 @@ def make_nmpc(
     """Return the controller as a policy; it needs the preview `PREVIEW`.
 
     Args:
-        gains: at every speed, in place of the tuned ones, which depend on the speed; their names are in `GAINS`.
+        gains: at every speed, in place of the tuned ones, which depend on the speed; their names are in `NMPC_GAINS`.
         vehicle: the vehicle that it believes in; an object, a name or a dict.
         solver: "batch", or "casadi" for an independent one that takes one vehicle after the other, to convergence.
 
@@ -180,4 +167,4 @@ def make_nmpc(
     if solver not in SOLVERS:
         raise ValueError(f"unknown solver {solver!r}; allowed are {', '.join(SOLVERS)}")
     known = as_vehicle(vehicle)
-    return Remembering(by_speed("nmpc", GAINS, lambda g: PredictiveControl(g, known, solver), gains))
+    return Remembering(by_speed("nmpc", NMPC_GAINS, lambda g: PredictiveControl(g, known, solver), gains))

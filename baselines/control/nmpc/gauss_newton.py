@@ -16,12 +16,12 @@ from baselines.control.nmpc.problem import (
     FORCE,
     STATES,
     SWAY,
+    CostWeights,
     Horizon,
     Integers,
     OptimalControl,
     Plan,
     Policy,
-    Weights,
     replaced,
     taken,
 )
@@ -125,7 +125,7 @@ def state_derivatives(problem: OptimalControl, plan: Plan, ahead: Horizon) -> Ar
     return np.ascontiguousarray(AB.transpose(2, 3, 0, 1))
 
 
-def _effort(weights: Weights) -> Array:
+def _effort(weights: CostWeights) -> Array:
     """Return the second derivative of the commands' cost by state and command, for each second."""
     missing = np.zeros((COMMANDS, STATES + COMMANDS))
     missing[:, FORCE], missing[:, STATES:] = -np.eye(2), np.eye(2)

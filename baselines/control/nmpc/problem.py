@@ -27,7 +27,7 @@ SWAY, FORCE = 4, slice(6, 8)
 
 
 @dataclass(frozen=True)
-class Weights:
+class CostWeights:
     """What is minimised: the integral over the horizon of H(e) + (surge dF_u)^2 + (yaw dF_r)^2 + (sway v)^2.
 
     e is the position error; H(e) = 2 huber^2 (sqrt(1 + e^2/huber^2) - 1), the pseudo-Huber function, is e^2 where e is
@@ -108,7 +108,7 @@ def stage_cost(
     command: Sequence[Number],
     after: Sequence[Number],
     aim: Sequence[Number],
-    weights: Weights,
+    weights: CostWeights,
     ns: Any,
 ) -> tuple[Number, Number]:
     """Return the cost [m^2] of each second of a stage, and that of the position error alone at its end."""
@@ -125,7 +125,7 @@ class OptimalControl:
     """The problem of a vehicle as it is known; warnings of overflow are for the caller to silence."""
 
     vehicle: Vehicle
-    weights: Weights
+    weights: CostWeights
 
     def planned(
         self, start: Array, commands: Array, ahead: Horizon, plan: Plan | None = None, policy: Policy | None = None

@@ -25,7 +25,9 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from auv_gym.policy import Policy
 from auv_gym.vehicle import Vehicle
-from baselines.evaluation.stability.analysis import Array, feedback_of, linearise_about
+from baselines.control.linearisation import linearise_about
+from baselines.evaluation.stability.analysis import feedback_of
+from baselines.policy import Array
 
 MISSING = "the certificate needs a semidefinite solver: pip install 'auv-gym[certificate]'"
 COARSE, FINE = 3, 21

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from rich.markup import escape as plain
 from rich.table import Table
 
+from baselines.control.linearisation import LONGEST_PERIOD
 from baselines.evaluation.report.page import figure, page, table
 from baselines.evaluation.report.terminal import LOOK
-from baselines.evaluation.stability.analysis import LONGEST_PERIOD
 from baselines.evaluation.stability.certificate import FINE, MISSING, Certificate
 from baselines.tools.figure_style import panels
 

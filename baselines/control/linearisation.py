@@ -1,0 +1,126 @@
+"""Error dynamics linearised about steady motion: the one copy, for regulators, stability maps and certificates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+from scipy.optimize import brentq
+
+from auv_gym.dynamics import Force
+from auv_gym.paths import Circle, Line
+from auv_gym.planner import plan
+from auv_gym.vehicle import Vehicle
+from baselines.policy import Array
+
+Feedback = Callable[[Sequence[Array]], Force]
+"""F_u [N], F_r [N m] of the first eleven terms of an observation, rows of shape (N,)."""
+
+STEP = 1e-6
+"""Half width of the central differences of a feedback, in SI units: their error is about 1e-10."""
+LONGEST_PERIOD = 5.0
+"""Longest control period [s] that is looked at."""
+
+
+def error_dynamics(vehicle: Vehicle, u_R: float, v_R: float, r_R: float) -> tuple[Array, Array]:
+    """Return A (6, 6), B (6, 2) of the errors e_x, e_y, psi_e, u_e, v_e, r_e about a motion, from (17)-(20).
+
+    Errors are in the body frame, in SI units; the forces that B multiplies are deviations from F_uR [N], F_rR [N m].
+
+    Args:
+        vehicle: the vehicle; with quadratic drag its slope counts.
+        u_R: surge velocity [m/s].
+        v_R: sway velocity [m/s].
+        r_R: yaw rate [rad/s].
+    """
+    m11, m22, m33, d11, d22, d33, X_uu, Y_vv, N_rr = vehicle.coefficients
+    drag_u, drag_v, drag_r = d11 + 2 * X_uu * abs(u_R), d22 + 2 * Y_vv * abs(v_R), d33 + 2 * N_rr * abs(r_R)
+    A = np.array(
+        [
+            [0.0, r_R, -v_R, 1.0, 0.0, 0.0],
+            [-r_R, 0.0, u_R, 0.0, 1.0, 0.0],
+            [0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+            [0.0, 0.0, 0.0, -drag_u / m11, m22 * r_R / m11, m22 * v_R / m11],  # (20a)
+            [0.0, 0.0, 0.0, -m11 * r_R / m22, -drag_v / m22, -m11 * u_R / m22],  # (20b)
+            [0.0, 0.0, 0.0, (m11 - m22) * v_R / m33, (m11 - m22) * u_R / m33, -drag_r / m33],  # (20c)
+        ]
+    )
+    B = np.zeros((6, 2))
+    B[3, 0], B[5, 1] = 1 / m11, 1 / m33
+    return A, B
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """The loop about steady motion: e' = A e + B f with errors e in the body frame, and the feedback f = K e."""
+
+    A: Array  # shape (6, 6)
+    B: Array  # shape (6, 2)
+    K: Array  # shape (2, 6)
+
+    @property
+    def eigenvalues(self) -> NDArray[np.complex128]:
+        """The six eigenvalues [1/s] of the continuous loop, the least stable first."""
+        values = np.linalg.eigvals(self.A + self.B @ self.K).astype(np.complex128)
+        return values[np.lexsort((values.imag, -values.real))]
+
+    def held(self, period: float) -> Array:
+        """Return the matrix from one control instant to the next, shape (6, 6), with the forces held in between."""
+        block = np.zeros((8, 8))
+        block[:6] = np.hstack((self.A, self.B))
+        step = expm(block * period)
+        return np.asarray(step[:6, :6] + step[:6, 6:] @ self.K)
+
+    def largest_period(self) -> float:
+        """Return the period [s] at which the held loop turns unstable first; 0 if it always is, inf if not by 5 s."""
+
+        def growth(period: float) -> float:
+            return float(np.abs(np.linalg.eigvals(self.held(period))).max()) - 1
+
+        if self.eigenvalues[0].real >= 0:
+            return 0.0
+        grid = np.linspace(0.02, LONGEST_PERIOD, 250)
+        unstable = np.flatnonzero([growth(T) > 0 for T in grid.tolist()])
+        if len(unstable) == 0:
+            return float("inf")
+        k = int(unstable[0])
+        return 0.0 if k == 0 else float(brentq(growth, grid[k - 1], grid[k], xtol=1e-6))
+
+
+def linearise(
+    vehicle: Vehicle, feedback: Feedback, speed: float, turn_rate: float, step: float = STEP
+) -> Linearisation:
+    """Return the loop linearised about steady motion.
+
+    Args:
+        vehicle: the vehicle, known exactly.
+        feedback: the forces.
+        speed: path speed v_p [m/s], positive.
+        turn_rate: omega [rad/s], counter-clockwise; 0 for a straight line.
+        step: half width of the differences, in SI units.
+    """
+    path = Circle(speed, turn_rate) if turn_rate else Line(speed)
+    return linearise_about(vehicle, feedback, plan(path, vehicle, np.array([0.0, 1.0])).table[0, 3:].tolist(), step)
+
+
+def linearise_about(
+    vehicle: Vehicle, feedback: Feedback, reference: Sequence[float], step: float = STEP
+) -> Linearisation:
+    """Return the loop linearised about an instant of any reference, steady or not: what the reference does cancels.
+
+    Args:
+        vehicle: the vehicle, known exactly.
+        feedback: the forces.
+        reference: u_R, v_R [m/s], r_R [rad/s], F_uR [N], F_rR [N m].
+        step: half width of the differences, in SI units.
+    """
+    u_R, v_R, r_R, *_ = reference
+
+    A, B = error_dynamics(vehicle, u_R, v_R, r_R)
+    steady = [np.full(len(A), value) for value in reference]
+    e = step * np.eye(len(A))
+    ahead, behind = (np.stack(feedback((*shifted, *steady))) for shifted in (e, -e))
+    return Linearisation(A, B, K=(ahead - behind) / (2 * step))
