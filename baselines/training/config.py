@@ -12,10 +12,7 @@ from typing import Any
 from auv_gym.records import from_record
 from auv_gym.residual import Policy, checked_authority
 from auv_gym.scenario import Scenario
-from baselines import make_policy
-from baselines.agents.loading import is_path
-from baselines.control.zero import NO_EXPERT, Zero
-from baselines.evaluation.rollout import Privileged
+from baselines.agents.agent import make_expert
 from baselines.evaluation.score import EXPERT
 
 ALGORITHMS: Mapping[str, str] = {
@@ -45,7 +42,7 @@ class Config:
 
     algo: str = "apg"  # one of `ALGORITHMS`
     scenarios: tuple[tuple[Scenario, float], ...] = ()  # what is trained on, with weights
-    expert: str = EXPERT  # name of the policy whose action is corrected, or `NO_EXPERT`
+    expert: str = EXPERT  # name of the policy whose action is corrected, or `zero.NO_EXPERT`
     authority: tuple[float, float] = (0.5, 0.5)  # largest correction of surge and yaw, fractions of the limits, (0, 2]
     seed: int = 0
     timesteps: int = 1_000_000  # control steps, summed over vehicles
@@ -67,21 +64,8 @@ class Config:
         self.make_expert()
 
     def make_expert(self) -> Policy:
-        """Return the policy whose action is corrected.
-
-        Raises:
-            ValueError: it is unknown, or may not be an expert.
-        """
-        if self.expert == NO_EXPERT:
-            return Zero()
-        if not isinstance(self.expert, str) or is_path(self.expert):
-            raise ValueError(
-                f"expert is {self.expert!r}; an agent's expert must be a policy's name, since paths run code"
-            )
-        policy = make_policy(self.expert)
-        if isinstance(policy, Privileged):
-            raise ValueError(f"expert {self.expert!r} looks behind the observation; choose one that does not")
-        return policy
+        """Return the policy whose action is corrected; raises as `baselines.agents.agent.make_expert`."""
+        return make_expert(self.expert)
 
     @property
     def names(self) -> tuple[str, ...]:
