@@ -6,6 +6,8 @@ import shutil
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from safetensors.numpy import save_file
 from torch import nn
 
@@ -20,6 +22,11 @@ from baselines.agents.networks import Gru, Mlp, network_of, network_record
 from baselines.tools.command_line import UsageError
 
 N = len(FEATURES)
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers(-3, 200) | st.integers() | st.just(10**309) | st.floats() | st.text(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text() | st.just("kind"), inner, max_size=4),
+    max_leaves=8,
+)
 SIZES = Gru(N, encoder=12, hidden=10, decoder=8)
 
 
@@ -148,14 +155,35 @@ REFUSALS = {
     "network inputs": (edited(network={"kind": "gru", "inputs": 3}), "has 3 inputs"),
     "authority": (edited(authority=[0, 1]), "authority is"),
     "authority's type": (edited(authority="all"), "list of two numbers"),
-    "expert's type": (edited(expert=3), "expert must be a name"),
+    "expert's type": (edited(expert=3), "must be a policy's name"),
     "expert runs code": (edited(expert="evil.py:run"), "must be a policy's name"),
+    "expert that looks behind": (edited(expert="oracle"), "looks behind the observation"),
     "unknown expert": (edited(expert="magic"), "unknown policy 'magic'"),
     "scenarios": (edited(scenarios=[1]), "list of names"),
     "entries": (edited(more=1), "must have the entries"),
     "no JSON": (lambda folder: (folder / "agent.json").write_bytes(b"\xff{"), "not valid JSON"),
     "a list": (lambda folder: (folder / "agent.json").write_text("[]"), "must have the entries"),
 }
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.data())
+def test_no_value_in_a_description_raises_anything_but_a_refusal(tmp_path_factory, data):
+    """One entry of agent.json, or of the tables in it, is any JSON."""
+    folder = tmp_path_factory.getbasetemp() / "fuzzed"
+    if not folder.exists():
+        agent().save(folder)
+        shutil.copy(folder / "agent.json", folder / "whole.json")
+    record = json.loads((folder / "whole.json").read_text())
+    table = data.draw(st.sampled_from([record, record["network"], record["inputs"], record["training"]]))
+    table[data.draw(st.sampled_from([*table, "kind", "preview", "more"]))] = data.draw(JSON)
+    (folder / "agent.json").write_text(json.dumps(record))
+    try:
+        policy = make_policy(str(folder))
+    except ValueError as error:
+        assert "\n" not in str(error)  # noqa: PT017, some values are fine
+    else:
+        assert policy.preview == ()
 
 
 @pytest.mark.parametrize("damage", REFUSALS)

@@ -6,6 +6,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from sb3_contrib import ARS, CrossQ
+from stable_baselines3 import SAC
 from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
@@ -71,6 +73,25 @@ def test_other_networks_are_refused():
     model.policy.mlp_extractor.policy_net = nn.Sequential(nn.Linear(24, 8), nn.ELU())
     with pytest.raises(ValueError, match="no chain of linear layers"):
         exported(model.policy, configuration())
+
+
+@pytest.mark.parametrize("squash", [True, False])
+def test_random_search_can_be_exported_too(squash):
+    model = ARS("MlpPolicy", make_training_env(configuration(), 3), policy_kwargs={"squash_output": squash}, seed=0)
+    x = np.random.default_rng(0).uniform(-2, 2, (200, len(FEATURES))).astype(np.float32)
+    agent = exported(model.policy, configuration())
+    actions, _ = agent.network.forward(agent.weights, x.astype(np.float64), np.zeros((200, 0)))
+    np.testing.assert_allclose(actions, model.predict(x, deterministic=True)[0], rtol=0, atol=1e-6)
+
+
+def test_actors_that_no_agent_can_be_are_refused():
+    env = make_training_env(configuration(), 3)
+    smooth = {"use_sde": True, "policy_kwargs": {"clip_mean": 2.0}}
+    for model in (CrossQ("MlpPolicy", env, buffer_size=100), SAC("MlpPolicy", env, buffer_size=100, **smooth)):
+        with pytest.raises(ValueError, match="no chain of linear layers"):
+            exported(model.policy, configuration())
+    with pytest.raises(ValueError, match="no chain of linear layers"):
+        exported(nn.Linear(24, 2), configuration())
 
 
 @pytest.mark.parametrize("expert", [EXPERT, "nmpc"])

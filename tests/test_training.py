@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import train
 from auv_gym.presets import CASES, PRESETS
@@ -307,6 +309,43 @@ def test_configuration_survives_json():
 def test_damaged_configuration_is_refused(record, message):
     with pytest.raises(ValueError, match=message):
         Config.from_dict(configuration().to_dict() | record)
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers(-3, 200) | st.integers() | st.just(10**309) | st.floats() | st.text(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
+    max_leaves=8,
+)
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.data())
+def test_no_value_in_a_configuration_raises_anything_but_a_refusal(tmp_path_factory, data):
+    """One entry of config.json is any JSON."""
+    file = tmp_path_factory.getbasetemp() / "config.json"
+    record = configuration(hyperparameters={"n_envs": 8}).to_dict()
+    (entry,) = record["scenarios"]
+    table = data.draw(st.sampled_from([record, entry, entry["scenario"]]))
+    table[data.draw(st.sampled_from([*table, "more"]))] = data.draw(JSON)
+    file.write_text(json.dumps(record))
+    try:
+        read_config(file.parent)
+    except ValueError as error:
+        assert str(file) in str(error)  # noqa: PT017, some values are fine
+        assert "\n" not in str(error)  # noqa: PT017
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.sampled_from(list(ALGORITHMS)), st.data())
+def test_no_hyperparameter_raises_anything_but_a_refusal(algo, data):
+    """One of the shipped ones, or another, is anything."""
+    values = {**load_hyperparameters(shipped_file(algo)).values, "n_envs": 8}
+    name = data.draw(st.sampled_from([*values, "policy_kwargs", "preview", "noise_std", "more"]))
+    value = data.draw(JSON.filter(lambda x: not isinstance(x, int) or abs(x) < 10**4 or 10**15 < abs(x) < 10**300))
+    try:
+        request.check(configuration(algo=algo, hyperparameters={**values, name: value}))
+    except ValueError as error:
+        assert "\n" not in str(error)  # noqa: PT017, some values are fine
 
 
 def test_vehicles_are_shared_out_by_weight():

@@ -72,10 +72,7 @@ class Agent:
     def __post_init__(self) -> None:
         if self.network.inputs != (features := len(self.inputs.features)):
             raise ValueError(f"the network has {self.network.inputs} inputs; there are {features} features")
-        if is_path(self.expert):
-            raise ValueError(
-                f"expert is {self.expert!r}; an agent's expert must be a policy's name, since paths run code"
-            )
+        check_expert(self.expert)
         object.__setattr__(self, "authority", checked_authority(self.authority))
         if self.region is not None:
             object.__setattr__(self, "region", tuple(self.region))
@@ -92,15 +89,13 @@ class Agent:
             vehicle: what the expert believes in, see `baselines.make_policy`.
 
         Raises:
-            ValueError: the expert is unknown, or corrections are to fade and there is no expert, or no known region.
+            ValueError: see `make_expert`; or corrections are to fade and there is no expert, or no known region.
         """
         if fade and self.expert == NO_EXPERT:
             raise ValueError("the agent commands without an expert, so there is nothing that it could fade to")
         if fade and self.region is None:
             raise ValueError("the agent does not know the region that it has seen, so it cannot fade; train it again")
-        from baselines import make_policy
-
-        expert = Zero() if self.expert == NO_EXPERT else make_policy(self.expert, vehicle)
+        expert = make_expert(self.expert, vehicle=vehicle)
         region = self.region if fade else None
         return ResidualPolicy(expert, self.network, self.weights, self.authority, region, self.inputs)
 
@@ -170,6 +165,33 @@ class Agent:
             )
 
 
+def check_expert(name: Any) -> None:
+    """Raise ValueError unless an expert is named as an agent may name it."""
+    if not isinstance(name, str) or is_path(name):
+        raise ValueError(f"expert is {name!r}; an agent's expert must be a policy's name, since paths run code")
+
+
+def make_expert(name: str, **options: Any) -> Policy:
+    """Return the policy whose action is corrected: any by name, or none at all for `NO_EXPERT`.
+
+    Args:
+        name: the policy's.
+        options: see `baselines.make_policy`.
+
+    Raises:
+        ValueError: it is unknown, or may not be an expert: a path, or one that looks behind the observation.
+    """
+    check_expert(name)
+    if name == NO_EXPERT:
+        return Zero()
+    from baselines import make_policy  # not above: agents are policies by name too, and are loaded from there
+
+    policy = make_policy(name, **options)
+    if hasattr(policy, "prepare"):  # as `baselines.evaluation.rollout.Privileged` does
+        raise ValueError(f"expert {name!r} looks behind the observation; choose one that does not")
+    return policy
+
+
 def feature_layout(inputs: Inputs) -> list[list[str]]:
     """Return name and scale of each feature, as an agent's description holds them."""
     return [[f.name, f.scale] for f in inputs.features]
@@ -185,8 +207,8 @@ def _checked_record(record: Any) -> dict[str, Any]:
     for name, layout in (("features", features), ("observation", OBSERVATION_LAYOUT)):
         if record[name] != layout:
             raise ValueError(f"it was trained on other {name} than this version has; train it again")
-    if not isinstance(record["expert"], str) or not isinstance(record["training"], dict):
-        raise ValueError(f"{RECORD}: expert must be a name, training a table")
+    if not isinstance(record["training"], dict):
+        raise ValueError(f"{RECORD}: training must be a table")
     if not isinstance(record["region"], (list, type(None))):
         raise ValueError(f"{RECORD}: region must be a list of numbers, or null")
     if not isinstance(record["scenarios"], list) or not all(isinstance(s, str) for s in record["scenarios"]):

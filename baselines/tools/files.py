@@ -61,8 +61,8 @@ def guarded(what: str, *more: type[Exception]) -> Iterator[None]:
     try:
         yield
     except damage as error:
-        reason = " ".join(str(error).split()) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
-        raise ValueError(f"{what}: {reason[:1000]}") from error
+        kind = "" if isinstance(error, (ValueError, Warning)) else f"{type(error).__name__}: "
+        raise ValueError(f"{what}: {' '.join(f'{kind}{error}'.split())[:1000]}") from error
 
 
 def read_bytes(file: Path, largest: int = LARGEST_FILE) -> bytes:

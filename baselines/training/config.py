@@ -13,10 +13,8 @@ from auv_gym.policy import Policy, checked_authority
 from auv_gym.records import from_record
 from auv_gym.scenario import Scenario
 from auv_gym.vehicle import Vehicle
-from baselines import common_vehicle, make_policy
-from baselines.agents.loading import is_path
-from baselines.control.open_loop import NO_EXPERT, Zero
-from baselines.evaluation.rollout import Privileged
+from baselines import common_vehicle
+from baselines.agents.agent import make_expert
 from baselines.evaluation.score import EXPERT
 
 ALGORITHMS: Mapping[str, str] = {
@@ -46,7 +44,7 @@ class Config:
 
     algo: str = "apg"  # one of `ALGORITHMS`
     scenarios: tuple[tuple[Scenario, float], ...] = ()  # what is trained on, with weights
-    expert: str = EXPERT  # name of the policy whose action is corrected, or `NO_EXPERT`
+    expert: str = EXPERT  # name of the policy whose action is corrected, or `zero.NO_EXPERT`
     authority: tuple[float, float] = (0.5, 0.5)  # largest correction of surge and yaw, fractions of the limits, (0, 2]
     seed: int = 0
     timesteps: int = 1_000_000  # control steps, summed over vehicles
@@ -68,21 +66,8 @@ class Config:
         self.make_expert()
 
     def make_expert(self) -> Policy:
-        """Return the policy whose action is corrected.
-
-        Raises:
-            ValueError: it is unknown, or may not be an expert.
-        """
-        if self.expert == NO_EXPERT:
-            return Zero()
-        if not isinstance(self.expert, str) or is_path(self.expert):
-            raise ValueError(
-                f"expert is {self.expert!r}; an agent's expert must be a policy's name, since paths run code"
-            )
-        policy = make_policy(self.expert, self.vehicle)
-        if isinstance(policy, Privileged):
-            raise ValueError(f"expert {self.expert!r} looks behind the observation; choose one that does not")
-        return policy
+        """Return the policy whose action is corrected; raises as `baselines.agents.agent.make_expert`."""
+        return make_expert(self.expert, vehicle=self.vehicle)
 
     @property
     def vehicle(self) -> Vehicle | None:

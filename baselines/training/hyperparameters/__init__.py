@@ -1,7 +1,8 @@
 """Hyper-parameters in rl_zoo3's YAML format: a table for each environment id.
 
 `n_timesteps` and, of `env_kwargs`, `expert` and `authority` are defaults of the command line's options. The rest is
-what the algorithm gets. YAML reads 3e-4 as a word; write 0.0003 or !!float 3e-4.
+what the algorithm gets. YAML reads 3e-4 as a word; write 0.0003 or !!float 3e-4. rl_zoo3's own reader belongs to its
+experiment manager, which evaluates strings as Python and needs Optuna and more.
 """
 
 from __future__ import annotations
@@ -82,5 +83,5 @@ def words_of(changes: Mapping[str, Any]) -> list[str]:
 
 
 def shipped(algo: str) -> Path:
-    """Return the file of an algorithm."""
-    return FOLDER / f"{algo}.yml"
+    """Return the file of an algorithm; TQC learns well with what SAC learns with."""
+    return FOLDER / f"{'sac' if algo == 'tqc' else algo}.yml"

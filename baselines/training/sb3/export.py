@@ -16,22 +16,15 @@ _ACTIVATIONS: dict[type, str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
 
 
 def exported(policy: Any, config: Config) -> Agent:
-    """Return the agent of a policy network of PPO, SAC, TQC or TD3.
+    """Return the agent of a policy network of PPO, SAC, TQC, TD3 or ARS, and of others that are built alike.
 
     Raises:
-        ValueError: its actor is no chain of linear layers with tanh or ReLU between them.
+        ValueError: its actor is no chain of linear layers with tanh or ReLU between them, as CrossQ's is none.
     """
-    if hasattr(policy, "actor"):
-        actor = policy.actor
-        chain = [*actor.latent_pi, actor.mu] if hasattr(actor, "latent_pi") else list(actor.mu)
-        if isinstance(chain[-1], nn.Tanh):
-            chain = chain[:-1]
-        bound = "tanh"
-    else:
-        chain, bound = [*policy.mlp_extractor.policy_net, policy.action_net], "clip"
+    chain, bound = _actor(policy)
     linear = [layer for layer in chain if isinstance(layer, nn.Linear)]
     between = {_ACTIVATIONS.get(type(layer)) for layer in chain if not isinstance(layer, nn.Linear)} or {"tanh"}
-    if len(between) != 1 or None in between or len(chain) != 2 * len(linear) - 1:
+    if not linear or len(between) != 1 or None in between or len(chain) != 2 * len(linear) - 1:
         raise ValueError(
             "the actor is no chain of linear layers with tanh or ReLU between them, which is all that an agent can be; "
             "with use_sde set clip_mean to 0 in policy_kwargs"
@@ -43,3 +36,15 @@ def exported(policy: Any, config: Config) -> Agent:
         for name, value in layer.named_parameters():
             weights[f"layers.{i}.{name}"] = np.array(value.detach().cpu().numpy())
     return Agent(network, weights, config.expert, config.authority, config.names)
+
+
+def _actor(policy: Any) -> tuple[list[nn.Module], str]:
+    """Return the layers from the features to the mean action, and what bounds that, see `networks.BOUNDS`."""
+    if hasattr(policy, "mlp_extractor"):  # PPO
+        return [*policy.mlp_extractor.policy_net, policy.action_net], "clip"
+    actor = getattr(policy, "actor", policy)
+    if hasattr(actor, "latent_pi"):  # SAC and TQC
+        return [*actor.latent_pi, actor.mu], "tanh"
+    layers = list(getattr(actor, "mu", getattr(actor, "action_net", ())))  # TD3 and ARS
+    squashed = bool(layers) and isinstance(layers[-1], nn.Tanh)
+    return (layers[:-1], "tanh") if squashed else (layers, "clip")

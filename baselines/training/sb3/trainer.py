@@ -23,6 +23,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvWrapper
 from auv_gym.envs.residual import VectorResidualAction
 from auv_gym.policy import preview_of
 from baselines.agents.agent import Agent
+from baselines.tools.files import guarded
 from baselines.training.config import Config
 from baselines.training.run_folder import Run, TrainingError
 from baselines.training.sb3.callbacks import FrozenActor, ZeroCorrection
@@ -47,6 +48,7 @@ NOISES: Mapping[str, Callable[[Any, Any], ActionNoise]] = {
     "normal": NormalActionNoise,
     "ornstein-uhlenbeck": OrnsteinUhlenbeckActionNoise,
 }
+LARGEST_FLEET = 2**16
 _SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf")
 
 
@@ -101,12 +103,10 @@ def make_model(config: Config) -> BaseAlgorithm:
     values |= {name: _schedule(name, values[name]) for name in _SCHEDULED if name in values}
     if isinstance(values.get("train_freq"), list):
         values["train_freq"] = tuple(values["train_freq"])
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", UserWarning)
-            model = cls(policy, env, seed=config.seed, device="cpu", **values)
-    except (AssertionError, AttributeError, KeyError, TypeError, ValueError, UserWarning) as error:
-        raise ValueError(f"hyper-parameters of {config.algo}: {' '.join(str(error).split())}") from error
+    wrong = (AssertionError, NotImplementedError, RuntimeError, UserWarning)
+    with guarded(f"hyper-parameters of {config.algo}", *wrong), warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        model = cls(policy, env, seed=config.seed, device="cpu", **values)
     env.seed(config.episode_seed)
     return model
 
@@ -122,8 +122,8 @@ def make_training_env(config: Config, n_envs: int, wrappers: Any = ()) -> VecFea
     Raises:
         ValueError: there are too few vehicles, or a wrapper is unknown.
     """
-    if isinstance(n_envs, bool) or not isinstance(n_envs, int) or n_envs < 1:
-        raise ValueError(f"hyper-parameter n_envs is {n_envs!r}; it must be an integer of at least 1")
+    if isinstance(n_envs, bool) or not isinstance(n_envs, int) or not 1 <= n_envs <= LARGEST_FLEET:
+        raise ValueError(f"hyper-parameter n_envs is {n_envs!r}; it must be an integer in [1, {LARGEST_FLEET}]")
     expert = config.make_expert()
     track = gym.make_vec(
         "auv_gym:UnderactuatedAUVTrack-v0",
@@ -156,9 +156,9 @@ def _noise(values: dict[str, Any]) -> ActionNoise | None:
     kind, std = values.pop("noise_type", None), values.pop("noise_std", 0.0)
     if kind is None:
         return None
-    if kind not in list(NOISES) or isinstance(std, bool) or not isinstance(std, (int, float)) or not std >= 0:
+    if kind not in list(NOISES) or isinstance(std, bool) or not isinstance(std, (int, float)) or not 0 <= std <= 100:
         kinds = " or ".join(NOISES)
-        raise ValueError(f"noise is {kind!r} of noise_std {std!r}; it must be {kinds}, of a number of at least 0")
+        raise ValueError(f"noise is {kind!r} of noise_std {std!r}; it must be {kinds}, of a number in [0, 100]")
     return NOISES[kind](np.zeros(2), np.full(2, float(std)))
 
 
