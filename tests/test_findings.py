@@ -87,3 +87,18 @@ def test_command_keeps_rows_that_are_found_again(tmp_path, capsys):
 def test_mistakes_are_refused(arguments, message):
     with pytest.raises(UsageError, match=message):
         fresh.main(arguments)
+
+
+def leads():
+    """Return the README's rows of leads over nmpc, as the page of findings has them."""
+    section, storms = PAGE.split("### Where an agent leads")[0], PAGE.split("### Where an agent leads")[1]
+    for name in (f"{family}-{regime}" for regime in ("slow", "cruise") for family in ("apg", "apg-preview")):
+        cells = re.search(rf"^\| `{name}` \| (.*) \|$", section, re.MULTILINE)[1].split(" | ")
+        share = re.search(rf"^\| `{name}` \|.* (\d+ %) \|$", storms.split("## Where all")[0], re.MULTILINE)[1]
+        yield f"| `{name}` | {cells[2]} ({cells[3]}) of {cells[4]} | {cells[5]} ({cells[6]}) of {cells[7]} | {share} |"
+
+
+def test_the_readme_says_the_same():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert "\n".join(leads()) + "\n" in readme
+    assert f"a share of up to {100 * at_most(0, 2080):.2f} %" in readme
