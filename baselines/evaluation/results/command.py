@@ -18,8 +18,9 @@ from baselines.tools.figure_style import to_png
 from baselines.tools.files import write_atomically
 
 PROGRAM = "python -m baselines.evaluation.results"
-DOCS = Path(__file__).parents[3] / "docs"
-PAGE, FINDINGS = "results.md", "findings.md"
+DOCS = Path(__file__).parents[3] / "docs"  # where the pages lie
+PAGE = "results.md"  # every policy on every suite
+FINDINGS = "findings.md"  # what they come to
 
 
 @dataclass(frozen=True)

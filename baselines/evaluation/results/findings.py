@@ -32,7 +32,9 @@ def findings(found: Sequence[Results], anew: Sequence[Results], studies: Mapping
         anew: what is recorded of their cases on fresh episodes.
         studies: agents of several seeds, by name.
     """
-    by_name, fresh_by_name = ({results.suite.name: results for results in kind} for kind in (found, anew))
+    by_name, fresh_by_name = (
+        {results.suite.name: results for results in kind if RIVAL in results.policies} for kind in (found, anew)
+    )
     parts = [INTRODUCTION]
     if (benchmark := by_name.get("benchmark-v1")) is not None:
         parts += [LEADS, _leads(benchmark, fresh_by_name.get("benchmark-v1"), studies)]
@@ -103,7 +105,7 @@ def _leads(results: Results, anew: Results | None, studies: Mapping[str, Study])
 
 def _on_fresh(anew: Results | None, name: str, regime: str) -> tuple[str, str, str]:
     """Return the lead of the shipped agent on fresh episodes, its interval and their number."""
-    if anew is None or not (own := _tails(anew, name, regime)) or not _tails(anew, RIVAL, regime):
+    if anew is None or not (own := _tails(anew, name, regime)):
         return "-", "-", "-"
     above, count = _lead(anew, regime, {case: tail[None] for case, tail in own.items()})
     return *_text(above), str(count)
