@@ -17,12 +17,13 @@ from auv_gym.envs.torch_sim import TorchSimulator
 from baselines import make_policy
 from benchmarks.timing import Array, Run, cpu_time, interleaved, timed, typical, whole
 
-TRACK = "auv_gym:UnderactuatedAUVTrack-v0"
-RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"
-NATIVE = "vector_entry_point"
+TRACK = "auv_gym:UnderactuatedAUVTrack-v0"  # under a policy's own commands
+RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"  # under corrections to the expert
+NATIVE = "vector_entry_point"  # the mode of Gymnasium's `make_vec` in which an environment is its own vector
 SCENARIO = "cruise-storm"
 """Every disturbance at once."""
 EPISODE = PRESETS[SCENARIO].steps
+"""Control steps of an episode."""
 WINDOW = 32
 """Control steps that a gradient goes back over."""
 
@@ -229,6 +230,7 @@ def sb3_case(quick: bool) -> Iterator[Row]:
 
 
 CASES = (import_case, scalar_cases, vector_cases, torch_cases, gradient_case, sb3_case)
+"""What `make bench` runs, in this order."""
 
 
 def curves(quick: bool) -> dict[str, list[tuple[int, float]]]:

@@ -138,6 +138,15 @@ def test_readme_names_every_policy_and_family_of_scenarios():
         assert f"`{name}`" in README or f"`{name.split('-', 1)[1]}`" in README
 
 
+def columns_of_quickstart():
+    """Return the columns that the quickstart explains."""
+    text = (
+        (ROOT / "docs" / "quickstart.md").read_text(encoding="utf-8").split("| column | what it says |\n|---|---|\n")[1]
+    )
+    names = [line.split(" | ")[0].removeprefix("| ") for line in text.split("\n\n")[0].splitlines()]
+    return [name for group in names for name in group.split(", ") if name != "score"]  # it needs the oracle
+
+
 def test_readme_table_is_what_the_command_writes(tmp_path, capsys):
     """Some of the columns that evaluate.py prints."""
     arguments = re.search(r"^python evaluate.py (--policy .+)$", README, re.MULTILINE)[1].split()
@@ -145,12 +154,17 @@ def test_readme_table_is_what_the_command_writes(tmp_path, capsys):
     lines = [f" {'scenario':14}{'policy':21}{'tail [m]':>9}{'95 % interval':>18}{'lost':>10}", " " + 72 * "─"]
     scenario = ""
     for row in json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))["results"]:
-        tail, lost = row["tail_rmse_m"], f"{row['failures']} of {row['episodes']}"
+        tail, lost = row["tail_rmse_m"], f"{round(row['lost'] * row['episodes'])} of {row['episodes']}"
         interval = "{:.3g} ... {:.3g}".format(*tail["ci95"])
         first, previous, scenario = row["scenario"] != scenario, scenario, row["scenario"]
         lines += [""] * (first and previous != "")
         lines.append(f" {scenario * first:14}{row['policy']:21}{tail['mean']:9.3g}{interval:>18}{lost:>10}")
     table = "\n".join(lines) + "\n"
+    printed = capsys.readouterr().out
+    shown = [tuple(line.split()) for line in table.splitlines() if " of 10" in line]
+    assert all(all(word in printed for word in words) for words in shown)  # the terminal says the same
+    for column in columns_of_quickstart():
+        assert f" {column} " in next(line for line in printed.splitlines() if line.startswith(" scenario")) + " "
     block = next(b for b in blocks(ROOT / "README.md") if "tail [m]" in b.text)
     if os.environ.get("REFRESH_DOCS"):
         text = (ROOT / "README.md").read_text(encoding="utf-8")

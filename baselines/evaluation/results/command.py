@@ -1,4 +1,4 @@
-"""The results page, docs/results.md, from the recorded rows: `python -m baselines.evaluation.results --help`."""
+"""The pages of results and findings, from the recorded rows: `python -m baselines.evaluation.results --help`."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 
 from baselines.evaluation.results.collection import SUITES, TOLERANCE, better_than_oracle, collected
 from baselines.evaluation.results.figures import results_figures
+from baselines.evaluation.results.findings import findings, fresh_results
 from baselines.evaluation.results.page import page
 from baselines.evaluation.results.studies import curves_figure, figures_of, section
 from baselines.evaluation.study_files import load_all
@@ -17,24 +18,25 @@ from baselines.tools.figure_style import to_png
 from baselines.tools.files import write_atomically
 
 PROGRAM = "python -m baselines.evaluation.results"
-DOCS = Path(__file__).parents[3] / "docs"
-PAGE = "results.md"
+DOCS = Path(__file__).parents[3] / "docs"  # where the pages lie
+PAGE = "results.md"  # every policy on every suite
+FINDINGS = "findings.md"  # what they come to
 
 
 @dataclass(frozen=True)
 class Options:
-    """Write docs/results.md and its figures from the recorded rows of the frozen suites.
+    """Write docs/results.md, its figures and docs/findings.md from the recorded rows and studies.
 
     Exit status: 0 done, 1 the oracle is worse than another policy, rows do not count, or nothing could be written, 2
     wrong usage.
     """
 
     out: Path = DOCS
-    """Folder for the page and, in images/, its figures."""
+    """Folder for the pages and, in images/, their figures."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Write the page and its figures and return the exit status.
+    """Write the pages and their figures and return the exit status.
 
     Raises:
         UsageError: the arguments do not make sense.
@@ -58,6 +60,7 @@ def main(arguments: Sequence[str]) -> int:
         (options.out / "images").mkdir(parents=True, exist_ok=True)
         studies = load_all()
         write_atomically(options.out / PAGE, page(found, missing, section(studies, found)))
+        write_atomically(options.out / FINDINGS, findings(found, fresh_results(), studies))
         for name, own in figures_of(studies).items():
             write_atomically(options.out / "images" / name, to_png(curves_figure(own)))
         for results in found:
@@ -66,5 +69,5 @@ def main(arguments: Sequence[str]) -> int:
     except OSError as error:
         print(f"{PROGRAM}: cannot write to {options.out}: {error.strerror}", file=sys.stderr)
         return FAILED
-    print(f"Wrote {options.out / PAGE} and its figures")
+    print(f"Wrote {options.out / PAGE} with its figures, and {options.out / FINDINGS}")
     return FAILED if failed else DONE

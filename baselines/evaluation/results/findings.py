@@ -1,0 +1,216 @@
+"""The page of findings, docs/findings.md: what the recorded rows, the fresh episodes and the studies say, in tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from scipy import stats
+
+from auv_gym.presets import REGIMES
+from baselines.evaluation import fresh, recorded
+from baselines.evaluation.metrics import Array
+from baselines.evaluation.results.collection import Results
+from baselines.evaluation.results.page import table
+from baselines.evaluation.results.studies import RIVAL, SHORT
+from baselines.evaluation.score import EXPERT, ORACLE, Score, interval_text, lead, regime_of, score_text, seeds_score
+from baselines.evaluation.study_files import Study
+
+BASE = "short-cruise"
+"""The training from which the other short ones differ in one thing."""
+LEARNERS = ("ppo", "sac", "td3")
+"""Families of agents that learn from rewards alone."""
+CONFIDENCE = 0.95
+"""Of an upper bound on a share of lost episodes."""
+
+
+def findings(found: Sequence[Results], anew: Sequence[Results], studies: Mapping[str, Study]) -> str:
+    """Return the text of docs/findings.md.
+
+    Args:
+        found: what is recorded of the frozen suites.
+        anew: what is recorded of their cases on fresh episodes.
+        studies: agents of several seeds, by name.
+    """
+    by_name, fresh_by_name = (
+        {results.suite.name: results for results in kind if RIVAL in results.policies} for kind in (found, anew)
+    )
+    parts = [INTRODUCTION]
+    if (benchmark := by_name.get("benchmark-v1")) is not None:
+        parts += [LEADS, _leads(benchmark, fresh_by_name.get("benchmark-v1"), studies)]
+        parts += [CASES, *(_by_case(benchmark, studies, regime) for regime in REGIMES)]
+    if (unmodelled := by_name.get("unmodelled-v1")) is not None:
+        parts += [UNMODELLED, _leads(unmodelled, fresh_by_name.get("unmodelled-v1"), studies)]
+    if benchmark is not None:
+        parts += [SHORTS, _shorts(benchmark, studies), REWARDS, _rewards(benchmark, studies)]
+        parts += [YARDSTICK, _shares(benchmark)]
+    return "\n\n".join([*parts, UNTABLED]) + "\n"
+
+
+def fresh_results() -> list[Results]:
+    """Return what is recorded of fresh episodes, of the suites whose expert and oracle ran."""
+    runs = {suite: recorded.load(suite, fresh.FOLDER).runs for suite in map(fresh.fresh, fresh.EPISODES)}
+    return [Results.of(suite, own) for suite, own in runs.items() if {EXPERT, ORACLE} <= {r.policy for r in own}]
+
+
+def at_most(lost: int, episodes: int) -> float:
+    """Return the largest share of lost episodes that is still likely where so many were; 3 / episodes for none."""
+    return float(stats.beta.ppf(CONFIDENCE, lost + 1, episodes - lost)) if lost < episodes else 1.0
+
+
+def _tails(results: Results, policy: str, regime: str) -> dict[str, Array]:
+    """Return the tail errors [m] of a policy by case of a regime, shape (M,) each; {} if it did not run."""
+    own = [r for r in results.runs if r.policy == policy and regime_of(r.scenario.name) == regime]
+    return {r.scenario.name: r.measures.tail for r in own if r.measures is not None}
+
+
+def _lead(results: Results, regime: str, seeds: Mapping[str, Array]) -> tuple[Score, int]:
+    """Return the lead over the rival of agents' tails, shape (S, M) by case, and of how many episodes each it is."""
+    expert, rival, oracle = (_tails(results, policy, regime) for policy in (EXPERT, RIVAL, ORACLE))
+    count = {case: min(len(rival[case]), own.shape[1]) for case, own in seeds.items()}
+    four = [[kind[case][..., :n] for case, n in count.items()] for kind in (expert, rival, seeds, oracle)]
+    return lead(*four), sum(count.values())
+
+
+def _agents(studies: Mapping[str, Study], *left_out: str) -> Iterator[tuple[str, Study]]:
+    """Yield the agents of a study that ship with the package, without some families."""
+    for name, study in studies.items():
+        if not name.startswith((SHORT, *left_out)):
+            yield name, study
+
+
+def _leads(results: Results, anew: Results | None, studies: Mapping[str, Study]) -> str:
+    rows = []
+    for name, study in _agents(studies, *LEARNERS):
+        if (own := study.suites.get(results.suite.name)) is None:
+            continue
+        regime, tails = study.regime, dict(zip(own.cells, own.tails, strict=True))
+        above, count = _lead(results, regime, tails)
+        expert, oracle = ([_tails(results, p, regime)[case] for case in own.cells] for p in (EXPERT, ORACLE))
+        total, lost = sum(tail.size for tail in own.tails), own.losses(regime)
+        rows.append([
+            f"`{name}`",
+            score_text(seeds_score(expert, own.tails, oracle)),
+            f"{sum(len(tail) for tail in expert)}",
+            *_text(above),
+            str(count),
+            *_on_fresh(anew, name, regime),
+            f"{lost} of {total}",
+            f"{100 * at_most(lost, total):.2g} %",
+        ])  # fmt: skip
+    names = ("agent", "score", "episodes", f"lead over {RIVAL}", "95 %", "episodes", "fresh lead", "95 %", "episodes",
+             "lost", "at most")  # fmt: skip
+    return table(names, rows)
+
+
+def _on_fresh(anew: Results | None, name: str, regime: str) -> tuple[str, str, str]:
+    """Return the lead of the shipped agent on fresh episodes, its interval and their number."""
+    if anew is None or not (own := _tails(anew, name, regime)):
+        return "-", "-", "-"
+    above, count = _lead(anew, regime, {case: tail[None] for case, tail in own.items()})
+    return *_text(above), str(count)
+
+
+def _text(value: Score) -> tuple[str, str]:
+    return score_text(value), interval_text(value)
+
+
+def _by_case(results: Results, studies: Mapping[str, Study], regime: str) -> str:
+    """Return in how many episodes of each case shipped agents are nearer to the path than the rival is."""
+    rival, rows = _tails(results, RIVAL, regime), []
+    for name, study in _agents(studies, *LEARNERS):
+        if study.regime == regime and (own := _tails(results, name, regime)):
+            nearer = (100 * np.mean(own[case][: len(tail)] < tail) for case, tail in rival.items())
+            rows.append([f"`{name}`", *(f"{share:.0f} %" for share in nearer)])
+    return table([regime, *(case.removeprefix(f"{regime}-") for case in rival)], rows)
+
+
+def _shorts(results: Results, studies: Mapping[str, Study]) -> str:
+    rows = []
+    for name, study in studies.items():
+        if name.startswith(SHORT) and (own := study.suites.get(results.suite.name)) is not None:
+            expert, oracle = ([_tails(results, p, study.regime)[case] for case in own.cells] for p in (EXPERT, ORACLE))
+            score = seeds_score(expert, own.tails, oracle)
+            total = sum(tail.size for tail in own.tails)
+            lost = f"{own.losses(study.regime)} of {total}"
+            rows.append((score.mean, [f"`{name}`", study.about, *_text(score), lost]))
+    ordered = [row for _, row in sorted(rows, key=lambda row: -row[0])]
+    return table(("training", "what is different", "score", "95 %", "lost"), ordered)
+
+
+def _rewards(results: Results, studies: Mapping[str, Study]) -> str:
+    rows = []
+    for name, study in studies.items():
+        if name.startswith(LEARNERS) and (own := study.suites.get(results.suite.name)) is not None:
+            expert, oracle = ([_tails(results, p, study.regime)[case] for case in own.cells] for p in (EXPERT, ORACLE))
+            steps = float(np.mean([curve[-1, 0] for curve in study.curves])) / 1e6
+            lost, total = own.losses(study.regime), sum(tail.size for tail in own.tails)
+            score = seeds_score(expert, own.tails, oracle)
+            rows.append([f"`{name}`", f"{steps:.3g} M", *_text(score), f"{lost} of {total}"])
+    return table(("agent", "steps", "score", "95 %", "lost"), rows)
+
+
+def _shares(results: Results) -> str:
+    """Return the share of the distance between expert and oracle, the score's scale, that each case makes."""
+    rows, cases = [], [cell.scenario.name.split("-", 1)[1] for cell in results.suite.cells]
+    for regime in REGIMES:
+        expert, oracle = (_tails(results, policy, regime) for policy in (EXPERT, ORACLE))
+        spans = {case: float((expert[case] - oracle[case]).sum()) for case in expert}
+        rows.append([regime, *(f"{100 * span / sum(spans.values()):.0f} %" for span in spans.values())])
+    return table(("regime", *dict.fromkeys(cases)), rows)
+
+
+INTRODUCTION = """# Findings
+
+<!-- Made by `python -m baselines.evaluation.results`; do not edit. -->
+
+What learning buys here, where it does not, and what each part of the training is worth. `make results` writes every
+number of this page from what is kept in `baselines/evaluation/data/`: the recorded rows of the frozen suites, the
+studies with several seeds (`python -m baselines.training.study`) and fresh episodes
+(`python -m baselines.evaluation.fresh`). [Evaluation](metrics.md) defines score and *lost*; [Results](results.md) has
+all policies and every suite."""
+LEADS = f"""## Against the strongest controller
+
+`{RIVAL}`, the strongest controller that does not learn, has a filter, a model of the sea and a preview of the path.
+*score* and *lead* are those of all training seeds on the frozen `benchmark-v1`, *fresh lead* that of the one shipped
+agent on episodes of the same cases that nothing was trained, tuned or chosen on; a lead is a distance of scores, with
+an interval over seeds and episodes, and *episodes* says of how many a number is. *lost* adds up all seeds; *at most* is
+the largest share of lost episodes that is still likely (one-sided, 95 %): none lost is no promise."""
+CASES = f"""### Where an agent leads, and where it trails
+
+A score is made of means. Episode by episode the picture is another one: the share of the episodes of each case, on the
+frozen benchmark, in which the shipped agent's tail error is smaller than that of `{RIVAL}`. Below 50 % the agent trails
+in most episodes, whatever its mean: so do the agents without a preview in storms."""
+UNMODELLED = f"""## Where all is not as told
+
+`unmodelled-v1`, in the same columns. Mind the episodes: `{RIVAL}` has run the first of each case only, so leads are of
+fewer episodes than scores. `apg-adverse-*` were trained on these kinds of trouble, all at once and in slightly wider
+ranges, and on the sheared current of `ood-v1`: for them this is no test of the unforeseen. The others had met none of
+it. What robustness costs where nothing is wrong is the distance between `apg-adverse-*` and `apg-*` above."""
+SHORTS = f"""## What each part is worth
+
+Trainings of fewer steps and seeds at cruise, each of which differs from `{BASE}` in one thing."""
+REWARDS = """## From rewards alone
+
+Agents of Stable-Baselines3, which see the reward and no gradient of the simulator, trained for about as long."""
+YARDSTICK = """## What the score weighs
+
+The score pools errors over cases, so a case counts by the error that the expert leaves in it. The share of each case in
+the distance from expert to oracle: to reject a current is most of the task, and a policy that is best in noise or waves
+alone gains little by it. Read the single cases beside the pooled score."""
+UNTABLED = """## What no table shows
+
+- **The expert does not make the final score better**: `apg-scratch-*`, networks that command alone, end level with the
+  corrected expert. What a residual buys is something else. It begins at the expert's level and not far below it. If
+  the network falls silent, the expert goes on; a network that commands alone is lost with its first dead output. Beyond
+  the speeds of the training, where networks alone lose vehicles, corrected experts mostly keep them. To see it, run an
+  agent in a scenario of that kind, and set its correction to zero on the way.
+- **An authority is no safety bound** where it is large: a correction of the whole limit can undo any command. Only a
+  small one leaves the expert in charge.
+- **One agent does not serve every speed.** Each was trained in its regime; outside it, it may do worse than the expert.
+- **Memory belongs to the policy.** The recurrent agents need their state handed back at each call; without it they act
+  as at an episode's first step.
+- Where commands cost next to nothing, storms and slow actuators need larger weights in training, or now and then a fast
+  vehicle with slow actuators spins. PPO needs exploration that moves a vehicle: noise kept for several steps. SAC and
+  TD3 need a cost of the error moved on by its rate (`lead`) and returns over several steps, since what an action
+  changes shows in the position only seconds later."""

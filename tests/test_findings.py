@@ -1,0 +1,104 @@
+"""The page of findings is what the command writes; fresh episodes are fresh, and do what is kept of them."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from baselines.evaluation import fresh, recorded, suites
+from baselines.evaluation.results.collection import SUITES, collected
+from baselines.evaluation.results.findings import at_most, findings, fresh_results
+from baselines.evaluation.runner import run_task
+from baselines.evaluation.study_files import load_all
+from baselines.tools.command_line import UsageError
+from baselines.training.config import TRAINING_SEED
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "findings.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def anew():
+    return fresh_results()
+
+
+def test_the_page_is_what_the_command_writes(anew):
+    found = [results for results, _ in map(collected, SUITES) if results is not None]
+    assert findings(found, anew, load_all()) == PAGE, "run `make results`"
+
+
+def test_storms_by_hand():
+    """In how many storms an agent without a preview beats the controller, from the files alone."""
+    folder = ROOT / "baselines/evaluation/data/recorded/benchmark-v1"
+    own, rival = (np.load(folder / f"{name}.npz")["measures"] for name in ("apg-slow", "nmpc"))
+    share = np.mean(own[1].reshape(8, 260)[7] < rival[1].reshape(16, 260)[7])
+    row = re.search(r"^\| `apg-slow` \|(?: \d+ % \|)+$", PAGE, re.MULTILINE)[0].split(" | ")
+    assert row[-1] == f"{100 * share:.0f} % |"
+    assert share < 0.5
+
+
+def test_upper_bound_is_the_rule_of_three():
+    assert at_most(0, 2080) == pytest.approx(3 / 2080, rel=5e-3)
+    assert at_most(1, 2080) > at_most(0, 2080)
+    assert at_most(5, 5) == 1.0
+
+
+def test_fresh_episodes_are_those_of_no_suite():
+    suite, frozen = fresh.fresh("benchmark-v1", 3, ["slow-storm"]), suites.load("benchmark-v1")
+    known = {episode.noise_seed for cell in frozen.cells for episode in cell.episodes}
+    (cell,) = suite.cells
+    assert cell.scenario.name == "slow-storm"
+    assert not known & {episode.noise_seed for episode in cell.episodes}
+    assert suite.hash != frozen.hash
+    assert fresh.SEED + max(fresh.EPISODES.values()) < TRAINING_SEED
+
+
+@pytest.mark.parametrize("policy", ["backstepping", "apg-cruise", "apg-preview-cruise"])
+def test_kept_rows_are_what_the_policies_do(anew, policy):
+    results = next(r for r in anew if r.suite.name == "benchmark-v1")
+    kept = next(r for r in results.runs if (r.policy, r.scenario.name) == (policy, "cruise-storm"))
+    (cell,) = fresh.fresh("benchmark-v1", 2, ["cruise-storm"]).cells
+    again = run_task(policy, cell.scenario, cell.episodes).rollout
+    np.testing.assert_allclose(again.measures.tail, kept.measures.tail[:2], rtol=1e-4)
+
+
+def test_command_keeps_rows_that_are_found_again(tmp_path, capsys):
+    words = "--suite benchmark-v1 --case cruise-calm --episodes 2 --policy apg-slow open-loop --out"
+    assert fresh.main([*words.split(), str(tmp_path)]) == 0
+    assert capsys.readouterr().out == "benchmark-v1: open-loop, 2 episodes\n"
+    found = recorded.load(fresh.fresh("benchmark-v1", 2, ["cruise-calm"]), tmp_path)
+    assert [len(run.measures) for run in found.runs] == [2]
+    assert recorded.load(fresh.fresh("benchmark-v1", 3, ["cruise-calm"]), tmp_path).refused
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--policy", "nobody"], "'nobody' is not the name of a policy; allowed are backstepping"),
+        (["--suite", "paper"], "'paper' is no suite to draw from; allowed are benchmark-v1, unmodelled-v1"),
+        (
+            ["--case", "slow-tea", "--suite", "benchmark-v1"],
+            "'slow-tea' is no case of benchmark-v1; allowed are slow-calm",
+        ),
+        (["--episodes", "0"], "--episodes is 0; it must be 1 or more"),
+    ],
+)
+def test_mistakes_are_refused(arguments, message):
+    with pytest.raises(UsageError, match=message):
+        fresh.main(arguments)
+
+
+def leads():
+    """Return the README's rows of leads over nmpc, as the page of findings has them."""
+    section, storms = PAGE.split("### Where an agent leads")[0], PAGE.split("### Where an agent leads")[1]
+    for name in (f"{family}-{regime}" for regime in ("slow", "cruise") for family in ("apg", "apg-preview")):
+        cells = re.search(rf"^\| `{name}` \| (.*) \|$", section, re.MULTILINE)[1].split(" | ")
+        share = re.search(rf"^\| `{name}` \|.* (\d+ %) \|$", storms.split("## Where all")[0], re.MULTILINE)[1]
+        yield f"| `{name}` | {cells[2]} ({cells[3]}) of {cells[4]} | {cells[5]} ({cells[6]}) of {cells[7]} | {share} |"
+
+
+def test_the_readme_says_the_same():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert "\n".join(leads()) + "\n" in readme
+    assert f"a share of up to {100 * at_most(0, 2080):.2f} %" in readme
