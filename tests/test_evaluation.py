@@ -20,8 +20,9 @@ from auv_gym.scenario import Scenario
 from auv_gym.sensors import Sensors
 from baselines.evaluation import metrics, recorded
 from baselines.evaluation.metrics import Measures
+from baselines.evaluation.options import Options
 from baselines.evaluation.report.numbers import compare
-from baselines.evaluation.report.terminal import results_table
+from baselines.evaluation.report.terminal import entries_table
 from baselines.evaluation.request import Request
 from baselines.evaluation.rollout import PolicyError, make_env, rollout
 from baselines.evaluation.rows import RowStore
@@ -34,9 +35,9 @@ SCRIPT = Path(__file__).parents[1] / "evaluate.py"
 SMALL = Scenario(name="small", sensors=Sensors(position=0.05), steps=45)
 ROW = {
     "policy": str, "scenario": str, "episodes": int, "rmse_m": float, "tail_rmse_m": dict, "score": type(None),
-    "settling_s": float, "effort_ratio": float, "smoothness_ratio": float, "failures": int, "lost": float,
-    "saturation": float, "return_mean": float, "seconds": float, "decision_ms": float, "recorded": type(None),
-    "error": type(None), "warnings": list,
+    "capped": type(None), "settling_s": float, "effort_ratio": float, "smoothness_ratio": float, "lost": int,
+    "lost_share": float, "lost_at_most": float, "saturation": float, "return_mean": float, "seconds": float,
+    "decision_ms": float, "recorded": type(None), "error": type(None), "warnings": list,
 }  # fmt: skip
 
 
@@ -348,22 +349,22 @@ def test_interruption_is_no_traceback(monkeypatch, capsys):
 
 
 def test_default_is_the_benchmark_and_the_expert(tmp_path):
-    request = Request.of((), None, (), None, 0, None, tmp_path / "new" / "folder")
+    request = Request.of(Options(out=tmp_path / "new" / "folder"))
     assert (request.suite, request.policies) == ("benchmark-v1", ("backstepping",))
     assert {run.policy for run in request.earlier} == set(baselines.list_policies()) - {"backstepping"}
     assert request.workers in (Workers(1), Workers(2))
-    assert request.out.is_dir()
+    assert request.options.out.is_dir()
 
 
 def test_every_preset(tmp_path):
-    request = Request.of((), "presets", (), None, 0, 1, tmp_path)
-    assert [scenario.name for scenario in request.scenarios] == list(PRESETS)
+    request = Request.of(Options(suite="presets", out=tmp_path))
+    assert [cell.scenario.name for cell in request.cells] == list(PRESETS)
     assert request.steps == sum(20 * preset.steps for preset in PRESETS.values())
 
 
 def test_hash_tells_tasks_apart(tmp_path):
     hashes = {
-        Request.of((), None, scenarios, episodes, seed, jobs, tmp_path).hash
+        Request.of(Options(scenario=scenarios, episodes=episodes, seed=seed, jobs=jobs, out=tmp_path)).hash
         for scenarios, episodes, seed, jobs in (
             (("slow-calm",), 5, 0, 1),
             (("slow-calm", "slow-calm"), 5, 0, 2),
@@ -457,7 +458,7 @@ def test_a_policy_must_act_for_every_episode():
 def test_runs_come_cell_by_cell_with_progress():
     steps = {}
     policies, cells = ("backstepping", "open-loop"), [drawn(s, 6, 7) for s in (SMALL, PRESETS["slow-calm"])]
-    found = list(runs(policies, cells, note=steps.__setitem__))
+    found = list(runs([(p, cell) for cell in cells for p in policies], note=steps.__setitem__))
     assert [(run.scenario.name, run.policy) for run in found] == [(c.scenario.name, p) for c in cells for p in policies]
     assert sum(steps.values()) == sum(6 * 2 * cell.scenario.steps for cell in cells)
 
@@ -540,18 +541,19 @@ def test_warnings_of_a_policy_are_kept():
 
 
 def test_saved_scenario_is_the_one_evaluated(small, tmp_path):
-    assert Request.of((), None, (small,), 1, 0, 1, tmp_path).scenarios == (SMALL,)
+    (cell,) = Request.of(Options(scenario=(small,), episodes=1, out=tmp_path)).cells
+    assert cell.scenario == SMALL
 
 
 def test_table_fits_a_narrow_terminal(capsys):
-    results = compare(run_all(("backstepping", "backstepping-normalised"), [drawn(SMALL, 2, 0)]))
-    for width, interval in ((80, False), (160, True)):
-        Console(width=width).print(results_table(results, Console(width=width)))
+    entries = [r.entry for r in compare(run_all(("backstepping", "backstepping-normalised"), [drawn(SMALL, 2, 0)]))]
+    for width, interval in ((70, False), (160, True)):
+        Console(width=width).print(entries_table("A title", "scenario", entries, Console(width=width)))
         out = capsys.readouterr().out
         assert max(map(len, out.splitlines())) <= width
         assert "backstepping-normalised" in out
-        assert "0 of 2" in out
-        assert ("95 % interval" in out) is interval
+        assert "0 of 2 (<= 78 %)" in out
+        assert ("95 % of tail" in out) is interval
 
 
 def test_no_torch_is_imported():

@@ -1,13 +1,21 @@
 """Metrics and score by hand."""
 
+import io
 import math
 
 import numpy as np
 import pytest
+from rich.console import Console
 
+from auv_gym.scenario import Scenario
 from baselines.evaluation import metrics
 from baselines.evaluation.metrics import Measures
-from baselines.evaluation.score import pooled, score
+from baselines.evaluation.report import columns, html
+from baselines.evaluation.report.columns import Column, digits, ranked
+from baselines.evaluation.report.numbers import compare, pool
+from baselines.evaluation.report.terminal import entries_table
+from baselines.evaluation.runner import Run
+from baselines.evaluation.score import capped, is_lost, losses, score
 
 
 def test_metrics_by_hand():
@@ -37,7 +45,7 @@ def test_summary_by_hand():
     assert s.tail_rmse_m.mean == s.rmse_m == 2
     assert s.tail_rmse_m.p95 == pytest.approx(2.9)
     assert s.tail_rmse_m.cvar95 == 3
-    assert (s.episodes, s.failures, s.saturation) == (2, 1, 0.5)
+    assert (s.episodes, s.saturation) == (2, 0.5)
 
 
 def test_score_by_hand():
@@ -51,17 +59,69 @@ def test_score_by_hand():
     assert math.isnan(score(oracle, policy, expert).mean)
 
 
+def run_of(scenario, policy, m):
+    return Run(policy, Scenario(name=scenario), "hash", m, decision_seconds=1e-3)
+
+
 def test_the_capped_score_forgives_lost_episodes():
-    cases = {
-        "slow-calm": {"backstepping": measures([0.5, 0.5]), "p": measures([0.1, 9.0]), "oracle": measures([0.0, 0.0])},
-        "cruise-calm": {"backstepping": measures([0.5])},
-    }
-    entry = pooled("p", "slow", cases)
-    assert entry.lost == 0.5
+    runs = [
+        run_of("slow-calm", "backstepping", measures([0.5, 0.5])),
+        run_of("slow-calm", "p", measures([0.1, 9.0])),
+        run_of("slow-calm", "oracle", measures([0.0, 0.0])),
+        run_of("cruise-calm", "backstepping", measures([0.5])),
+    ]
+    found = {(entry.policy, entry.place): entry for entry in pool(runs)}
+    entry = found["p", "slow"]
+    assert entry.lost == 1
     assert entry.score.mean == pytest.approx((0.5 - 4.55) / 0.5)
     assert entry.capped.mean == pytest.approx((0.5 - 0.35) / 0.5)
-    assert pooled("p", "cruise", cases) is None
-    assert pooled("backstepping", "cruise", cases).score is None
+    assert ("p", "cruise") not in found
+    assert found["backstepping", "cruise"].score is None
+
+
+@pytest.mark.parametrize(("lost", "episodes", "most"), [(0, 2080, 0.00144), (0, 2, 0.776), (3, 100, 0.0757), (4, 4, 1)])
+def test_the_bound_on_what_is_lost(lost, episodes, most):
+    """The share at which so few are lost in one of twenty samples: of none 1 - .05^(1/n), about 3/n."""
+    assert metrics.most_lost(lost, episodes) == pytest.approx(most, rel=5e-3)
+    if lost == 0:
+        assert metrics.most_lost(0, episodes) == pytest.approx(1 - 0.05 ** (1 / episodes))
+
+
+def test_one_rule_of_what_is_lost():
+    m = measures([0.1, 2.0, 0.1, math.nan], [False, False, True, False])
+    assert is_lost(m.tail, m.lost, 2.0).tolist() == [False, True, True, True]
+    assert (losses(m, "cruise"), losses(measures([0.1, 9.0], [True, False]), None)) == (3, 1)
+    np.testing.assert_array_equal(capped(m, "cruise"), [0.1, 2.0, 2.0, 2.0])
+    np.testing.assert_array_equal(capped(measures([9.0, 7.0], [True, False]), None), [9.0, 7.0])
+
+
+def test_the_best_comes_first_and_what_failed_last():
+    runs = [run_of("slow-calm", p, measures([e, e])) for p, e in (("backstepping", 0.5), ("p", 0.1), ("oracle", 0.0))]
+    runs += [Run("broken", Scenario(name="slow-calm"), "hash", error="no")]
+    entries = [result.entry for result in compare(runs)]
+    assert [entry.policy for entry in ranked(entries)] == ["oracle", "p", "backstepping", "broken"]
+    assert [entry.policy for entry in ranked(entries[:2])] == ["p", "backstepping"]
+
+
+def test_a_new_column_is_one_entry(monkeypatch):
+    """What stands in `COLUMNS` is in tables, results.json, results.csv and the definitions."""
+    (entry,) = pool([run_of("slow-calm", "backstepping", measures([0.25, 0.5]))])
+    worst = Column("largest_m", "largest [m]", "the largest", lambda _, s: s.tail_rmse_m.p95, digits(2))
+    for name in ("COLUMNS", "SHOWN"):
+        monkeypatch.setattr(columns, name, (*getattr(columns, name), worst))
+    assert columns.record(entry)["largest_m"] == columns.line(entry)["largest_m"] == pytest.approx(0.4875)
+    assert columns.used([entry])[-1].text(entry) == "0.49"
+    assert columns.definitions()["largest [m]"] == "the largest"
+    assert "| largest [m] | `largest_m` | the largest |" in columns.definitions_table()
+    for place in (console_text([entry]), html._table([entry])):
+        assert "largest [m]" in place
+        assert "0.49" in place
+
+
+def console_text(entries):
+    out = Console(width=300, file=io.StringIO())
+    out.print(entries_table("A title", "regime", entries, out))
+    return out.file.getvalue()
 
 
 def test_score_intervals_are_paired():

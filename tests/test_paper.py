@@ -9,6 +9,7 @@ import pytest
 from auv_gym.vehicle import PAPER_VEHICLE
 from baselines.control.backstepping import GAINS
 from baselines.evaluation.command import evaluate
+from baselines.evaluation.options import Options
 from baselines.evaluation.request import Request
 from baselines.evaluation.stability.analysis import (
     closed_loop_eigenvalues,
@@ -52,7 +53,7 @@ NAMES = ("fig3_trajectory", "fig4_forces", "fig5_velocity_errors", "fig6_trackin
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("paper")
-    assert evaluate(Request.of((), "paper", (), 2, 0, 1, out)) == 0
+    assert evaluate(Request.of(Options(suite="paper", episodes=2, jobs=1, out=out))) == 0
     return out
 
 

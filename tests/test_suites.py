@@ -14,6 +14,7 @@ from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES
 from baselines.agents.networks import Gru
 from baselines.evaluation import recorded, suites
+from baselines.evaluation.options import Options
 from baselines.evaluation.report.numbers import compare, pool
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Cell, drawn, run_all
@@ -145,12 +146,12 @@ def test_a_slow_policy_is_compared_on_its_first_episodes(small, tmp_path):
     assert [len(run.measures) for run in few] == [2, 2]
     all_runs = run_all(("backstepping", "oracle"), suite.cells)
     mixed, alike = compare([*all_runs, *few]), compare(run_all(("backstepping", "oracle", "open-loop"), first))
-    scores = [{r.run.scenario.name: r for r in rows if r.run.policy == "open-loop"} for rows in (mixed, alike)]
+    scores = [{r.entry.place: r.entry for r in rows if r.run.policy == "open-loop"} for rows in (mixed, alike)]
     for name, result in scores[0].items():
         assert result.score.mean == pytest.approx(scores[1][name].score.mean, rel=1e-5)
         assert result.effort_ratio == pytest.approx(scores[1][name].effort_ratio, rel=1e-5)
     pooled = [next(p for p in pool(rows) if p.policy == "open-loop") for rows in ([*all_runs, *few],)]
-    assert pooled[0].episodes == 2
+    assert pooled[0].summary.episodes == 4
 
 
 def test_the_recorded_oracle_is_that_of_the_frozen_suite():
@@ -166,17 +167,17 @@ def test_the_recorded_oracle_is_that_of_the_frozen_suite():
 
 
 def test_request_of_a_frozen_suite(tmp_path):
-    whole = Request.of((), "benchmark-v1", (), None, 0, 1, tmp_path)
+    whole = Request.of(Options(suite="benchmark-v1", out=tmp_path))
     assert whole.hash == suites.load("benchmark-v1").hash
     assert sum(len(cell.episodes) for cell in whole.cells) == 4160
     assert {run.policy for run in whole.earlier} >= {"oracle"}
     assert whole.policies == ("backstepping",)
-    part = Request.of(("oracle",), "benchmark-v1", (), 5, 0, 1, tmp_path)
+    part = Request.of(Options(policy=("oracle",), suite="benchmark-v1", episodes=5, out=tmp_path))
     assert part.hash != whole.hash
     assert {len(cell.episodes) for cell in part.cells} == {5}
     assert "oracle" not in {run.policy for run in part.earlier}
     with pytest.raises(UsageError, match="frozen"):
-        Request.of((), "benchmark-v1", (), None, 1, 1, tmp_path)
+        Request.of(Options(suite="benchmark-v1", seed=1, out=tmp_path))
 
 
 @pytest.mark.parametrize(
@@ -203,7 +204,7 @@ def test_an_agent_of_one_regime_is_recorded_there(small, tmp_path, monkeypatch):
     network = Gru(len(FEATURES), 2, 2, 2)
     zeros = {name: np.zeros(shape, np.float32) for name, shape in network.shapes.items()}
     Agent(network, zeros, "backstepping", (0.5, 0.5), ("cruise-storm",)).save(agents / "mine")
-    for module in ("baselines", "baselines.agents.loading", "baselines.evaluation.recorded"):
+    for module in ("baselines", "baselines.agents.loading"):
         monkeypatch.setattr(f"{module}.AGENTS", agents)
     assert (recorded.regimes_of("mine"), recorded.regimes_of("ekf")) == (("cruise",), ("slow", "cruise"))
     cells = [cell for cell in suite.cells if cell.scenario.name.startswith("cruise-")]

@@ -37,9 +37,16 @@ def shipped_agents() -> list[str]:
     return sorted(file.parent.name for file in AGENTS.glob("*/agent.json"))
 
 
+def agent_folder(name: str) -> Path | None:
+    """Return the folder of an agent, by its name, its path or that of the run that trained it; None for no agent."""
+    places = (AGENTS / name,) if name in shipped_agents() else (Path(name), Path(name, "agent"))
+    return next((place for place in places if (place / "agent.json").is_file()), None)
+
+
 def is_path(name: str) -> bool:
     """Return whether a policy's name is a path to one."""
-    return name.endswith(".zip") or ".py:" in name or "/" in name or "\\" in name or Path(name, "agent.json").is_file()
+    known = name.endswith(".zip") or ".py:" in name or "/" in name or "\\" in name
+    return known or (name not in shipped_agents() and agent_folder(name) is not None)
 
 
 def caution(name: str) -> str | None:
@@ -82,7 +89,7 @@ def load_policy(path: str, vehicle: Any = None, **options: Any) -> Policy:
 def _agent(folder: Path, vehicle: Any, fade: bool = False) -> Policy:
     from baselines.agents.agent import Agent
 
-    return Agent.load(folder).policy(fade, vehicle)
+    return Agent.load(agent_folder(str(folder)) or folder).policy(fade, vehicle)
 
 
 def _made(file: Path, factory: str, vehicle: Any, options: dict[str, Any]) -> Policy:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from baselines import POLICIES
 from baselines.agents.agent import RECORD, WEIGHTS
-from baselines.agents.loading import AGENTS, FADING, is_path, shipped_agents
+from baselines.agents.loading import FADING, agent_folder
 from baselines.control.open_loop import NO_EXPERT
 from baselines.gains.loading import FOLDER as GAINS
 
@@ -43,8 +43,8 @@ def fingerprint(name: str) -> str:
             return _hash([_bytes(Path(bare if bare.endswith(".zip") else bare.rpartition(":")[0]))])
         if bare in POLICIES:
             return _of_controller(bare)
-        if bare in shipped_agents() or is_path(bare):
-            return _of_agent(AGENTS / bare if bare in shipped_agents() else Path(bare), bare != name)
+        if (folder := agent_folder(bare)) is not None:
+            return _of_agent(folder, bare != name)
     except OSError:
         pass
     return ""

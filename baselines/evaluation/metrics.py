@@ -78,7 +78,6 @@ class Summary:
     settling_s: float  # [s]
     effort: float
     smoothness: float
-    failures: int  # episodes that were lost
     saturation: float  # share of the steps
     return_mean: float
 
@@ -133,21 +132,26 @@ def cvar(values: Array, share: float = WORST) -> float:
     return float(np.mean(np.sort(values)[-worst:]))
 
 
-def distribution(values: Array) -> Spread:
+def distribution(values: Array, interval: bool = True) -> Spread:
     """Return mean, interval of the mean, 95th percentile and mean of the worst 5 % of one value per episode."""
-    return Spread(float(np.mean(values)), bootstrap_interval(values), float(np.quantile(values, 0.95)), cvar(values))
+    ends = bootstrap_interval(values) if interval else (math.nan, math.nan)
+    return Spread(float(np.mean(values)), ends, float(np.quantile(values, 0.95)), cvar(values))
 
 
-def summarise(m: Measures) -> Summary:
-    """Return the averages over the episodes of one policy in one scenario."""
+def most_lost(lost: int, episodes: int) -> float:
+    """Return the upper end of a share's one-sided 95 % interval (Clopper and Pearson): for none about 3 / episodes."""
+    return float(stats.binomtest(lost, episodes, alternative="less").proportion_ci(0.95).high)
+
+
+def summarise(m: Measures, interval: bool = True) -> Summary:
+    """Return the averages over the episodes of one policy; the tail's interval, which takes its time, if need be."""
     return Summary(
         episodes=len(m),
         rmse_m=float(np.mean(m.rmse)),
-        tail_rmse_m=distribution(m.tail),
+        tail_rmse_m=distribution(m.tail, interval),
         settling_s=float(np.mean(m.settling)),
         effort=float(np.mean(m.effort)),
         smoothness=float(np.mean(m.smoothness)),
-        failures=int(m.lost.sum()),
         saturation=float((m.saturation * m.steps).sum() / m.steps.sum()),
         return_mean=float(np.mean(m.total_reward)),
     )

@@ -21,7 +21,7 @@ import numpy as np
 from auv_gym.presets import REGIMES
 from baselines import list_policies
 from baselines.agents.agent import Agent
-from baselines.agents.loading import AGENTS, FADING, shipped_agents
+from baselines.agents.loading import FADING, agent_folder
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.runner import Cell, Recorded, Run
@@ -122,11 +122,9 @@ def stamp(suite: Suite, policy: str, folder: Path = FOLDER) -> None:
 
 
 def regimes_of(policy: str) -> tuple[str, ...]:
-    """Return the regimes that a policy by name is made for: an agent's are those of its scenarios."""
-    name = policy.removesuffix(FADING)
-    if name not in shipped_agents():
-        return REGIMES
-    own = {regime_of(scenario) for scenario in Agent.load(AGENTS / name).scenarios}
+    """Return the regimes that a policy is made for: an agent's are those of the scenarios that it was trained on."""
+    folder = agent_folder(policy.removesuffix(FADING))
+    own = {regime_of(scenario) for scenario in Agent.load(folder).scenarios} if folder else set()
     return tuple(regime for regime in REGIMES if regime in own) or REGIMES
 
 

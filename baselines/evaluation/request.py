@@ -7,20 +7,23 @@ import json
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from types import MappingProxyType
+from typing import NamedTuple, TypeVar
 
 from auv_gym.presets import PRESETS
 from auv_gym.scenario import Scenario
 from baselines import make_policy
 from baselines.agents.loading import caution
 from baselines.evaluation import recorded
+from baselines.evaluation.options import Options
+from baselines.evaluation.recorded import regimes_of
 from baselines.evaluation.rollout import make_env
-from baselines.evaluation.runner import STEP_LIMIT, Cell, Run, drawn
-from baselines.evaluation.score import EXPERT, ORACLE
+from baselines.evaluation.runner import Cell, Run, drawn
+from baselines.evaluation.score import EXPERT, ORACLE, regime_of
 from baselines.evaluation.suites import list_suites, load
 from baselines.tools.command_line import UsageError
 from baselines.tools.workers import Workers, connect
@@ -30,111 +33,127 @@ T = TypeVar("T")
 DRAWN: dict[str, tuple[str, ...]] = {"presets": tuple(PRESETS), "paper": ("paper-circle",)}
 """Scenarios of each suite whose episodes are drawn from the seed, by name; the others are frozen."""
 DEFAULT_SUITE, DEFAULT_EPISODES = "benchmark-v1", 20
+MOST_EPISODES = 100_000
+"""Of each scenario: they are drawn before anything runs."""
 
 
 @dataclass(frozen=True)
 class Request:
     """An evaluation that can run."""
 
-    policies: tuple[str, ...]  # the expert first
+    options: Options
+    command: str  # as the user gave it
     suite: str | None  # None: scenarios of the user's own choice
     hash: str  # the same hash, the same task
     cells: tuple[Cell, ...]
-    seed: int
+    policies: tuple[str, ...]  # the expert first
+    pairs: tuple[tuple[str, Cell], ...]  # what is to run, cell by cell
     workers: Workers
-    out: Path
-    step_limit: float = STEP_LIMIT  # [s] largest time of a decision
-    resume: bool = False  # whether to use the runs that an interrupted evaluation has left in `out`
-    command: str = ""  # as the user gave it
     earlier: tuple[Run, ...] = ()  # recorded runs to compare with
+    notes: tuple[str, ...] = ()  # what to know about the results
 
     @classmethod
-    def of(
-        cls,
-        policies: Sequence[str],
-        suite: str | None,
-        scenarios: Sequence[str],
-        episodes: int | None,
-        seed: int,
-        jobs: int | None,
-        out: Path,
-        step_limit: float = STEP_LIMIT,
-        resume: bool = False,
-        cluster: str | None = None,
-        command: str = "",
-    ) -> Request:
-        """Return the request of a command line's options; `out` exists and is writable then.
+    def of(cls, options: Options, command: str = "") -> Request:
+        """Return the request of a command line's options; its folder exists and is writable then.
 
         Raises:
             UsageError: an option is wrong; the message says what is allowed.
         """
-        if suite is not None and scenarios:
-            raise UsageError("--suite and --scenario exclude each other; give one of them")
-        for name, value, least in (("--episodes", episodes, 1), ("--seed", seed, 0), ("--jobs", jobs, 1)):
-            if value is not None and value < least:
-                raise UsageError(f"{name} is {value}; it must be {least} or more")
-        if not step_limit > 0:
-            raise UsageError(f"--step-limit is {step_limit}; it must be a positive number of seconds")
-        names = checked_policies((EXPERT, *policies))
-        suite = suite if scenarios else suite or DEFAULT_SUITE
-        earlier: tuple[Run, ...] = ()
-        if suite in list_suites():
-            cells, digest, earlier = _frozen(suite, episodes, seed, names)
-            if all(run.policy != ORACLE for run in earlier):
-                names = (*names, ORACLE)
-        else:
-            cells, digest = _drawn(suite, scenarios, episodes, seed)
-        workers = _workers(jobs, cluster)
-        checked_folder(out)
-        policies = tuple(dict.fromkeys(names))
-        return cls(policies, suite, digest, cells, seed, workers, out, step_limit, resume, command, earlier)
-
-    @property
-    def scenarios(self) -> tuple[Scenario, ...]:
-        """The scenarios of the cells."""
-        return tuple(cell.scenario for cell in self.cells)
+        _check(options)
+        names = checked_policies((EXPERT, *options.policy))
+        suite = options.suite if options.scenario else options.suite or DEFAULT_SUITE
+        task = _frozen(suite, options) if suite in list_suites() else _drawn(suite, options)
+        earlier = tuple(run for run in task.recorded if run.policy not in names)
+        refused = {policy: reason for policy, reason in task.refused.items() if policy not in names}
+        if suite in list_suites() and all(run.policy != ORACLE for run in earlier):
+            names = tuple(dict.fromkeys((*names, ORACLE)))
+        notes = [f"the recorded rows of {policy} are left out: {reason}" for policy, reason in refused.items()]
+        skipped = [_foreign(name, task, notes) for name in names]
+        kept = zip(names, skipped, strict=True)
+        without = {(name, cell.scenario.name) for name, cells in kept for cell in cells}
+        pairs = [(name, cell) for cell in task.cells for name in names if (name, cell.scenario.name) not in without]
+        workers = _workers(options)
+        checked_folder(options.out)
+        return cls(options, command, suite, task.hash, task.cells, names, tuple(pairs), workers, earlier, tuple(notes))
 
     @property
     def steps(self) -> int:
-        """Control steps of each policy, over all episodes."""
-        return sum(len(cell.episodes) * cell.scenario.steps for cell in self.cells)
+        """Control steps of all that is to run."""
+        return sum(len(cell.episodes) * cell.scenario.steps for _, cell in self.pairs)
 
 
-def _workers(jobs: int | None, cluster: str | None) -> Workers:
-    if cluster is None:
-        return Workers(jobs or min(2, os.cpu_count() or 1))
-    processors = checked(partial(connect, cluster))
-    return Workers(jobs or processors, on_cluster=True)
+class _Task(NamedTuple):
+    """Cells, the hash of them, and what is recorded of them."""
+
+    cells: tuple[Cell, ...]
+    hash: str
+    frozen: bool = False
+    recorded: tuple[Run, ...] = ()
+    refused: Mapping[str, str] = MappingProxyType({})
 
 
-def _frozen(
-    name: str, episodes: int | None, seed: int, live: Sequence[str]
-) -> tuple[tuple[Cell, ...], str, tuple[Run, ...]]:
-    """Return the cells of a frozen suite, or the first episodes of each; its hash; recorded runs of other policies."""
-    if seed:
-        raise UsageError(f"--seed is {seed}; the episodes of suite {name} are frozen, so it must be 0 or left out")
+def _check(options: Options) -> None:
+    """Raise UsageError if a number makes no sense, or two options exclude each other."""
+    if options.suite is not None and options.scenario:
+        raise UsageError("--suite and --scenario exclude each other; give one of them")
+    for name, least, most in (("episodes", 1, MOST_EPISODES), ("seed", 0, 2**62), ("jobs", 1, 4096)):
+        value = getattr(options, name)
+        if value is not None and not least <= value <= most:
+            limits = f"{least} or more" if value < least else f"at most {most}"
+            raise UsageError(f"--{name} is {value if value < 10**30 else 'too large'}; it must be {limits}")
+    if not options.step_limit > 0:
+        raise UsageError(f"--step-limit is {options.step_limit}; it must be a positive number of seconds")
+
+
+def _foreign(policy: str, task: _Task, notes: list[str]) -> list[Cell]:
+    """Return the cells of a frozen suite that an agent does not run in, those of a regime that it was not trained for.
+
+    A note says so; in scenarios of the user's own choice it says that the agent runs in them all the same.
+    """
+    regimes = regimes_of(policy)
+    others = [cell for cell in task.cells if regime_of(cell.scenario.name) not in (*regimes, None)]
+    if others and task.frozen:
+        notes.append(f"{policy} was trained in {' and '.join(regimes)} motion and runs in those cells alone")
+        return others
+    if others:
+        names = ", ".join(cell.scenario.name for cell in others)
+        notes.append(f"{policy} was trained in {' and '.join(regimes)} motion, and not for {names}")
+    return []
+
+
+def _workers(options: Options) -> Workers:
+    if options.cluster is None:
+        return Workers(options.jobs or min(2, os.cpu_count() or 1))
+    processors = checked(partial(connect, options.cluster))
+    return Workers(options.jobs or processors, on_cluster=True)
+
+
+def _frozen(name: str, options: Options) -> _Task:
+    """Return a frozen suite, or the first episodes of each of its cells."""
+    count = options.episodes
+    if options.seed:
+        raise UsageError(
+            f"--seed is {options.seed}; the episodes of suite {name} are frozen, so it must be 0 or left out"
+        )
     suite = checked(partial(load, name))
     found = recorded.load(suite)
-    for policy, reason in found.refused.items():
-        if policy not in live:
-            print(f"note: the recorded rows of {policy} are left out: {reason}", file=sys.stderr)
-    runs = tuple(run for run in found.runs if run.policy not in live)
-    if episodes is None or all(episodes >= len(cell.episodes) for cell in suite.cells):
-        return suite.cells, suite.hash, runs
-    cells = tuple(Cell(cell.scenario, cell.episodes[:episodes]) for cell in suite.cells)
-    first = tuple(replace(run, measures=run.measures and run.measures[:episodes]) for run in runs)
-    return cells, hashlib.sha256(f"{suite.hash} {episodes}".encode()).hexdigest(), first
+    if count is None or all(count >= len(cell.episodes) for cell in suite.cells):
+        return _Task(suite.cells, suite.hash, True, found.runs, found.refused)
+    cells = tuple(Cell(cell.scenario, cell.episodes[:count]) for cell in suite.cells)
+    first = tuple(replace(run, measures=run.measures and run.measures[:count]) for run in found.runs)
+    return _Task(cells, hashlib.sha256(f"{suite.hash} {count}".encode()).hexdigest(), True, first, found.refused)
 
 
-def _drawn(suite: str | None, names: Sequence[str], episodes: int | None, seed: int) -> tuple[tuple[Cell, ...], str]:
-    """Return what is to run, and its hash."""
+def _drawn(suite: str | None, options: Options) -> _Task:
+    """Return scenarios whose episodes are drawn from the seed."""
     if suite is not None and suite not in DRAWN:
         raise UsageError(f"unknown suite {suite!r}; allowed are {', '.join((*DRAWN, *list_suites()))}")
-    scenarios = _distinct(checked_scenario(name) for name in names or DRAWN[suite or ""])
-    count = DEFAULT_EPISODES if episodes is None else episodes
-    record = {"scenarios": [s.to_dict() for s in scenarios], "episodes": count, "seed": seed}
+    scenarios = _distinct(checked_scenario(name) for name in options.scenario or DRAWN[suite or ""])
+    count = DEFAULT_EPISODES if options.episodes is None else options.episodes
+    record = {"scenarios": [s.to_dict() for s in scenarios], "episodes": count, "seed": options.seed}
     text = json.dumps(record, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return tuple(drawn(s, count, seed) for s in scenarios), hashlib.sha256(text.encode()).hexdigest()
+    cells = tuple(drawn(scenario, count, options.seed) for scenario in scenarios)
+    return _Task(cells, hashlib.sha256(text.encode()).hexdigest())
 
 
 def checked(make: Callable[[], T]) -> T:

@@ -154,25 +154,22 @@ class Task:
 
 
 def runs(
-    policies: Sequence[str],
-    cells: Sequence[Cell],
+    pairs: Sequence[tuple[str, Cell]],
     workers: Workers = Workers(),  # noqa: B008, it is frozen
     step_limit: float = STEP_LIMIT,
     note: Callable[[str, int], None] = lambda *_: None,
     known: Callable[[str], Run | None] = lambda _: None,
 ) -> Iterator[Run]:
-    """Yield the run of each policy in each cell when it is complete.
+    """Yield the run of each policy in its cell when it is complete.
 
     Args:
-        policies: their names, see `baselines.make_policy`.
-        cells: what they run in.
+        pairs: policies by name, see `baselines.make_policy`, and what they run in.
         workers: where they run.
         step_limit: largest time of a decision [s].
         note: called, wherever a task runs, with its name and the control steps that its vehicles have done.
         known: returns the run of a key if it is there already.
     """
-    prints = {policy: fingerprint(policy) for policy in policies}
-    pairs = [(policy, cell) for cell in cells for policy in policies]
+    prints = {policy: fingerprint(policy) for policy, _ in pairs}
     tasks: list[Task] = []
     for i, (policy, cell) in enumerate(pairs):
         if (run := known(run_key(policy, prints[policy], cell.hash))) is not None:
@@ -195,8 +192,9 @@ def runs(
 
 def run_all(policies: Sequence[str], cells: Sequence[Cell], *options: Any, **named: Any) -> list[Run]:
     """Return a run of each policy in each cell, cell by cell; the options are those of `runs`."""
-    order = {(cell.scenario.name, policy): i for i, (cell, policy) in enumerate(itertools.product(cells, policies))}
-    return sorted(runs(policies, cells, *options, **named), key=lambda run: order[run.scenario.name, run.policy])
+    pairs = [(policy, cell) for cell in cells for policy in policies]
+    order = [(policy, cell.scenario.name) for policy, cell in pairs]
+    return sorted(runs(pairs, *options, **named), key=lambda run: order.index((run.policy, run.scenario.name)))
 
 
 def _chunks(episodes: Sequence[Episode]) -> list[Sequence[Episode]]:

@@ -34,31 +34,23 @@ class Score:
 
 def score_text(value: Score | None, digits: int = 3) -> str:
     """Return a score as text, - if there is none."""
-    return _text(value.mean, digits) if value and math.isfinite(value.mean) else "-"
+    return fixed(value.mean, digits) if value and math.isfinite(value.mean) else "-"
 
 
 def interval_text(value: Score | None, digits: int = 3) -> str:
     """Return the interval of a score as text, - if there is none."""
-    known = value is not None and math.isfinite(value.ci95[0])
-    return " ... ".join(_text(end, digits) for end in value.ci95) if value and known else "-"
+    return fixed_ends(value.ci95, digits) if value and math.isfinite(value.ci95[0]) else "-"
 
 
-def _text(value: float, digits: int) -> str:
+def fixed(value: float, digits: int = 3) -> str:
+    """Return a number with that many decimal places, none of a large one; there is no minus before a zero."""
     digits = digits if abs(value) < 100 else 0
-    return f"{round(value, digits) + 0.0:.{digits}f}"  # no minus before a zero
+    return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
-@dataclass(frozen=True)
-class Pooled:
-    """A policy in a regime, all cases together."""
-
-    policy: str
-    regime: str
-    episodes: int
-    tail_m: float  # mean tail RMSE
-    score: Score | None  # None: expert or oracle are missing
-    capped: Score | None  # with every tail RMSE at most `LARGEST_TAIL`
-    lost: float  # share of the episodes, see `lost_share`
+def fixed_ends(interval: Sequence[float], digits: int = 3) -> str:
+    """Return an interval with that many decimal places."""
+    return " ... ".join(fixed(end, digits) for end in interval)
 
 
 def paired(*measures: Measures) -> list[Measures]:
@@ -162,31 +154,3 @@ def _weights(lengths: tuple[int, ...]) -> list[Array]:
     rng = np.random.default_rng(0)
     counts = (rng.multinomial(n, np.full(n, 1 / n), RESAMPLES) for n in lengths)
     return [np.vstack((np.ones((1, n)), count)) for n, count in zip(lengths, counts, strict=True)]
-
-
-def pooled(policy: str, regime: str, measures: Mapping[str, Mapping[str, Measures]]) -> Pooled | None:
-    """Return a policy's figures in a regime; None if it did not run in all of its cases.
-
-    Args:
-        policy: its name.
-        regime: "slow" or "cruise".
-        measures: by scenario, then by policy.
-    """
-    cases = [by_policy for name, by_policy in measures.items() if regime_of(name) == regime]
-    if not cases or any(policy not in case for case in cases):
-        return None
-    own = [case[policy] for case in cases]
-    plain = cut = None
-    if all(name in case for name in (EXPERT, ORACLE) for case in cases):
-        three = [paired(case[EXPERT], case[policy], case[ORACLE]) for case in cases]
-        plain = score(*([m.tail for m in column] for column in zip(*three, strict=True)))
-        cut = score(*([capped(m, regime) for m in column] for column in zip(*three, strict=True)))
-    return Pooled(
-        policy,
-        regime,
-        sum(map(len, own)),
-        float(np.mean(np.concatenate([m.tail for m in own]))),
-        plain,
-        cut,
-        sum(losses(m, regime) for m in own) / sum(map(len, own)),
-    )

@@ -22,7 +22,7 @@ DRAWN: tuple[Callable[[Sequence[Result], Sequence[str]], Figure | None], ...] = 
 
 def evaluation_figures(results: Sequence[Result]) -> dict[str, bytes]:
     """Return the figures of an evaluation as PNG, by name; failed results are left out."""
-    done = [result for result in results if result.summary is not None]
+    done = [result for result in results if result.entry.summary is not None]
     if not done:
         return {}
     policies = list(dict.fromkeys(result.run.policy for result in done))

@@ -1,54 +1,89 @@
-"""The report in numbers: results.json and results.csv."""
+"""The report in numbers: what runs come to, policy by policy, in each scenario and in all those of a regime."""
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from auv_gym.presets import REGIMES
-from baselines.evaluation.metrics import Measures, Spread, Summary, ratio, summarise
-from baselines.evaluation.paper.numbers import Reproduction
-from baselines.evaluation.request import Request
+from baselines.evaluation.metrics import Measures, Summary, ratio, summarise
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import EXPERT, ORACLE, Pooled, Score, losses, paired, pooled, regime_of, score
-from baselines.tools.files import finite, json_text, versions
+from baselines.evaluation.score import EXPERT, ORACLE, Score, capped, losses, paired, regime_of, score
+
+Case = Mapping[str, Measures]
+"""What was measured in a scenario, by policy."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """The figures of a policy in a scenario, or in all those of a regime together."""
+
+    policy: str
+    place: str  # the scenario, or the regime
+    recorded: bool  # whether its episodes were not run now
+    decision_seconds: float  # of the policy for one vehicle and control step
+    summary: Summary | None = None  # None: the policy failed
+    effort_ratio: float = math.nan  # to the expert, as the next one; nan if there is none
+    smoothness_ratio: float = math.nan
+    score: Score | None = None  # None: expert or oracle are missing
+    capped: Score | None = None  # with every tail RMSE at most `score.LARGEST_TAIL`
+    lost: int = 0  # episodes, see `score.is_lost`
 
 
 @dataclass(frozen=True)
 class Result:
-    """One row of the table: a run, its averages, and how it compares with the expert in the same scenario."""
+    """A run and its figures."""
 
     run: Run
-    summary: Summary | None  # None: the run failed
-    effort_ratio: float
-    smoothness_ratio: float
-    score: Score | None  # None: expert or oracle are missing
+    entry: Entry
 
 
 def compare(runs: Sequence[Run]) -> list[Result]:
-    """Return a result for each run; ratios are nan where one of the two failed."""
-    measures, results = measures_of(runs), []
+    """Return a result for each run."""
+    cases = measures_of(runs)
+    return [Result(run, _entry(run.scenario.name, [run], [cases[run.scenario.name]])) for run in runs]
+
+
+def pool(runs: Sequence[Run]) -> list[Entry]:
+    """Return the figures of every policy in every regime of which it ran all cases."""
+    measures, found = measures_of(runs), []
+    by_policy: dict[str, list[Run]] = {}
     for run in runs:
-        case = measures[run.scenario.name]
-        effort = smoothness = math.nan
-        value = None
-        if run.measures is not None and EXPERT in case:
-            own, expert = paired(run.measures, case[EXPERT])
-            effort, smoothness = (
-                ratio(float(np.mean(getattr(own, name))), float(np.mean(getattr(expert, name))))
-                for name in ("effort", "smoothness")
-            )
-            if ORACLE in case:
-                value = score(*([m.tail] for m in paired(case[EXPERT], run.measures, case[ORACLE])))
-        summary = None if run.measures is None else summarise(run.measures)
-        results.append(Result(run, summary, effort, smoothness, value))
-    return results
+        by_policy.setdefault(run.policy, []).append(run)
+    for regime in REGIMES:
+        cases = {name: case for name, case in measures.items() if regime_of(name) == regime}
+        for policy, every in by_policy.items():
+            own = [run for run in every if run.scenario.name in cases]
+            if own and all(policy in case for case in cases.values()):
+                found.append(_entry(regime, own, list(cases.values())))
+    return found
+
+
+def _entry(place: str, runs: Sequence[Run], cases: Sequence[Case]) -> Entry:
+    """Return the figures of one policy's runs, all together, in these cases."""
+    policy, regime = runs[0].policy, regime_of(runs[0].scenario.name)
+    seconds, recorded = float(np.mean([run.decision_seconds for run in runs])), runs[0].recorded is not None
+    if any(policy not in case for case in cases):
+        return Entry(policy, place, recorded, seconds)
+    own = [case[policy] for case in cases]
+    effort = smoothness = math.nan
+    plain = cut = None
+    if all(EXPERT in case for case in cases):
+        pairs = [paired(case[policy], case[EXPERT]) for case in cases]
+        mine, experts = (Measures.joined(column) for column in zip(*pairs, strict=True))
+        effort, smoothness = (
+            ratio(float(np.mean(getattr(mine, key))), float(np.mean(getattr(experts, key))))
+            for key in ("effort", "smoothness")
+        )
+        if all(ORACLE in case for case in cases):
+            three = list(zip(*(paired(c[EXPERT], c[policy], c[ORACLE]) for c in cases), strict=True))
+            plain = score(*([m.tail for m in column] for column in three))
+            cut = score(*([capped(m, regime) for m in column] for column in three))
+    lost, summary = sum(losses(m, regime) for m in own), summarise(Measures.joined(own), interval=len(own) == 1)
+    return Entry(policy, place, recorded, seconds, summary, effort, smoothness, plain, cut, lost)
 
 
 def measures_of(runs: Sequence[Run]) -> dict[str, dict[str, Measures]]:
@@ -61,45 +96,6 @@ def measures_of(runs: Sequence[Run]) -> dict[str, dict[str, Measures]]:
     return found
 
 
-def pool(runs: Sequence[Run]) -> list[Pooled]:
-    """Return the figures of every policy in every regime that it ran in completely."""
-    measures = measures_of(runs)
-    policies = dict.fromkeys(run.policy for run in runs)
-    found = [pooled(policy, regime, measures) for regime in REGIMES for policy in policies]
-    return [entry for entry in found if entry is not None]
-
-
-def to_record(result: Result) -> dict[str, Any]:
-    """Return a result as it stands in results.json; a failed one has its reason in `error` and no numbers."""
-    s, run = result.summary, result.run
-    tail = s.tail_rmse_m if s else None
-    regime = regime_of(run.scenario.name)
-    return {
-        "policy": run.policy,
-        "scenario": run.scenario.name,
-        "episodes": s.episodes if s else None,
-        "rmse_m": s.rmse_m if s else None,
-        "tail_rmse_m": _spread(tail) if tail else None,
-        "score": asdict(result.score) if result.score else None,
-        "settling_s": s.settling_s if s else None,
-        "effort_ratio": result.effort_ratio,
-        "smoothness_ratio": result.smoothness_ratio,
-        "failures": s.failures if s else None,
-        "lost": losses(run.measures, regime) / len(run.measures) if run.measures else None,
-        "saturation": s.saturation if s else None,
-        "return_mean": s.return_mean if s else None,
-        "seconds": run.seconds if s else None,
-        "decision_ms": 1e3 * run.decision_seconds if s else None,
-        "recorded": asdict(run.recorded) if run.recorded else None,
-        "error": run.error,
-        "warnings": list(run.warnings),
-    }
-
-
-def _spread(tail: Spread) -> dict[str, Any]:
-    return {"mean": tail.mean, "ci95": list(tail.ci95), "p95": tail.p95, "cvar95": tail.cvar95}
-
-
 def recordings(results: Sequence[Result]) -> str:
     """Return which rows were recorded, when and with what version, in words; "" if none was."""
     found: dict[str, list[str]] = {}
@@ -108,44 +104,3 @@ def recordings(results: Sequence[Result]) -> str:
             policies = found.setdefault(str(result.run.recorded), [])
             policies += [result.run.policy] if result.run.policy not in policies else []
     return "; ".join(f"{', '.join(policies)} ({when})" for when, policies in found.items())
-
-
-def results_json(
-    request: Request, results: Sequence[Result], scores: Sequence[Pooled], reproduction: Reproduction | None
-) -> str:
-    """Return the text of results.json: strict JSON, null for what is not a number."""
-    record: dict[str, Any] = {
-        "suite": request.suite,
-        "suite_hash": request.hash,
-        "seed": request.seed,
-        "versions": versions(),
-        "results": [to_record(result) for result in results],
-        "pooled": [asdict(entry) for entry in scores],
-    }
-    if reproduction is not None:
-        record["reproduction"] = reproduction.to_dict()
-    return json_text(record)
-
-
-def results_csv(results: Sequence[Result]) -> str:
-    """Return the text of results.csv: the results of results.json, one line each, empty where those are null."""
-    lines = []
-    for result in results:
-        record = finite(to_record(result))
-        flat = {**_flat("tail_rmse_m", record.pop("tail_rmse_m"), "mean", "p95", "cvar95")}
-        flat |= _flat("score", record.pop("score"), "mean")
-        when = result.run.recorded
-        lines.append({**record, **flat, "recorded": when and when.date, "warnings": " | ".join(record["warnings"])})
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(lines[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(lines)
-    return text.getvalue()
-
-
-def _flat(name: str, record: dict[str, Any] | None, *keys: str) -> dict[str, Any]:
-    """Return a nested entry as columns: the first key's has the name itself, the others' and the interval's append."""
-    values = record or {}
-    low, high = values.get("ci95", (None, None))
-    columns = {name if key == "mean" else f"{name}_{key}": values.get(key) for key in keys}
-    return columns | {f"{name}_ci95_low": low, f"{name}_ci95_high": high}

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import base64
-import math
 from collections.abc import Sequence
 from html import escape
 from string import Template
-from typing import Any
 
 FRAME = Template("""<!DOCTYPE html>
 <html lang="en">
@@ -57,8 +55,3 @@ def table(names: Sequence[str], rows: Sequence[tuple[bool, Sequence[str]]], left
 
     body = "\n".join(line(cells, "td", first) for first, cells in rows)
     return f"<table>\n{line(names, 'th', False)}\n{body}\n</table>"
-
-
-def number(value: Any, digits: int = 3) -> str:
-    """Return a number as text, - if there is none."""
-    return "-" if value is None or not math.isfinite(value) else f"{value:.{digits}g}"

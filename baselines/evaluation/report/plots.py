@@ -73,7 +73,7 @@ def tail_error(results: Sequence[Result], policies: Sequence[str]) -> Figure:
 
 def _decades(results: Sequence[Result]) -> tuple[float, float]:
     """Return the powers of ten around all intervals, at least one decade."""
-    tails = [result.summary.tail_rmse_m for result in results if result.summary is not None]
+    tails = [result.entry.summary.tail_rmse_m for result in results if result.entry.summary is not None]
     values = [value for tail in tails for value in (tail.mean, *tail.ci95) if value > 0] or [1.0]
     low, high = math.floor(math.log10(min(values))), math.ceil(math.log10(max(values)))
     return 10.0**low, 10.0 ** max(high, low + 1)
@@ -82,8 +82,8 @@ def _decades(results: Sequence[Result]) -> tuple[float, float]:
 def _points(ax: Axes, i: int, found: Sequence[Result], policies: Sequence[str]) -> None:
     """Draw the policies' errors in scenario i around x = i."""
     for result in found:
-        assert result.summary is not None
-        k, tail = policies.index(result.run.policy), result.summary.tail_rmse_m
+        assert result.entry.summary is not None
+        k, tail = policies.index(result.run.policy), result.entry.summary.tail_rmse_m
         low, high = (value if math.isfinite(value) else tail.mean for value in tail.ci95)
         x = i + 0.6 * ((k + 0.5) / len(policies) - 0.5)
         colour = COLOURS[k % len(COLOURS)]

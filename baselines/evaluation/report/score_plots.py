@@ -17,8 +17,8 @@ from baselines.tools.figure_style import panels
 
 def score_by_case(results: Sequence[Result], policies: Sequence[str]) -> Figure | None:
     """Return the scores in each scenario with their intervals, a panel for each regime; None if there are none."""
-    shown = [r for r in results if r.score is not None and r.run.policy not in (EXPERT, ORACLE)]
-    shown = [r for r in shown if r.score is not None and math.isfinite(r.score.mean)]
+    shown = [r for r in results if r.entry.score is not None and r.run.policy not in (EXPERT, ORACLE)]
+    shown = [r for r in shown if r.entry.score is not None and math.isfinite(r.entry.score.mean)]
     if not shown:
         return None
     regimes = list(dict.fromkeys(regime_of(r.run.scenario.name) or "" for r in shown))
@@ -35,18 +35,18 @@ def _scores(ax: Axes, regime: str, shown: Sequence[Result], policies: Sequence[s
     names = list(dict.fromkeys(r.run.scenario.name for r in shown))
     order = list(dict.fromkeys(r.run.policy for r in shown))
     for result in shown:
-        assert result.score is not None
+        assert result.entry.score is not None
         k, i = order.index(result.run.policy), names.index(result.run.scenario.name)
         y = i + 0.7 * ((k + 0.5) / len(order) - 0.5)
         colour = look(result.run.policy, policies)["color"]
-        low, high = (end if math.isfinite(end) else result.score.mean for end in result.score.ci95)
+        low, high = (end if math.isfinite(end) else result.entry.score.mean for end in result.entry.score.ci95)
         ax.plot([low, high], [y, y], color=colour, linewidth=1.6)
-        ax.plot(result.score.mean, y, color=colour, linestyle="", **marker(policies.index(result.run.policy)))
+        ax.plot(result.entry.score.mean, y, color=colour, linestyle="", **marker(policies.index(result.run.policy)))
     for value in (0.0, 1.0):
         ax.axvline(value, color="0.5", linewidth=0.8)
     ax.set_yticks(range(len(names)), [name.removeprefix(f"{regime}-") for name in names])
     ax.set_ylim(len(names) - 0.5, -0.5)
-    lowest = min(r.score.mean for r in shown if r.score is not None)
+    lowest = min(r.entry.score.mean for r in shown if r.entry.score is not None)
     ax.set_xlim(max(-1.05, min(-0.1, lowest - 0.05)), 1.1)
     ax.set_title(f"{regime} scenarios" if regime else "")
     ax.grid(visible=False, axis="y")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 from rich import box
@@ -12,13 +13,12 @@ from rich.markup import escape
 from rich.table import Table
 
 from baselines.evaluation.paper.numbers import Reproduction, Row
-from baselines.evaluation.report.numbers import Result
-from baselines.evaluation.score import LARGEST_TAIL, Pooled, interval_text, losses, regime_of, score_text
+from baselines.evaluation.report.columns import Column, ranked, used
+from baselines.evaluation.report.numbers import Entry, Result, recordings
+from baselines.evaluation.score import ORACLE
 
 WIDTH = 200
 """Columns of a table that does not go to a terminal."""
-CHOICE = ("tail [m]", "p95 [m]", "lost")
-"""What is shown of a result on a terminal that is too narrow for all."""
 LOOK: dict[str, Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False}
 
 
@@ -28,74 +28,64 @@ def console() -> Console:
     return out if out.is_terminal else Console(highlight=False, width=WIDTH)
 
 
-def results_table(results: Sequence[Result], out: Console) -> Table:
-    """Return the table of results, scenario by scenario, as wide as the console allows."""
-    rows = [_cells(result) for result in results]
-    columns = [name for name in rows[0] if any(row[name] != "-" for row in rows)]
-    table = _results_table(results, columns)
-    fits = out.measure(table, options=out.options.update(max_width=10**4)).maximum <= out.width
-    return table if fits else _results_table(results, [column for column in columns if column in CHOICE])
+def print_report(
+    results: Sequence[Result], pooled: Sequence[Entry], reproduction: Reproduction | None, folder: Path
+) -> None:
+    """Print the tables, and on stderr what went wrong."""
+    out, err = console(), Console(stderr=True, highlight=False, soft_wrap=True)
+    for table in reproduction_tables(reproduction) if reproduction else []:
+        out.print(table)
+    shown = [r for r in results if r.run.recorded is None or r.run.policy == ORACLE]
+    out.print(entries_table("Position error of the centre of mass", "scenario", [r.entry for r in shown], out))
+    if any(entry.score for entry in pooled):
+        out.print(entries_table("All cases of a regime together", "regime", pooled, out))
+    if when := recordings(results):
+        more = "; case by case in report.html" if len(shown) < len(results) else ""
+        out.print(f"* recorded, not run now: {when}{more}", soft_wrap=True, markup=False)
+    out.print(f"Wrote report.html, results.json, results.csv and plots to {folder}", soft_wrap=True, markup=False)
+    for line in _complaints(results):
+        err.print(line, markup=False)
 
 
-def _results_table(results: Sequence[Result], columns: Sequence[str]) -> Table:
-    table = Table(
-        title="Position error of the centre of mass",
-        caption="tail: RMSE after the first third of an episode; p95, worst 5 %: over episodes; * recorded earlier\n"
-        "score: 0 the expert, 1 the oracle; effort, smoothness: relative to the expert's; settled in s; ms a decision",
-        **LOOK,
-    )
-    for name in ("scenario", "policy"):
-        table.add_column(name, no_wrap=True)
-    for name in columns:
-        table.add_column(escape(name), justify="right", no_wrap=True)
-    compared = len({result.run.policy for result in results}) > 1
-    for previous, result in zip([None, *results], results, strict=False):
-        name, cells = result.run.scenario.name, _cells(result)
-        first = previous is None or previous.run.scenario.name != name
-        if first and previous is not None and compared:
-            table.add_section()
-        policy = result.run.policy + ("*" if result.run.recorded else "")
-        table.add_row(name if first else "", policy, *(cells[column] for column in columns))
+def _complaints(results: Sequence[Result]) -> Iterator[str]:
+    """Yield a line for each policy with warnings, and one for each run that failed."""
+    for policy, own in groupby(sorted(results, key=lambda r: r.run.policy), key=lambda r: r.run.policy):
+        messages = [message for result in own for message in result.run.warnings]
+        if messages:
+            more = f" ({len(messages)} warnings, see results.json)" if len(messages) > 1 else ""
+            yield f"note: {policy}: {messages[0]}{more}"
+    for run in (result.run for result in results):
+        if run.error:
+            yield f"failed: {run.policy} in {run.scenario.name}, {run.error}"
+
+
+def entries_table(title: str, kind: str, entries: Sequence[Entry], out: Console) -> Table:
+    """Return a table, scenario by scenario or regime by regime, the best first, with as many columns as there is room.
+
+    Columns are left out in the order of `Column.keep`.
+    """
+    columns = used(entries)
+    table = _table(title, kind, entries, columns)
+    while len(columns) > 1 and out.measure(table, options=out.options.update(max_width=10**4)).maximum > out.width:
+        columns.remove(min(columns, key=lambda column: column.keep))
+        table = _table(title, kind, entries, columns)
     return table
 
 
-def _cells(result: Result) -> dict[str, str]:
-    """Return the cells of a row by their column."""
-    run, m = result.run, result.run.measures
-    s, ratios = result.summary, (result.effort_ratio, result.smoothness_ratio)
-    effort, smoothness = (f"{value:.2f}" if math.isfinite(value) else "-" for value in ratios)
-    tail = s.tail_rmse_m if s else None
-    interval = "{:.3g} ... {:.3g}".format(*tail.ci95) if tail and math.isfinite(tail.ci95[0]) else "-"
-    return {
-        "tail [m]": f"{tail.mean:.3g}" if tail else "[red]failed[/red]",
-        "95 % interval": interval,
-        "p95 [m]": f"{tail.p95:.3g}" if tail else "-",
-        "worst 5 %": f"{tail.cvar95:.3g}" if tail else "-",
-        "score": score_text(result.score),
-        "settled": f"{s.settling_s:.3g}" if s else "-",
-        "effort": effort,
-        "smoothness": smoothness,
-        "saturated": f"{100 * s.saturation:.1f} %" if s else "-",
-        "lost": f"{losses(m, regime_of(run.scenario.name))} of {len(m)}" if m else "-",
-        "ms": f"{1e3 * run.decision_seconds:.2g}" if s else "-",
-    }
-
-
-def score_table(scores: Sequence[Pooled]) -> Table:
-    """Return the table of the scores of each regime, all cases together."""
-    caps = ", ".join(f"{cap:g} m {regime}" for regime, cap in LARGEST_TAIL.items())
-    table = Table(
-        title="Score: 0 the expert, 1 the oracle, errors pooled over cases",
-        caption=f"lost: beyond the lost distance, or a tail of {caps}; capped: no tail counts more than that",
-        **LOOK,
-    )
-    table.add_column("regime")
+def _table(title: str, kind: str, entries: Sequence[Entry], columns: Sequence[Column]) -> Table:
+    table = Table(title=title, caption="tail: RMSE after the first third; score: 0 the expert, 1 the oracle", **LOOK)
+    table.add_column(kind, no_wrap=True)
     table.add_column("policy", no_wrap=True)
-    for name in ("episodes", "tail [m]", "score", "95 % interval", "capped", "lost"):
-        table.add_column(escape(name), justify="right", no_wrap=True)
-    for entry in scores:
-        cells = (f"{entry.tail_m:.4f}", score_text(entry.score), interval_text(entry.score), score_text(entry.capped))
-        table.add_row(entry.regime, entry.policy, str(entry.episodes), *cells, f"{100 * entry.lost:.2f} %")
+    for column in columns:
+        table.add_column(escape(column.heading), justify="right", no_wrap=True)
+    groups = [(place, ranked(list(own))) for place, own in groupby(entries, key=lambda entry: entry.place)]
+    for place, own in groups:
+        if len(own) > 1:
+            table.add_section()
+        for i, entry in enumerate(own):
+            cells = [column.text(entry) for column in columns] if entry.summary else ["[red]failed[/red]"]
+            name = entry.policy + ("*" if entry.recorded else "")
+            table.add_row(escape(place) if i == 0 else "", escape(name), *cells)
     return table
 
 

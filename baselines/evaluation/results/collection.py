@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.metrics import Measures
-from baselines.evaluation.report.numbers import measures_of, pool
+from baselines.evaluation.report.numbers import Entry, measures_of, pool
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import EXPERT, ORACLE, Pooled, Score, paired, regime_of, score
+from baselines.evaluation.score import EXPERT, ORACLE, Score, paired, regime_of, score
 from baselines.evaluation.suites import Suite
 
 SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1")
@@ -25,7 +25,7 @@ class Results:
 
     suite: Suite
     runs: tuple[Run, ...]
-    pooled: list[Pooled]
+    pooled: list[Entry]
     scores: dict[str, dict[str, Score]]  # of each policy in each case alone, by policy, by case
     tails: dict[str, dict[str, float]]  # [m] mean tail error, likewise
     gains: dict[str, dict[str, float]]  # [m] by how much that is smaller than the oracle's in the same episodes

@@ -9,8 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from baselines.evaluation.report.numbers import Entry
 from baselines.evaluation.results.collection import Results
-from baselines.evaluation.score import EXPERT, ORACLE, Pooled, score_text
+from baselines.evaluation.score import EXPERT, ORACLE, score_text
 from baselines.tools.figure_style import COLOURS, MARKERS, panels, styled, to_png
 
 LOWEST = -1.0
@@ -28,17 +29,17 @@ def results_figures(results: Results) -> dict[str, bytes]:
 
 def score_figure(results: Results) -> Figure:
     """Return the pooled scores with their intervals, best policy first, one colour for each regime."""
-    by_policy: dict[str, list[Pooled]] = {}
+    by_policy: dict[str, list[Entry]] = {}
     for entry in results.pooled:
         by_policy.setdefault(entry.policy, []).append(entry)
     order = sorted(by_policy, key=lambda policy: -np.mean([_mean(entry) for entry in by_policy[policy]]))
-    regimes = list(dict.fromkeys(entry.regime for entry in results.pooled))
+    regimes = list(dict.fromkeys(entry.place for entry in results.pooled))
     figure, [[ax]] = panels(1, 1, (7.2, 0.9 + 0.3 * len(order)))
     for value in (0.0, 1.0):
         ax.axvline(value, color="0.5", linewidth=0.8)
     for i, policy in enumerate(order):
         for entry in by_policy[policy]:
-            k = regimes.index(entry.regime)
+            k = regimes.index(entry.place)
             _point(ax, i + 0.28 * (k - 0.5 * (len(regimes) - 1)), entry, k)
     ax.set_yticks(range(len(order)), order)
     ax.set_ylim(len(order) - 0.4, -0.6)
@@ -50,11 +51,11 @@ def score_figure(results: Results) -> Figure:
     return figure
 
 
-def _mean(entry: Pooled) -> float:
+def _mean(entry: Entry) -> float:
     return entry.score.mean if entry.score and math.isfinite(entry.score.mean) else -math.inf
 
 
-def _point(ax: Axes, y: float, entry: Pooled, k: int) -> None:
+def _point(ax: Axes, y: float, entry: Entry, k: int) -> None:
     mean = _mean(entry)
     if mean < LOWEST:
         text = "" if math.isinf(mean) else f"{mean:.1f}"

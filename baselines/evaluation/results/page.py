@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
-from baselines.evaluation.metrics import Measures, cvar, ratio
+from baselines.evaluation.report.columns import ranked, used
 from baselines.evaluation.results.collection import TOLERANCE, Results, better_than_oracle
-from baselines.evaluation.score import EXPERT, ORACLE, Pooled, interval_text, paired, regime_of, score_text
+from baselines.evaluation.score import ORACLE, regime_of, score_text
 
 
 def page(found: Sequence[Results], missing: Sequence[str], learned: str = "") -> str:
     """Return the text of docs/results.md, with a section on learned agents, if there is one, behind the suites."""
     parts = [INTRODUCTION]
     for results in found:
-        regimes = list(dict.fromkeys(entry.regime for entry in results.pooled))
+        regimes = list(dict.fromkeys(entry.place for entry in results.pooled))
         parts += [_setting(results), *(_regime(results, regime) for regime in regimes)]
         parts += [_cases(results, regimes), _oracle(results)]
     for name in missing:
@@ -28,12 +26,8 @@ INTRODUCTION = """# Results
 <!-- Made by `python -m baselines.evaluation.results`; do not edit. -->
 
 Every policy on the frozen suites, from the rows in `baselines/evaluation/data/recorded/`. `make results` writes this
-page; `python -m baselines.evaluation.suites record SUITE [--policy P ...]` runs policies again.
-[Evaluation](metrics.md) has the definitions. In short: *score* is 0 for the expert and 1 for the oracle, errors pooled
-over cases, with a 95 % interval; *capped* counts no tail error above .6 m (slow) or 2 m (cruise), and *lost* is the
-share of episodes that reach it; *tail*, *p95* and *worst 5 %* are mean, 95th percentile and mean of the worst of the
-tail errors; *effort* and *rate* are relative to the expert's; *ms* is a policy's time for one decision, many vehicles
-side by side on one processor."""
+page; `python -m baselines.evaluation.suites record SUITE [--policy P ...]` runs policies again, and `make verify` looks
+whether they still give these numbers. [Evaluation](metrics.md) has the definitions of the columns."""
 
 
 def _setting(results: Results) -> str:
@@ -63,34 +57,10 @@ def table(names: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _regime(results: Results, regime: str) -> str:
-    names = ("policy", "score", "95 %", "capped", "lost", "tail [m]", "p95 [m]", "worst 5 % [m]", "effort", "rate",
-             "saturated", "ms", "episodes")  # fmt: skip
-    rows = [_row(results, entry) for entry in results.pooled if entry.regime == regime]
-    return f"### {regime}\n\n{table(names, rows)}"
-
-
-def _row(results: Results, entry: Pooled) -> list[str]:
-    own, expert = (results.measures(policy, entry.regime) for policy in (entry.policy, EXPERT))
-    tail = np.concatenate([m.tail for m in own])
-    pairs = [paired(a, b) for a, b in zip(own, expert, strict=True)]
-    a, b = (Measures.joined(column) for column in zip(*pairs, strict=True))
-    ratios = [
-        ratio(float(np.mean(x)), float(np.mean(y))) for x, y in ((a.effort, b.effort), (a.smoothness, b.smoothness))
-    ]
-    saturated = float((a.saturation * a.steps).sum() / a.steps.sum())
-    runs = (r for r in results.runs if r.policy == entry.policy and regime_of(r.scenario.name) == entry.regime)
-    return [
-        f"`{entry.policy}`",
-        score_text(entry.score, 2),
-        interval_text(entry.score, 2),
-        score_text(entry.capped, 2),
-        f"{100 * entry.lost:.2f} %",
-        *(f"{value:.3g}" for value in (entry.tail_m, float(np.quantile(tail, 0.95)), cvar(tail))),
-        *(f"{value:.2f}" for value in ratios),
-        f"{100 * saturated:.1f} %",
-        f"{1e3 * float(np.mean([r.decision_seconds for r in runs])):.2g}",
-        str(entry.episodes),
-    ]
+    entries = ranked([entry for entry in results.pooled if entry.place == regime])
+    columns = used(entries)
+    rows = [[f"`{entry.policy}`", *(column.text(entry) for column in columns)] for entry in entries]
+    return f"### {regime}\n\n{table(['policy', *(column.heading for column in columns)], rows)}"
 
 
 def _cases(results: Results, regimes: Sequence[str]) -> str:

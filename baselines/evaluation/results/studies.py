@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
 from baselines.evaluation.metrics import Array
+from baselines.evaluation.report.columns import lost_text
 from baselines.evaluation.results.collection import Results
 from baselines.evaluation.results.page import table
 from baselines.evaluation.score import EXPERT, ORACLE, interval_text, lead, score_text, seeds_score
@@ -83,7 +84,7 @@ def _row(name: str, study: Study, results: Results) -> list[str]:
         score_text(above, 3),
         interval_text(above, 3),
         score_text(capped, 3),
-        f"{own.losses(regime)} of {episodes}",
+        lost_text(own.losses(regime), episodes),
         f"{float(own.effort.mean()) / effort:.2f}",
         f"{float(own.smoothness.mean()) / rate:.2f}",
         f"{1e3 * own.decision_seconds:.2g}",

@@ -128,7 +128,8 @@ def _run(policy: str, cells: Sequence[Cell], options: Options) -> list[Run]:
     """Return a policy's runs, telling how far they are."""
     found = []
     with progress(len(cells), sum(len(cell.episodes) * cell.scenario.steps for cell in cells)) as report:
-        for result in runs((policy,), cells, Workers(options.jobs), options.step_limit, report.board.note):
+        pairs = [(policy, cell) for cell in cells]
+        for result in runs(pairs, Workers(options.jobs), options.step_limit, report.board.note):
             report.run(result)
             found.append(result)
     return found

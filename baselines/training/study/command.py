@@ -144,7 +144,7 @@ def _rolled_out(agents: Sequence[str], cells: Sequence[Cell], jobs: int) -> list
     steps = sum(len(cell.episodes) * cell.scenario.steps for cell in cells)
     with progress(len(agents) * len(cells), len(agents) * steps) as report:
         found: dict[tuple[str, str], Run] = {}
-        for run in runs(agents, cells, Workers(jobs), note=report.board.note):
+        for run in runs([(agent, cell) for cell in cells for agent in agents], Workers(jobs), note=report.board.note):
             report.run(run)
             found[run.policy, run.scenario.name] = run
     return [[found[agent, cell.scenario.name] for cell in cells] for agent in agents]

@@ -1,0 +1,48 @@
+"""The options of evaluate.py: a field is an option, its docstring the help."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import arg
+
+
+@dataclass(frozen=True)
+class Options:
+    """Run policies through the same episodes; print the table, write report.html, results.json, results.csv and plots.
+
+    The expert, backstepping, always runs too: it is the yardstick of effort and smoothness. Exit status: 0 done, 1 a
+    policy failed or the results could not be written, 2 wrong usage.
+    """
+
+    policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
+    """Policies, compared with the expert; without any, the expert alone. By name; FILE.py:FACTORY; a FILE.zip of
+    Stable-Baselines3; the folder of a trained agent, or of the run that trained it. ":fade" behind an agent's name or
+    folder makes its corrections fade where it leaves what it has seen."""
+    suite: Annotated[str | None, arg(metavar="S", help_behavior_hint="")] = None
+    """Frozen: "benchmark-v1" (the default), "benchmark-v1-validation", "ood-v1" or "unmodelled-v1"; other policies are
+    shown as they were recorded. Drawn from the seed: "presets" (every preset), or "paper" (the paper's, with its
+    numbers and figures recomputed)."""
+    scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ()
+    """Scenarios in place of a suite: names of presets, or .toml and .json files."""
+    episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
+    """Episodes of each policy in each scenario. Default: 20; in a frozen suite all of them."""
+    seed: int = 0
+    """Seed of the first episode that is drawn; episode i has seed + i, whatever the policy."""
+    jobs: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
+    """Worker processes; the results are the same for any number. Default: 2, or 1 on a single processor."""
+    cluster: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="")] = None
+    """Run on a Ray cluster, in --jobs processes (default: all that it has): HOST:PORT of its head, "auto" for the one
+    that this machine belongs to, "local" for one made for the occasion."""
+    out: Path = Path("runs/evaluate")
+    """Folder for the results."""
+    step_limit: float = 0.1
+    """Seconds that a policy may take for a decision, on average; a slower one fails."""
+    stability: bool = False
+    """Instead of running scenarios, examine where the policies are stable about steady motion in still water, and
+    certify it for references that vary."""
+    resume: bool = False
+    """Use the finished runs that an interrupted evaluation has left in the folder; a policy whose file has changed
+    since runs again."""

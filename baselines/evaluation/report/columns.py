@@ -1,0 +1,174 @@
+"""The columns of a result: each one's name, unit, definition and format, for every table, file and page that has it.
+
+A new `Column` in `COLUMNS` is a new column everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from baselines.evaluation.metrics import WORST, Summary, most_lost
+from baselines.evaluation.report.numbers import Entry
+from baselines.evaluation.score import LARGEST_TAIL, fixed, fixed_ends
+
+NONE = "-"
+"""Shown where there is no value."""
+_CAPS = " or ".join(f"{cap:g} m ({regime})" for regime, cap in LARGEST_TAIL.items())
+
+
+@dataclass(frozen=True)
+class Column:
+    """One quantity of a policy in a scenario, or in all those of a regime."""
+
+    key: str  # in results.json, a dot between a table and its entry; in results.csv `_` is in its place
+    heading: str  # in tables, unit included; "" keeps it out of them
+    definition: str
+    value: Callable[[Entry, Summary], Any]  # plain JSON; None where there is none
+    form: Callable[[Any], str] = str  # what a table shows of the value
+    keep: int = 0  # where a terminal is too narrow the smallest go first
+    show: Callable[[Entry, Summary], str] | None = None  # what a table shows, if that is more than the value
+
+    def of(self, entry: Entry) -> Any:
+        """Return an entry's value, None where its policy failed."""
+        return None if entry.summary is None else self.value(entry, entry.summary)
+
+    def text(self, entry: Entry) -> str:
+        """Return an entry's cell of a table."""
+        if self.show is not None and entry.summary is not None:
+            return self.show(entry, entry.summary)
+        value = self.of(entry)
+        first = value[0] if isinstance(value, list) else value
+        return NONE if first is None or not math.isfinite(first) else self.form(value)
+
+    @property
+    def name(self) -> str:
+        """The name of the column in results.csv, where a table's mean has the name of the table."""
+        return self.key.removesuffix(".mean").replace(".", "_")
+
+
+def digits(count: int) -> Callable[[float], str]:
+    """Return the format of numbers with that many significant digits."""
+    return lambda value: f"{value:.{count}g}"
+
+
+def ends(value: Sequence[float]) -> str:
+    """Return an interval as text."""
+    return "{:.3g} ... {:.3g}".format(*value)
+
+
+def percent(share: float) -> str:
+    """Return a share as text."""
+    return f"{100 * share:.1f} %"
+
+
+def ratio_text(value: float) -> str:
+    """Return a ratio as text."""
+    return f"{value:.2f}"
+
+
+def lost_text(lost: int, episodes: int) -> str:
+    """Return how many episodes were lost, and the largest share that can be meant by it."""
+    return f"{lost} of {episodes} (<= {100 * most_lost(lost, episodes):.2g} %)"
+
+
+COLUMNS = (
+    Column("episodes", "episodes", "episodes that were run", lambda _, s: s.episodes),
+    Column("rmse_m", "", "root mean square of the distance to the reference [m], mean over episodes",
+           lambda _, s: s.rmse_m),
+    Column("tail_rmse_m.mean", "tail [m]",
+           "the same after the first third of an episode; one that was lost keeps the error at which it ended",
+           lambda _, s: s.tail_rmse_m.mean, digits(3), 9),
+    Column("tail_rmse_m.ci95", "95 % of tail", "95 % interval of that mean, by bootstrap over episodes",
+           lambda _, s: list(s.tail_rmse_m.ci95), ends, 6),
+    Column("tail_rmse_m.p95", "p95 [m]", "95th percentile of the tail over episodes",
+           lambda _, s: s.tail_rmse_m.p95, digits(3), 4),
+    Column("tail_rmse_m.cvar95", "worst 5 % [m]",
+           f"mean of the worst {100 * WORST:g} % of the tails (conditional value at risk)",
+           lambda _, s: s.tail_rmse_m.cvar95, digits(3), 3),
+    Column("score.mean", "score",
+           "(E_expert - E_policy) / (E_expert - E_oracle), E the mean tail over the same episodes: 0 is the paper's "
+           "law, 1 an oracle that knows plant, current, waves and lag; errors are pooled over cases before dividing",
+           lambda e, _: e.score and e.score.mean, fixed, 7),
+    Column("score.ci95", "95 % of score", "95 % interval of the score, by bootstrap over paired episodes",
+           lambda e, _: e.score and list(e.score.ci95), fixed_ends, 5),
+    Column("capped.mean", "capped", f"the score with no tail counted above {_CAPS}",
+           lambda e, _: e.capped and e.capped.mean, fixed, 2),
+    Column("capped.ci95", "", "95 % interval of that", lambda e, _: e.capped and list(e.capped.ci95)),
+    Column("lost", "lost",
+           f"episodes that ended beyond the lost distance or whose tail reaches {_CAPS}; behind them the largest share "
+           "that is meant, see `lost_at_most`",
+           lambda e, _: e.lost, keep=8, show=lambda e, s: lost_text(e.lost, s.episodes)),
+    Column("lost_share", "", "their share", lambda e, s: e.lost / s.episodes),
+    Column("lost_at_most", "", "upper end of the one-sided 95 % interval of that share (Clopper and Pearson)",
+           lambda e, s: most_lost(e.lost, s.episodes)),
+    Column("settling_s", "settled [s]", "time of the last position error above the scenario's error scale, mean",
+           lambda _, s: s.settling_s, digits(3)),
+    Column("effort_ratio", "effort", "mean square of the normalised command, relative to the expert's",
+           lambda e, _: e.effort_ratio, ratio_text, 1),
+    Column("smoothness_ratio", "rate", "mean square of the command's change in a step, relative to the expert's",
+           lambda e, _: e.smoothness_ratio, ratio_text),
+    Column("saturation", "saturated", "share of the steps with an actuator commanded to its limit",
+           lambda _, s: s.saturation, percent),
+    Column("return_mean", "", "mean sum of rewards", lambda _, s: s.return_mean),
+    Column("decision_ms", "ms", "time of the policy for one decision of one vehicle, many vehicles side by side",
+           lambda e, _: 1e3 * e.decision_seconds, digits(2)),
+)  # fmt: skip
+"""What is told of every policy, in the order of the tables."""
+SHOWN = tuple(column for column in COLUMNS if column.heading)
+"""Those that tables have."""
+
+
+def used(entries: Sequence[Entry]) -> list[Column]:
+    """Return the columns of tables in which one of the entries has a value."""
+    return [column for column in SHOWN if any(column.text(entry) != NONE for entry in entries)]
+
+
+def record(entry: Entry) -> dict[str, Any]:
+    """Return an entry's values as they stand in results.json; None where there is none."""
+    values: dict[str, Any] = {}
+    for column in COLUMNS:
+        table, _, name = column.key.partition(".")
+        value = column.of(entry)
+        if not name or value is None:
+            values[table] = value
+        else:
+            values.setdefault(table, {})[name] = value
+    return values
+
+
+def line(entry: Entry) -> dict[str, Any]:
+    """Return an entry's values as they stand in a line of results.csv; an interval has a column for each end."""
+    values: dict[str, Any] = {}
+    for column in COLUMNS:
+        value = column.of(entry)
+        if column.name.endswith("_ci95"):
+            low, high = value or (None, None)
+            values |= {f"{column.name}_low": low, f"{column.name}_high": high}
+        else:
+            values[column.name] = value
+    return values
+
+
+def ranked(entries: Sequence[Entry]) -> list[Entry]:
+    """Return the entries of one scenario, or of one regime, the best score first; without scores the smallest tail."""
+
+    def rank(entry: Entry) -> tuple[bool, bool, float]:
+        score = entry.score.mean if entry.score else math.nan
+        tail = entry.summary.tail_rmse_m.mean if entry.summary else math.inf
+        return entry.summary is None, not math.isfinite(score), -score if math.isfinite(score) else tail
+
+    return sorted(entries, key=rank)
+
+
+def definitions() -> dict[str, str]:
+    """Return what each column is, by its heading, or by its key where tables do not have it."""
+    return {column.heading or f"{column.key}": column.definition for column in COLUMNS}
+
+
+def definitions_table() -> str:
+    """Return the same as a table in Markdown, with the names in results.json."""
+    rows = [f"| {c.heading or '-'} | `{c.key}` | {c.definition} |" for c in COLUMNS]
+    return "\n".join(["| column | in `results.json` | definition |", "|---|---|---|", *rows])

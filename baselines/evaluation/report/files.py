@@ -1,0 +1,67 @@
+"""results.json and results.csv."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from baselines.evaluation.paper.numbers import Reproduction
+from baselines.evaluation.report.columns import line, record
+from baselines.evaluation.report.numbers import Entry, Result
+from baselines.evaluation.request import Request
+from baselines.tools.files import finite, json_text, versions
+
+FORMULA = ("=", "+", "-", "@")
+"""What a spreadsheet takes for the beginning of a formula."""
+
+
+def results_json(
+    request: Request, results: Sequence[Result], scores: Sequence[Entry], reproduction: Reproduction | None
+) -> str:
+    """Return the text of results.json: strict JSON, null for what is not a number."""
+    content: dict[str, Any] = {
+        "suite": request.suite,
+        "suite_hash": request.hash,
+        "seed": request.options.seed,
+        "versions": versions(),
+        "results": [
+            {
+                "policy": result.run.policy,
+                "scenario": result.run.scenario.name,
+                **record(result.entry),
+                "seconds": result.run.seconds,
+                "recorded": asdict(result.run.recorded) if result.run.recorded else None,
+                "error": result.run.error,
+                "warnings": list(result.run.warnings),
+            }
+            for result in results
+        ],
+        "pooled": [{"policy": entry.policy, "regime": entry.place, **record(entry)} for entry in scores],
+    }
+    if reproduction is not None:
+        content["reproduction"] = reproduction.to_dict()
+    return json_text(content)
+
+
+def results_csv(results: Sequence[Result]) -> str:
+    """Return the text of results.csv: the results of results.json, one line each, empty where those are null."""
+    lines = []
+    for result in results:
+        run, when = result.run, result.run.recorded
+        before = {"policy": run.policy, "scenario": run.scenario.name}
+        behind = {"seconds": run.seconds, "recorded": when and when.date, "error": run.error}
+        values = finite({**before, **line(result.entry), **behind, "warnings": " | ".join(run.warnings)})
+        lines.append({name: _harmless(value) for name, value in values.items()})
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(lines[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(lines)
+    return text.getvalue()
+
+
+def _harmless(value: Any) -> Any:
+    """Return a cell that no spreadsheet takes for a formula."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value
