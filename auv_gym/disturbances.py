@@ -6,12 +6,15 @@ that one episode meets.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from auv_gym.intervals import Interval, Uniform, check_interval, check_number, draw
-from auv_gym.vehicle import MIN_MASS_RATIO, Vehicle
+from auv_gym.vehicle import MIN_MASS_RATIO, Coefficients, Vehicle
 
 
 @dataclass(frozen=True)
@@ -20,7 +23,8 @@ class Current:
 
     The gust is an Ornstein-Uhlenbeck process smoothed by a first-order filter, as Fossen (2021, section 10.3) models
     slowly varying currents. The shear is a parallel flow whose speed is a sine across it, so that it is free of
-    divergence; a vehicle is small beside its wave length and feels the current at its centre.
+    divergence; a vehicle is small beside its wave length and feels the current at its centre. That the water's
+    velocity changes as the vehicle moves through the shear is left out of its inertia, see `dynamics`.
     """
 
     V_x: float = 0.0  # [m/s] mean, in the world
@@ -49,11 +53,11 @@ class RandomCurrent:
     wavelength: Interval = 40.0  # [m] of it
 
     def __post_init__(self) -> None:
-        check_interval("current speed", self.speed, 0)
+        check_interval("current speed", self.speed, 0, 1e3)
         check_interval("current turn", self.turn, -10, 10)
-        check_interval("current shear", self.shear, 0)
+        check_interval("current shear", self.shear, 0, 1e3)
         check_interval("current wavelength", self.wavelength, 1.0, 1e6)
-        check_interval("current direction", self.direction)
+        check_interval("current direction", self.direction, -1e3, 1e3)
         check_number("current gust", self.gust, 0, 1e3)
         check_number("current gust_time", self.gust_time, 1e-3, 1e6)
         check_number("current smoothing", self.smoothing, 0, 1e6)
@@ -145,7 +149,7 @@ class RandomMismatch:
     def __post_init__(self) -> None:
         for name in ("mass", "ratio", "m33", "d11", "d22", "d33"):
             check_interval(f"mismatch {name}", getattr(self, name), 1e-3, 1e3)
-        check_interval("mismatch quadratic", self.quadratic, 0)
+        check_interval("mismatch quadratic", self.quadratic, 0, 1e6)
         if len(self.quadratic_drag) != 3:
             raise ValueError(f"mismatch quadratic_drag is {self.quadratic_drag!r}; it must be three numbers")
         for value in self.quadratic_drag:
@@ -177,3 +181,26 @@ class RandomMismatch:
             vehicle.Y_vv + q * Y_vv,
             vehicle.N_rr + q * N_rr,
         )
+
+    def extremes(self, vehicle: Vehicle) -> Coefficients:
+        """Return the stiffest vehicles that may be drawn about this one: light ones, with drag of all kinds; rows."""
+        (mass, _), (m33, _), (_, q) = (_ends(x) for x in (self.mass, self.m33, self.quadratic))
+        corners = itertools.product(*(_ends(x) for x in (self.ratio, self.d11, self.d22, self.d33)))
+        ratio, d11, d22, d33 = np.array([*corners]).T
+        X_uu, Y_vv, N_rr = self.quadratic_drag
+        one = np.ones_like(ratio)
+        return Coefficients(
+            vehicle.m11 * mass * one,
+            vehicle.m22 * mass * ratio,
+            vehicle.m33 * m33 * one,
+            vehicle.d11 * d11,
+            vehicle.d22 * d22,
+            vehicle.d33 * d33,
+            (vehicle.X_uu + q * X_uu) * one,
+            (vehicle.Y_vv + q * Y_vv) * one,
+            (vehicle.N_rr + q * N_rr) * one,
+        )
+
+
+def _ends(interval: Interval) -> tuple[float, float]:
+    return interval if isinstance(interval, tuple) else (interval, interval)

@@ -4,7 +4,9 @@ Written on components, so that they run on floats, NumPy arrays, torch tensors a
 
 A current that is irrotational and constant in the world enters the hydrodynamics only through the water-relative
 velocity (T. I. Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2nd ed., 2021, section 10.3): (2)
-then holds for `u, v` relative to the water, and (1) gains the current. Slowly varying currents are treated likewise.
+then holds for `u, v` relative to the water, and (1) gains the current. Currents that vary in time or, by a shear, in
+space are treated likewise: what their change along the way would add to the inertia forces is left out. For a shear
+that is m (V . grad) V for the vehicle's velocity V over ground, up to 15 N at cruise in `ood-v1`.
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
 from typing import TypeAlias
 
@@ -21,9 +22,16 @@ def draw(interval: Interval, uniform: Uniform) -> float:
     return interval
 
 
+def is_float(value: object) -> bool:
+    """Whether a value is a number, and no integer that is too large to compute with; nan is none, infinity is one."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return False
+    return not math.isnan(value) if isinstance(value, float) else abs(value) <= sys.float_info.max
+
+
 def check_number(name: str, value: object, low: float = -math.inf, high: float = math.inf) -> None:
     """Raise ValueError unless value is a number in [low, high]; infinity passes only where a bound is infinite."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or math.isnan(value) or not low <= value <= high:
+    if not is_float(value) or not low <= value <= high:  # type: ignore[operator]
         raise ValueError(f"{name} is {value!r}; it must be a number in [{low:g}, {high:g}]")
 
 

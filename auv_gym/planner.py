@@ -16,44 +16,28 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property, lru_cache, partial
-from typing import Any
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.dynamics import rates
-from auv_gym.namespaces import ARRAYS, FLOATS, Number, wrap_angle
+from auv_gym.feasibility import check, check_forces, check_rates
+from auv_gym.namespaces import ARRAYS, FLOATS, Number
 from auv_gym.paths import Path, evaluate
 from auv_gym.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
-MIN_SPEED = 1e-3  # [m/s] below this a path counts as standing still
 RUN_IN = 12.0  # integrated before the first sample, in memories Dm/d22; the small start error fades by exp(-12)
 MAX_STEP = 0.4  # largest integration step, in memories Dm/d22
 MAX_RESPONSE = 0.1  # largest integration step times the rate at which the rest responds to w; unstable above 0.3
 MAX_REFINEMENT = 128  # of the step for that reason
 MAX_SIDESLIP = math.radians(80.0)  # beyond it a vehicle drifts rather than travels
 ORDER = 4  # samples in each integration formula
+MAX_SAMPLES = 2**21  # of a path or several at once, which bounds time and memory
 FEW = 8  # paths that are planned faster one by one, on floats, than together, on arrays
-
-
-class InfeasibleReferenceError(ValueError):
-    """An underactuated vehicle of these parameters cannot follow the path on time.
-
-    Attributes:
-        condition: what is violated, in words and numbers.
-        time: when it is first violated [s].
-        place: where, (x, y) [m].
-    """
-
-    def __init__(self, condition: str, time: float, place: tuple[float, float]) -> None:
-        super().__init__(f"infeasible at t = {time:.6g} s, (x, y) = ({place[0]:.6g}, {place[1]:.6g}) m: {condition}")
-        self.condition, self.time, self.place = condition, time, place
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.condition, self.time, self.place)  # as pickle needs it: on to another process
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,46 +102,73 @@ def plan(
         The reference, its fields of shape (T,), or (T, N) for a sequence of paths.
 
     Raises:
-        ValueError: the times are not an evenly spaced, increasing, finite grid inside the path's domain.
+        ValueError: the times are not an evenly spaced, increasing, finite grid inside the path's domain, or the plan
+            would need more than `MAX_SAMPLES` samples.
         InfeasibleReferenceError: the speed passes through zero, braking is faster than the sway drag allows, the
             sideslip exceeds `MAX_SIDESLIP`, or the open-loop forces exceed their limits.
     """
     paths = path if isinstance(path, Sequence) else (path,)
     times = _checked_times(times, paths)
-    if isinstance(path, Sequence) and len(path) <= FEW:
+    if isinstance(path, Sequence) and (len(path) <= FEW or len(path) * len(times) > MAX_SAMPLES // FEW):
         return _side_by_side([plan(p, vehicle, times, force_limits) for p in path])
     memory = (vehicle.m22 - vehicle.m11) / vehicle.d22
     spacing = float(times[-1] - times[0]) / (len(times) - 1)
     substeps = max(math.ceil(spacing / (MAX_STEP * memory)), math.ceil(ORDER / (len(times) - 1)))
     run_in, *others = {min(RUN_IN * memory, float(times[0] - p.start)) for p in paths}
-    for finest in (False, True):
-        h = spacing / substeps
-        lead = int(run_in / h)
-        fine = times[0] + h * np.arange(-lead, (len(times) - 1) * substeps + 1)
-        fine[-1] = times[-1]  # not an ulp past the path's end
-        derivatives = evaluate(path, fine) if isinstance(path, Sequence) else path.derivatives(fine)
-        along = path_rates(derivatives)
-        _check_rates(along, vehicle, partial(_check, times=fine, positions=derivatives[0]))
-        refinement = min(math.ceil(h * _response(along, vehicle) / MAX_RESPONSE), MAX_REFINEMENT)
-        if isinstance(path, Sequence) and (others or refinement > 1):  # each as it would be alone
+    if others:  # each as it would be alone
+        return _side_by_side([plan(p, vehicle, times, force_limits) for p in paths])
+    fine = _look_along(path, vehicle, times, substeps, run_in)
+    refinement = min(math.ceil(fine.h * _response(fine.along, vehicle) / MAX_RESPONSE), MAX_REFINEMENT)
+    if refinement > 1:
+        if isinstance(path, Sequence):
             return _side_by_side([plan(p, vehicle, times, force_limits) for p in paths])
-        if finest or refinement <= 1:
-            break
-        substeps *= refinement
-    w = _sine_of_sideslip(along, vehicle, h)
-    limit = math.degrees(MAX_SIDESLIP)
-    _check(
-        np.abs(w[lead:]) < math.sin(MAX_SIDESLIP),
-        lambda _: f"the sideslip exceeds {limit:.0f} degrees, the path turns too fast for the sway drag",
-        fine[lead:],
-        derivatives[0][:, lead:],
-    )
-    rows = slice(lead, None, substeps)
-    kept = PathRates(*(getattr(along, field.name)[rows] for field in fields(PathRates)))
-    reference = assemble(times, derivatives[0][:, rows], kept, w[rows], vehicle)
+        fine = _look_along(path, vehicle, times, substeps * refinement, run_in)
+    w = _sine_of_sideslip(fine.along, vehicle, fine.h)
+    _check_sideslip(w, fine)
+    kept = PathRates(*(getattr(fine.along, field.name)[fine.rows] for field in fields(PathRates)))
+    reference = assemble(times, fine.position[:, fine.rows], kept, w[fine.rows], vehicle)
     if force_limits is not None:
-        _check_forces(reference, force_limits)
+        check_forces(reference.F_u, reference.F_r, force_limits, times, fine.position[:, fine.rows])
     return reference
+
+
+class _Fine(NamedTuple):
+    """A path on the grid that the sideslip is integrated on, `lead` steps of h [s] before the first time."""
+
+    times: Array  # [s]
+    position: Array  # [m]
+    along: PathRates
+    h: float
+    lead: int
+    rows: slice  # of the plan's own times
+
+
+def _check_sideslip(w: Array, fine: _Fine) -> None:
+    """Raise InfeasibleReferenceError where a sideslip, whose sine is given, exceeds `MAX_SIDESLIP`."""
+    limit = f"{math.degrees(MAX_SIDESLIP):.0f} degrees"
+    check(
+        np.abs(w[fine.lead :]) < math.sin(MAX_SIDESLIP),
+        lambda _: f"the sideslip exceeds {limit}, the path turns too fast for the sway drag",
+        fine.times[fine.lead :],
+        fine.position[:, fine.lead :],
+    )
+
+
+def _look_along(path: Path | Sequence[Path], vehicle: Vehicle, times: Array, substeps: int, run_in: float) -> _Fine:
+    """Return the path on a grid `substeps` times as fine as the plan's, which begins `run_in` [s] earlier."""
+    h = float(times[-1] - times[0]) / (len(times) - 1) / substeps
+    lead, several = int(run_in / h), len(path) if isinstance(path, Sequence) else 1
+    if not (samples := (lead + (len(times) - 1) * substeps) * several) <= MAX_SAMPLES:
+        raise ValueError(
+            f"the plan would need {samples} samples of the path, at most {MAX_SAMPLES} are made: fewer steps, a path "
+            "that turns more slowly, or a vehicle with a longer memory (m22 - m11)/d22 need fewer"
+        )
+    fine = times[0] + h * np.arange(-lead, (len(times) - 1) * substeps + 1)
+    fine[-1] = times[-1]  # not an ulp past the path's end
+    derivatives = evaluate(path, fine) if isinstance(path, Sequence) else path.derivatives(fine)
+    along = path_rates(derivatives)
+    check_rates(along.v_p, along.beta, along.v_p_dot, vehicle, fine, derivatives[0])
+    return _Fine(fine, derivatives[0], along, h, lead, slice(lead, None, substeps))
 
 
 def _side_by_side(references: Sequence[Reference]) -> Reference:
@@ -181,33 +192,6 @@ def _checked_times(times: Array, paths: Sequence[Path]) -> Array:
     return times
 
 
-Index = tuple[int, ...]
-
-
-def _check(valid: NDArray[np.bool_], condition: Callable[[Index], str], times: Array, positions: Array) -> None:
-    """Raise InfeasibleReferenceError for the first time at which `valid`, shape (T,) or (T, N), does not hold."""
-    if not valid.all():
-        index = tuple(int(i) for i in np.argwhere(~valid)[0])
-        x, y = (float(row[index]) for row in positions)
-        raise InfeasibleReferenceError(condition(index), float(times[index[0]]), (x, y))
-
-
-def _check_rates(along: PathRates, vehicle: Vehicle, check: Callable[..., None]) -> None:
-    moving = along.v_p >= MIN_SPEED
-    moving[1:] &= np.abs(wrap_angle(np.diff(along.beta, axis=0), ARRAYS)) < 0.5 * math.pi  # no turn on the spot
-    check(moving, lambda k: f"the speed passes through zero, here v_p = {along.v_p[k]:.3g} m/s")
-    braking = -along.v_p_dot / along.v_p
-    limit = vehicle.d22 / vehicle.m22
-    check(braking < limit, lambda k: f"braking -v_p'/v_p = {braking[k]:.4g} 1/s is not below d22/m22 = {limit:.4g} 1/s")
-
-
-def _check_forces(reference: Reference, limits: tuple[float, float]) -> None:
-    positions = np.stack((reference.x, reference.y))
-    for name, unit, force, limit in (("F_u", "N", reference.F_u, limits[0]), ("F_r", "N m", reference.F_r, limits[1])):
-        text = f"{name} = {{:.4g}} {unit} is beyond its limit of {limit:.4g} {unit}"
-        _check(np.abs(force) <= limit, lambda k, text=text, force=force: text.format(force[k]), reference.t, positions)  # type: ignore[misc]
-
-
 def _response(along: PathRates, vehicle: Vehicle) -> float:
     """Return the largest rate [1/s] at which the rest of the equation for w responds to w, with gamma quasi-steady."""
     a, turn = along.v_p_dot / along.v_p, vehicle.m11 * np.abs(along.omega)
@@ -218,32 +202,34 @@ def _response(along: PathRates, vehicle: Vehicle) -> float:
 
 @np.errstate(over="ignore", invalid="ignore")  # past 90 degrees, where the caller refuses
 def _sine_of_sideslip(along: PathRates, vehicle: Vehicle, h: float) -> Array:
-    """Integrate the equation of the module's docstring for w over samples h [s] apart, along axis 0."""
+    """Integrate the equation of the module's docstring for w over samples h [s] apart, along axis 0.
+
+    In the symbols of Cox and Matthews it is u' = c u + F(u, t) with u = w and c = -d22/Dm, and `F` below is h F:
+    u_(n+1) = e^(c h) u_n + g_0 F_n + g_1 F_(n-1) + g_2 F_(n-2) + g_3 F_(n-3).
+    """
     Dm = vehicle.m22 - vehicle.m11
-    z = vehicle.d22 / Dm * h
+    z = vehicle.d22 / Dm * h  # -c h
     floats = along.v_p.ndim == 1
-    slope, square, turn = (
-        (h / Dm * term).tolist() if floats else h / Dm * term for term in sideslip_terms(along, vehicle)
-    )
+    bracket = ((h / Dm * term).tolist() if floats else h / Dm * term for term in sideslip_terms(along, vehicle))
     sqrt = (FLOATS if floats else ARRAYS).sqrt
-    inputs = list(zip(slope, square, turn, strict=True))
+    inputs: list[tuple[Any, Any, Any]] = list(zip(*bracket, strict=True))
     start = slow_sideslip(along, vehicle)
-    w: list[Any] = [start.item() if floats else start] * ORDER
-    decay = math.exp(-z)
+    u: list[Any] = [start.item() if floats else start] * ORDER
     first = [(k, math.exp(-k * z), _weights(z, 0, k)) for k in range(1, ORDER)]
     for _ in range(12):  # the first samples jointly: a fixed point of the integral over their interpolant
-        terms = [sideslip_rest(*inputs[k], w[k], sqrt) for k in range(ORDER)]
-        for k, fade, (c0, c1, c2, c3) in first:
-            w[k] = fade * w[0] + c0 * terms[0] + c1 * terms[1] + c2 * terms[2] + c3 * terms[3]
-    c3, c2, c1, c0 = _weights(z, 1 - ORDER, 1)
-    n3, n2, n1, _ = terms
-    last = w[-1]
+        F = [sideslip_rest(*inputs[k], u[k], sqrt) for k in range(ORDER)]
+        for k, decay, (g0, g1, g2, g3) in first:
+            u[k] = decay * u[0] + g0 * F[0] + g1 * F[1] + g2 * F[2] + g3 * F[3]
+    decay = math.exp(-z)
+    g3, g2, g1, g0 = _weights(z, 1 - ORDER, 1)
+    F3, F2, F1, _ = F  # F_(n-3), F_(n-2), F_(n-1)
+    u_n = u[-1]
     for a, q, b in inputs[ORDER - 1 : -1]:
-        n0 = sideslip_rest(a, q, b, last, sqrt)
-        last = decay * last + c0 * n0 + c1 * n1 + c2 * n2 + c3 * n3
-        w.append(last)
-        n3, n2, n1 = n2, n1, n0
-    return np.array(w)
+        F0 = sideslip_rest(a, q, b, u_n, sqrt)
+        u_n = decay * u_n + g0 * F0 + g1 * F1 + g2 * F2 + g3 * F3
+        u.append(u_n)
+        F3, F2, F1 = F2, F1, F0
+    return np.array(u)
 
 
 def sideslip_terms(along: PathRates, vehicle: Vehicle) -> tuple[Array, Array, Array]:

@@ -14,13 +14,15 @@ import numpy as np
 
 from auv_gym.actuators import Actuators, Response
 from auv_gym.disturbances import Current, RandomCurrent, RandomMismatch, RandomWaves
+from auv_gym.dynamics import Load
 from auv_gym.episode import Episode
 from auv_gym.intervals import Interval, check_interval, check_number, draw
 from auv_gym.paths import PAPER_CIRCLE, PATHS, Path
 from auv_gym.records import from_record, to_record
 from auv_gym.sensors import Sensors
 from auv_gym.simulation import Parameters, Parts, Shear
-from auv_gym.vehicle import PAPER_VEHICLE, VEHICLES, Vehicle
+from auv_gym.stiffness import AT_REST, check_step
+from auv_gym.vehicle import PAPER_VEHICLE, VEHICLES, Coefficients, Vehicle
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -75,8 +77,7 @@ class Start:
             raise ValueError(f"start random_signs is {self.random_signs!r}; it must be true or false")
 
 
-MAX_INTEGRATION_STEP = 0.5
-"""Largest step [s] for which Runge-Kutta is trusted: the spinning vehicle's modes decay within about a second."""
+LARGEST_FILE = 2**24  # [B]
 
 _PARTS: dict[str, tuple[type, ...]] = {
     "path": (RandomPath, Path),
@@ -111,32 +112,37 @@ class Scenario:
     lost_distance: float = 30.0  # [m] position error that terminates
 
     def __post_init__(self) -> None:
-        if not self.name or not isinstance(self.name, str):
-            raise ValueError(f"scenario name is {self.name!r}; it must be a non-empty string")
+        if not self.name or not isinstance(self.name, str) or not self.name.isprintable():
+            raise ValueError(f"scenario name is {self.name!r}; it must be a string of printable characters, not empty")
         for name, kinds in _PARTS.items():
             if not isinstance(getattr(self, name), kinds):
                 allowed = " or ".join("None" if kind is type(None) else kind.__name__ for kind in kinds)
                 raise ValueError(f"scenario {name} is {getattr(self, name)!r}; it must be a {allowed}")
-        check_number("control_dt", self.control_dt, 1e-3, 10)
-        for name, high in (("steps", 10**7), ("substeps", 1000)):
+        for name, high in (("steps", 10**6), ("substeps", 1000)):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= high:
                 raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")
-        if self.control_dt / self.substeps > MAX_INTEGRATION_STEP:
-            raise ValueError(
-                f"control_dt is {self.control_dt!r} s in {self.substeps} substeps; an integration step must be at most "
-                f"{MAX_INTEGRATION_STEP} s, so raise substeps"
-            )
+        check_number("control_dt", self.control_dt, 1e-3, 10)
         check_number("error_scale", self.error_scale, 1e-6, 1e6)
         check_number("rate_weight", self.rate_weight, 0, 1e6)
         check_number("lost_distance", self.lost_distance, 1e-3, 64)
         if self.mismatch is not None:
             self.mismatch.check(self.vehicle)
+        self._check_step(self.mismatch.extremes(self.vehicle) if self.mismatch else self.vehicle.coefficients)
         if isinstance(self.path, Path) and not self.path.start <= 0 < self.duration <= self.path.end:
             raise ValueError(
                 f"the path runs from {self.path.start:.6g} to {self.path.end:.6g} s, the episode from 0 to "
                 f"{self.duration:.6g} s; lower steps or control_dt, or make the path longer"
             )
+
+    def _check_step(self, coefficients: Coefficients, speeds: Load = AT_REST) -> None:
+        """Raise ValueError if the integration step is too long for a true vehicle, or for several in rows."""
+        surge, sway, yaw = self.actuators.F_u_max, 0.0, self.actuators.F_r_max
+        if self.waves is not None:
+            speed = self.path.speed[1] if isinstance(self.path.speed, tuple) else self.path.speed
+            waves = self.waves.draw(lambda: 0.0, speed, self.vehicle)
+            surge, sway, yaw = surge + waves.surge, waves.sway, yaw + waves.yaw
+        check_step(self.control_dt / self.substeps, coefficients, (surge, sway, yaw), speeds)
 
     @property
     def duration(self) -> float:
@@ -222,7 +228,7 @@ class Scenario:
         """Return the constants of an episode.
 
         Raises:
-            ValueError: the episode has what this scenario's episodes cannot have.
+            ValueError: the episode has what this scenario's episodes cannot have, or the integration step is too long.
         """
         act, parts = self.actuators, self.parts
         for part, there, what in (
@@ -233,6 +239,8 @@ class Scenario:
         ):
             if there and not part:
                 raise ValueError(f"the episode has {what}, which scenario {self.name!r} has not: give it one that has")
+        if episode.initial_velocity is not None or (self.mismatch is None and episode.vehicle is not self.vehicle):
+            self._check_step(episode.vehicle.coefficients, episode.initial_velocity or AT_REST)
         return Parameters(
             h=self.control_dt / self.substeps,
             coefficients=episode.vehicle.coefficients,
@@ -287,19 +295,22 @@ class Scenario:
         """Return the scenario of a .json or .toml file.
 
         Raises:
-            ValueError: the file is of another kind, is not valid JSON or TOML, or has an unknown or wrong entry.
+            ValueError: the file is of another kind or too large, is not valid JSON or TOML, or has a wrong entry.
             OSError: the file cannot be read.
         """
         file = FilePath(file)
         suffix = _suffix(file)
-        text = file.read_text(encoding="utf-8")
+        if file.exists() and not (file.is_file() and file.stat().st_size <= LARGEST_FILE):
+            raise ValueError(f"{file} is no regular file of at most {LARGEST_FILE} bytes")
+        data = file.read_bytes()
         try:
+            text = data.decode("utf-8")
             record = json.loads(text) if suffix == ".json" else tomllib.loads(text)
-        except ValueError as error:  # both decoders' errors are ValueErrors
+        except (ValueError, RecursionError) as error:  # the errors of both decoders are ValueErrors
             raise ValueError(f"{file} is not valid {suffix[1:].upper()}: {error}") from error
         try:
             return cls.from_dict(record)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise ValueError(f"{file}: {error}") from error
 
 
@@ -316,7 +327,7 @@ def _path_of(record: Any) -> Path | RandomPath:
         return from_record(RandomPath, record, "path")
     rest = dict(record)
     family = rest.pop("family")
-    if family not in PATHS:
+    if not isinstance(family, str) or family not in PATHS:
         raise ValueError(f"unknown path family {family!r}; allowed are {', '.join(PATHS)}")
     return from_record(PATHS[family], rest, f"path {family}")
 

@@ -35,7 +35,7 @@ class Sensors:
     def __post_init__(self) -> None:
         for name in ("position", "heading", "velocity", "yaw_rate"):
             check_number(f"sensors {name}", getattr(self, name), 0, 1e3)
-            check_interval(f"sensors {name}_bias", getattr(self, f"{name}_bias"))
+            check_interval(f"sensors {name}_bias", getattr(self, f"{name}_bias"), -1e3, 1e3)
         check_number("sensors outages", self.outages, 0, 60)
         check_interval("sensors outage_time", self.outage_time, 0, 1e4)
         if self.low_pass is not None:

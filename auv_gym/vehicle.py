@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from auv_gym.intervals import is_float
 from auv_gym.namespaces import Number
 
 
@@ -23,6 +23,8 @@ class Coefficients(NamedTuple):
     N_rr: Number  # [kg m^2]
 
 
+LARGEST = 1e9
+"""Largest parameter of a vehicle, in its SI unit."""
 MIN_MASS_RATIO = 1.01
 """Least m22/m11: the planner's memory is (m22 - m11)/d22, and its integration step must follow."""
 
@@ -34,7 +36,7 @@ class Vehicle:
     Drag enters as `-(d11 + X_uu |u|) u` and likewise in sway and yaw; all coefficients are magnitudes.
 
     Raises:
-        ValueError: a parameter is not finite, a mass or linear drag is not positive, a quadratic drag is negative, or
+        ValueError: a parameter is not finite, too large or negative, a mass or linear drag is zero, or
             m22 is not above m11: the section III planner and the sideslip it describes need a slender hull.
     """
 
@@ -50,8 +52,8 @@ class Vehicle:
 
     def __post_init__(self) -> None:
         for name, value in zip(Coefficients._fields, self.coefficients, strict=True):
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-                raise ValueError(f"vehicle parameter {name} is {value!r}; it must be a finite number")
+            if not is_float(value) or not abs(value) <= LARGEST:
+                raise ValueError(f"vehicle parameter {name} is {value!r}; it must be a finite number up to {LARGEST:g}")
             if name[0] in "md" and value <= 0:
                 raise ValueError(f"vehicle parameter {name} is {value!r}; inertia and linear drag must be positive")
             if value < 0:

@@ -15,8 +15,8 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 import auv_gym
 from auv_gym.dynamics import state_rates
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
+from auv_gym.feasibility import InfeasibleReferenceError
 from auv_gym.paths import PATHS
-from auv_gym.planner import InfeasibleReferenceError
 from auv_gym.presets import PRESETS
 from auv_gym.scenario import RandomPath, Scenario
 from auv_gym.task import SIZE, decode_observation

@@ -12,8 +12,9 @@ from matrix_form import matrix_form
 from scipy.integrate import solve_ivp
 from scipy.special import fresnel
 
+from auv_gym.feasibility import InfeasibleReferenceError
 from auv_gym.paths import PAPER_CIRCLE, Circle, Ellipse, FigureEight, Lawnmower, Line, Path, RandomSmooth, Sine, Spline
-from auv_gym.planner import MAX_SIDESLIP, InfeasibleReferenceError, Reference, path_rates, plan, printed_surge_rate
+from auv_gym.planner import MAX_SIDESLIP, Reference, path_rates, plan, printed_surge_rate
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 
 ROUGH = Vehicle(215.0, 265.0, 80.0, 70.0, 100.0, 50.0, X_uu=40.0, Y_vv=150.0, N_rr=60.0)

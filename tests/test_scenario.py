@@ -95,7 +95,7 @@ def test_random_signs_reach_all_eight_combinations():
         ({"path": {"family": "spline", "waypoints": [[0, 0], [9, 0]], "speed": 1.0}}, r"the path runs from 0 to 9 s"),
         ({"path": "circle"}, r"scenario path is 'circle'; it must be a table"),
         ({"mismatch": 3}, r"mismatch is 3; it must be a table"),
-        ({"control_dt": 2.0}, r"an integration step must be at most 0.5 s, so raise substeps"),
+        ({"control_dt": 2.0}, r"an integration step, .* is 2 s; it must be at most 0.231 s .* so raise substeps"),
     ],
 )  # fmt: skip
 def test_bad_records_are_refused(record, message):

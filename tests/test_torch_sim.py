@@ -83,7 +83,8 @@ def test_reset_mask_and_options():
     ("actions", "message"),
     [
         (torch.zeros(2, 2), r"shape \(2, 2\)"),
-        (np.zeros((3, 2)), "type ndarray"),
+        ([[0.0, 0.0]] * 3, "type list"),
+        (np.zeros((3, 2), dtype=bool), "type ndarray"),
         (torch.tensor([[0, 0], [0, np.nan], [0, 0]]), "sub-environment 1"),
     ],
 )

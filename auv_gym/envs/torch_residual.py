@@ -64,29 +64,26 @@ class TorchResidualAction(gym.vector.VectorWrapper[Tensor, Tensor, Tensor, Tenso
     ) -> tuple[Tensor, dict[str, Any]]:
         """Start episodes; see `TorchSimulator.reset`."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._observation = self._extended(observation)
-        return self._observation, info
+        observation, self._base = self._extended(observation)
+        return observation, info
 
-    def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
+    def step(self, actions: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
         """Apply the expert's actions plus the corrections; see `TorchSimulator.step`."""
-        if not isinstance(actions, Tensor) or actions.shape != (self.num_envs, 2):
-            return self.env.step(actions)  # which refuses them
-        corrections = actions.to(self.env.device, self.env.dtype)
-        command = corrected(self._observation[:, -2:], self.authority, corrections, TENSORS)
+        command = corrected(self._base, self.authority, self.env.checked(actions), TENSORS)
         observation, reward, terminated, truncated, info = self.env.step(command)
         if "final_obs" in info:
-            info["final_obs"] = self._extended(info["final_obs"])
-        self._observation = self._extended(observation)
-        return self._observation, reward, terminated, truncated, info
+            info["final_obs"], _ = self._extended(info["final_obs"])
+        observation, self._base = self._extended(observation)
+        return observation, reward, terminated, truncated, info
 
     def detach(self) -> Tensor:
         """Cut the graph here and return the last observation without it; see `TorchSimulator.detach`."""
-        self.env.detach()
-        self._observation = self._observation.detach()
-        return self._observation
+        observation, self._base = self._extended(self.env.detach())
+        return observation
 
-    def _extended(self, observation: Tensor) -> Tensor:
-        """Return observations (N, columns + 2) with the expert's actions, in float32 as every policy's are."""
+    def _extended(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """Return observations (N, columns + 2) with the expert's actions, and these, of float32 as every policy's."""
         o = Observation._make(decode(observation[:, :SIZE].unbind(dim=1), TENSORS))
         base = torch.stack(expert_action(self.expert.forces, o), dim=1)
-        return torch.cat((observation, base.to(torch.float32).to(observation.dtype)), dim=1)
+        base = base.to(torch.float32).to(observation.dtype)
+        return torch.cat((observation, base), dim=1), base

@@ -207,7 +207,7 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
         self._observation = self._begin(beginning, self._observation.detach())
         errors = np.zeros(self.num_envs)
         errors[beginning.lanes] = beginning.errors
-        return self._observation, self._info(self._tensor(errors), torch.zeros_like(self._observation[:, 0]))
+        return self._observation.clone(), self._info(self._tensor(errors), torch.zeros_like(self._observation[:, 0]))
 
     def _begin(self, beginning: Beginning, observation: Tensor) -> Tensor:
         """Put vehicles at the start of their episodes; return the observations (N, columns) with their first ones."""
@@ -263,14 +263,16 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
         o = Observation._make(rows.unbind())  # the scale of sine and cosine is 1
         return torch.cat((rows, encode_preview(ahead, o, TENSORS)))
 
-    def step(self, actions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
+    def step(self, actions: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
         """Advance every vehicle by one control period; start the next episode where one ends.
+
+        Actions are a tensor of shape (N, 2), or an array.
 
         Raises:
             ValueError: an action is not two finite numbers; the first bad sub-environment is named, none has advanced.
             ResetNeeded: no episode has begun.
         """
-        commands, state, host = self._checked(actions), self.state, self._lanes
+        commands, state, host = self.checked(actions), self.state, self._lanes
         host.coming()
         if self._block != host.blocks:
             self._samples, self._block = self._tensor(host.samples), host.blocks
@@ -298,18 +300,25 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
             errors = errors.masked_scatter(done, self._tensor(beginning.errors))
             saturated = saturated * ~done
         info.update(self._info(errors, saturated))
-        self._observation = observation
+        self._observation = observation.clone()
         return observation, reward, terminated, truncated, info
 
     def detach(self) -> Tensor:
         """Cut the graph here and return the last observation, shape (N, columns), without it."""
         self._state, self._observation = self.state.detach(), self._observation.detach()
-        return self._observation
+        return self._observation.clone()
 
-    def _checked(self, actions: Tensor) -> Tensor:
+    def checked(self, actions: Any) -> Tensor:
+        """Return actions, a tensor or an array of shape (N, 2), as a tensor of the simulator's type.
+
+        Raises:
+            ValueError: they are of another kind or shape, or not finite; the first bad sub-environment is named.
+        """
+        if isinstance(actions, np.ndarray) and actions.dtype.kind in "fiu":
+            actions = torch.as_tensor(actions)
         if not isinstance(actions, Tensor) or actions.shape != (self.num_envs, 2):
             given = f"shape {tuple(actions.shape)}" if isinstance(actions, Tensor) else f"type {type(actions).__name__}"
-            raise ValueError(f"actions have {given}; they must be a tensor of shape ({self.num_envs}, 2)")
+            raise ValueError(f"actions have {given}; they must be a tensor or array of shape ({self.num_envs}, 2)")
         finite = torch.isfinite(actions.detach()).all(dim=1)
         if not finite.all():
             i = int(finite.to(torch.int8).argmin())

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
@@ -95,7 +97,8 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
 
     ## Episode End
     - Termination: the vehicle is lost, farther than `lost_distance` from the reference.
-    - Truncation: `steps` control steps are over. It is counted inside; no `TimeLimit` wrapper is needed.
+    - Truncation: `steps` control steps are over. It is counted inside; no `TimeLimit` wrapper is needed. `env.spec`
+      says how many, for wrappers that ask; `gym.make(..., max_episode_steps=)` may ask for fewer.
 
     ## Information
     `reset` and `step` return `position_error` [m] (true, of the centre of mass), `saturated` (an actuator was
@@ -149,10 +152,23 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         if isinstance(self.scenario.path, Path):
             self._plan(self.scenario.path)
         self._tape = Tape(1, BLOCK)
+        self._spec: EnvSpec | None = None
         self._k = self._steps  # no episode yet
         self._over = True
         self._renderer: Renderer | None = None
         self._trail: list[tuple[float, float]] = []
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What it was made from; `max_episode_steps` is the scenario's unless `gym.make` was given fewer."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        """Set by `gym.make`."""
+        if spec is not None and spec.max_episode_steps is None:
+            spec = replace(spec, max_episode_steps=self._steps)
+        self._spec = spec
 
     def _plan(self, path: Path) -> Reference:
         """Return the reference for a path, remembering the last one: scenarios with a fixed path plan once."""

@@ -11,6 +11,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.intervals import is_float
+
 Array = NDArray[np.float64]
 Uniform = Callable[[], float]
 """Returns the next random number in [0, 1)."""
@@ -47,7 +49,9 @@ def is_number(value: Any, kind: str) -> bool:
     """Whether every entry is a finite number, also "positive" or "not zero" if `kind` says so."""
     if type(value) is float:  # by far the most frequent, in a hundredth of the time
         return math.isfinite(value) and (not kind or value > 0 or (kind == "not zero" and value != 0))
-    if isinstance(value, bool) or not isinstance(value, Real | np.ndarray):
+    if isinstance(value, int | bool) and not is_float(value):
+        return False
+    if not isinstance(value, Real | np.ndarray):
         return False
     numbers = np.asarray(value, dtype=np.float64)
     right = numbers > 0 if kind == "positive" else numbers != 0 if kind == "not zero" else True

@@ -11,9 +11,10 @@ import numpy as np
 
 from auv_gym.disturbances import RandomCurrent, RandomMismatch, RandomWaves
 from auv_gym.episode import Episode
+from auv_gym.feasibility import InfeasibleReferenceError
 from auv_gym.intervals import Interval
 from auv_gym.paths import Path, Spline
-from auv_gym.planner import InfeasibleReferenceError, path_rates, plan
+from auv_gym.planner import path_rates, plan
 from auv_gym.presets import CASES, PRESETS, REGIMES
 from auv_gym.scenario import RandomPath, Scenario
 from baselines.evaluation.runner import Cell
