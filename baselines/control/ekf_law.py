@@ -19,7 +19,7 @@ from auv_gym.task import Observation
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 from baselines.control.backstepping import UNDAMPED_GAINS, tracking_forces, undamped
 from baselines.estimation.kalman import ExtendedKalmanFilter, Tuning
-from baselines.estimation.sea_model import WAVE_FREQUENCY, Estimate, waves_after
+from baselines.estimation.sea_model import WAVE_FREQUENCY, Estimate, wave_transition, waves_after
 from baselines.estimation.water_frame import Sea, WaterPlan, reference_motion, water_errors
 from baselines.gains.loading import by_speed
 from baselines.policy import Array, Memory, Remembering
@@ -47,9 +47,10 @@ class EkfLaw:
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
         """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
         split = self.filter.MEMORY
-        believed, z = self.filter.update(memory[:split], o)
+        motion = reference_motion(o, self.vehicle)
+        believed, z = self.filter.update(memory[:split], o, motion)
         X, N, sea = foreseen_sea(z, o.dt)
-        plan, R = self.plan.update(memory[split:], reference_motion(o, self.vehicle), sea, o.dt)
+        plan, R = self.plan.update(memory[split:], motion, sea, o.dt)
         e_x, e_y = to_body(z.x_e, z.y_e, np.cos(z.psi), np.sin(z.psi))
         errors = water_errors((e_x, e_y, z.psi, z.u, z.v, z.r), R)
         F_u, F_r = tracking_forces(errors, self.vehicle, self.gains, ARRAYS)
@@ -60,7 +61,7 @@ class EkfLaw:
 
 def foreseen_sea(z: Estimate, dt: Array) -> tuple[Array, Array, Sea]:
     """Return surge load X [N] and yaw load N [N m] in the middle of the coming period, and what to plan for."""
-    X_wave, _, Y_wave, Y_swing, N_wave, _ = waves_after(z, 0.5 * dt)
+    X_wave, _, Y_wave, Y_swing, N_wave, _ = waves_after(z, wave_transition(0.5 * dt))
     Y_rate = WAVE_FREQUENCY * Y_swing
     return z.X + X_wave, z.N + N_wave, Sea(z.V_x, z.V_y, z.V_x_rate, z.V_y_rate, z.Y + Y_wave, Y_rate)
 

@@ -47,7 +47,8 @@ class IntegralLaw:
 
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
         """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
-        xi = integrated(memory[0].T, o, self.rate, self.horizon)
+        (past_xi,) = memory
+        xi = integrated(past_xi.T, o, self.rate, self.horizon)
         eta_x, eta_y = seen_from_body(xi, o)
         e_x, e_y, *rest = bounded_error(o, self.horizon, ARRAYS)
         F_u, F_r = tracking_forces((e_x + self.surge * eta_x, e_y + eta_y, *rest), self.vehicle, self.gains, ARRAYS)

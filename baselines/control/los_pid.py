@@ -64,9 +64,10 @@ class LineOfSightPID:
         g, vehicle = self.gains, self.vehicle
         m11, m22, m33 = vehicle.m11, vehicle.m22, vehicle.m33
         u, v, r = o.u_R + o.u_e, o.v_R + o.v_e, o.r_R + o.r_e
+        past_xi, past_crab, past_total = memory
         U = reference_speed(o.u_R, o.v_R, ARRAYS)
         gamma = np.arctan2(o.v_R, o.u_R)
-        xi = integrated(memory[0].T, o, g.rate, g.horizon)
+        xi = integrated(past_xi.T, o, g.rate, g.horizon)
         e_x, e_y, *_ = bounded_error(o, g.horizon, ARRAYS)
         eta_x, eta_y = seen_from_body(xi, o)
         angle = o.psi_e - gamma  # from the path's course to the heading
@@ -74,13 +75,13 @@ class LineOfSightPID:
         along, across = to_world(e_x + eta_x, e_y + eta_y, c, s)  # in the path's frame
         speed, drift = to_world(u, v, c, s)
         drift_angle = wrap_angle(np.arctan2(v, np.maximum(u, 0.5 * U)) - gamma, ARRAYS)
-        crab = memory[1] + first_order(o.dt, g.crab_time) * (drift_angle - memory[1])
+        crab = past_crab + first_order(o.dt, g.crab_time) * (drift_angle - past_crab)
         ahead = g.lookahead * U
         lean = -np.arctan2(across, ahead) - g.crab * crab  # [rad] wanted of psi_e
         lean_rate = -drift * ahead / (ahead * ahead + across * across)
         psi_error = wrap_angle(o.psi_e - lean, ARRAYS)
         free = np.abs(o.a_r) < 1.0  # no windup while the torque is at its limit
-        total = np.clip(memory[2] + o.dt * free * psi_error, -LARGEST_INTEGRAL, LARGEST_INTEGRAL)
+        total = np.clip(past_total + o.dt * free * psi_error, -LARGEST_INTEGRAL, LARGEST_INTEGRAL)
         r_dot = -g.heading * psi_error - g.turn * (o.r_e - lean_rate) - g.heading_integral * total
         u_dot = -g.along * along - g.speed * (speed - U)
         F_u = o.F_uR - m22 * (v * r - o.v_R * o.r_R) + m11 * u_dot

@@ -127,13 +127,13 @@ class LQI:
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
         """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
         w = self.weights
-        xi = integrated(memory[0].T, o, w.rate, w.horizon)
+        past_xi, past_lagged = memory
+        xi = integrated(past_xi.T, o, w.rate, w.horizon)
         plan = np.array((o.F_uR, o.F_rR))
         previous = np.array((o.a_u * o.F_u_max, o.a_r * o.F_r_max))
-        lagged = memory[1].T
-        lagged = lagged + first_order(o.dt, w.lag) * (previous - lagged)
-        e_x, e_y, *rest = bounded_error(o, w.horizon, ARRAYS)
-        z = np.array((e_x, e_y, *rest[:4], *seen_from_body(xi, o), *(lagged - plan), *(previous - plan)))
+        lagged = past_lagged.T + first_order(o.dt, w.lag) * (previous - past_lagged.T)
+        e_x, e_y, psi_e, u_e, v_e, r_e, *_ = bounded_error(o, w.horizon, ARRAYS)
+        z = np.array((e_x, e_y, psi_e, u_e, v_e, r_e, *seen_from_body(xi, o), *(lagged - plan), *(previous - plan)))
         F_u, F_r = plan - np.einsum("nij,jn->in", self._gain(o), z)
         return F_u, F_r, (xi.T, lagged.T)
 

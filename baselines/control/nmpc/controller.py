@@ -34,7 +34,8 @@ from baselines.control.nmpc.problem import (
     taken,
 )
 from baselines.estimation.kalman import ExtendedKalmanFilter, Tuning
-from baselines.estimation.sea_model import Estimate, current_transition, lag_response, waves_after
+from baselines.estimation.sea_model import Estimate, current_transition, lag_response, wave_transition, waves_after
+from baselines.estimation.water_frame import reference_motion
 from baselines.gains.loading import by_speed
 from baselines.policy import Array, Memory, Remembering
 
@@ -84,8 +85,8 @@ class PredictiveControl:
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
         """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
         *believed, planned = memory
-        fresh = believed[0] == 0
-        after, z = self.filter.update(tuple(believed), o)
+        fresh = believed[self.filter.COUNT] == 0
+        after, z = self.filter.update(tuple(believed), o, reference_motion(o, self.vehicle))
         ahead = self._horizon(z, o, extra)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             guess = self._guess(z, o, np.einsum("jk,nki->jin", self._next, planned), fresh, ahead)
@@ -93,7 +94,8 @@ class PredictiveControl:
         # A vehicle that spins too fast for the prediction is left to the law that is safe from that.
         law = np.array(tracking_forces(o, self.vehicle, GAINS["normalised"], ARRAYS))
         commands = np.where(np.isfinite(plan.cost), plan.commands, law)
-        return commands[0, 0], commands[0, 1], (*after, np.ascontiguousarray(commands.transpose(2, 0, 1)))
+        F_u, F_r = commands[0]
+        return F_u, F_r, (*after, np.ascontiguousarray(commands.transpose(2, 0, 1)))
 
     def _guess(self, z: Estimate, o: Observation, warm: Array, fresh: NDArray[np.bool_], ahead: Horizon) -> Plan:
         """Return the better of two plans to begin with: what was planned, and what the reference takes as it is now."""
@@ -113,7 +115,7 @@ class PredictiveControl:
         dt, middle = self._lengths[:, None] * o.dt, (self._ends - 0.5 * self._lengths)[:, None] * o.dt
         x, y = extra[:, : 2 * len(PREVIEW)].reshape(-1, len(PREVIEW), 2).T
         kept, _, time = current_transition(middle)
-        X, _, Y, _, N, _ = waves_after(z, middle)
+        X, _, Y, _, N, _ = waves_after(z, wave_transition(middle))
         response = lag_response(z.lag, dt)
         return Horizon(
             dt,
