@@ -59,8 +59,8 @@ class CurrentObserver:
         psi = motion.psi + o.psi_e
         plan, R = self.plan.update(tuple(planned), motion, Sea(V_x, V_y), o.dt)
         V_u, V_v = to_body(V_x, V_y, o.cos_psi, o.sin_psi)
-        ground = o.u_R + o.u_e, o.v_R + o.v_e
-        errors = water_errors((o.e_x, o.e_y, psi, ground[0] - V_u, ground[1] - V_v, o.r_R + o.r_e), R)
+        u_ground, v_ground = o.u_R + o.u_e, o.v_R + o.v_e
+        errors = water_errors((o.e_x, o.e_y, psi, u_ground - V_u, v_ground - V_v, o.r_R + o.r_e), R)
         F_u, F_r = tracking_forces(errors, self.vehicle, self.gains, ARRAYS)
         copy = np.stack((u, v, psi, o.r_R + o.r_e), axis=1)
         return F_u, F_r, (np.ones_like(u), copy, np.stack((V_x, V_y), axis=1), *plan)

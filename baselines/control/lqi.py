@@ -32,6 +32,11 @@ TURN_RATES = np.linspace(-0.18, 0.18, 7)
 """Grid of u_R [m/s] and r_R [rad/s]; beyond it the gain at its edge is used."""
 
 STATES, FORCES = 8, 2
+"""How many errors with their integrals there are, and how many forces."""
+ERRORS, INTEGRALS = slice(0, 6), slice(6, 8)
+POSITION, VELOCITY, HEADING_AND_VELOCITY = slice(0, 2), slice(3, 5), slice(2, 5)
+HEADING, TURN = 2, 5
+"""Where they stand in a state: e_x, e_y, psi_e, u_e, v_e, r_e, then the two integrals."""
 
 
 class LqiWeights(NamedTuple):
@@ -68,8 +73,8 @@ def sampled_model(u_R: float, r_R: float, vehicle: Vehicle, w: LqiWeights, dt: f
     turning = np.array([[0.0, r_R], [-r_R, 0.0]])
     n = STATES + FORCES
     M = np.zeros((n + FORCES, n + FORCES))  # of the states but the last two, and the command
-    M[:6, :6], M[:6, STATES:n] = A6, B6
-    M[6:8, 6:8], M[6:8, :2] = turning, w.rate * np.eye(2)  # xi' = rate R(psi) e in the world
+    M[ERRORS, ERRORS], M[ERRORS, STATES:n] = A6, B6
+    M[INTEGRALS, INTEGRALS], M[INTEGRALS, POSITION] = turning, w.rate * np.eye(2)  # xi' = rate R(psi) e in the world
     M[STATES:n, STATES:n], M[STATES:n, n:] = -np.eye(FORCES) / w.lag, np.eye(FORCES) / w.lag
     step = expm(dt * M)
     Phi, Gamma = np.zeros((n + FORCES, n + FORCES)), np.zeros((n + FORCES, FORCES))
@@ -93,9 +98,11 @@ def optimal_gain(
     Phi, Gamma = sampled_model(u_R, r_R, vehicle, w, dt)
     v_R = steady_sway(u_R, r_R, vehicle)
     weighted = np.zeros((STATES, STATES))  # errors times the roots of their weights
-    weighted[[0, 1, 6, 7], [0, 1, 6, 7]] = 1.0
-    weighted[2, 2], weighted[5, 5] = w.heading * np.hypot(u_R, v_R), w.turn
-    weighted[3:5, 2:5] = w.velocity * np.array([[-v_R, 1.0, 0.0], [u_R, 0.0, 1.0]])  # (17), linearised
+    weighted[POSITION, POSITION] = weighted[INTEGRALS, INTEGRALS] = np.eye(2)
+    weighted[HEADING, HEADING], weighted[TURN, TURN] = w.heading * np.hypot(u_R, v_R), w.turn
+    weighted[VELOCITY, HEADING_AND_VELOCITY] = w.velocity * np.array(
+        [[-v_R, 1.0, 0.0], [u_R, 0.0, 1.0]]
+    )  # (17), linearised
     effort = np.diag(np.square(np.array([w.surge_effort, w.yaw_effort]) / limits))
     change = np.diag(np.square(np.array([w.surge_rate, w.yaw_rate]) / limits / dt))
     Q = block_diag(weighted.T @ weighted, np.zeros((FORCES, FORCES)), change)

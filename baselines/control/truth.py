@@ -19,6 +19,8 @@ from auv_gym.tape import Tape
 
 Array = NDArray[np.float64]
 
+CURRENT, LOAD = slice(8, 10), slice(10, 13)
+"""Where V_x, V_y and X, Y, N stand in a `Sample`."""
 BODY = 8
 """The first entries of a `Plant`: the state and the forces that the actuators apply."""
 
