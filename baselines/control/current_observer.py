@@ -14,20 +14,19 @@ mistaken for current.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from functools import partial
 
 import numpy as np
 
 from auv_gym.dynamics import rk4_step
 from auv_gym.errors import to_body, to_world
 from auv_gym.namespaces import ARRAYS
-from auv_gym.scenario import as_vehicle
 from auv_gym.task import Observation, V
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.vehicle import Vehicle
 from baselines.control.backstepping import UNDAMPED_GAINS, tracking_forces, undamped
 from baselines.estimation.water_frame import Sea, WaterPlan, reference_motion, water_errors
-from baselines.gains.loading import by_speed
-from baselines.policy import Array, Memory, Remembering
+from baselines.gains.loading import tuned_policy
+from baselines.policy import Array, Memory
 
 OBSERVER_GAINS = (*UNDAMPED_GAINS, "fast", "slow")
 """Names of the gains: the law's, see `backstepping.undamped`, and the observer's poles [1/s]."""
@@ -94,17 +93,5 @@ class CurrentObserver:
         return 1 - fast * slow / a - follow, follow
 
 
-def make_current_observer(
-    gains: Mapping[str, float] | None = None, vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE
-) -> Remembering:
-    """Return the law with its observer as a policy.
-
-    Args:
-        gains: named in `OBSERVER_GAINS`, at every speed, in place of the tuned ones, which depend on the speed.
-        vehicle: the vehicle that the law believes in; an object, a name or a dict.
-
-    Raises:
-        ValueError: unknown vehicle, or wrong gains.
-    """
-    known = as_vehicle(vehicle)
-    return Remembering(by_speed("current-observer", OBSERVER_GAINS, lambda g: CurrentObserver(g, known), gains))
+make_current_observer = partial(tuned_policy, "current-observer", OBSERVER_GAINS, CurrentObserver)
+"""Returns the controller as a policy; its arguments `gains` and `vehicle` are those of `tuned_policy`."""

@@ -8,21 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Any
+from functools import partial
 
 import numpy as np
 
 from auv_gym.errors import to_body
 from auv_gym.namespaces import ARRAYS
-from auv_gym.scenario import as_vehicle
 from auv_gym.task import Observation
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.vehicle import Vehicle
 from baselines.control.backstepping import UNDAMPED_GAINS, tracking_forces, undamped
 from baselines.estimation.kalman import ExtendedKalmanFilter, Tuning
 from baselines.estimation.sea_model import WAVE_FREQUENCY, Estimate, wave_transition, waves_after
 from baselines.estimation.water_frame import Sea, WaterPlan, reference_motion, water_errors
-from baselines.gains.loading import by_speed
-from baselines.policy import Array, Memory, Remembering
+from baselines.gains.loading import tuned_policy
+from baselines.policy import Array, Memory
 
 FILTER_GAINS = tuple(field.name for field in fields(Tuning))
 EKF_GAINS = (*UNDAMPED_GAINS, "lead", *FILTER_GAINS)
@@ -66,17 +65,5 @@ def foreseen_sea(z: Estimate, dt: Array) -> tuple[Array, Array, Sea]:
     return z.X + X_wave, z.N + N_wave, Sea(z.V_x, z.V_y, z.V_x_rate, z.V_y_rate, z.Y + Y_wave, Y_rate)
 
 
-def make_ekf_law(
-    gains: Mapping[str, float] | None = None, vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE
-) -> Remembering:
-    """Return the law with its filter as a policy.
-
-    Args:
-        gains: at every speed, in place of the tuned ones, which depend on the speed; their names are in `EKF_GAINS`.
-        vehicle: the vehicle that law and filter believe in; an object, a name or a dict.
-
-    Raises:
-        ValueError: unknown vehicle, or wrong gains.
-    """
-    known = as_vehicle(vehicle)
-    return Remembering(by_speed("ekf", EKF_GAINS, lambda g: EkfLaw(g, known), gains))
+make_ekf_law = partial(tuned_policy, "ekf", EKF_GAINS, EkfLaw)
+"""Returns the controller as a policy; its arguments `gains` and `vehicle` are those of `tuned_policy`."""

@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 
 from auv_gym.namespaces import ARRAYS
-from auv_gym.scenario import as_vehicle
 from auv_gym.task import Observation
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 from baselines.control.backstepping import LAW_GAINS, Gains, bounded_error, tracking_forces
 from baselines.control.inertial_integral import integrated, seen_from_body
-from baselines.gains.loading import by_speed
+from baselines.gains.loading import tuned_policy
 from baselines.policy import Array, Memory, Remembering
 
 INTEGRAL_GAINS = ("rate", "horizon", "surge")
@@ -72,6 +71,5 @@ def integral_law(
     """
     if form not in FORMS:
         raise ValueError(f"unknown form {form!r}; allowed are {', '.join(FORMS)}")
-    known = as_vehicle(vehicle)
     name = {"printed": "integral", "normalised": "integral-normalised"}[form]
-    return Remembering(by_speed(name, FORMS[form], lambda g: IntegralLaw(g, known), gains))
+    return tuned_policy(name, FORMS[form], IntegralLaw, gains, vehicle)

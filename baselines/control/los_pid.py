@@ -9,19 +9,19 @@ Control Systems Technology 22(6):2287-2301, 2014). The heading autopilot is a PI
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from auv_gym.errors import to_world
 from auv_gym.namespaces import ARRAYS, wrap_angle
-from auv_gym.scenario import as_vehicle
 from auv_gym.task import Observation
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.vehicle import Vehicle
 from baselines.control.backstepping import bounded_error
 from baselines.control.inertial_integral import integrated, seen_from_body
-from baselines.gains.loading import by_speed
-from baselines.policy import Array, Memory, Remembering, first_order, reference_speed
+from baselines.gains.loading import tuned_policy
+from baselines.policy import Array, Memory, first_order, reference_speed
 
 LARGEST_INTEGRAL = 0.5
 """Bound [rad s] of the heading autopilot's integral."""
@@ -89,17 +89,5 @@ class LineOfSightPID:
         return F_u, F_r, (xi.T, crab, total)
 
 
-def make_los_pid(
-    gains: Mapping[str, float] | None = None, vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE
-) -> Remembering:
-    """Return line-of-sight guidance with PID autopilots as a policy.
-
-    Args:
-        gains: the fields of `PIDGains`, at every speed, in place of the tuned ones, which depend on the speed.
-        vehicle: the vehicle that the autopilots believe in; an object, a name or a dict.
-
-    Raises:
-        ValueError: unknown vehicle, or wrong gains.
-    """
-    known = as_vehicle(vehicle)
-    return Remembering(by_speed("los-pid", PIDGains._fields, lambda g: LineOfSightPID(g, known), gains))
+make_los_pid = partial(tuned_policy, "los-pid", PIDGains._fields, LineOfSightPID)
+"""Returns the controller as a policy; its arguments `gains` and `vehicle` are those of `tuned_policy`."""

@@ -10,22 +10,21 @@ Motion Control, 2nd ed., 2021, section 16.1.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
-from typing import Any, NamedTuple
+from functools import lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.linalg import block_diag, expm, solve_discrete_are
 
 from auv_gym.namespaces import ARRAYS
-from auv_gym.scenario import as_vehicle
 from auv_gym.task import Observation
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.vehicle import Vehicle
 from baselines.control.backstepping import bounded_error
 from baselines.control.inertial_integral import integrated, seen_from_body
 from baselines.control.linearisation import error_dynamics
-from baselines.gains.loading import by_speed
-from baselines.policy import Array, Memory, Remembering, first_order
+from baselines.gains.loading import tuned_policy
+from baselines.policy import Array, Memory, first_order
 
 SPEEDS = np.geomspace(0.05, 2.5, 14)
 TURN_RATES = np.linspace(-0.18, 0.18, 7)
@@ -156,17 +155,5 @@ class LQI:
         return K
 
 
-def make_lqi(
-    gains: Mapping[str, float] | None = None, vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE
-) -> Remembering:
-    """Return the gain-scheduled LQI as a policy.
-
-    Args:
-        gains: the fields of `LqiWeights`, at every speed, in place of the tuned ones, which depend on the speed.
-        vehicle: the vehicle that the law believes in; an object, a name or a dict.
-
-    Raises:
-        ValueError: unknown vehicle, or wrong gains.
-    """
-    known = as_vehicle(vehicle)
-    return Remembering(by_speed("lqi", LqiWeights._fields, lambda g: LQI(g, known), gains))
+make_lqi = partial(tuned_policy, "lqi", LqiWeights._fields, LQI)
+"""Returns the controller as a policy; its arguments `gains` and `vehicle` are those of `tuned_policy`."""

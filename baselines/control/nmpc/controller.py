@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from auv_gym.errors import to_world
 from auv_gym.namespaces import ARRAYS
-from auv_gym.scenario import as_vehicle
 from auv_gym.task import Observation
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 from baselines.control.backstepping import GAINS, tracking_forces
@@ -36,7 +35,7 @@ from baselines.control.nmpc.problem import (
 from baselines.estimation.kalman import ExtendedKalmanFilter, Tuning
 from baselines.estimation.sea_model import Estimate, current_transition, lag_response, wave_transition, waves_after
 from baselines.estimation.water_frame import reference_motion
-from baselines.gains.loading import by_speed
+from baselines.gains.loading import tuned_policy
 from baselines.policy import Array, Memory, Remembering
 
 PREVIEW = (1, 2, 4, 6, 8, 11, 14, 17, 20, 24, 28, 32, 36, 40, 45, 50)
@@ -168,5 +167,4 @@ def make_nmpc(
     """
     if solver not in SOLVERS:
         raise ValueError(f"unknown solver {solver!r}; allowed are {', '.join(SOLVERS)}")
-    known = as_vehicle(vehicle)
-    return Remembering(by_speed("nmpc", NMPC_GAINS, lambda g: PredictiveControl(g, known, solver), gains))
+    return tuned_policy("nmpc", NMPC_GAINS, partial(PredictiveControl, solver=solver), gains, vehicle)
