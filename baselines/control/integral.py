@@ -9,25 +9,23 @@ along the hull takes a little thrust, the same current across it a whole crab an
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from functools import partial
 
 import numpy as np
 
 from auv_gym.namespaces import ARRAYS
 from auv_gym.task import Observation
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.vehicle import Vehicle
 from baselines.control.backstepping import LAW_GAINS, Gains, bounded_error, tracking_forces
 from baselines.control.inertial_integral import integrated, seen_from_body
 from baselines.gains.loading import tuned_policy
-from baselines.policy import Array, Memory, Remembering
+from baselines.policy import Array, Memory
 
 INTEGRAL_GAINS = ("rate", "horizon", "surge")
 """[1/s] of the integral; [s] bound of error and integral as a travel time of the reference; [1] share of surge."""
-FORMS = {
-    "printed": (*LAW_GAINS, *INTEGRAL_GAINS),
-    "normalised": (*LAW_GAINS, "reference_speed", *INTEGRAL_GAINS),
-}
-"""Names of the gains by form of the law: as printed, or normalised with the speed."""
+PRINTED_GAINS = (*LAW_GAINS, *INTEGRAL_GAINS)
+NORMALISED_GAINS = (*LAW_GAINS, "reference_speed", *INTEGRAL_GAINS)
+"""Names of the gains of the law as printed, and normalised with the speed."""
 
 
 class IntegralLaw:
@@ -54,22 +52,6 @@ class IntegralLaw:
         return F_u, F_r, (xi.T,)
 
 
-def integral_law(
-    form: str = "printed",
-    gains: Mapping[str, float] | None = None,
-    vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE,
-) -> Remembering:
-    """Return the law with integral action as a policy.
-
-    Args:
-        form: "printed" or "normalised".
-        gains: at every speed, in place of the tuned ones, which depend on the speed; their names are in `FORMS`.
-        vehicle: the vehicle that the law believes in; an object, a name or a dict.
-
-    Raises:
-        ValueError: unknown form or vehicle, or wrong gains.
-    """
-    if form not in FORMS:
-        raise ValueError(f"unknown form {form!r}; allowed are {', '.join(FORMS)}")
-    name = {"printed": "integral", "normalised": "integral-normalised"}[form]
-    return tuned_policy(name, FORMS[form], IntegralLaw, gains, vehicle)
+make_integral = partial(tuned_policy, "integral", PRINTED_GAINS, IntegralLaw)
+make_integral_normalised = partial(tuned_policy, "integral-normalised", NORMALISED_GAINS, IntegralLaw)
+"""Return the law with integral action as a policy; the arguments `gains` and `vehicle` are those of `tuned_policy`."""
