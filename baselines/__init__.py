@@ -19,7 +19,7 @@ from baselines.agents.loading import AGENTS, FADING, is_path, load_policy, shipp
 from baselines.control.backstepping import Backstepping
 from baselines.control.current_observer import make_current_observer
 from baselines.control.ekf_law import make_ekf_law
-from baselines.control.integral import integral_law
+from baselines.control.integral import make_integral, make_integral_normalised
 from baselines.control.los_pid import make_los_pid
 from baselines.control.lqi import make_lqi
 from baselines.control.nmpc.controller import make_nmpc
@@ -35,10 +35,10 @@ POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
     "backstepping-paper": (Backstepping, {"gains": "paper"}, "the paper's law with the paper's gains at every speed"),
     "backstepping-robust": (Backstepping, {"gains": "robust"}, "the paper's law, gains tuned for decay up to 2 m/s"),
     "backstepping-normalised": (Backstepping, {"gains": "normalised"}, "the speed-normalised law, spin-safe gains"),
-    "integral": (integral_law, {}, "the paper's law with the position error's integral"),
+    "integral": (make_integral, {}, "the paper's law with the position error's integral"),
     "integral-normalised": (
-        integral_law,
-        {"form": "normalised"},
+        make_integral_normalised,
+        {},
         "the speed-normalised law with the position error's integral",
     ),
     "los-pid": (make_los_pid, {}, "line-of-sight guidance, PID autopilots and the planner's feed-forward"),

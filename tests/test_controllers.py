@@ -16,7 +16,7 @@ from auv_gym.presets import PRESETS
 from auv_gym.scenario import Start
 from auv_gym.task import BOUNDS, SCALES
 from auv_gym.vehicle import PAPER_VEHICLE as V
-from baselines.control.integral import FORMS
+from baselines.control.integral import NORMALISED_GAINS, PRINTED_GAINS
 from baselines.control.linearisation import error_dynamics
 from baselines.control.los_pid import PIDGains
 from baselines.control.lqi import LqiWeights, gain_schedule, optimal_gain, sampled_model
@@ -122,7 +122,7 @@ def test_memory_stays_bounded_however_far_the_vehicle_is(name):
 
 
 def gain_names(name):
-    return {"integral": FORMS["printed"], "integral-normalised": FORMS["normalised"]}.get(
+    return {"integral": PRINTED_GAINS, "integral-normalised": NORMALISED_GAINS}.get(
         name, PIDGains._fields if name == "los-pid" else LqiWeights._fields
     )
 
@@ -243,8 +243,8 @@ def test_given_gains_replace_the_files(folder, name):
         baselines.make_policy(name, gains={"k9": 1.0})
 
 
-def test_unknown_regime_and_form_are_refused():
+def test_unknown_regimes_and_options_are_refused():
     with pytest.raises(ValueError, match="unknown regime 'fast'; allowed are slow, cruise"):
         load_gains("lqi", "fast", LqiWeights._fields)
-    with pytest.raises(ValueError, match="unknown form 'other'; allowed are printed, normalised"):
+    with pytest.raises(ValueError, match=r"policy 'integral' does not take these options: .*form"):
         baselines.make_policy("integral", form="other")

@@ -13,7 +13,7 @@ from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.presets import CASES, PRESETS, REGIMES
 from auv_gym.task import SIZE
 from baselines.control.backstepping import GAINS, LAW_GAINS
-from baselines.control.integral import FORMS
+from baselines.control.integral import PRINTED_GAINS
 from baselines.gains import loading as gain_files
 from baselines.gains.loading import load_gains
 from baselines.tools.command_line import DONE, UsageError
@@ -84,7 +84,7 @@ def test_search_improves_within_its_evaluations_and_repeats():
 
 
 def test_file_holds_gains_and_provenance_and_can_be_resumed(folder, capsys):
-    file, names = folder / "integral-slow.json", FORMS["printed"]
+    file, names = folder / "integral-slow.json", PRINTED_GAINS
     before = json.loads(file.read_text())
     arguments = ["integral", "--regime", "slow", "--episodes", "8", "--evaluations", "1"]
     assert main([*arguments, "--dry"]) == DONE

@@ -14,20 +14,19 @@ mistaken for current.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from functools import partial
 
 import numpy as np
 
 from auv_gym.dynamics import rk4_step
 from auv_gym.errors import to_body, to_world
 from auv_gym.namespaces import ARRAYS
-from auv_gym.scenario import as_vehicle
 from auv_gym.task import Observation, V
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.vehicle import Vehicle
 from baselines.control.backstepping import UNDAMPED_GAINS, tracking_forces, undamped
 from baselines.estimation.water_frame import Sea, WaterPlan, reference_motion, water_errors
-from baselines.gains.loading import by_speed
-from baselines.policy import Array, Memory, Remembering
+from baselines.gains.loading import tuned_policy
+from baselines.policy import Array, Memory
 
 OBSERVER_GAINS = (*UNDAMPED_GAINS, "fast", "slow")
 """Names of the gains: the law's, see `backstepping.undamped`, and the observer's poles [1/s]."""
@@ -53,20 +52,27 @@ class CurrentObserver:
 
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
         """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
-        (u, v), (V_x, V_y) = self.observe(o, memory)
+        begun, copy, current, *planned = memory
+        (u, v), (V_x, V_y) = self.observe(o, begun, copy, current)
         motion = reference_motion(o, self.vehicle)
         psi = motion.psi + o.psi_e
-        plan, R = self.plan.update(memory[3:], motion, Sea(V_x, V_y), o.dt)
+        plan, R = self.plan.update(tuple(planned), motion, Sea(V_x, V_y), o.dt)
         V_u, V_v = to_body(V_x, V_y, o.cos_psi, o.sin_psi)
-        ground = o.u_R + o.u_e, o.v_R + o.v_e
-        errors = water_errors((o.e_x, o.e_y, psi, ground[0] - V_u, ground[1] - V_v, o.r_R + o.r_e), R)
+        u_ground, v_ground = o.u_R + o.u_e, o.v_R + o.v_e
+        errors = water_errors((o.e_x, o.e_y, psi, u_ground - V_u, v_ground - V_v, o.r_R + o.r_e), R)
         F_u, F_r = tracking_forces(errors, self.vehicle, self.gains, ARRAYS)
         copy = np.stack((u, v, psi, o.r_R + o.r_e), axis=1)
         return F_u, F_r, (np.ones_like(u), copy, np.stack((V_x, V_y), axis=1), *plan)
 
-    def observe(self, o: Observation, memory: Memory) -> tuple[Array, Array]:
-        """Return the copy's u, v and the current V_x, V_y [m/s] after one more observation, each of shape (2, N)."""
-        begun, copy, current, *_ = memory
+    def observe(self, o: Observation, begun: Array, copy: Array, current: Array) -> tuple[Array, Array]:
+        """Return the copy's u, v and the current V_x, V_y [m/s] after one more observation, each of shape (2, N).
+
+        Args:
+            o: the observation.
+            begun: the first three arrays of the memory, see the class, as the next two.
+            copy: (N, 4).
+            current: (N, 2).
+        """
         copy_gain, follow = self.sampled_gains(o.dt)
         u, v, psi, r = copy.T
         load = (o.a_u * o.F_u_max, 0.0, o.a_r * o.F_r_max)
@@ -76,8 +82,8 @@ class CurrentObserver:
         model = np.where(begun, np.array((u, v)), measured)
         V_x, V_y = current.T
         nu = measured - model - np.array(to_body(V_x, V_y, o.cos_psi, o.sin_psi))
-        pull = follow * nu
-        c = current.T + np.array(to_world(pull[0], pull[1], o.cos_psi, o.sin_psi))
+        pull_u, pull_v = follow * nu
+        c = current.T + np.array(to_world(pull_u, pull_v, o.cos_psi, o.sin_psi))
         return np.clip(model + copy_gain * nu, -V, V), np.clip(c, -V, V)  # finite even where the vehicle spins
 
     def sampled_gains(self, dt: Array) -> tuple[Array, Array]:
@@ -87,17 +93,5 @@ class CurrentObserver:
         return 1 - fast * slow / a - follow, follow
 
 
-def make_current_observer(
-    gains: Mapping[str, float] | None = None, vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE
-) -> Remembering:
-    """Return the law with its observer as a policy.
-
-    Args:
-        gains: named in `OBSERVER_GAINS`, at every speed, in place of the tuned ones, which depend on the speed.
-        vehicle: the vehicle that the law believes in; an object, a name or a dict.
-
-    Raises:
-        ValueError: unknown vehicle, or wrong gains.
-    """
-    known = as_vehicle(vehicle)
-    return Remembering(by_speed("current-observer", OBSERVER_GAINS, lambda g: CurrentObserver(g, known), gains))
+make_current_observer = partial(tuned_policy, "current-observer", OBSERVER_GAINS, CurrentObserver)
+"""Returns the controller as a policy; its arguments `gains` and `vehicle` are those of `tuned_policy`."""

@@ -8,21 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Any
+from functools import partial
 
 import numpy as np
 
 from auv_gym.errors import to_body
 from auv_gym.namespaces import ARRAYS
-from auv_gym.scenario import as_vehicle
 from auv_gym.task import Observation
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.vehicle import Vehicle
 from baselines.control.backstepping import UNDAMPED_GAINS, tracking_forces, undamped
 from baselines.estimation.kalman import ExtendedKalmanFilter, Tuning
-from baselines.estimation.sea_model import WAVE_FREQUENCY, Estimate, waves_after
+from baselines.estimation.sea_model import WAVE_FREQUENCY, Estimate, wave_transition, waves_after
 from baselines.estimation.water_frame import Sea, WaterPlan, reference_motion, water_errors
-from baselines.gains.loading import by_speed
-from baselines.policy import Array, Memory, Remembering
+from baselines.gains.loading import tuned_policy
+from baselines.policy import Array, Memory
 
 FILTER_GAINS = tuple(field.name for field in fields(Tuning))
 EKF_GAINS = (*UNDAMPED_GAINS, "lead", *FILTER_GAINS)
@@ -47,9 +46,10 @@ class EkfLaw:
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
         """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
         split = self.filter.MEMORY
-        believed, z = self.filter.update(memory[:split], o)
+        motion = reference_motion(o, self.vehicle)
+        believed, z = self.filter.update(memory[:split], o, motion)
         X, N, sea = foreseen_sea(z, o.dt)
-        plan, R = self.plan.update(memory[split:], reference_motion(o, self.vehicle), sea, o.dt)
+        plan, R = self.plan.update(memory[split:], motion, sea, o.dt)
         e_x, e_y = to_body(z.x_e, z.y_e, np.cos(z.psi), np.sin(z.psi))
         errors = water_errors((e_x, e_y, z.psi, z.u, z.v, z.r), R)
         F_u, F_r = tracking_forces(errors, self.vehicle, self.gains, ARRAYS)
@@ -60,22 +60,10 @@ class EkfLaw:
 
 def foreseen_sea(z: Estimate, dt: Array) -> tuple[Array, Array, Sea]:
     """Return surge load X [N] and yaw load N [N m] in the middle of the coming period, and what to plan for."""
-    X_wave, _, Y_wave, Y_swing, N_wave, _ = waves_after(z, 0.5 * dt)
+    X_wave, _, Y_wave, Y_swing, N_wave, _ = waves_after(z, wave_transition(0.5 * dt))
     Y_rate = WAVE_FREQUENCY * Y_swing
     return z.X + X_wave, z.N + N_wave, Sea(z.V_x, z.V_y, z.V_x_rate, z.V_y_rate, z.Y + Y_wave, Y_rate)
 
 
-def make_ekf_law(
-    gains: Mapping[str, float] | None = None, vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE
-) -> Remembering:
-    """Return the law with its filter as a policy.
-
-    Args:
-        gains: at every speed, in place of the tuned ones, which depend on the speed; their names are in `EKF_GAINS`.
-        vehicle: the vehicle that law and filter believe in; an object, a name or a dict.
-
-    Raises:
-        ValueError: unknown vehicle, or wrong gains.
-    """
-    known = as_vehicle(vehicle)
-    return Remembering(by_speed("ekf", EKF_GAINS, lambda g: EkfLaw(g, known), gains))
+make_ekf_law = partial(tuned_policy, "ekf", EKF_GAINS, EkfLaw)
+"""Returns the controller as a policy; its arguments `gains` and `vehicle` are those of `tuned_policy`."""

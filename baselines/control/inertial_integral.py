@@ -35,4 +35,5 @@ def integrated(xi: Array, o: Observation, rate: float, horizon: float) -> Array:
 
 def seen_from_body(xi: Array, o: Observation) -> Array:
     """Return R(psi)^T xi, shape (2, N) [m]."""
-    return np.array(to_body(xi[0], xi[1], o.cos_psi, o.sin_psi))
+    x, y = xi
+    return np.array(to_body(x, y, o.cos_psi, o.sin_psi))

@@ -9,26 +9,23 @@ along the hull takes a little thrust, the same current across it a whole crab an
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from functools import partial
 
 import numpy as np
 
 from auv_gym.namespaces import ARRAYS
-from auv_gym.scenario import as_vehicle
 from auv_gym.task import Observation
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.vehicle import Vehicle
 from baselines.control.backstepping import LAW_GAINS, Gains, bounded_error, tracking_forces
 from baselines.control.inertial_integral import integrated, seen_from_body
-from baselines.gains.loading import by_speed
-from baselines.policy import Array, Memory, Remembering
+from baselines.gains.loading import tuned_policy
+from baselines.policy import Array, Memory
 
 INTEGRAL_GAINS = ("rate", "horizon", "surge")
 """[1/s] of the integral; [s] bound of error and integral as a travel time of the reference; [1] share of surge."""
-FORMS = {
-    "printed": (*LAW_GAINS, *INTEGRAL_GAINS),
-    "normalised": (*LAW_GAINS, "reference_speed", *INTEGRAL_GAINS),
-}
-"""Names of the gains by form of the law: as printed, or normalised with the speed."""
+PRINTED_GAINS = (*LAW_GAINS, *INTEGRAL_GAINS)
+NORMALISED_GAINS = (*LAW_GAINS, "reference_speed", *INTEGRAL_GAINS)
+"""Names of the gains of the law as printed, and normalised with the speed."""
 
 
 class IntegralLaw:
@@ -47,30 +44,14 @@ class IntegralLaw:
 
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
         """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
-        xi = integrated(memory[0].T, o, self.rate, self.horizon)
+        (past_xi,) = memory
+        xi = integrated(past_xi.T, o, self.rate, self.horizon)
         eta_x, eta_y = seen_from_body(xi, o)
         e_x, e_y, *rest = bounded_error(o, self.horizon, ARRAYS)
         F_u, F_r = tracking_forces((e_x + self.surge * eta_x, e_y + eta_y, *rest), self.vehicle, self.gains, ARRAYS)
         return F_u, F_r, (xi.T,)
 
 
-def integral_law(
-    form: str = "printed",
-    gains: Mapping[str, float] | None = None,
-    vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE,
-) -> Remembering:
-    """Return the law with integral action as a policy.
-
-    Args:
-        form: "printed" or "normalised".
-        gains: at every speed, in place of the tuned ones, which depend on the speed; their names are in `FORMS`.
-        vehicle: the vehicle that the law believes in; an object, a name or a dict.
-
-    Raises:
-        ValueError: unknown form or vehicle, or wrong gains.
-    """
-    if form not in FORMS:
-        raise ValueError(f"unknown form {form!r}; allowed are {', '.join(FORMS)}")
-    known = as_vehicle(vehicle)
-    name = {"printed": "integral", "normalised": "integral-normalised"}[form]
-    return Remembering(by_speed(name, FORMS[form], lambda g: IntegralLaw(g, known), gains))
+make_integral = partial(tuned_policy, "integral", PRINTED_GAINS, IntegralLaw)
+make_integral_normalised = partial(tuned_policy, "integral-normalised", NORMALISED_GAINS, IntegralLaw)
+"""Return the law with integral action as a policy; the arguments `gains` and `vehicle` are those of `tuned_policy`."""

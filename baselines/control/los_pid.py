@@ -9,19 +9,19 @@ Control Systems Technology 22(6):2287-2301, 2014). The heading autopilot is a PI
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from auv_gym.errors import to_world
 from auv_gym.namespaces import ARRAYS, wrap_angle
-from auv_gym.scenario import as_vehicle
 from auv_gym.task import Observation
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.vehicle import Vehicle
 from baselines.control.backstepping import bounded_error
 from baselines.control.inertial_integral import integrated, seen_from_body
-from baselines.gains.loading import by_speed
-from baselines.policy import Array, Memory, Remembering, first_order, reference_speed
+from baselines.gains.loading import tuned_policy
+from baselines.policy import Array, Memory, first_order, reference_speed
 
 LARGEST_INTEGRAL = 0.5
 """Bound [rad s] of the heading autopilot's integral."""
@@ -64,9 +64,10 @@ class LineOfSightPID:
         g, vehicle = self.gains, self.vehicle
         m11, m22, m33 = vehicle.m11, vehicle.m22, vehicle.m33
         u, v, r = o.u_R + o.u_e, o.v_R + o.v_e, o.r_R + o.r_e
+        past_xi, past_crab, past_total = memory
         U = reference_speed(o.u_R, o.v_R, ARRAYS)
         gamma = np.arctan2(o.v_R, o.u_R)
-        xi = integrated(memory[0].T, o, g.rate, g.horizon)
+        xi = integrated(past_xi.T, o, g.rate, g.horizon)
         e_x, e_y, *_ = bounded_error(o, g.horizon, ARRAYS)
         eta_x, eta_y = seen_from_body(xi, o)
         angle = o.psi_e - gamma  # from the path's course to the heading
@@ -74,13 +75,13 @@ class LineOfSightPID:
         along, across = to_world(e_x + eta_x, e_y + eta_y, c, s)  # in the path's frame
         speed, drift = to_world(u, v, c, s)
         drift_angle = wrap_angle(np.arctan2(v, np.maximum(u, 0.5 * U)) - gamma, ARRAYS)
-        crab = memory[1] + first_order(o.dt, g.crab_time) * (drift_angle - memory[1])
+        crab = past_crab + first_order(o.dt, g.crab_time) * (drift_angle - past_crab)
         ahead = g.lookahead * U
         lean = -np.arctan2(across, ahead) - g.crab * crab  # [rad] wanted of psi_e
         lean_rate = -drift * ahead / (ahead * ahead + across * across)
         psi_error = wrap_angle(o.psi_e - lean, ARRAYS)
         free = np.abs(o.a_r) < 1.0  # no windup while the torque is at its limit
-        total = np.clip(memory[2] + o.dt * free * psi_error, -LARGEST_INTEGRAL, LARGEST_INTEGRAL)
+        total = np.clip(past_total + o.dt * free * psi_error, -LARGEST_INTEGRAL, LARGEST_INTEGRAL)
         r_dot = -g.heading * psi_error - g.turn * (o.r_e - lean_rate) - g.heading_integral * total
         u_dot = -g.along * along - g.speed * (speed - U)
         F_u = o.F_uR - m22 * (v * r - o.v_R * o.r_R) + m11 * u_dot
@@ -88,17 +89,5 @@ class LineOfSightPID:
         return F_u, F_r, (xi.T, crab, total)
 
 
-def make_los_pid(
-    gains: Mapping[str, float] | None = None, vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE
-) -> Remembering:
-    """Return line-of-sight guidance with PID autopilots as a policy.
-
-    Args:
-        gains: the fields of `PIDGains`, at every speed, in place of the tuned ones, which depend on the speed.
-        vehicle: the vehicle that the autopilots believe in; an object, a name or a dict.
-
-    Raises:
-        ValueError: unknown vehicle, or wrong gains.
-    """
-    known = as_vehicle(vehicle)
-    return Remembering(by_speed("los-pid", PIDGains._fields, lambda g: LineOfSightPID(g, known), gains))
+make_los_pid = partial(tuned_policy, "los-pid", PIDGains._fields, LineOfSightPID)
+"""Returns the controller as a policy; its arguments `gains` and `vehicle` are those of `tuned_policy`."""

@@ -10,28 +10,32 @@ Motion Control, 2nd ed., 2021, section 16.1.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
-from typing import Any, NamedTuple
+from functools import lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.linalg import block_diag, expm, solve_discrete_are
 
 from auv_gym.namespaces import ARRAYS
-from auv_gym.scenario import as_vehicle
 from auv_gym.task import Observation
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.vehicle import Vehicle
 from baselines.control.backstepping import bounded_error
 from baselines.control.inertial_integral import integrated, seen_from_body
 from baselines.control.linearisation import error_dynamics
-from baselines.gains.loading import by_speed
-from baselines.policy import Array, Memory, Remembering, first_order
+from baselines.gains.loading import tuned_policy
+from baselines.policy import Array, Memory, first_order
 
 SPEEDS = np.geomspace(0.05, 2.5, 14)
 TURN_RATES = np.linspace(-0.18, 0.18, 7)
 """Grid of u_R [m/s] and r_R [rad/s]; beyond it the gain at its edge is used."""
 
 STATES, FORCES = 8, 2
+"""How many errors with their integrals there are, and how many forces."""
+ERRORS, INTEGRALS = slice(0, 6), slice(6, 8)
+POSITION, VELOCITY, HEADING_AND_VELOCITY = slice(0, 2), slice(3, 5), slice(2, 5)
+HEADING, TURN = 2, 5
+"""Where they stand in a state: e_x, e_y, psi_e, u_e, v_e, r_e, then the two integrals."""
 
 
 class LqiWeights(NamedTuple):
@@ -68,8 +72,8 @@ def sampled_model(u_R: float, r_R: float, vehicle: Vehicle, w: LqiWeights, dt: f
     turning = np.array([[0.0, r_R], [-r_R, 0.0]])
     n = STATES + FORCES
     M = np.zeros((n + FORCES, n + FORCES))  # of the states but the last two, and the command
-    M[:6, :6], M[:6, STATES:n] = A6, B6
-    M[6:8, 6:8], M[6:8, :2] = turning, w.rate * np.eye(2)  # xi' = rate R(psi) e in the world
+    M[ERRORS, ERRORS], M[ERRORS, STATES:n] = A6, B6
+    M[INTEGRALS, INTEGRALS], M[INTEGRALS, POSITION] = turning, w.rate * np.eye(2)  # xi' = rate R(psi) e in the world
     M[STATES:n, STATES:n], M[STATES:n, n:] = -np.eye(FORCES) / w.lag, np.eye(FORCES) / w.lag
     step = expm(dt * M)
     Phi, Gamma = np.zeros((n + FORCES, n + FORCES)), np.zeros((n + FORCES, FORCES))
@@ -93,9 +97,11 @@ def optimal_gain(
     Phi, Gamma = sampled_model(u_R, r_R, vehicle, w, dt)
     v_R = steady_sway(u_R, r_R, vehicle)
     weighted = np.zeros((STATES, STATES))  # errors times the roots of their weights
-    weighted[[0, 1, 6, 7], [0, 1, 6, 7]] = 1.0
-    weighted[2, 2], weighted[5, 5] = w.heading * np.hypot(u_R, v_R), w.turn
-    weighted[3:5, 2:5] = w.velocity * np.array([[-v_R, 1.0, 0.0], [u_R, 0.0, 1.0]])  # (17), linearised
+    weighted[POSITION, POSITION] = weighted[INTEGRALS, INTEGRALS] = np.eye(2)
+    weighted[HEADING, HEADING], weighted[TURN, TURN] = w.heading * np.hypot(u_R, v_R), w.turn
+    weighted[VELOCITY, HEADING_AND_VELOCITY] = w.velocity * np.array(
+        [[-v_R, 1.0, 0.0], [u_R, 0.0, 1.0]]
+    )  # (17), linearised
     effort = np.diag(np.square(np.array([w.surge_effort, w.yaw_effort]) / limits))
     change = np.diag(np.square(np.array([w.surge_rate, w.yaw_rate]) / limits / dt))
     Q = block_diag(weighted.T @ weighted, np.zeros((FORCES, FORCES)), change)
@@ -127,13 +133,13 @@ class LQI:
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
         """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
         w = self.weights
-        xi = integrated(memory[0].T, o, w.rate, w.horizon)
+        past_xi, past_lagged = memory
+        xi = integrated(past_xi.T, o, w.rate, w.horizon)
         plan = np.array((o.F_uR, o.F_rR))
         previous = np.array((o.a_u * o.F_u_max, o.a_r * o.F_r_max))
-        lagged = memory[1].T
-        lagged = lagged + first_order(o.dt, w.lag) * (previous - lagged)
-        e_x, e_y, *rest = bounded_error(o, w.horizon, ARRAYS)
-        z = np.array((e_x, e_y, *rest[:4], *seen_from_body(xi, o), *(lagged - plan), *(previous - plan)))
+        lagged = past_lagged.T + first_order(o.dt, w.lag) * (previous - past_lagged.T)
+        e_x, e_y, psi_e, u_e, v_e, r_e, *_ = bounded_error(o, w.horizon, ARRAYS)
+        z = np.array((e_x, e_y, psi_e, u_e, v_e, r_e, *seen_from_body(xi, o), *(lagged - plan), *(previous - plan)))
         F_u, F_r = plan - np.einsum("nij,jn->in", self._gain(o), z)
         return F_u, F_r, (xi.T, lagged.T)
 
@@ -149,17 +155,5 @@ class LQI:
         return K
 
 
-def make_lqi(
-    gains: Mapping[str, float] | None = None, vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE
-) -> Remembering:
-    """Return the gain-scheduled LQI as a policy.
-
-    Args:
-        gains: the fields of `LqiWeights`, at every speed, in place of the tuned ones, which depend on the speed.
-        vehicle: the vehicle that the law believes in; an object, a name or a dict.
-
-    Raises:
-        ValueError: unknown vehicle, or wrong gains.
-    """
-    known = as_vehicle(vehicle)
-    return Remembering(by_speed("lqi", LqiWeights._fields, lambda g: LQI(g, known), gains))
+make_lqi = partial(tuned_policy, "lqi", LqiWeights._fields, LQI)
+"""Returns the controller as a policy; its arguments `gains` and `vehicle` are those of `tuned_policy`."""

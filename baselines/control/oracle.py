@@ -31,7 +31,7 @@ from auv_gym.scenario import Scenario
 from auv_gym.simulation import start, step
 from auv_gym.vehicle import Coefficients, Vehicle
 from baselines.control.linearisation import error_dynamics
-from baselines.control.truth import Array, Truth, nothing_sent
+from baselines.control.truth import CURRENT, LOAD, Array, Truth, nothing_sent
 from baselines.estimation.water_frame import braked
 from baselines.policy import is_fast
 
@@ -200,22 +200,22 @@ def true_plan(scenario: Scenario, episodes: Sequence[Episode]) -> TruePlan:
 
     dt, truth = scenario.control_dt, Truth.of(scenario, episodes)
     vehicle = fleet([e.vehicle for e in episodes])
-    outside = truth.samples[:, 8:13]
-    V, load = _halfway(outside[:, :2]), _halfway(outside[:, 2:])  # on a grid of half periods
+    V, load = _halfway(truth.samples[:, CURRENT]), _halfway(truth.samples[:, LOAD])  # on a grid of half periods
     V = gaussian_filter1d(V, SMOOTHING / (0.5 * dt), axis=0, mode="nearest")
     times: Array = 0.5 * dt * np.arange(len(V), dtype=np.float64)
     motion = evaluate([e.path for e in episodes], times)
-    V += np.stack(truth.parameters.shear.velocity(motion[0, 0], motion[0, 1], ARRAYS), axis=1)
+    x, y = motion[0]
+    V += np.stack(truth.parameters.shear.velocity(x, y, ARRAYS), axis=1)
     for order in range(1, 4):
         motion[order] -= V.transpose(1, 0, 2)
         V = np.gradient(V, 0.5 * dt, axis=0)
     along = braked(path_rates(motion), HARDEST_BRAKING)
-    Y = load[:, 1]
+    X, Y, N = load.transpose(1, 0, 2)
     w = _sine_of_sideslip(along, vehicle, Y, 0.5 * dt)
     R = assemble(times, motion[0], along, w, vehicle, (Y, np.gradient(Y, 0.5 * dt, axis=0)))
     return TruePlan(
         np.stack((R.x, R.y, R.psi, R.u, R.v, R.r), axis=1)[::2],
-        np.stack((R.F_u - load[:, 0], R.F_r - load[:, 2]), axis=1)[1::2],
+        np.stack((R.F_u - X, R.F_r - N), axis=1)[1::2],
         truth,
     )
 

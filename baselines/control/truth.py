@@ -20,6 +20,11 @@ from auv_gym.tape import Tape
 
 Array = NDArray[np.float64]
 
+CURRENT, LOAD = slice(8, 10), slice(10, 13)
+"""Where V_x, V_y and X, Y, N stand in a `Sample`."""
+BODY = 8
+"""The first entries of a `Plant`: the state and the forces that the actuators apply."""
+
 
 def samples(scenario: Scenario, episodes: Sequence[Episode]) -> Array:
     """Return the samples (`simulation.Sample`) of N episodes at K + 1 control instants, shape (K + 1, SAMPLE, N).
@@ -62,13 +67,13 @@ class Truth:
             sent: the last `LONGEST_DELAY` actions, the latest first, shape (LONGEST_DELAY, 2, N).
             k: the control step of each episode, shape (N,).
         """
-        nothing = np.zeros(len(k))
-        plant = filled(PLANT, (*state, *force, *sent[0], *(nothing,) * 8, *sent[1], *sent[2]))
-        found = np.stack(plant[:8])
+        nothing, (last, second, third) = np.zeros(len(k)), sent
+        plant = filled(PLANT, (*state, *force, *last, *(nothing,) * 8, *second, *third))  # sensors remember nothing
+        found = np.stack(plant[:BODY])
         for j in range(int(self.parameters.delay.max())):
             coming = self.samples[np.minimum(k + 1 + j, len(self.samples) - 1), :, np.arange(len(k))].T
             plant, _, _ = step(plant, (nothing, nothing), tuple(coming), self.parameters, ARRAYS)
-            found = np.where(self.parameters.delay > j, np.stack(plant[:8]), found)
+            found = np.where(self.parameters.delay > j, np.stack(plant[:BODY]), found)
         return found
 
 

@@ -1,13 +1,12 @@
 """An extended Kalman filter for the vehicle, its actuators and the sea, fed with nothing but the observation.
 
-What it believes is in `ekf_model`. How noisy the sensors are it finds out as it runs. It knows no control law: `start`
+What it believes is in `sea_model`. How noisy the sensors are it finds out as it runs. It knows no control law: `start`
 and then `update` with each observation give an `Estimate` for a law, an optimiser or a trained policy to act on.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,16 +16,18 @@ from auv_gym.namespaces import ARRAYS, wrap_angle
 from auv_gym.task import Observation
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 from baselines.estimation.sea_model import (
+    AT,
     BIAS,
     CURRENT,
     FORCE,
     GUST,
     GUST_MEMORY,
-    LAG,
+    HULL,
     LONGEST_LAG,
     SENSORS,
     SHORTEST_LAG,
     SIZE,
+    WAVE_PAIRS,
     WAVES,
     Estimate,
     measurement,
@@ -35,13 +36,14 @@ from baselines.estimation.sea_model import (
     transition_jacobian,
     wave_transition,
 )
-from baselines.estimation.water_frame import Motion, reference_motion
+from baselines.estimation.water_frame import Motion
 from baselines.policy import SPEED_FLOOR, Array, Memory
 
 FIRST_NOISE = np.array((0.05, 0.05, 0.015, 0.02, 0.02, 0.005))
-"""Standard deviations that the measurements are believed to have before the third difference exists, SI units."""
+"""Standard deviations of x_e, y_e [m], psi [rad], u, v [m/s], r [rad/s] that the measurements are believed to have
+until there are enough of them to tell."""
 LEAST_NOISE = np.array((1e-4, 1e-4, 3e-5, 3e-5, 3e-5, 3e-5))
-"""The least that they are ever believed to have."""
+"""Lower bounds of the standard deviations that are found, in the same order and units."""
 NOISE_MEMORY = 5.0
 """Time [s] over which the noise is averaged."""
 
@@ -69,20 +71,26 @@ class Tuning:
             check_number(f"tuning {field.name}", getattr(self, field.name), 0, 1e6)
 
 
-HULL_DRIFT, FORCE_DRIFT, LAG_DRIFT = 1e-5, 1e-3, 0.01
-"""Drift of position [m] and heading [rad]; of the actuators' forces, as a share of their limits; of the lag [s]."""
-FIRST_POSE, FIRST_TURN, FIRST_LAG = 0.1, 0.05, 0.2
-"""Deviations before the first measurement: of position [m] and heading [rad]; of the yaw rate [rad/s]; of the lag [s],
-whose expectation is the same."""
-FIRST_SURGE, FIRST_SWAY, FIRST_CURRENT, FIRST_BIAS = 1.0, 0.3, 0.3, 0.2
-"""Those of velocities, current and slowly varying load, in the units of `Tuning`."""
-
-
-class Foresight(NamedTuple):
-    """How well a measurement was foreseen."""
-
-    innovation: Array  # measured less foreseen, shape (N, SENSORS)
-    covariance: Array  # that it is believed to have, shape (N, SENSORS, SENSORS)
+HULL_DRIFT = 1e-5
+"""Drift of position [m] and heading [rad] that no velocity explains, after one second."""
+FORCE_DRIFT = 1e-3
+"""Drift of the actuators' forces, as a share of their limits, after one second."""
+LAG_DRIFT = 0.01
+"""Drift of the actuators' lag [s], after one second."""
+FIRST_POSE = 0.1
+"""Deviation of position [m] and heading [rad] before the first measurement."""
+FIRST_TURN = 0.05
+"""Deviation of the yaw rate [rad/s] before it."""
+FIRST_LAG = 0.2
+"""Lag [s] that is expected before it, and the deviation from that."""
+FIRST_SURGE = 1.0
+"""Deviation of the surge velocity before it, as a share of the reference's speed."""
+FIRST_SWAY = 0.3
+"""Deviation of the sway velocity before it, as a share of the same."""
+FIRST_CURRENT = 0.3
+"""Deviation of the current on each axis before it, as a share of the same."""
+FIRST_BIAS = 0.2
+"""Deviation of the slowly varying load before it, in the units of `Tuning`."""
 
 
 class ExtendedKalmanFilter:
@@ -94,7 +102,9 @@ class ExtendedKalmanFilter:
     """
 
     MEMORY = 6
-    """Arrays of its memory, for whoever keeps more behind it."""
+    """How many arrays its memory has; a controller that remembers more keeps that behind them."""
+    COUNT = 0
+    """Which of them is the number of updates."""
 
     def __init__(self, vehicle: Vehicle = PAPER_VEHICLE, tuning: Tuning | None = None) -> None:
         """Make the filter for a vehicle as it is known."""
@@ -107,20 +117,15 @@ class ExtendedKalmanFilter:
         state, covariance = np.zeros((n, SIZE)), np.zeros((n, SIZE, SIZE))
         return np.zeros(n), state, covariance, np.zeros((n, 4)), np.zeros((n, 3, SENSORS)), noise
 
-    def update(self, memory: Memory, o: Observation) -> tuple[Memory, Estimate]:
-        """Return the memory and the state after one more observation; see `update_and_judge`."""
-        memory, z, _ = self.update_and_judge(memory, o)
-        return memory, z
-
-    def update_and_judge(self, memory: Memory, o: Observation) -> tuple[Memory, Estimate, Foresight]:
-        """Return the memory and the state after one more observation, and how well it was foreseen.
+    def update(self, memory: Memory, o: Observation, motion: Motion) -> tuple[Memory, Estimate]:
+        """Return the memory and the state after one more observation.
 
         Args:
             memory: as `start` or the last call returned it.
             o: the observation in SI units, fields of shape (N,).
+            motion: of the reference at this instant, see `reference_motion`.
         """
         count, state, P, moving, past, noise = memory
-        motion = reference_motion(o, self.vehicle)
         measured = _measured(o, motion)
         before = Estimate(*state.T)
         z, P = self._predicted(before, P, moving, motion, o)
@@ -130,13 +135,13 @@ class ExtendedKalmanFilter:
             z = Estimate(*np.where(fresh, np.array(first), np.array(z)))
             P = np.where(fresh[:, None, None], P_first, P)
         innovation = measured - measurement(z)
-        innovation[2] = wrap_angle(innovation[2], ARRAYS)
-        measured[2] = z.psi + innovation[2]  # continuous, for the differences
+        innovation[AT.psi] = wrap_angle(innovation[AT.psi], ARRAYS)
+        measured[AT.psi] = z.psi + innovation[AT.psi]  # continuous, for the differences
         noise = _noise(measured.T, past, noise, count, o.dt)
-        z, P, S = _corrected(z, P, innovation, noise)
+        z, P = _corrected(z, P, innovation, noise)
         past = np.concatenate((measured.T[:, None], past[:, :2]), axis=1)
-        memory = count + 1, np.array(z).T, P, np.array(motion[1:]).T, past, noise
-        return memory, z, Foresight(innovation.T, S)
+        moving = np.array((motion.v_x, motion.v_y, motion.a_x, motion.a_y)).T
+        return (count + 1, np.array(z).T, P, moving, past, noise), z
 
     def _predicted(
         self, z: Estimate, P: Array, moving: Array, motion: Motion, o: Observation
@@ -150,32 +155,32 @@ class ExtendedKalmanFilter:
             half * (v_x + motion.v_x) + twelfth * (a_x - motion.a_x),
             half * (v_y + motion.v_y) + twelfth * (a_y - motion.a_y),
         )
-        F = transition_jacobian(z, command, o.dt, self.vehicle)
-        P = F @ P @ F.transpose(0, 2, 1) + self._excitation(o)
-        return transition(z, command, reference_step, o.dt, self.vehicle), P
+        A = wave_transition(o.dt)
+        F = transition_jacobian(z, command, o.dt, A, self.vehicle)
+        P = F @ P @ F.transpose(0, 2, 1) + self._excitation(o, A)
+        return transition(z, command, reference_step, o.dt, A, self.vehicle), P
 
     def _units(self, o: Observation) -> tuple[Array, Array, Array]:
         """Return the units of `Tuning`: speeds (N, 1), loads (N, 3); and the actuators' limits (N, 2)."""
         speed = np.maximum(np.hypot(o.u_R, o.v_R), SPEED_FLOOR)[:, None]  # hypot: recorded rows repeat to the bit
         return speed, self._drag * speed, np.array((o.F_u_max, o.F_r_max)).T
 
-    def _excitation(self, o: Observation) -> Array:
+    def _excitation(self, o: Observation, A: Array) -> Array:
         """Return the covariance that one control period adds, shape (N, SIZE, SIZE)."""
         tuning = self.tuning
         speed, drag, limits = self._units(o)
         drift = np.full((len(speed), SIZE), HULL_DRIFT)
-        drift[:, 3:5], drift[:, 5] = tuning.acceleration * speed, tuning.acceleration
+        drift[:, [AT.u, AT.v]], drift[:, AT.r] = tuning.acceleration * speed, tuning.acceleration
         drift[:, FORCE] = FORCE_DRIFT * limits
         drift[:, CURRENT] = tuning.current * speed
         drift[:, GUST] = tuning.gust * speed * np.sqrt(2 / GUST_MEMORY)
         drift[:, BIAS] = drag * (tuning.surge_bias, tuning.sway_bias, tuning.yaw_bias)
-        drift[:, LAG] = LAG_DRIFT
+        drift[:, AT.lag] = LAG_DRIFT
         Q: Array = (drift**2 * o.dt[:, None])[:, :, None] * np.eye(SIZE)
-        A = np.moveaxis(wave_transition(o.dt), -1, 0)
+        A = np.moveaxis(A, -1, 0)
         fresh = np.eye(2) - A @ A.transpose(0, 2, 1)
-        for axis, share in enumerate(self._waves):
-            pair = slice(WAVES.start + 2 * axis, WAVES.start + 2 * axis + 2)
-            Q[:, pair, pair] = ((share * drag[:, axis]) ** 2)[:, None, None] * fresh
+        for pair, share, unit in zip(WAVE_PAIRS, self._waves, drag.T, strict=True):
+            Q[:, pair, pair] = ((share * unit) ** 2)[:, None, None] * fresh
         return Q
 
     @property
@@ -186,13 +191,13 @@ class ExtendedKalmanFilter:
         """Return state and covariance before the first measurement: centred on it, but wide."""
         speed, drag, limits = self._units(o)
         z = np.zeros((SIZE, len(speed)))
-        z[:SENSORS], z[LAG] = measured, FIRST_LAG
+        z[HULL], z[AT.lag] = measured, FIRST_LAG
         deviation = np.zeros((len(speed), SIZE))
-        deviation[:, :3], deviation[:, 5] = FIRST_POSE, FIRST_TURN
-        deviation[:, 3:4], deviation[:, 4:5] = FIRST_SURGE * speed, FIRST_SWAY * speed
+        deviation[:, [AT.x_e, AT.y_e, AT.psi]], deviation[:, AT.r] = FIRST_POSE, FIRST_TURN
+        deviation[:, [AT.u, AT.v]] = speed * (FIRST_SURGE, FIRST_SWAY)
         deviation[:, FORCE] = FORCE_DRIFT * limits
         deviation[:, CURRENT], deviation[:, GUST] = FIRST_CURRENT * speed, self.tuning.gust * speed
-        deviation[:, BIAS], deviation[:, LAG] = FIRST_BIAS * drag, FIRST_LAG
+        deviation[:, BIAS], deviation[:, AT.lag] = FIRST_BIAS * drag, FIRST_LAG
         deviation[:, WAVES] = np.repeat(self._waves * drag, 2, axis=1)
         P: Array = (deviation**2)[:, :, None] * np.eye(SIZE)
         return Estimate(*z), P
@@ -210,15 +215,16 @@ def _noise(measured: Array, past: Array, noise: Array, count: Array, dt: Array) 
     The third difference of white noise has 20 times its variance, and hardly any motion is left in it: `past` holds the
     last three measurements plus what the model foresaw of the motion since.
     """
-    square = (measured - 3 * past[:, 0] + 3 * past[:, 1] - past[:, 2]) ** 2 / 20
-    for pair in ((0, 1), (3, 4)):  # alike on both axes
+    last, second, third = past.transpose(1, 0, 2)
+    square = (measured - 3 * last + 3 * second - third) ** 2 / 20
+    for pair in ((AT.x_e, AT.y_e), (AT.u, AT.v)):  # alike on both axes
         square[:, pair] = square[:, pair].mean(axis=1, keepdims=True)
     weight = np.where(count < 3, 0.0, np.maximum(dt / NOISE_MEMORY, 1 / np.maximum(count, 1)))[:, None]
     return np.asarray(np.maximum(noise + np.minimum(weight, 1.0) * (square - noise), LEAST_NOISE**2))
 
 
-def _corrected(z: Estimate, P: Array, innovation: Array, noise: Array) -> tuple[Estimate, Array, Array]:
-    """Return state, covariance and the innovation's covariance after a measurement.
+def _corrected(z: Estimate, P: Array, innovation: Array, noise: Array) -> tuple[Estimate, Array]:
+    """Return state and covariance after a measurement.
 
     The covariance is made symmetric each time: the unstable sway-yaw motion amplifies what round-off leaves.
     """
@@ -228,4 +234,4 @@ def _corrected(z: Estimate, P: Array, innovation: Array, noise: Array) -> tuple[
     gain = np.linalg.solve(S, HP).transpose(0, 2, 1)  # (N, SIZE, SENSORS)
     P = P - gain @ HP
     z = Estimate(*(np.array(z) + np.einsum("nij,jn->in", gain, innovation)))
-    return z._replace(lag=np.clip(z.lag, SHORTEST_LAG, LONGEST_LAG)), 0.5 * (P + P.transpose(0, 2, 1)), S
+    return z._replace(lag=np.clip(z.lag, SHORTEST_LAG, LONGEST_LAG)), 0.5 * (P + P.transpose(0, 2, 1))

@@ -8,7 +8,7 @@ ed., 2021, section 10.2); current, its rate and the slowly varying load are Gaus
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,11 +23,17 @@ WAVE_FREQUENCY = 0.8
 """Natural frequency of the wave oscillators [rad/s]."""
 WAVE_DAMPING = 0.1
 """Their relative damping."""
-GUST_MEMORY, CURRENT_MEMORY, BIAS_MEMORY = 3.0, 40.0, 10.0
-"""Times [s] in which the current's rate, the current and the slowly varying load are forgotten. On a straight line only
-their common effect is seen: without an end to memory, opposite currents and loads could grow together."""
-SHORTEST_LAG, LONGEST_LAG = 1e-3, 2.0
-"""Bounds of the actuators' time constant [s]; the shortest responds at once, but keeps the derivatives finite."""
+GUST_MEMORY = 3.0
+"""Time [s] in which the current's rate is forgotten."""
+CURRENT_MEMORY = 40.0
+"""Time [s] in which the current is forgotten. On a straight line only the common effect of current and load is seen:
+without an end to memory, opposite ones could grow together."""
+BIAS_MEMORY = 10.0
+"""Time [s] in which the slowly varying load is forgotten."""
+SHORTEST_LAG = 1e-3
+"""Least time constant of the actuators [s]: they respond at once, but the derivatives are finite."""
+LONGEST_LAG = 2.0
+"""Largest time constant of the actuators [s]."""
 STEP = 1e-6
 """Increment of the difference quotients, in SI units."""
 
@@ -60,10 +66,17 @@ class Estimate(NamedTuple):
 
 
 SIZE = len(Estimate._fields)
-SENSORS = 6
-HULL, FORCE, CURRENT, GUST = slice(0, 6), slice(6, 8), slice(8, 10), slice(10, 12)
-BIAS, LAG, WAVES = slice(12, 15), 15, slice(16, 22)
-"""Where they stand in an `Estimate`."""
+AT: Any = Estimate._make(range(SIZE))
+"""Where each field stands in an `Estimate`: `AT.lag` is the row of the lag."""
+HULL = slice(AT.x_e, AT.F_u)
+"""What moves; the sensors measure these six, velocities over ground, in this order."""
+MOTION = slice(AT.psi, AT.F_u)
+"""The part of it that the rates depend on."""
+FORCE, CURRENT, GUST = slice(AT.F_u, AT.V_x), slice(AT.V_x, AT.V_x_rate), slice(AT.V_x_rate, AT.X)
+BIAS, WAVES = slice(AT.X, AT.lag), slice(AT.X_wave, SIZE)
+WAVE_PAIRS = tuple(slice(wave, wave + 2) for wave in (AT.X_wave, AT.Y_wave, AT.N_wave))
+"""Wave load and swing of each axis."""
+SENSORS = AT.F_u
 
 
 def lag_response(lag: Array, dt: Array) -> Response:
@@ -84,9 +97,9 @@ def wave_transition(dt: Array) -> Array:
     return np.array(((c + WAVE_DAMPING * s, s), (-s, c - WAVE_DAMPING * s))) * decay
 
 
-def waves_after(z: Estimate, dt: Array) -> tuple[Array, ...]:
-    """Return the six wave entries of the state dt [s] later."""
-    (a, b), (c, d) = wave_transition(dt)
+def waves_after(z: Estimate, A: Array) -> tuple[Array, ...]:
+    """Return the six wave entries of the state after the time that A, see `wave_transition`, is for."""
+    (a, b), (c, d) = A
     pairs = ((z.X_wave, z.X_swing), (z.Y_wave, z.Y_swing), (z.N_wave, z.N_swing))
     return tuple(row for w, s in pairs for row in (a * w + b * s, c * w + d * s))
 
@@ -97,7 +110,9 @@ def current_transition(dt: Array) -> tuple[Array, Array, Array]:
     return np.exp(-dt / CURRENT_MEMORY), left, GUST_MEMORY * (1 - left)
 
 
-def transition(z: Estimate, command: Force, reference_step: Force, dt: Array, vehicle: Vehicle) -> Estimate:
+def transition(
+    z: Estimate, command: Force, reference_step: tuple[Array, Array], dt: Array, A: Array, vehicle: Vehicle
+) -> Estimate:
     """Return the state one control period later, without excitation.
 
     Args:
@@ -105,66 +120,78 @@ def transition(z: Estimate, command: Force, reference_step: Force, dt: Array, ve
         command: F_u [N], F_r [N m] commanded in between.
         reference_step: how far the reference moves in the world in between [m].
         dt: control period [s].
+        A: its `wave_transition`.
         vehicle: as it is known.
     """
-    load, force = _load(z, command, dt)
+    waves = waves_after(z, A)
+    load, force = _load(z, command, dt, waves)
     kept, left, time = current_transition(dt)
     current = kept * z.V_x + time * z.V_x_rate, kept * z.V_y + time * z.V_y_rate
     x, y, psi, u, v, r = rk4_step((z.x_e, z.y_e, z.psi, z.u, z.v, z.r), load, vehicle.coefficients, dt, current, np)
-    hull = (x - reference_step[0], y - reference_step[1], psi, u, v, r)
+    step_x, step_y = reference_step
+    hull = (x - step_x, y - step_y, psi, u, v, r)
     gust = left * z.V_x_rate, left * z.V_y_rate
     bias = (np.exp(-dt / BIAS_MEMORY) * load for load in z[BIAS])
-    return Estimate._make((*hull, *force, *current, *gust, *bias, z.lag, *waves_after(z, dt)))
+    return Estimate._make((*hull, *force, *current, *gust, *bias, z.lag, *waves))
 
 
-def _load(z: Estimate, command: Force, dt: Array) -> tuple[Load, Force]:
+def _load(z: Estimate, command: Force, dt: Array, waves: tuple[Array, ...]) -> tuple[Load, Force]:
     """Return the mean load on the hull over one control period, and the actuators' force at its end."""
     (mean_u, mean_r), force = respond((z.F_u, z.F_r), command, lag_response(z.lag, dt), ARRAYS)
-    X_wave, _, Y_wave, _, N_wave, _ = waves_after(z, dt)
+    X_wave, _, Y_wave, _, N_wave, _ = waves
     return (mean_u + z.X + X_wave, z.Y + Y_wave, mean_r + z.N + N_wave), force
 
 
-def transition_jacobian(z: Estimate, command: Force, dt: Array, vehicle: Vehicle) -> Array:
+def transition_jacobian(z: Estimate, command: Force, dt: Array, A: Array, vehicle: Vehicle) -> Array:
     """Return the derivative of `transition` by the state, shape (N, SIZE, SIZE).
 
     Of the equations of motion it is the difference quotient of the integrator itself; the rest is linear but for the
     lag, and in closed form.
     """
-    load, _ = _load(z, command, dt)
-    hull = hull_jacobian(np.array((z.psi, z.u, z.v, z.r, *load)), dt, vehicle)
-    by_X, by_N = hull[:, 4], hull[:, 6]
+    load, _ = _load(z, command, dt, waves_after(z, A))
+    by_motion, by_load = hull_jacobian(np.array((z.psi, z.u, z.v, z.r, *load)), dt, vehicle)
+    by_X, by_N = by_load[:, 0], by_load[:, 2]
     gain, mean, *_ = lag_response(z.lag, dt)
     share, still = gain * mean, 1 - gain
-    share_rate, gain_rate = still / z.lag - gain / dt, -still * dt / z.lag**2
-    missing_u, missing_r = command[0] - z.F_u, command[1] - z.F_r
+    share_rate, gain_rate = still / z.lag - gain / dt, -still * dt / z.lag**2  # by the lag
+    command_u, command_r = command
+    missing_u, missing_r = command_u - z.F_u, command_r - z.F_r
     F = np.zeros((SIZE, SIZE, len(dt)))
-    F[(0, 1), (0, 1)] = 1.0
-    F[HULL, 2:6], F[HULL, BIAS] = hull[:, :4], hull[:, 4:]
-    F[HULL, 6], F[HULL, 7] = by_X * (1 - share), by_N * (1 - share)
-    F[6, 6] = F[7, 7] = still
-    F[HULL, LAG] = share_rate * (missing_u * by_X + missing_r * by_N)
-    F[6, LAG], F[7, LAG] = gain_rate * missing_u, gain_rate * missing_r
+    F[AT.x_e, AT.x_e] = F[AT.y_e, AT.y_e] = F[AT.lag, AT.lag] = 1.0
+    F[HULL, MOTION], F[HULL, BIAS] = by_motion, by_load
+    F[HULL, AT.F_u], F[HULL, AT.F_r] = by_X * (1 - share), by_N * (1 - share)
+    F[AT.F_u, AT.F_u] = F[AT.F_r, AT.F_r] = still
+    F[HULL, AT.lag] = share_rate * (missing_u * by_X + missing_r * by_N)
+    F[AT.F_u, AT.lag], F[AT.F_r, AT.lag] = gain_rate * missing_u, gain_rate * missing_r
     kept, left, time = current_transition(dt)
-    for axis, (V, V_rate) in enumerate(((8, 10), (9, 11))):
+    for e, V, V_rate in ((AT.x_e, AT.V_x, AT.V_x_rate), (AT.y_e, AT.V_y, AT.V_y_rate)):
         F[V, V], F[V_rate, V_rate], F[V, V_rate] = kept, left, time
-        F[axis, V], F[axis, V_rate] = dt * kept, dt * time
-    F[LAG, LAG] = 1.0
-    F[(12, 13, 14), (12, 13, 14)] = np.exp(-dt / BIAS_MEMORY)
-    A = wave_transition(dt)
-    for axis in range(3):
-        pair = slice(WAVES.start + 2 * axis, WAVES.start + 2 * axis + 2)
-        F[pair, pair], F[HULL, pair] = A, hull[:, 4 + axis, None] * A[0]
+        F[e, V], F[e, V_rate] = dt * kept, dt * time
+    for axis, (bias, pair) in enumerate(zip((AT.X, AT.Y, AT.N), WAVE_PAIRS, strict=True)):
+        F[bias, bias] = np.exp(-dt / BIAS_MEMORY)
+        F[pair, pair], F[HULL, pair] = A, by_load[:, axis, None] * A[0]  # the first row of A is the load's
     return np.ascontiguousarray(np.moveaxis(F, -1, 0))
 
 
-def hull_jacobian(before: Array, dt: Array, vehicle: Vehicle) -> Array:
-    """Return the derivative of x, y, psi, u, v, r after dt by psi, u, v, r, X, Y, N before, shape (6, 7, N)."""
-    varied = np.repeat(before[:, None], 8, axis=1)  # the first of the eight as it is
-    varied[np.arange(7), np.arange(1, 8)] += STEP
+def hull_jacobian(before: Array, dt: Array, vehicle: Vehicle) -> tuple[Array, Array]:
+    """Return the derivatives of x, y, psi, u, v, r after dt [s] by psi, u, v, r before and by the load X, Y, N.
+
+    Args:
+        before: psi, u, v, r, X, Y, N, shape (7, N).
+        dt: [s], shape (N,).
+        vehicle: as it is known.
+
+    Returns:
+        Arrays of shape (6, 4, N) and (6, 3, N).
+    """
+    n = len(before)
+    varied = np.repeat(before[:, None], n + 1, axis=1)  # the first of the n + 1 as it is
+    varied[np.arange(n), np.arange(1, n + 1)] += STEP
     psi, u, v, r, X, Y, N = varied
     origin = np.zeros_like(psi)
     after = np.array(rk4_step((origin, origin, psi, u, v, r), (X, Y, N), vehicle.coefficients, dt, ns=ARRAYS))
-    return np.asarray((after[:, 1:] - after[:, :1]) / STEP)
+    slopes = (after[:, 1:] - after[:, :1]) / STEP
+    return slopes[:, :4], slopes[:, 4:]
 
 
 def measurement(z: Estimate) -> Array:
@@ -180,6 +207,6 @@ def measurement_jacobian(z: Estimate) -> Array:
     H = np.zeros((SENSORS, SIZE, len(c)))
     for i in range(SENSORS):
         H[i, i] = 1.0
-    H[3, 2], H[3, 8], H[3, 9] = V_v, c, s
-    H[4, 2], H[4, 8], H[4, 9] = -V_u, -s, c
+    H[AT.u, AT.psi], H[AT.u, AT.V_x], H[AT.u, AT.V_y] = V_v, c, s
+    H[AT.v, AT.psi], H[AT.v, AT.V_x], H[AT.v, AT.V_y] = -V_u, -s, c
     return np.ascontiguousarray(np.moveaxis(H, -1, 0))

@@ -131,7 +131,8 @@ class WaterPlan:
         def rest_of(w: Array) -> Array:
             return np.asarray(push + sideslip_rest(slope, square, turn, w, np.sqrt))
 
-        w, rest = sideslip_step(sideslip[:, 0], sideslip[:, 1], rest_of, self.vehicle.d22 / Dm * dt, LARGEST_SINE)
+        last_w, last_rest = sideslip.T
+        w, rest = sideslip_step(last_w, last_rest, rest_of, self.vehicle.d22 / Dm * dt, LARGEST_SINE)
         if fresh.any():
             w = np.where(fresh, np.clip(slow_sideslip(along, self.vehicle), -LARGEST_SINE, LARGEST_SINE), w)
             rest = rest_of(w)
@@ -145,7 +146,8 @@ def braked(along: PathRates, hardest: float) -> PathRates:
 
 def _jerk(acceleration: Array, past: Array, dt: Array) -> Array:
     """Return the rate of the acceleration, shape (N, 2), by the backward difference of second order."""
-    return (1.5 * acceleration - 2 * past[:, 0] + 0.5 * past[:, 1]) / dt[:, None]
+    last, second = past.transpose(1, 0, 2)
+    return np.asarray((1.5 * acceleration - 2 * last + 0.5 * second) / dt[:, None])
 
 
 def water_errors(state: Sequence[Array], reference: WaterReference) -> tuple[Array, ...]:

@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from auv_gym.presets import REGIMES
-from baselines.policy import BySpeed, Controller
+from auv_gym.scenario import as_vehicle
+from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from baselines.policy import BySpeed, Controller, Remembering
 
 FOLDER = Path(__file__).parent
 
@@ -74,24 +76,27 @@ def gain_record(name: str, regime: str) -> dict[str, Any]:
     return record if isinstance(record, dict) else {"gains": record}
 
 
-def by_speed(
+def tuned_policy(
     name: str,
     names: Sequence[str],
-    controller: Callable[[dict[str, float]], Controller],
+    controller: Callable[[Mapping[str, float], Vehicle], Controller],
     gains: Mapping[str, float] | None = None,
-) -> Controller:
-    """Return a controller with the gains of the regime that its reference speed belongs to.
+    vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE,
+) -> Remembering:
+    """Return a policy with the gains of the regime that its reference's speed belongs to.
 
     Args:
         name: the controller's name, which its files begin with.
         names: the names of its gains.
-        controller: makes it from gains.
+        controller: makes it from gains for a vehicle.
         gains: used at every speed in place of the files.
+        vehicle: the vehicle that the controller believes in; an object, a name or a dict.
 
     Raises:
-        ValueError: a file or `gains` is not what it must be, see `load_gains` and `checked_gains`.
+        ValueError: unknown vehicle; a file or `gains` is not what it must be, see `load_gains` and `checked_gains`.
     """
+    known = as_vehicle(vehicle)
     if gains is not None:
-        return controller(checked_gains(gains, names, name))
-    slow, cruise = (controller(load_gains(name, regime, names)) for regime in REGIMES)
-    return BySpeed(slow, cruise)
+        return Remembering(controller(checked_gains(gains, names, name), known))
+    slow, cruise = (controller(load_gains(name, regime, names), known) for regime in REGIMES)
+    return Remembering(BySpeed(slow, cruise))

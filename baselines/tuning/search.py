@@ -25,7 +25,7 @@ from baselines import make_policy
 from baselines.control.backstepping import GAINS, LAW_GAINS, Backstepping, Gains
 from baselines.control.current_observer import OBSERVER_GAINS, make_current_observer
 from baselines.control.ekf_law import EKF_GAINS, make_ekf_law
-from baselines.control.integral import FORMS, integral_law
+from baselines.control.integral import NORMALISED_GAINS, PRINTED_GAINS, make_integral, make_integral_normalised
 from baselines.control.los_pid import PIDGains, make_los_pid
 from baselines.control.lqi import LqiWeights, make_lqi
 from baselines.control.nmpc.controller import NMPC_GAINS, make_nmpc
@@ -57,8 +57,8 @@ TUNABLES: dict[str, Tunable] = {
     "backstepping": Tunable(
         lambda gains: Backstepping(Gains(**gains)), LAW_GAINS, {"slow": GAINS["paper"], "cruise": GAINS["cruise"]}
     ),
-    "integral": Tunable(lambda gains: integral_law("printed", gains), FORMS["printed"]),
-    "integral-normalised": Tunable(lambda gains: integral_law("normalised", gains), FORMS["normalised"]),
+    "integral": Tunable(make_integral, PRINTED_GAINS),
+    "integral-normalised": Tunable(make_integral_normalised, NORMALISED_GAINS),
     "current-observer": Tunable(make_current_observer, OBSERVER_GAINS),
     "ekf": Tunable(make_ekf_law, EKF_GAINS),
     "los-pid": Tunable(make_los_pid, PIDGains._fields),

@@ -63,13 +63,13 @@ def _compiled(casadi: Any, problem: OptimalControl, stages: int, method: str) ->
     shares = [casadi.SX.sym(f"c{k}", COMMANDS) for k in range(stages)]
     cost, end, constraints = 0.0, 0.0, []
     for k in range(stages):
-        a = casadi.vertsplit(known[k])
-        ahead = a[0], a[1:3], a[3:5], a[5:8], a[8], a[9]
+        duration, aim_x, aim_y, V_x, V_y, X, Y, N, gain, share = casadi.vertsplit(known[k])
+        ahead = duration, (aim_x, aim_y), (V_x, V_y), (X, Y, N), gain, share
         command = casadi.vertsplit(shares[k] * limits)
         before, after = casadi.vertsplit(states[k]), casadi.vertsplit(states[k + 1])
         reached = stage(before, command, ahead, problem.vehicle, casadi)
-        each, end = stage_cost(before, command, after, ahead[1], problem.weights, casadi)
-        cost += ahead[0] * each
+        each, end = stage_cost(before, command, after, (aim_x, aim_y), problem.weights, casadi)
+        cost += duration * each
         constraints.append(states[k + 1] - casadi.vertcat(*reached))
         if k == 0:
             constraints.append(states[0] - start)

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from auv_gym.errors import to_world
 from auv_gym.namespaces import ARRAYS
-from auv_gym.scenario import as_vehicle
 from auv_gym.task import Observation
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 from baselines.control.backstepping import GAINS, tracking_forces
@@ -34,8 +33,9 @@ from baselines.control.nmpc.problem import (
     taken,
 )
 from baselines.estimation.kalman import ExtendedKalmanFilter, Tuning
-from baselines.estimation.sea_model import Estimate, current_transition, lag_response, waves_after
-from baselines.gains.loading import by_speed
+from baselines.estimation.sea_model import Estimate, current_transition, lag_response, wave_transition, waves_after
+from baselines.estimation.water_frame import reference_motion
+from baselines.gains.loading import tuned_policy
 from baselines.policy import Array, Memory, Remembering
 
 PREVIEW = (1, 2, 4, 6, 8, 11, 14, 17, 20, 24, 28, 32, 36, 40, 45, 50)
@@ -84,8 +84,8 @@ class PredictiveControl:
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
         """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
         *believed, planned = memory
-        fresh = believed[0] == 0
-        after, z = self.filter.update(tuple(believed), o)
+        fresh = believed[self.filter.COUNT] == 0
+        after, z = self.filter.update(tuple(believed), o, reference_motion(o, self.vehicle))
         ahead = self._horizon(z, o, extra)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             guess = self._guess(z, o, np.einsum("jk,nki->jin", self._next, planned), fresh, ahead)
@@ -93,7 +93,8 @@ class PredictiveControl:
         # A vehicle that spins too fast for the prediction is left to the law that is safe from that.
         law = np.array(tracking_forces(o, self.vehicle, GAINS["normalised"], ARRAYS))
         commands = np.where(np.isfinite(plan.cost), plan.commands, law)
-        return commands[0, 0], commands[0, 1], (*after, np.ascontiguousarray(commands.transpose(2, 0, 1)))
+        F_u, F_r = commands[0]
+        return F_u, F_r, (*after, np.ascontiguousarray(commands.transpose(2, 0, 1)))
 
     def _guess(self, z: Estimate, o: Observation, warm: Array, fresh: NDArray[np.bool_], ahead: Horizon) -> Plan:
         """Return the better of two plans to begin with: what was planned, and what the reference takes as it is now."""
@@ -113,7 +114,7 @@ class PredictiveControl:
         dt, middle = self._lengths[:, None] * o.dt, (self._ends - 0.5 * self._lengths)[:, None] * o.dt
         x, y = extra[:, : 2 * len(PREVIEW)].reshape(-1, len(PREVIEW), 2).T
         kept, _, time = current_transition(middle)
-        X, _, Y, _, N, _ = waves_after(z, middle)
+        X, _, Y, _, N, _ = waves_after(z, wave_transition(middle))
         response = lag_response(z.lag, dt)
         return Horizon(
             dt,
@@ -166,5 +167,4 @@ def make_nmpc(
     """
     if solver not in SOLVERS:
         raise ValueError(f"unknown solver {solver!r}; allowed are {', '.join(SOLVERS)}")
-    known = as_vehicle(vehicle)
-    return Remembering(by_speed("nmpc", NMPC_GAINS, lambda g: PredictiveControl(g, known, solver), gains))
+    return tuned_policy("nmpc", NMPC_GAINS, partial(PredictiveControl, solver=solver), gains, vehicle)

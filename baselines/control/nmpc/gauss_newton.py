@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from baselines.control.nmpc.problem import (
     COMMANDS,
-    FORCE,
+    POSITION,
     STATES,
-    SWAY,
     CostWeights,
     Horizon,
     Integers,
@@ -25,13 +24,15 @@ from baselines.control.nmpc.problem import (
     replaced,
     taken,
 )
-from baselines.estimation.sea_model import hull_jacobian
+from baselines.estimation.sea_model import AT, FORCE, HULL, MOTION, hull_jacobian
 from baselines.policy import Array
 
 LENGTHS = (1.0, 0.3, 0.05)
 """Parts of a step that are tried until one lowers the cost; where none does, the commands stay as they are."""
-TOLERANCE, NEGLIGIBLE = 0.2, 1e-6
-"""Steps go on while they break their promise by more than this share of the cost, and of so much [m^2 s]."""
+TOLERANCE = 0.2
+"""Steps go on while they break their promise by more than this share of the cost."""
+NEGLIGIBLE = 1e-6
+"""Cost [m^2 s] that is added to it, so that steps end where nothing is left to gain."""
 
 
 def solved(problem: OptimalControl, plan: Plan, ahead: Horizon, steps: Integers) -> Plan:
@@ -66,34 +67,38 @@ def improved(problem: OptimalControl, plan: Plan, ahead: Horizon) -> tuple[Plan,
 def descent(problem: OptimalControl, plan: Plan, ahead: Horizon) -> Policy:
     """Return the Gauss-Newton step at a plan, with commands within their limits.
 
-    V and p are second and first derivative of the cost to go by the state, Q and q by state and command before.
+    Names and recursion are those of section II of Tassa et al., backward from the last stage. With f the derivative of
+    a stage, Q_1 = l_1 + f^T V_x and Q_2 = l_2 + f^T V_xx f are those of the cost to go by state x and command u; k is
+    the step within the limits, K = -Q_uu^-1 Q_ux the feedback of the commands that they leave free; and
+    V_x = Q_x + Q_xu k, V_xx = Q_xx + Q_xu K are the derivatives by the state alone, one stage earlier.
     """
-    AB = state_derivatives(problem, plan, ahead)
+    f = state_derivatives(problem, plan, ahead)
     curvature, slope = _errors(problem, plan, ahead)
     effort = _effort(problem.weights)
     both = np.concatenate((plan.states[:-1], plan.commands), axis=1).transpose(0, 2, 1)
     duration = ahead.dt[:, :, None, None]
-    step, feedback = np.empty_like(plan.commands), np.empty((len(AB), COMMANDS, *plan.states.shape[1:]))
-    V, p = np.zeros((*ahead.dt.shape[1:], STATES, STATES)), np.zeros((*ahead.dt.shape[1:], STATES))
-    side, promise = 2 * problem.weights.sway**2 * ahead.dt, np.zeros(ahead.dt.shape[1])
-    for k in reversed(range(len(AB))):
-        V[:, 0, 0] += curvature[k]
-        V[:, 1, 1] += curvature[k]
-        V[:, SWAY, SWAY] += side[k]
-        p[:, :2] += slope[k]
-        p[:, SWAY] += side[k] * plan.states[k + 1, SWAY]
-        transposed = AB[k].transpose(0, 2, 1)
-        Q = transposed @ (V @ AB[k]) + duration[k] * effort
-        q = (transposed @ p[:, :, None])[:, :, 0] + ahead.dt[k][:, None] * (both[k] @ effort)
-        low, high = (-ahead.limits - plan.commands[k]).T, (ahead.limits - plan.commands[k]).T
-        c, free = bounded_minimum(Q[:, STATES:, STATES:], q[:, STATES:], low, high)
-        G = _feedback(Q[:, STATES:], free)
-        across = Q[:, :STATES, STATES:]
-        V = Q[:, :STATES, :STATES] + across @ G
-        V = 0.5 * (V + V.transpose(0, 2, 1))
-        p = q[:, :STATES] + (across @ c[:, :, None])[:, :, 0]
-        step[k], feedback[k] = c.T, G.transpose(1, 2, 0)
-        promise -= ((q[:, STATES:] + 0.5 * (Q[:, STATES:, STATES:] @ c[:, :, None])[:, :, 0]) * c).sum(axis=1)
+    n, x, u = len(plan.cost), slice(STATES), slice(STATES, None)
+    step, feedback = np.empty_like(plan.commands), np.empty((len(f), COMMANDS, *plan.states.shape[1:]))
+    V_xx, V_x = np.zeros((n, STATES, STATES)), np.zeros((n, STATES))
+    side, promise = 2 * problem.weights.sway**2 * ahead.dt, np.zeros(n)
+    for i in reversed(range(len(f))):
+        for axis in (AT.x_e, AT.y_e):
+            V_xx[:, axis, axis] += curvature[i]
+        V_xx[:, AT.v, AT.v] += side[i]
+        V_x[:, POSITION] += slope[i]
+        V_x[:, AT.v] += side[i] * plan.states[i + 1, AT.v]
+        transposed = f[i].transpose(0, 2, 1)
+        Q_2 = transposed @ (V_xx @ f[i]) + duration[i] * effort
+        Q_1 = (transposed @ V_x[:, :, None])[:, :, 0] + ahead.dt[i][:, None] * (both[i] @ effort)
+        low, high = (-ahead.limits - plan.commands[i]).T, (ahead.limits - plan.commands[i]).T
+        k, free = bounded_minimum(Q_2[:, u, u], Q_1[:, u], low, high)
+        K = _feedback(Q_2[:, u], free)
+        Q_xu = Q_2[:, x, u]
+        V_xx = Q_2[:, x, x] + Q_xu @ K
+        V_xx = 0.5 * (V_xx + V_xx.transpose(0, 2, 1))
+        V_x = Q_1[:, x] + (Q_xu @ k[:, :, None])[:, :, 0]
+        step[i], feedback[i] = k.T, K.transpose(1, 2, 0)
+        promise -= ((Q_1[:, u] + 0.5 * (Q_2[:, u, u] @ k[:, :, None])[:, :, 0]) * k).sum(axis=1)
     return Policy(step, feedback, promise)
 
 
@@ -102,7 +107,7 @@ def _errors(problem: OptimalControl, plan: Plan, ahead: Horizon) -> tuple[Array,
 
     The curvature is that of the parabola that touches the pseudo-Huber function from above: it is never too small.
     """
-    e = plan.states[1:, :2] - ahead.aim
+    e = plan.states[1:, POSITION] - ahead.aim
     duration = ahead.dt.copy()
     duration[-1] += problem.weights.terminal
     curvature = 2 * duration / np.sqrt(1 + (e * e).sum(axis=1) / problem.weights.huber**2)
@@ -112,16 +117,18 @@ def _errors(problem: OptimalControl, plan: Plan, ahead: Horizon) -> tuple[Array,
 def state_derivatives(problem: OptimalControl, plan: Plan, ahead: Horizon) -> Array:
     """Return those of the states by the state and the command before, shape (K, N, STATES, STATES + COMMANDS)."""
     before, share, still = plan.states[:-1].transpose(1, 0, 2), ahead.share, 1 - ahead.share
-    mean = still * before[FORCE] + share * plan.commands.transpose(1, 0, 2)
+    mean_u, mean_r = still * before[FORCE] + share * plan.commands.transpose(1, 0, 2)
     X, Y, N = ahead.load.transpose(1, 0, 2)
-    rows = np.array((*before[2:6], X + mean[0], Y, N + mean[1]))
-    hull = hull_jacobian(rows.reshape(7, -1), ahead.dt.ravel(), problem.vehicle).reshape(6, 7, *share.shape)
+    rows = np.array((*before[MOTION], X + mean_u, Y, N + mean_r))
+    flat = hull_jacobian(rows.reshape(len(rows), -1), ahead.dt.ravel(), problem.vehicle)
+    by_motion, by_load = (a.reshape(*a.shape[:2], *share.shape) for a in flat)
     AB = np.zeros((STATES, STATES + COMMANDS, *share.shape))
-    AB[0, 0] = AB[1, 1] = 1.0
-    AB[:6, 2:6] = hull[:, :4]
-    for i, by_force in enumerate((hull[:, 4], hull[:, 6])):
-        AB[:6, 6 + i], AB[:6, 8 + i] = still * by_force, share * by_force
-        AB[6 + i, 6 + i], AB[6 + i, 8 + i] = 1 - ahead.gain, ahead.gain
+    AB[AT.x_e, AT.x_e] = AB[AT.y_e, AT.y_e] = 1.0
+    AB[HULL, MOTION] = by_motion
+    commands = range(STATES, STATES + COMMANDS)
+    for F, command, by_force in zip((AT.F_u, AT.F_r), commands, (by_load[:, 0], by_load[:, 2]), strict=True):
+        AB[HULL, F], AB[HULL, command] = still * by_force, share * by_force
+        AB[F, F], AB[F, command] = 1 - ahead.gain, ahead.gain
     return np.ascontiguousarray(AB.transpose(2, 3, 0, 1))
 
 
@@ -142,9 +149,9 @@ def bounded_minimum(H: Array, g: Array, low: Array, high: Array) -> tuple[Array,
         low: least entries.
         high: largest entries.
     """
-    cross = H[:, 0, 1]
-    c = np.stack((cross * g[:, 1] - H[:, 1, 1] * g[:, 0], cross * g[:, 0] - H[:, 0, 0] * g[:, 1]), axis=1)
-    c /= (H[:, 0, 0] * H[:, 1, 1] - cross * cross)[:, None]
+    (a, b), (_, d) = H.transpose(1, 2, 0)
+    g_u, g_r = g.T
+    c = np.stack((b * g_r - d * g_u, b * g_u - a * g_r), axis=1) / (a * d - b * b)[:, None]  # Cramer's rule
     if (outside := ((c < low) | (c > high)).any(axis=1)).any():
         c[outside] = _on_the_edge(H[outside], g[outside], low[outside], high[outside])
     return c, (c > low) & (c < high)
@@ -165,9 +172,11 @@ def _on_the_edge(H: Array, g: Array, low: Array, high: Array) -> Array:
 
 def _feedback(Q: Array, free: NDArray[np.bool_]) -> Array:
     """Return how the free commands follow the state, shape (N, COMMANDS, STATES), for rows of the second derivative."""
-    fixed = 1.0 - free
-    a, d = Q[:, 0, STATES] * free[:, 0] + fixed[:, 0], Q[:, 1, STATES + 1] * free[:, 1] + fixed[:, 1]
-    b = Q[:, 0, STATES + 1] * free[:, 0] * free[:, 1]
-    first, second = (Q[:, i, :STATES] * free[:, i, None] for i in range(2))
-    a, b, d = (x[:, None] / (a * d - b * b)[:, None] for x in (a, b, d))
+    Q_ux, Q_uu = Q[:, :, :STATES], Q[:, :, STATES:]
+    free_u, free_r = free.T
+    first, second = (Q_ux * free[:, :, None]).transpose(1, 0, 2)
+    a = Q_uu[:, 0, 0] * free_u + (1.0 - free_u)  # of a fixed command there remains c = 0
+    d = Q_uu[:, 1, 1] * free_r + (1.0 - free_r)
+    b = Q_uu[:, 0, 1] * free_u * free_r
+    a, b, d = (x[:, None] / (a * d - b * b)[:, None] for x in (a, b, d))  # Cramer's rule
     return np.stack((b * second - d * first, b * first - a * second), axis=1)

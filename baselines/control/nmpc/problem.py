@@ -1,6 +1,6 @@
 """An optimal control problem for many vehicles at once: what is known, what is predicted, and what it costs.
 
-`gauss_newton` solves it on arrays, `nmpc_casadi` with CasADi.
+`gauss_newton` solves it on arrays, `casadi_solver` with CasADi.
 """
 
 from __future__ import annotations
@@ -16,14 +16,17 @@ from auv_gym.dynamics import rk4_step
 from auv_gym.intervals import check_number
 from auv_gym.namespaces import ARRAYS, Number
 from auv_gym.vehicle import Vehicle
+from baselines.estimation.sea_model import AT
 from baselines.policy import Array
 
 Integers = NDArray[np.int64]
 
-STATES, COMMANDS = 8, 2
+STATES = AT.V_x
 """The state: x, y [m], psi [rad] in the world, u, v [m/s] relative to the water, r [rad/s], what the actuators apply,
-F_u [N], F_r [N m]. The command: F_u [N], F_r [N m]."""
-SWAY, FORCE = 4, slice(6, 8)
+F_u [N], F_r [N m]: the rows of an `Estimate` in front of the current, in its order."""
+POSITION = slice(AT.x_e, AT.psi)
+COMMANDS = 2
+"""The command: F_u [N], F_r [N m]."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +100,8 @@ def stage(
     """Return the `STATES` components of the state at a stage's end; `known` are its rows of a `Horizon` but limits."""
     dt, _, (V_x, V_y), (X, Y, N), gain, share = known
     x, y, psi, u, v, r, F_u, F_r = state
-    missing_u, missing_r = command[0] - F_u, command[1] - F_r
+    command_u, command_r = command
+    missing_u, missing_r = command_u - F_u, command_r - F_r
     load = F_u + share * missing_u + X, Y, F_r + share * missing_r + N
     hull = rk4_step((x, y, psi, u, v, r), load, vehicle.coefficients, dt, (V_x, V_y), ns)
     return [*hull, F_u + gain * missing_u, F_r + gain * missing_r]
@@ -112,12 +116,16 @@ def stage_cost(
     ns: Any,
 ) -> tuple[Number, Number]:
     """Return the cost [m^2] of each second of a stage, and that of the position error alone at its end."""
-    x_e, y_e = after[0] - aim[0], after[1] - aim[1]
-    missing_u, missing_r = command[0] - state[6], command[1] - state[7]
+    *_, F_u, F_r = state
+    x, y, _, _, v, *_ = after
+    command_u, command_r = command
+    aim_x, aim_y = aim
+    x_e, y_e = x - aim_x, y - aim_y
+    missing_u, missing_r = command_u - F_u, command_r - F_r
     square = weights.huber * weights.huber
     error = 2 * square * (ns.sqrt(1 + (x_e * x_e + y_e * y_e) / square) - 1)
     effort = (weights.surge * missing_u) ** 2 + (weights.yaw * missing_r) ** 2
-    return error + effort + (weights.sway * after[SWAY]) ** 2, error
+    return error + effort + (weights.sway * v) ** 2, error
 
 
 @dataclass(frozen=True)
@@ -136,13 +144,14 @@ class OptimalControl:
         """
         states, applied = np.empty((len(commands) + 1, *start.shape)), commands.copy()
         states[0], cost = start, np.zeros(start.shape[1])
-        for k, rows in enumerate(zip(*ahead[:-1], strict=True)):
+        for k, known in enumerate(zip(*ahead[:-1], strict=True)):
+            duration, aim, *_ = known
             if plan is not None and policy is not None:
                 off = states[k] - plan.states[k]
                 wanted = commands[k] + (policy.feedback[k] * off).sum(axis=1)
                 applied[k] = np.minimum(np.maximum(wanted, -ahead.limits), ahead.limits)
-            states[k + 1] = stage(states[k], applied[k], rows, self.vehicle, ARRAYS)
-            each, end = stage_cost(states[k], applied[k], states[k + 1], rows[1], self.weights, ARRAYS)
-            cost += rows[0] * each
+            states[k + 1] = stage(states[k], applied[k], known, self.vehicle, ARRAYS)
+            each, end = stage_cost(states[k], applied[k], states[k + 1], aim, self.weights, ARRAYS)
+            cost += duration * each
         cost += self.weights.terminal * end
         return Plan(applied, states, np.where(np.isfinite(cost), cost, np.inf))

@@ -1,0 +1,127 @@
+"""Every gain counts: forces on a fixed history of observations, digits written out, which 5 % of any gain change."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from auv_gym.namespaces import ARRAYS
+from auv_gym.presets import REGIMES
+from auv_gym.task import Observation
+from auv_gym.vehicle import PAPER_VEHICLE
+from baselines import make_policy
+from baselines.control.backstepping import GAINS, LAW_GAINS, tracking_forces
+from baselines.control.nmpc.controller import PREVIEW
+from baselines.control.oracle import REGULATORS, regulator
+from baselines.gains.loading import gain_file
+
+U, DT = np.array([0.2, 1.0]), np.array([0.2, 0.1])
+"""Reference speed [m/s] and control period [s] of two vehicles, one in each regime."""
+STEPS = 25
+
+
+def seen(k):
+    """Return what is observed of both vehicles at an instant."""
+    t = k * DT
+    return Observation(
+        e_x=0.3 * U * np.sin(1.1 * t + 0.3),
+        e_y=0.4 * U * np.cos(0.9 * t),
+        psi_e=0.2 * np.sin(0.7 * t + 0.1),
+        u_e=0.1 * U * np.cos(1.3 * t),
+        v_e=0.1 * U * np.sin(0.8 * t),
+        r_e=0.05 * np.cos(0.6 * t),
+        u_R=U,
+        v_R=-0.02 * U,
+        r_R=0.03 + 0.0 * t,
+        F_uR=70 * U,
+        F_rR=3.0 + 0.0 * t,
+        cos_psi=np.cos(0.4 + 0.05 * t),
+        sin_psi=np.sin(0.4 + 0.05 * t),
+        F_u_max=np.array([100.0, 400.0]),
+        F_r_max=np.array([50.0, 200.0]),
+        a_u=0.2 * np.sin(0.9 * t),
+        a_r=0.2 * np.cos(0.7 * t),
+        dt=DT,
+    )
+
+
+AHEAD = np.stack(
+    [np.array([u * dt * n, 0.01 * u * (dt * n) ** 2]) for u, dt in zip(U, DT, strict=True) for n in PREVIEW]
+)
+AHEAD = AHEAD.reshape(len(U), 2 * len(PREVIEW))
+
+
+def last_forces(controller):
+    """Return F_u [N], F_r [N m] of both vehicles at the end of the history, shape (2, 2)."""
+    memory = controller.start(len(U))
+    for k in range(STEPS):
+        F_u, F_r, memory = controller.forces(seen(k), memory, AHEAD)
+    return np.array((F_u, F_r)).T
+
+
+def recorded(name):
+    """Return the gains of a controller's files, by regime."""
+    return {regime: json.loads(gain_file(name, regime).read_text())["gains"] for regime in REGIMES}
+
+
+LAWS = {
+    "paper": ((-12.544307, -12.8735392), (-46.3783192, -38.4178732)),
+    "cruise": ((-15.4273125, -20.1967014), (-58.2404933, -28.9480124)),
+    "robust": ((9.00856999, -20.3757357), (42.9162302, -28.7018569)),
+    "normalised-paper": ((-12.544307, -9.25800924), (-46.3783192, -5.13587548)),
+    "normalised": ((8.11762147, -16.3472311), (40.1745077, -11.6975119)),
+}
+CONTROLLERS = {
+    "integral": ((34.2852504, 27.6617898), (97.2763391, -9.19817047)),
+    "integral-normalised": ((32.6682636, 31.6669207), (75.8175692, -10.2921938)),
+    "los-pid": ((10.8225171, 57.7834092), (297.727627, -1028.42722)),
+    "lqi": ((31.118194, 132.540149), (10.5384346, -264.394674)),
+    "current-observer": ((174.414748, 315.044126), (368.848701, -87.5263438)),
+    "ekf": ((-27.6779964, 219.246281), (1430.10516, -323.490466)),
+    "nmpc": ((-37.8777843, 50), (37.2057972, -187.048794)),
+}
+"""F_u [N], F_r [N m] of the slow and of the fast vehicle."""
+REGULATED = {
+    "slow": ((-500, 0, 0), (0, -250, -175.957157)),
+    "cruise": ((-222.222222, 0, 0), (0, -100, -299.680164)),
+}
+"""Gains of the oracle's regulator from e_x, e_y, psi_e to F_u and F_r, at 0.2 and 1 m/s."""
+TOLERANCE = {"nmpc": 2e-5}
+"""Relative; the others' is a millionth. Solvers may end a step earlier on another machine."""
+
+
+def differs(found, wanted, tolerance):
+    return np.abs(np.array(found) / wanted - 1).max() > tolerance
+
+
+@pytest.mark.parametrize("name", GAINS)
+def test_gains_of_the_law(name):
+    def forces(gains):
+        return np.array(tracking_forces(seen(3), PAPER_VEHICLE, gains, ARRAYS)).T
+
+    gains = GAINS[name]
+    np.testing.assert_allclose(forces(gains), LAWS[name], rtol=1e-6)
+    for key in (*LAW_GAINS, "reference_speed"):
+        if value := getattr(gains, key):
+            assert differs(forces(replace(gains, **{key: 1.05 * value})), LAWS[name], 1e-6), key
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_gains_of_the_files(name):
+    tolerance = TOLERANCE.get(name, 1e-6)
+    np.testing.assert_allclose(last_forces(make_policy(name).controller), CONTROLLERS[name], rtol=tolerance)
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_no_gain_of_the_files_is_idle(name):
+    for row, (regime, gains) in enumerate(recorded(name).items()):
+        for key, value in gains.items():
+            changed = last_forces(make_policy(name, gains={**gains, key: 1.05 * value}).controller)[row]
+            assert differs(changed, CONTROLLERS[name][row], TOLERANCE.get(name, 1e-6)), (regime, key)
+
+
+@pytest.mark.parametrize(("regime", "speed"), [("slow", 0.2), ("cruise", 1.0)])
+def test_weights_of_the_oracle(regime, speed):
+    found = regulator(PAPER_VEHICLE, speed, REGULATORS[regime])[:, :3]
+    np.testing.assert_allclose(found, REGULATED[regime], rtol=1e-6, atol=1e-9)
