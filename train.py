@@ -20,9 +20,11 @@ def main(arguments: Sequence[str]) -> int:
     try:
         from baselines.training.command import train
         from baselines.training.request import Request
+
+        request = Request.of(options, f"python {PROGRAM} {shlex.join(arguments)}")
     except ImportError as error:
         raise UsageError(f"{error}; training needs more packages: pip install 'auv-gym[train]'") from error
-    return train(Request.of(options, f"python {PROGRAM} {shlex.join(arguments)}"))
+    return train(request)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,33 @@
-"""Shared by all tests: one thread per process, since oversubscribed cores run many times slower."""
+"""Shared by all tests: one thread per process, since oversubscribed cores run many times slower; a stand-in for Ray."""
 
+import multiprocessing.pool
 import os
+import sys
+import time
+import types
+
+import pytest
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
+
+
+@pytest.fixture
+def ray(monkeypatch):
+    """A stand-in for Ray with the calls that are used, its pool one of threads."""
+    names = ("ray", "ray.util", "ray.util.multiprocessing", "ray.exceptions")
+    module, util, pool, exceptions = (types.ModuleType(name) for name in names)
+    exceptions.RayError = type("RayError", (Exception,), {})
+    module.addresses, module.locked, module.silent = [], False, 0.0
+
+    def init(address, **_):
+        time.sleep(module.silent)
+        if address == "auto" or module.locked:
+            raise SystemExit(15)
+        module.addresses.append(address)
+
+    module.init, module.cluster_resources = init, lambda: {"CPU": 3.0}
+    pool.Pool = multiprocessing.pool.ThreadPool
+    for part in (module, util, pool, exceptions):
+        monkeypatch.setitem(sys.modules, part.__name__, part)
+    return module

@@ -75,6 +75,32 @@ def test_mlp_equals_torch(activation, layer):
     assert np.abs(action).max() <= 1
 
 
+NETWORKS = st.builds(
+    Gru, st.integers(1, 30), st.integers(1, 9), st.integers(1, 9), st.integers(1, 9), st.sampled_from(["tanh", "clip"])
+) | st.builds(
+    Mlp,
+    st.integers(1, 30),
+    st.lists(st.integers(1, 9), max_size=3).map(tuple),
+    st.sampled_from(["tanh", "relu"]),
+    st.sampled_from(["tanh", "clip"]),
+)
+
+
+@given(NETWORKS, st.integers(0, 9), st.floats(0.0, 30.0))
+def test_networks_are_bounded_alike_in_batches_and_described_in_json(network, seed, scale):
+    w, rng = weights_of(network, seed, scale), np.random.default_rng(seed)
+    x, hidden = rng.standard_normal((4, network.inputs)), rng.uniform(-1, 1, (4, network.memory))
+    action, after = network.forward(w, x, hidden)
+    assert action.shape == (4, 2)
+    assert np.abs(action).max() <= 1
+    assert after.shape == hidden.shape
+    assert np.abs(after).max(initial=0) <= 1
+    alone, its = network.forward(w, x[2:3], hidden[2:3])
+    np.testing.assert_allclose(alone[0], action[2], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(its[0], after[2], rtol=0, atol=1e-9)
+    assert network_of(json.loads(json.dumps(network_record(network)))) == network
+
+
 @pytest.mark.parametrize("network", [SIZES, Mlp(N, (16,), "relu", "tanh")])
 def test_round_trip(network, tmp_path):
     mine = agent(network)

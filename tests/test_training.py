@@ -2,8 +2,11 @@
 
 import errno
 import json
+import os
 import re
 import shlex
+import shutil
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -21,13 +24,14 @@ from auv_gym.scenario import Scenario
 from baselines.agents.agent import Agent
 from baselines.agents.loading import AGENTS
 from baselines.evaluation.runner import drawn
-from baselines.tools.command_line import UsageError, run
+from baselines.tools import command_line
+from baselines.tools.command_line import UsageError, parse, run
 from baselines.training import command, request, shipped
 from baselines.training.config import ALGORITHMS, LARGEST_SEED, TRAINING_SEED, Config
 from baselines.training.hyperparameters import ENV_ID, changes_of, load_hyperparameters, words_of
 from baselines.training.hyperparameters import shipped as shipped_file
 from baselines.training.options import Options
-from baselines.training.run_folder import Run, read_config, read_progress
+from baselines.training.run_folder import Run, locked, read_config, read_progress
 from baselines.training.trainings import SHIPPED, training
 from baselines.training.validation import VALIDATION_SEED
 from baselines.tuning.search import VALIDATION_EPISODES
@@ -268,6 +272,84 @@ def test_seeds_differ_and_each_has_a_folder(call, capsys):
     assert same(weights("out/seed-3/agent"), weights("one/agent"))
 
 
+def test_a_cluster_trains_what_this_machine_does(call, ray, capsys):
+    common = (*tiny("ppo"), "--seeds", 2, "--jobs", 1)
+    assert call(*common) == 0
+    assert call(*common, "--out", "there", "--cluster", "local") == 0
+    assert ray.addresses == ["local"]
+    assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()] == ["seed-0", "seed-1"] * 2
+    for seed in ("seed-0", "seed-1"):
+        assert same(weights(f"out/{seed}/agent"), weights(f"there/{seed}/agent"))
+    assert Path("there/learning_curve.png").exists()
+
+
+def test_a_folder_in_use_is_refused_and_left_alone(call, capsys):
+    with locked(Path("out")):
+        assert call(*tiny("ppo")) == 2
+        assert capsys.readouterr().err == "another training writes to out; wait for it, or choose another folder\n"
+        assert [file.name for file in Path("out").iterdir()] == [".lock"]
+    assert call(*tiny("ppo")) == 0
+
+
+@pytest.mark.parametrize("damage", [b"\xff", b"timesteps\n1,2"])
+def test_damaged_progress_is_one_line(damage, call, capsys):
+    assert call(*tiny("ppo"), "--seeds", 2, "--jobs", 1) == 0
+    Path("out/seed-1/progress.csv").write_bytes(damage)
+    Path("out/seed-1/validation.json").write_bytes(damage)
+    capsys.readouterr()
+    assert call(*tiny("ppo"), "--seeds", 2, "--jobs", 1, "--resume") == 2
+    assert re.fullmatch(r"train\.py: out/seed-1/progress\.csv .*\n", capsys.readouterr().err)
+    shutil.rmtree("out/seed-1/agent")
+    assert call(*tiny("ppo"), "--seeds", 2, "--jobs", 1, "--resume") == 1
+    err = capsys.readouterr().err
+    assert err.startswith("seed-1: cannot go on from out/seed-1/checkpoint.pt: out/seed-1/progress.csv")
+    assert err.count("\n") == 1
+
+
+def test_a_damaged_yardstick_is_made_again(call):
+    assert call(*tiny("ppo")) == 0
+    before = Path("out/validation.json").read_text()
+    text = before.replace('expert_m": ', 'expert_m": "a", "x": ')
+    for damage in (b"[1]", b"[" * 10**5, b"{}", b"\xff", text.encode()):
+        Path("out/validation.json").write_bytes(damage)
+        Run(read_config(Path("out")), Path("out")).validation  # noqa: B018
+        assert Path("out/validation.json").read_text() == before
+
+
+@pytest.mark.parametrize("missing", ["yaml", "filelock", "stable_baselines3"])
+def test_without_what_training_needs_it_says_so(missing):
+    code = f"import sys; sys.modules[{missing!r}] = None; sys.argv = ['train.py', '--algo', 'ppo']; import train\n"
+    code += "from baselines.tools.command_line import run; sys.exit(run(train.main, 'train.py'))"
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    process = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    assert (process.returncode, process.stdout) == (2, "")
+    assert missing in process.stderr
+    assert process.stderr.endswith("pip install 'auv-gym[train]'\n")
+    assert process.stderr.count("\n") == 1
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    st.builds(
+        Options,
+        algo=st.sampled_from(list(ALGORITHMS)),
+        scenario=st.lists(st.sampled_from(["cruise", "slow-storm:2", "a b.toml"]), min_size=1).map(tuple),
+        expert=st.none() | st.sampled_from(["none", "lqi"]),
+        authority=st.lists(st.floats(0.1, 2.0), min_size=1, max_size=2).map(tuple) | st.just(()),
+        seed=st.integers(0, LARGEST_SEED),
+        jobs=st.none() | st.integers(1, 9),
+        cluster=st.none() | st.just("HOST:1"),
+        timesteps=st.none() | st.integers(1, 10**9),
+        hyperparameters=st.none() | st.just(Path("h.yml")),
+        set=st.lists(st.sampled_from(["gamma=0.5", "preview=[5, 10]", "e={net: {pi: [8]}}"])).map(tuple),
+        out=st.none() | st.just(Path("runs/a b")),
+        resume=st.booleans(),
+    )
+)
+def test_options_and_words_of_a_command_line_are_the_same(options):
+    assert parse(Options, command_line.words_of(options, Options()), "train.py") == options
+
+
 def test_agent_says_where_it_comes_from(call):
     assert call(*tiny("ppo"), "--authority", 0.2, 0.4, "--expert", "none") == 0
     agent = Agent.load("out/agent")
@@ -357,6 +439,36 @@ def test_vehicles_are_shared_out_by_weight():
     assert {s.name for s in config.lanes(8)} == {f"cruise-{case}" for case in CASES}
     with pytest.raises(ValueError, match="7 vehicles are too few for 8 scenarios"):
         config.lanes(7)
+
+
+@given(st.lists(st.floats(0.01, 1000.0), min_size=1, max_size=8), st.integers(0, 200))
+def test_every_scenario_has_a_vehicle_and_heavier_ones_no_fewer(weights, more):
+    scenarios = tuple((replace(SMALL, name=f"s{i}"), weight) for i, weight in enumerate(weights))
+    lanes = configuration(scenarios=scenarios).lanes(len(weights) + more)
+    counts = [lanes.count(scenario) for scenario, _ in scenarios]
+    assert sum(counts) == len(lanes) == len(weights) + more
+    assert min(counts) >= 1
+    assert lanes == sorted(lanes, key=lambda s: s.name)
+    for (_, a), m in zip(scenarios, counts, strict=True):
+        for (_, b), n in zip(scenarios, counts, strict=True):
+            assert m >= n - (a == b) or a < b
+        share = len(lanes) * a / sum(weights)
+        assert m <= max(1, share + 1)
+
+
+@given(st.sampled_from(["cruise", "slow", "cruise-calm", "slow-adverse"]), st.floats(0.001, 1000.0))
+def test_a_weight_multiplies_what_it_stands_behind(name, weight):
+    plain, heavy = request.resolved([name]), request.resolved([f"{name}:{weight!r}"])
+    assert [s for s, _ in plain] == [s for s, _ in heavy]
+    assert [w * weight for _, w in plain] == pytest.approx([w for _, w in heavy])
+
+
+@given(st.text(max_size=12))
+def test_words_that_name_no_scenario_are_refused(word):
+    if word.rpartition(":")[0] in (*PRESETS, "cruise", "slow") or word in PRESETS:
+        return
+    with pytest.raises(UsageError):
+        request.resolved([f"no-{word}"])
 
 
 def test_no_episode_of_training_is_one_of_tuning_or_validation():

@@ -1,34 +1,14 @@
 """Where tasks run: the same results from this process, worker processes and a pool of Ray's kind; clear refusals."""
 
 import json
-import multiprocessing.pool
 import socket
 import sys
-import types
 
 import pytest
 
 import evaluate
-from baselines.tools.command_line import UsageError
-from baselines.tools.workers import ClusterError, Workers, connect
-
-
-@pytest.fixture
-def ray(monkeypatch):
-    """A stand-in for Ray with the calls that are used, its pool one of threads."""
-    module, util, pool = (types.ModuleType(name) for name in ("ray", "ray.util", "ray.util.multiprocessing"))
-    module.addresses, module.locked = [], False
-
-    def init(address, **_):
-        if address == "auto" or module.locked:
-            raise SystemExit(15)
-        module.addresses.append(address)
-
-    module.init, module.cluster_resources = init, lambda: {"CPU": 3.0}
-    pool.Pool = multiprocessing.pool.ThreadPool
-    for part in (module, util, pool):
-        monkeypatch.setitem(sys.modules, part.__name__, part)
-    return module
+from baselines.tools.command_line import UsageError, run
+from baselines.tools.workers import DEFAULT_JOBS, ClusterError, Workers, connect
 
 
 def power(base, exponent):
@@ -53,7 +33,7 @@ def test_an_evaluation_on_a_cluster_is_that_of_one_machine(ray, tmp_path):
     assert a == b
 
 
-def test_an_address_that_answers(ray):
+def test_an_address_that_answers(ray, monkeypatch):
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"127.0.0.1:{server.getsockname()[1]}"
         assert connect(address) == 3
@@ -61,9 +41,39 @@ def test_an_address_that_answers(ray):
         ray.locked = True
         with pytest.raises(ClusterError, match="set RAY_AUTH_TOKEN"):
             connect(address)
+        ray.silent = 0.3
+        monkeypatch.setattr("baselines.tools.workers.JOINING", 0.05)
+        with pytest.raises(ClusterError, match=r"no answer within 0.05 s"):
+            connect(address)
+        ray.silent = 0.0
     with pytest.raises(ClusterError, match="cannot reach the Ray cluster 127"):
         connect(address)
     assert ray.addresses == [address, f"ray://{address}"]
+
+
+def lost(_):
+    raise sys.modules["ray.exceptions"].RayError("the node is gone")
+
+
+def test_a_machine_that_is_lost_is_one_line(ray, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["it"])
+    assert run(lambda _: list(Workers(2, on_cluster=True).results(lost, [(1,), (2,)])), "it") == 1
+    assert capsys.readouterr().err == "it: the Ray cluster has lost a process or machine: the node is gone\n"
+
+
+def test_workers_of_a_command_line(ray):
+    assert Workers.of(None, None) == Workers(DEFAULT_JOBS)
+    assert Workers.of(5, None) == Workers(5)
+    assert Workers.of(None, "local") == Workers(3, on_cluster=True)
+    assert Workers.of(2, "local") == Workers(2, on_cluster=True)
+    with pytest.raises(ValueError, match="--jobs is 0; it must be 1 or more"):
+        Workers.of(0, "local")
+
+
+def test_words_that_are_no_text_are_refused(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["evaluate.py", "--out", "a\udcff"])
+    assert run(evaluate.main, evaluate.PROGRAM) == 2
+    assert capsys.readouterr().err == "evaluate.py: argument 'a\\udcff' is no UTF-8 text\n"
 
 
 @pytest.mark.parametrize("address", ["nonsense", "nowhere:x", "host:99999", ":1"])

@@ -42,6 +42,9 @@ def parse(options: type[Options], arguments: Sequence[str], program: str) -> Opt
         UsageError: the arguments do not fit.
         SystemExit: help was asked for, and printed.
     """
+    for word in arguments:
+        if word != word.encode(errors="ignore").decode():
+            raise UsageError(f"argument {word!r} is no UTF-8 text")
     errors = io.StringIO()
     try:
         with contextlib.redirect_stderr(errors):

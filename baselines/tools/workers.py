@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent import futures
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
@@ -19,6 +20,8 @@ from baselines.tools.command_line import WorkerError
 
 PATIENCE = 5.0
 """Seconds until an address counts as not answering; Ray itself waits for two minutes."""
+JOINING = 60.0
+"""Seconds in which a cluster that answers must take this process in."""
 NAMED = ("auto", "local")
 """Names in place of an address: the cluster that this machine belongs to, and one made for the occasion."""
 DEFAULT_JOBS = min(2, os.cpu_count() or 1)
@@ -63,16 +66,18 @@ class Workers:
         it. On a cluster every machine needs this project in the same version, and the files that the arguments name.
 
         Raises:
-            WorkerError: a worker process has ended before its task.
+            WorkerError: a worker process or a machine of the cluster was lost; what it did is to be run again.
         """
         jobs = min(self.jobs, len(tasks))
         if self.on_cluster and tasks:
-            from ray.util.multiprocessing import (
-                Pool,  # joblib's backend for Ray is this pool, but returns all at the end
-            )
+            from ray.exceptions import RayError
+            from ray.util.multiprocessing import Pool  # joblib's backend for Ray is this, but returns all at the end
 
-            with Pool(jobs) as pool:
-                yield from pool.imap_unordered(partial(_call, function), tasks, chunksize=1)
+            try:
+                with Pool(jobs) as pool:
+                    yield from pool.imap_unordered(partial(_call, function), tasks, chunksize=1)
+            except RayError as error:
+                raise WorkerError(f"the Ray cluster has lost a process or machine: {error}") from error
         elif jobs <= 1:
             yield from (function(*task) for task in tasks)
         else:
@@ -122,11 +127,26 @@ def connect(address: str) -> int:
     if address not in NAMED:
         _reach(address)
     try:
-        ray.init(address=address, log_to_driver=False, logging_level="ERROR")
+        _within(JOINING, partial(ray.init, address=address, log_to_driver=False, logging_level="ERROR"))
         return int(ray.cluster_resources()["CPU"])
     except (Exception, SystemExit) as error:
         hint = "; if it asks for a token, set RAY_AUTH_TOKEN" if address not in NAMED else ""
-        raise ClusterError(f"cannot use the Ray cluster {address}: {error}{hint}") from error
+        reason = f"no answer within {JOINING:g} s" if isinstance(error, futures.TimeoutError) else error
+        raise ClusterError(f"cannot use the Ray cluster {address}: {reason}{hint}") from error
+
+
+def _within(seconds: float, function: Callable[[], Any]) -> None:
+    """Call a function that has no time limit of its own; raise `futures.TimeoutError` where it takes longer."""
+    outcome: futures.Future[Any] = futures.Future()
+
+    def call() -> None:
+        try:
+            outcome.set_result(function())
+        except BaseException as error:  # noqa: BLE001, raised again where the outcome is asked for
+            outcome.set_exception(error)
+
+    threading.Thread(target=call, daemon=True).start()
+    outcome.result(seconds)
 
 
 def _reach(address: str) -> None:

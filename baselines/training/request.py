@@ -118,11 +118,7 @@ def _pair(authority: Sequence[float]) -> Any:
 
 def check(config: Config) -> None:
     """Raise ValueError if the algorithm cannot train the configuration."""
-    try:
-        module = importlib.import_module(ALGORITHMS[config.algo])
-    except ImportError as error:
-        raise ValueError(f"{error}; training needs more packages: pip install 'auv-gym[train]'") from error
-    module.check(config)
+    importlib.import_module(ALGORITHMS[config.algo]).check(config)
 
 
 def _check_contents(config: Config, folder: Path, resume: bool) -> None:
