@@ -25,7 +25,7 @@ from auv_gym.residual import Policy, checked_authority
 from auv_gym.task import TERMS
 from auv_gym.vehicle import Vehicle
 from baselines.agents.features import ERRORS, STANDARD, Inputs
-from baselines.agents.loading import is_path
+from baselines.agents.loading import is_path, is_privileged
 from baselines.agents.model_card import CURVE, model_card
 from baselines.agents.networks import Network, Weights, check_weights, network_of, network_record
 from baselines.agents.residual_policy import ResidualPolicy
@@ -77,6 +77,8 @@ class Agent:
             raise ValueError(
                 f"expert is {self.expert!r}; an agent's expert must be a policy's name, since paths run code"
             )
+        if is_privileged(self.expert):
+            raise ValueError(f"expert {self.expert!r} looks behind the observation; choose one that does not")
         object.__setattr__(self, "authority", checked_authority(self.authority))
         if self.region is not None:
             object.__setattr__(self, "region", tuple(self.region))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import sys
+import unicodedata
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
@@ -32,6 +33,8 @@ def parse(options: type[Options], arguments: Sequence[str], program: str) -> Opt
         UsageError: the arguments do not fit.
         SystemExit: help was asked for, and printed.
     """
+    if strange := [word for word in arguments if word != printable(word)]:
+        raise UsageError(f"{strange[0]!r} holds characters that cannot be printed; leave them out")
     errors = io.StringIO()
     try:
         with contextlib.redirect_stderr(errors):
@@ -40,6 +43,11 @@ def parse(options: type[Options], arguments: Sequence[str], program: str) -> Opt
         if end.code in (None, 0):
             raise
         raise UsageError(f"{_first_paragraph(errors.getvalue())}; see {program} --help") from None
+
+
+def printable(text: str) -> str:
+    """Return a text without what a terminal would obey or no file could hold: control characters, lone surrogates."""
+    return "".join(c if unicodedata.category(c) not in ("Cc", "Cs") else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def _first_paragraph(box: str) -> str:
@@ -58,7 +66,7 @@ def run(command: Callable[[Sequence[str]], int], program: str) -> int:
     try:
         return command(sys.argv[1:])
     except UsageError as error:
-        print(f"{program}: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"{program}: {printable(' '.join(str(error).split()))}", file=sys.stderr)
         return WRONG_USAGE
     except KeyboardInterrupt:
         print(f"{program}: interrupted", file=sys.stderr)
