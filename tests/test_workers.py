@@ -53,6 +53,35 @@ def test_an_evaluation_on_a_cluster_is_that_of_one_machine(ray, tmp_path):
     assert a == b
 
 
+def dying_pool(times):
+    """Return a pool whose first ones lose a machine after two results, so many of them."""
+    made = []
+
+    class Pool(multiprocessing.pool.ThreadPool):
+        def imap_unordered(self, *arguments, **options):
+            made.append(self)
+            for i, result in enumerate(super().imap_unordered(*arguments, **options)):
+                if i == 2 and len(made) <= times:
+                    raise RuntimeError("the actor\ndied")
+                yield result
+
+    return Pool
+
+
+def test_what_a_dead_machine_had_in_hand_is_tried_once_more(ray, monkeypatch, tmp_path, capsys):
+    tasks = [(base, 2) for base in range(7)]
+    for times in (0, 1):
+        monkeypatch.setattr(sys.modules["ray.util.multiprocessing"], "Pool", dying_pool(times))
+        assert sorted(Workers(3, on_cluster=True).results(power, tasks)) == [base**2 for base in range(7)]
+    monkeypatch.setattr(sys.modules["ray.util.multiprocessing"], "Pool", dying_pool(2))
+    with pytest.raises(ClusterError, match="failed twice, with 3 tasks left: RuntimeError: the actor died"):
+        list(Workers(3, on_cluster=True).results(power, tasks))
+    monkeypatch.setattr(sys.modules["ray.util.multiprocessing"], "Pool", dying_pool(2))
+    common = ["--scenario", "slow-calm", "cruise-calm", "slow-noise", "--policy", "open-loop", "--episodes", "1"]
+    assert evaluate.main([*common, "--cluster", "local", "--out", str(tmp_path)]) == 1
+    assert capsys.readouterr().err.splitlines()[-1].startswith("the Ray cluster failed twice, with 2 tasks left")
+
+
 def test_an_address_that_answers(ray):
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"127.0.0.1:{server.getsockname()[1]}"

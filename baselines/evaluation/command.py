@@ -13,8 +13,9 @@ from baselines.evaluation.report.terminal import print_report
 from baselines.evaluation.request import Request
 from baselines.evaluation.rows import RowStore
 from baselines.evaluation.runner import Run, runs
-from baselines.tools.command_line import DONE, FAILED
+from baselines.tools.command_line import DONE, FAILED, printable
 from baselines.tools.files import write_atomically
+from baselines.tools.workers import ClusterError
 
 ROWS = "rows"
 """Folder in DIR that keeps the finished runs."""
@@ -38,6 +39,9 @@ def evaluate(request: Request) -> int:
             _write(request, results, pooled, reproduction)
     except OSError as error:
         print(f"cannot write to {out}: {error.strerror}", file=sys.stderr)
+        return FAILED
+    except ClusterError as error:
+        print(printable(str(error)), file=sys.stderr)
         return FAILED
     print_report(results, pooled, reproduction, out)
     return FAILED if any(run.error for run in found) else DONE
