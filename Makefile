@@ -9,7 +9,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint typecheck format bench train train-all results docs clean
+.PHONY: help demo test lint typecheck format bench train train-all results verify docs clean
 
 help: ## list the verbs
 	@echo 'make VERB [ARGS="more options"] [PYTHON=python3.12]'
@@ -46,6 +46,9 @@ bench: $(VENV)/dev.stamp ## measure the speed of the environments
 
 results: $(VENV)/eval.stamp ## write docs/results.md and its figures from the recorded rows
 	$(BIN)/python -m baselines.evaluation.results $(ARGS)
+
+verify: $(VENV)/eval.stamp ## run all that is recorded again, an hour: does every number repeat? ARGS="--policy lqi"
+	$(BIN)/python -m baselines.evaluation.suites verify $(ARGS)
 
 train: $(VENV)/train.stamp ## train an agent, into runs/train: ARGS="--algo ppo --scenario slow"
 	$(BIN)/python train.py $(ARGS)

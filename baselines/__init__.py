@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -15,45 +15,18 @@ from auv_gym.policy import Policy, preview_of
 from auv_gym.presets import as_scenario
 from auv_gym.scenario import Scenario
 from auv_gym.vehicle import Vehicle
-from baselines.agents.loading import AGENTS, FADING, is_path, load_policy, shipped_agents, told
-from baselines.control.backstepping import Backstepping
-from baselines.control.current_observer import make_current_observer
-from baselines.control.ekf_law import make_ekf_law
-from baselines.control.integral import make_integral, make_integral_normalised
-from baselines.control.los_pid import make_los_pid
-from baselines.control.lqi import make_lqi
-from baselines.control.nmpc.controller import make_nmpc
-from baselines.control.open_loop import OpenLoop
-from baselines.control.oracle import Oracle
+from baselines.agents.loading import load_policy
+from baselines.agents.names import FADING, agent_folder, is_path, shipped_agents
+from baselines.control import POLICIES, make_controller
 
-POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
-    "backstepping": (
-        Backstepping,
-        {},
-        "the paper's law; its gains in slow motion, re-tuned ones at cruise: the expert",
-    ),
-    "backstepping-paper": (Backstepping, {"gains": "paper"}, "the paper's law with the paper's gains at every speed"),
-    "backstepping-robust": (Backstepping, {"gains": "robust"}, "the paper's law, gains tuned for decay up to 2 m/s"),
-    "backstepping-normalised": (Backstepping, {"gains": "normalised"}, "the speed-normalised law, spin-safe gains"),
-    "integral": (make_integral, {}, "the paper's law with the position error's integral"),
-    "integral-normalised": (
-        make_integral_normalised,
-        {},
-        "the speed-normalised law with the position error's integral",
-    ),
-    "los-pid": (make_los_pid, {}, "line-of-sight guidance, PID autopilots and the planner's feed-forward"),
-    "lqi": (make_lqi, {}, "linear-quadratic control with integral action, gains scheduled with speed and turn rate"),
-    "current-observer": (
-        make_current_observer,
-        {},
-        "the speed-normalised law in the water frame, a simple observer",
-    ),
-    "ekf": (make_ekf_law, {}, "the same on an extended Kalman filter of vehicle, actuators and sea"),
-    "nmpc": (make_nmpc, {}, "nonlinear model predictive control on the same filter, with a preview of the path"),
-    "oracle": (Oracle, {}, "knows plant, current, waves and lag, now and in future: the score's 1; evaluation only"),
-    "open-loop": (OpenLoop, {}, "the planner's forces alone"),
-}
-"""Policies by name: (factory, its options, one line about it). Add an entry here to use it everywhere by name."""
+__all__ = [
+    "POLICIES",
+    "common_vehicle",
+    "list_policies",
+    "make_policy",
+    "make_residual_env",
+    "make_residual_vector_env",
+]
 
 
 def list_policies() -> dict[str, str]:
@@ -80,20 +53,14 @@ def make_policy(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None = N
     """
     if name.endswith(FADING):
         return make_policy(name.removesuffix(FADING), vehicle, **{"fade": True, **options})
-    if is_path(name):
+    if is_path(name) or agent_folder(name) is not None:
         return load_policy(name, vehicle, **options)
-    if name in shipped_agents():
-        return load_policy(str(AGENTS / name), vehicle, **options)
     if name not in POLICIES:
         known = ", ".join(list_policies())
         raise ValueError(
             f"unknown policy {name!r}; allowed are {known}, FILE.py:FACTORY, a FILE.zip or an agent's folder"
         )
-    factory, defaults, _ = POLICIES[name]
-    try:
-        return factory(**{**defaults, **told(factory, vehicle), **options})
-    except TypeError as error:
-        raise ValueError(f"policy {name!r} does not take these options: {error}") from error
+    return make_controller(name, vehicle, **options)
 
 
 def common_vehicle(scenarios: Sequence[Scenario]) -> Vehicle | None:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.episode import Episode
 from auv_gym.namespaces import ARRAYS, Namespace, Number
 from auv_gym.policy import preview_of
 from auv_gym.preview import columns_behind
+from auv_gym.scenario import Scenario
 from auv_gym.task import Observation, action_of, decode_observation
 
 Array = NDArray[np.float64]
@@ -58,6 +60,17 @@ class Controller(Protocol):
             memory: as `start` or the last call returned it; it must not be changed in place.
             extra: what the observation holds behind its terms, shape (N, columns).
         """
+
+
+@runtime_checkable
+class Privileged(Protocol):
+    """A policy that looks behind the observation, as no competitor may; whoever runs it lets it."""
+
+    def prepare(self, scenario: Scenario, episodes: Sequence[Episode]) -> None:
+        """Learn, before the reset, which N episodes are to run side by side."""
+
+    def observe(self, env: Any) -> None:
+        """Look at the vector environment before each `predict`: `state`, `force`, `current`, `time`."""
 
 
 class Remembering:

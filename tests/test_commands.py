@@ -16,7 +16,7 @@ import pytest
 
 import evaluate
 from auv_gym.presets import PRESETS
-from baselines.agents.loading import AGENTS
+from baselines.agents.names import AGENTS
 
 ROOT = Path(__file__).parents[1]
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")

@@ -4,7 +4,6 @@
 """
 
 import importlib
-import json
 import os
 import re
 import sys
@@ -19,6 +18,8 @@ from auv_gym.paths import PATHS
 from auv_gym.presets import PRESETS
 from auv_gym.vehicle import VEHICLES
 from baselines import POLICIES, list_policies
+from baselines.evaluation.report import terminal
+from baselines.evaluation.report.columns import definitions_table
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -147,27 +148,27 @@ def columns_of_quickstart():
     return [name for group in names for name in group.split(", ") if name != "score"]  # it needs the oracle
 
 
-def test_readme_table_is_what_the_command_writes(tmp_path, capsys):
-    """Some of the columns that evaluate.py prints."""
+def test_readme_table_is_what_the_command_prints(tmp_path, capsys, monkeypatch):
+    """As a terminal of 80 columns shows it."""
+    monkeypatch.setattr(terminal, "WIDTH", 80)
     arguments = re.search(r"^python evaluate.py (--policy .+)$", README, re.MULTILINE)[1].split()
     assert evaluate.main([*arguments, "--jobs", "1", "--out", str(tmp_path)]) == 0
-    lines = [f" {'scenario':14}{'policy':21}{'tail [m]':>9}{'95 % interval':>18}{'lost':>10}", " " + 72 * "─"]
-    scenario = ""
-    for row in json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))["results"]:
-        tail, lost = row["tail_rmse_m"], f"{round(row['lost'] * row['episodes'])} of {row['episodes']}"
-        interval = "{:.3g} ... {:.3g}".format(*tail["ci95"])
-        first, previous, scenario = row["scenario"] != scenario, scenario, row["scenario"]
-        lines += [""] * (first and previous != "")
-        lines.append(f" {scenario * first:14}{row['policy']:21}{tail['mean']:9.3g}{interval:>18}{lost:>10}")
-    table = "\n".join(lines) + "\n"
-    printed = capsys.readouterr().out
-    shown = [tuple(line.split()) for line in table.splitlines() if " of 10" in line]
-    assert all(all(word in printed for word in words) for words in shown)  # the terminal says the same
-    for column in columns_of_quickstart():
-        assert f" {column} " in next(line for line in printed.splitlines() if line.startswith(" scenario")) + " "
+    lines = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
+    first = next(i for i, line in enumerate(lines) if "tail [m]" in line)
+    table = "\n".join(lines[first : lines.index("", lines.index("", first) + 1)]) + "\n"
     block = next(b for b in blocks(ROOT / "README.md") if "tail [m]" in b.text)
     if os.environ.get("REFRESH_DOCS"):
         text = (ROOT / "README.md").read_text(encoding="utf-8")
         (ROOT / "README.md").write_text(text[: block.start] + table + text[block.end :], encoding="utf-8")
     else:
         assert table == block.text
+
+
+def test_columns_are_documented_as_they_are_defined():
+    page = ROOT / "docs" / "metrics.md"
+    text = page.read_text(encoding="utf-8")
+    table = re.search(r"^\| column \| in `results.json` \|.*?(?=\n\n)", text, re.MULTILINE | re.DOTALL)[0]
+    if os.environ.get("REFRESH_DOCS"):
+        page.write_text(text.replace(table, definitions_table()), encoding="utf-8")
+    else:
+        assert table == definitions_table()

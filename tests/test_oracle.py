@@ -6,8 +6,9 @@ import pytest
 from auv_gym.presets import CASES, PRESETS
 from baselines import make_policy
 from baselines.control.oracle import ASTRAY, fleet, regulators, rehearsed, settling_gains, true_plan
-from baselines.evaluation.rollout import Privileged, rollout
+from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
+from baselines.policy import Privileged
 
 
 @pytest.mark.parametrize("regime", ["slow", "cruise"])

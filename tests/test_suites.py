@@ -131,7 +131,7 @@ def test_recorded_rows_belong_to_an_agents_files(small, tmp_path, monkeypatch):
     (agents / "open-loop").mkdir(parents=True)
     weights = agents / "open-loop" / "weights"
     weights.write_bytes(b"1")
-    monkeypatch.setattr("baselines.agents.loading.AGENTS", agents)
+    monkeypatch.setattr("baselines.agents.names.AGENTS", agents)
     recorded.save(suite, run_all(("open-loop",), suite.cells), versions(), tmp_path)
     assert len(recorded.load(suite, tmp_path).runs) == 2
     weights.write_bytes(b"2")
@@ -204,8 +204,7 @@ def test_an_agent_of_one_regime_is_recorded_there(small, tmp_path, monkeypatch):
     network = Gru(len(FEATURES), 2, 2, 2)
     zeros = {name: np.zeros(shape, np.float32) for name, shape in network.shapes.items()}
     Agent(network, zeros, "backstepping", (0.5, 0.5), ("cruise-storm",)).save(agents / "mine")
-    for module in ("baselines", "baselines.agents.loading"):
-        monkeypatch.setattr(f"{module}.AGENTS", agents)
+    monkeypatch.setattr("baselines.agents.names.AGENTS", agents)
     assert (recorded.regimes_of("mine"), recorded.regimes_of("ekf")) == (("cruise",), ("slow", "cruise"))
     cells = [cell for cell in suite.cells if cell.scenario.name.startswith("cruise-")]
     recorded.save(suite, run_all(("mine",), cells), versions(), tmp_path, recorded.regimes_of("mine"))

@@ -22,7 +22,7 @@ import train
 from auv_gym.presets import CASES, PRESETS
 from auv_gym.scenario import Scenario
 from baselines.agents.agent import Agent
-from baselines.agents.loading import AGENTS
+from baselines.agents.names import AGENTS
 from baselines.evaluation.runner import drawn
 from baselines.tools import command_line
 from baselines.tools.command_line import UsageError, parse, run

@@ -1,7 +1,9 @@
 """Policies from users' own files: the documented examples, and mistakes in one line."""
 
+import contextlib
 import json
 import re
+import shutil
 import zipfile
 from pathlib import Path
 
@@ -15,7 +17,11 @@ from auv_gym.vehicle import Vehicle
 from baselines import common_vehicle, make_policy, make_residual_vector_env
 from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES
+from baselines.agents.loading import caution
 from baselines.agents.networks import Gru
+from baselines.evaluation.fingerprints import fingerprint
+from baselines.evaluation.options import Options
+from baselines.evaluation.request import Request
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn, run_all
 from baselines.tools.command_line import UsageError
@@ -76,11 +82,17 @@ def models(tmp_path_factory):
     sb3 = pytest.importorskip("stable_baselines3")
     env = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="cruise-calm")
     folder = tmp_path_factory.mktemp("models")
-    for algorithm in ("PPO", "SAC", "TD3"):
-        getattr(sb3, algorithm)("MlpPolicy", env, device="cpu").save(folder / f"{algorithm}.zip")
-    other = gym.make("auv_gym:UnderactuatedAUVTrackResidual-v0")
+    contrib = pytest.importorskip("sb3_contrib")
+    for algorithm in MODELS:
+        package = contrib if hasattr(contrib, algorithm) else sb3
+        getattr(package, algorithm)("MlpPolicy", env, device="cpu").save(folder / f"{algorithm}.zip")
+    other = gym.make("auv_gym:UnderactuatedAUVTrackResidual-v0", scenario="cruise-calm")
     sb3.PPO("MlpPolicy", other, device="cpu").save(folder / "residual.zip")
+    sb3.PPO("MlpPolicy", gym.make("Pendulum-v1"), device="cpu").save(folder / "pendulum.zip")
     return folder
+
+
+MODELS = ("PPO", "SAC", "TD3", "CrossQ", "ARS")
 
 
 def test_documented_zip(models, tmp_path, monkeypatch, capsys):
@@ -90,15 +102,144 @@ def test_documented_zip(models, tmp_path, monkeypatch, capsys):
     assert json.loads(Path("out/results.json").read_text())["results"][1]["error"] is None
 
 
-@pytest.mark.parametrize("algorithm", ["PPO", "SAC", "TD3"])
+@pytest.mark.parametrize("algorithm", MODELS)
 def test_zip_acts_as_its_model(models, algorithm):
     action, _ = make_policy(str(models / f"{algorithm}.zip")).predict(np.zeros((3, 18)), deterministic=True)
     assert action.shape == (3, 2)
 
 
 def test_zip_of_another_task(models):
-    with pytest.raises(ValueError, match=r"takes observations \(20,\)"):
-        make_policy(str(models / "residual.zip"))
+    with pytest.raises(ValueError, match=r"takes observations \(3,\) and gives actions \(1,\)"):
+        make_policy(str(models / "pendulum.zip"))
+
+
+def test_zip_of_the_residual_environment_corrects_the_expert(models):
+    """It does in the tracking environment what it does in its own."""
+    sb3 = pytest.importorskip("stable_baselines3")
+    policy, model = make_policy(str(models / "residual.zip")), sb3.PPO.load(models / "residual.zip", device="cpu")
+    own = gym.make("auv_gym:UnderactuatedAUVTrackResidual-v0", scenario="cruise-calm")
+    track = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="cruise-calm")
+    seen, observed = own.reset(seed=3)[0], track.reset(seed=3)[0]
+    for _ in range(20):
+        seen = own.step(model.predict(seen, deterministic=True)[0])[0]
+        observed = track.step(policy.predict(observed)[0])[0]
+        np.testing.assert_allclose(seen[:18], observed, rtol=1e-6, atol=1e-9)
+    action = policy.predict(np.tile(observed, (3, 1)))[0]
+    assert action.shape == (3, 2)
+    weak = make_policy(str(models / "residual.zip"), authority=0.01).predict(observed)[0]
+    np.testing.assert_allclose(weak, make_policy("backstepping").predict(observed)[0], atol=0.02)
+
+
+def test_zip_sees_what_it_saw_in_training(models, tmp_path):
+    """The statistics of VecNormalize beside a model are used, and are part of what makes its numbers."""
+    vec_env = pytest.importorskip("stable_baselines3.common.vec_env")
+    file = tmp_path / "best_model.zip"
+    shutil.copy(models / "PPO.zip", file)
+    observation = np.linspace(-1.0, 1.0, 18)
+    plain, before = make_policy(str(file)).predict(observation)[0], fingerprint(str(file))
+    env = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="cruise-calm")
+    normalised = vec_env.VecNormalize(vec_env.DummyVecEnv([lambda: env]))
+    normalised.obs_rms.mean[:], normalised.obs_rms.var[:] = 0.3, 4.0
+    (tmp_path / "env").mkdir()
+    normalised.save(str(tmp_path / "env" / "vecnormalize.pkl"))
+    seen = (observation - 0.3) / np.sqrt(4.0 + normalised.epsilon)
+    expected = make_policy(str(models / "PPO.zip")).predict(seen)[0]
+    np.testing.assert_allclose(make_policy(str(file)).predict(observation)[0], expected, rtol=1e-5)
+    assert not np.allclose(expected, plain)
+    assert fingerprint(str(file)) != before
+    assert "vecnormalize.pkl normalises" in caution(str(file))
+
+
+def test_damaged_zips_are_named(models, tmp_path):
+    whole = (models / "PPO.zip").read_bytes()
+    rng = np.random.default_rng(0)
+    for i in range(12):
+        data = bytearray(whole)
+        for at in rng.integers(0, len(data), 20 * i):
+            data[at] ^= 255
+        (tmp_path / "damaged.zip").write_bytes(data[: len(data) // 2] if i == 0 else data)
+        with contextlib.suppress(ValueError):  # and nothing else; a few flips leave a model whole
+            make_policy(str(tmp_path / "damaged.zip"))
+
+
+def test_an_exit_is_a_failure_of_the_policy(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("early.py").write_text("import sys\n\nsys.exit(0)\n")
+    Path("late.py").write_text("import sys\n\n\nclass Law:\n    def predict(self, *_):\n        sys.exit('\\x1b[2J')\n")
+    with pytest.raises(UsageError, match=r"early\.py cannot be imported: SystemExit"):
+        evaluate.main(["--policy", "early.py:Law", *COMMON])
+    assert evaluate.main(["--policy", "late.py:Law", *COMMON]) == 1
+    out, err = capsys.readouterr()
+    assert "failed: late.py:Law in cruise-calm, SystemExit" in err
+    assert "\x1b[2J" not in out + err + Path("out/results.json").read_text()
+
+
+@pytest.mark.parametrize("word", ["\x1b[31m", "a\udc80b", "a\nb"])
+@pytest.mark.parametrize("option", ["--policy", "--out", "--scenario"])
+def test_names_that_cannot_be_printed_are_refused(option, word, capsys):
+    with pytest.raises(UsageError, match="printable characters"):
+        evaluate.main([option, word])
+
+
+def test_a_scenario_of_a_name_that_cannot_be_printed_is_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("a.json").write_text(json.dumps({"name": "\x1b[31m", "steps": 5}))
+    with pytest.raises(UsageError, match="printable characters"):
+        evaluate.main(["--scenario", "a.json"])
+
+
+def test_no_cell_of_a_spreadsheet_is_a_formula(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("a.json").write_text(json.dumps({"name": "=1+1", "steps": 5}))
+    assert evaluate.main(["--scenario", "a.json", "--episodes", "1", "--jobs", "1", "--out", "out"]) == 0
+    assert "backstepping,'=1+1,1," in Path("out/results.csv").read_text()
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("--episodes", "1000000000"), ("--seed", "9" * 309), ("--jobs", "9" * 309)]
+)
+def test_work_without_bound_is_refused(option, value):
+    with pytest.raises(UsageError, match="must be at most"):
+        evaluate.main(["--scenario", "cruise-calm", option, value])
+
+
+def agent_of(scenarios, expert="backstepping"):
+    network = Gru(len(FEATURES), 2, 2, 2)
+    zeros = {name: np.zeros(shape, np.float32) for name, shape in network.shapes.items()}
+    return Agent(network, zeros, expert, (0.5, 0.5), scenarios)
+
+
+def test_an_experts_look_behind_the_observation_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="looks behind the observation"):
+        agent_of((), "oracle")
+    agent_of(()).save(tmp_path / "a")
+    record = tmp_path / "a" / "agent.json"
+    record.write_text(record.read_text().replace('"expert": "backstepping"', '"expert": "oracle"'))
+    with pytest.raises(ValueError, match="looks behind the observation"):
+        make_policy(str(tmp_path / "a"))
+
+
+def test_the_folder_of_a_training_stands_for_its_agent(tmp_path, monkeypatch, capsys):
+    """An agent runs where it was not trained too, but not without a word."""
+    monkeypatch.chdir(tmp_path)
+    agent_of(("slow-calm", "slow-storm")).save("runs/mine/agent")
+    assert evaluate.main(["--policy", "runs/mine", *COMMON]) == 0
+    rows = json.loads((tmp_path / "out" / "results.json").read_text())["results"]
+    assert [row["policy"] for row in rows] == ["backstepping", "runs/mine"]
+    assert rows[0]["tail_rmse_m"] == rows[1]["tail_rmse_m"]
+    note = "runs/mine was trained in slow motion, and not for cruise-calm"
+    assert note in capsys.readouterr().err
+    assert note in Path("out/report.html").read_text()
+    assert fingerprint("runs/mine") == fingerprint("runs/mine/agent") != ""
+
+
+def test_in_a_frozen_suite_an_agent_runs_in_its_regime(tmp_path):
+    request = Request.of(Options(policy=("apg-slow",), suite="benchmark-v1", episodes=2, out=tmp_path))
+    ran = {cell.scenario.name.split("-")[0] for policy, cell in request.pairs if policy == "apg-slow"}
+    assert ran == {"slow"}
+    assert len([policy for policy, _ in request.pairs if policy == "backstepping"]) == 16
+    assert "apg-slow was trained in slow motion and runs in those cells alone" in request.notes
+    assert request.steps == sum(2 * cell.scenario.steps for _, cell in request.pairs)
 
 
 BELIEVING = """
@@ -123,9 +264,7 @@ def test_policies_are_told_the_vehicle_that_the_scenario_knows(tmp_path, monkeyp
     (tmp_path / "mine.py").write_text(BELIEVING)
     heavy = Vehicle(m11=600.0, m22=840.0, m33=300.0, d11=160.0, d22=320.0, d33=180.0, X_uu=40.0)
     scenario = PRESETS["cruise-calm"].changed(vehicle=heavy)
-    network = Gru(len(FEATURES), 2, 2, 2)
-    zeros = {name: np.zeros(shape, np.float32) for name, shape in network.shapes.items()}
-    Agent(network, zeros, "backstepping", (0.5, 0.5)).save("agent")
+    agent_of(()).save("agent")
     cell = drawn(scenario, 2, 0)
     told = rollout(make_policy("backstepping", vehicle=heavy), scenario, cell.episodes, 1.0).measures.tail
     wrong = rollout(make_policy("backstepping"), scenario, cell.episodes, 1.0).measures.tail

@@ -1,13 +1,14 @@
 """Where tasks run: the same results from this process, worker processes and a pool of Ray's kind; clear refusals."""
 
 import json
+import multiprocessing.pool
 import socket
 import sys
 
 import pytest
 
 import evaluate
-from baselines.tools.command_line import UsageError, run
+from baselines.tools.command_line import UsageError, WorkerError, run
 from baselines.tools.workers import DEFAULT_JOBS, ClusterError, Workers, connect
 
 
@@ -31,6 +32,36 @@ def test_an_evaluation_on_a_cluster_is_that_of_one_machine(ray, tmp_path):
     for row in (*a, *b):
         del row["seconds"], row["decision_ms"]
     assert a == b
+
+
+def dying_pool(times):
+    """Return a pool whose first ones lose a machine after two results, so many of them."""
+    made = []
+
+    class Pool(multiprocessing.pool.ThreadPool):
+        def imap_unordered(self, *arguments, **options):
+            made.append(self)
+            for i, result in enumerate(super().imap_unordered(*arguments, **options)):
+                if i == 2 and len(made) <= times:
+                    raise RuntimeError("the actor\ndied")
+                yield result
+
+    return Pool
+
+
+def test_what_a_dead_machine_had_in_hand_is_tried_once_more(ray, monkeypatch, tmp_path, capsys):
+    tasks = [(base, 2) for base in range(7)]
+    for times in (0, 1):
+        monkeypatch.setattr(sys.modules["ray.util.multiprocessing"], "Pool", dying_pool(times))
+        assert sorted(Workers(3, on_cluster=True).results(power, tasks)) == [base**2 for base in range(7)]
+    monkeypatch.setattr(sys.modules["ray.util.multiprocessing"], "Pool", dying_pool(2))
+    with pytest.raises(WorkerError, match="failed twice, with 3 tasks left: RuntimeError: the actor died"):
+        list(Workers(3, on_cluster=True).results(power, tasks))
+    monkeypatch.setattr(sys.modules["ray.util.multiprocessing"], "Pool", dying_pool(2))
+    common = ["--scenario", "slow-calm", "cruise-calm", "slow-noise", "--policy", "open-loop", "--episodes", "1"]
+    monkeypatch.setattr(sys, "argv", ["evaluate.py", *common, "--cluster", "local", "--out", str(tmp_path)])
+    assert run(evaluate.main, "evaluate.py") == 1
+    assert capsys.readouterr().err.splitlines()[-1].startswith("evaluate.py: the Ray cluster failed twice, with 2")
 
 
 def test_an_address_that_answers(ray, monkeypatch):
@@ -58,7 +89,7 @@ def lost(_):
 def test_a_machine_that_is_lost_is_one_line(ray, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["it"])
     assert run(lambda _: list(Workers(2, on_cluster=True).results(lost, [(1,), (2,)])), "it") == 1
-    assert capsys.readouterr().err == "it: the Ray cluster has lost a process or machine: the node is gone\n"
+    assert capsys.readouterr().err == "it: the Ray cluster failed twice, with 2 tasks left: RayError: the node is gone\n"
 
 
 def test_workers_of_a_command_line(ray):
@@ -73,7 +104,7 @@ def test_workers_of_a_command_line(ray):
 def test_words_that_are_no_text_are_refused(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["evaluate.py", "--out", "a\udcff"])
     assert run(evaluate.main, evaluate.PROGRAM) == 2
-    assert capsys.readouterr().err == "evaluate.py: argument 'a\\udcff' is no UTF-8 text\n"
+    assert capsys.readouterr().err == "evaluate.py: 'a\\udcff' holds characters that cannot be printed; leave them out\n"
 
 
 @pytest.mark.parametrize("address", ["nonsense", "nowhere:x", "host:99999", ":1"])

@@ -25,11 +25,13 @@ from auv_gym.records import from_record, to_record
 from auv_gym.task import TERMS
 from auv_gym.vehicle import Vehicle
 from baselines.agents.features import ERRORS, STANDARD, Inputs
-from baselines.agents.loading import is_path
 from baselines.agents.model_card import CURVE, model_card
+from baselines.agents.names import FADING, agent_folder, is_path
 from baselines.agents.networks import Network, Weights, check_weights, network_of, network_record
 from baselines.agents.residual_policy import ResidualPolicy
+from baselines.control import POLICIES, make_controller
 from baselines.control.open_loop import NO_EXPERT, Zero
+from baselines.policy import Privileged
 from baselines.tools.files import guarded, read_bytes, read_json, synchronise, write_atomically
 
 FORMAT = 2
@@ -86,7 +88,7 @@ class Agent:
         Args:
             fade: whether corrections fade to the expert's bare action where an error leaves the region that was seen in
                 training; at twice its size nothing of them is left.
-            vehicle: what the expert believes in, see `baselines.make_policy`.
+            vehicle: what the expert believes in, None: the paper's.
 
         Raises:
             ValueError: see `make_expert`; or corrections are to fade and there is no expert, or no known region.
@@ -169,14 +171,16 @@ def check_expert(name: Any) -> None:
     """Raise ValueError unless an expert is named as an agent may name it."""
     if not isinstance(name, str) or is_path(name):
         raise ValueError(f"expert is {name!r}; an agent's expert must be a policy's name, since paths run code")
+    if name in POLICIES and isinstance(POLICIES[name][0], Privileged):
+        raise ValueError(f"expert {name!r} looks behind the observation; choose one that does not")
 
 
-def make_expert(name: str, **options: Any) -> Policy:
-    """Return the policy whose action is corrected: any by name, or none at all for `NO_EXPERT`.
+def make_expert(name: str, vehicle: Vehicle | None = None) -> Policy:
+    """Return the policy whose action is corrected: a controller or an agent by name, or none at all for `NO_EXPERT`.
 
     Args:
         name: the policy's.
-        options: see `baselines.make_policy`.
+        vehicle: the one that it believes in. None: the paper's.
 
     Raises:
         ValueError: it is unknown, or may not be an expert: a path, or one that looks behind the observation.
@@ -184,12 +188,9 @@ def make_expert(name: str, **options: Any) -> Policy:
     check_expert(name)
     if name == NO_EXPERT:
         return Zero()
-    from baselines import make_policy  # not above: agents are policies by name too, and are loaded from there
-
-    policy = make_policy(name, **options)
-    if hasattr(policy, "prepare"):  # as `baselines.evaluation.rollout.Privileged` does
-        raise ValueError(f"expert {name!r} looks behind the observation; choose one that does not")
-    return policy
+    if (folder := agent_folder(name.removesuffix(FADING))) is not None:
+        return Agent.load(folder).policy(name.endswith(FADING), vehicle)
+    return make_controller(name, vehicle)
 
 
 def feature_layout(inputs: Inputs) -> list[list[str]]:

@@ -2,67 +2,24 @@
 
 from __future__ import annotations
 
-import importlib
 import importlib.util
-import inspect
-import json
 import sys
-import zipfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from auv_gym.policy import Policy
-from auv_gym.task import SIZE
-
-ALGORITHMS = {
-    "stable_baselines3.common.policies": ("stable_baselines3", "PPO"),
-    "stable_baselines3.sac.policies": ("stable_baselines3", "SAC"),
-    "stable_baselines3.td3.policies": ("stable_baselines3", "TD3"),
-    "sb3_contrib.common.recurrent.policies": ("sb3_contrib", "RecurrentPPO"),
-    "sb3_contrib.tqc.policies": ("sb3_contrib", "TQC"),
-}
-"""Which class loads a model, by the module of its network; A2C, TRPO and DDPG act as their relatives here do."""
-
-AGENTS = Path(__file__).parent / "shipped"
-"""Where the agents are that ship with the package, a folder each."""
-
-
-FADING = ":fade"
-"""Behind an agent's name: its corrections fade where it leaves what it has seen, see `Agent.policy`."""
-
-
-def shipped_agents() -> list[str]:
-    """Return the names of the agents in `AGENTS`."""
-    return sorted(file.parent.name for file in AGENTS.glob("*/agent.json"))
-
-
-def agent_folder(name: str) -> Path | None:
-    """Return the folder of an agent, by its name, its path or that of the run that trained it; None for no agent."""
-    places = (AGENTS / name,) if name in shipped_agents() else (Path(name), Path(name, "agent"))
-    return next((place for place in places if (place / "agent.json").is_file()), None)
-
-
-def is_path(name: str) -> bool:
-    """Return whether a policy's name is a path to one."""
-    known = name.endswith(".zip") or ".py:" in name or "/" in name or "\\" in name
-    return known or (name not in shipped_agents() and agent_folder(name) is not None)
+from baselines.agents.agent import Agent
+from baselines.agents.names import agent_folder
+from baselines.agents.sb3_models import load_model, statistics_file
+from baselines.control import make_controller, told
 
 
 def caution(name: str) -> str | None:
     """Return what a user should know before a policy is loaded, if anything."""
     if name.endswith(".zip"):
-        return f"{name} holds pickled objects, which can run any code when they are loaded: only load what you trust"
+        text = f"{name} holds pickled objects, which can run any code when they are loaded: only load what you trust"
+        return f"{text}; it sees what {beside} normalises" if (beside := statistics_file(Path(name))) else text
     return None
-
-
-def told(factory: Callable[..., Any], vehicle: Any) -> dict[str, Any]:
-    """Return the option that tells a factory of the known vehicle; none if there is none, or it takes no `vehicle`."""
-    try:
-        takes = vehicle is not None and "vehicle" in inspect.signature(factory).parameters
-    except (TypeError, ValueError):  # of something without a signature
-        takes = False
-    return {"vehicle": vehicle} if takes else {}
 
 
 def load_policy(path: str, vehicle: Any = None, **options: Any) -> Policy:
@@ -71,7 +28,8 @@ def load_policy(path: str, vehicle: Any = None, **options: Any) -> Policy:
     Args:
         path: "FILE.py:FACTORY", whose factory is called with the options, "FILE.zip", or an agent's folder.
         vehicle: the known one, see `baselines.make_policy`.
-        options: of the factory, or `fade` of an agent, see `baselines.agents.agent.Agent.policy`; a model takes none.
+        options: of the factory, `fade` of an agent, see `baselines.agents.agent.Agent.policy`, or `authority` of a
+            model that was trained on the residual environment.
 
     Raises:
         OSError: the file cannot be read.
@@ -79,16 +37,19 @@ def load_policy(path: str, vehicle: Any = None, **options: Any) -> Policy:
     """
     if ".py:" not in path:
         model = path.endswith(".zip")
-        if unknown := [name for name in options if model or name != "fade"]:
-            raise ValueError(f"policy {path!r} takes no option {unknown[0]!r}" + ("" if model else ", only fade"))
-        return _model(Path(path)) if model else _agent(Path(path), vehicle, **options)
+        allowed = "authority" if model else "fade"
+        if unknown := [name for name in options if name != allowed]:
+            raise ValueError(f"policy {path!r} takes no option {unknown[0]!r}, only {allowed}")
+        return (
+            load_model(Path(path), make_controller("backstepping", vehicle), **options)
+            if model
+            else _agent(Path(path), vehicle, **options)
+        )
     file, _, factory = path.rpartition(":")
     return _made(Path(file), factory, vehicle, options)
 
 
 def _agent(folder: Path, vehicle: Any, fade: bool = False) -> Policy:
-    from baselines.agents.agent import Agent
-
     return Agent.load(agent_folder(str(folder)) or folder).policy(fade, vehicle)
 
 
@@ -103,38 +64,15 @@ def _made(file: Path, factory: str, vehicle: Any, options: dict[str, Any]) -> Po
     sys.modules[name] = module  # where dataclasses look for their module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ValueError(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
     make = getattr(module, factory, None)
     if not callable(make):
         raise ValueError(f"{file} has no function or class {factory!r} that makes a policy")
     try:
         policy: Policy = make(**{**told(make, vehicle), **options})
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ValueError(f"{factory} of {file} fails: {type(error).__name__}: {error}") from error
     if not callable(getattr(policy, "predict", None)):
         raise ValueError(f"{factory} of {file} returns {policy!r}, which has no method predict")
-    return policy
-
-
-def _model(file: Path) -> Policy:
-    try:
-        with zipfile.ZipFile(file) as archive:
-            module = json.loads(archive.read("data"))["policy_class"]["__module__"]
-    except (zipfile.BadZipFile, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{file} is no model of Stable-Baselines3: {error}") from error
-    if module not in ALGORITHMS:
-        raise ValueError(f"{file} has a network of {module}; known are those of {', '.join(ALGORITHMS)}")
-    package, algorithm = ALGORITHMS[module]
-    try:
-        loader = getattr(importlib.import_module(package), algorithm)
-    except ImportError as error:
-        raise ValueError(f"{file} needs {package}: pip install 'auv-gym[train]'") from error
-    model = loader.load(file, device="cpu")
-    if model.observation_space.shape != (SIZE,) or model.action_space.shape != (2,):
-        raise ValueError(
-            f"{file} takes observations {model.observation_space.shape} and gives actions {model.action_space.shape}; "
-            f"here they are ({SIZE},) and (2,): wrap it in a module and name FILE.py:FACTORY"
-        )
-    policy: Policy = model
     return policy

@@ -1,1 +1,77 @@
-"""Control laws, one a file."""
+"""Control laws, one a file, and their names."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from auv_gym.policy import Policy
+from auv_gym.vehicle import Vehicle
+from baselines.control.backstepping import Backstepping
+from baselines.control.current_observer import make_current_observer
+from baselines.control.ekf_law import make_ekf_law
+from baselines.control.integral import make_integral, make_integral_normalised
+from baselines.control.los_pid import make_los_pid
+from baselines.control.lqi import make_lqi
+from baselines.control.nmpc.controller import make_nmpc
+from baselines.control.open_loop import OpenLoop
+from baselines.control.oracle import Oracle
+
+POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
+    "backstepping": (
+        Backstepping,
+        {},
+        "the paper's law; its gains in slow motion, re-tuned ones at cruise: the expert",
+    ),
+    "backstepping-paper": (Backstepping, {"gains": "paper"}, "the paper's law with the paper's gains at every speed"),
+    "backstepping-robust": (Backstepping, {"gains": "robust"}, "the paper's law, gains tuned for decay up to 2 m/s"),
+    "backstepping-normalised": (Backstepping, {"gains": "normalised"}, "the speed-normalised law, spin-safe gains"),
+    "integral": (make_integral, {}, "the paper's law with the position error's integral"),
+    "integral-normalised": (
+        make_integral_normalised,
+        {},
+        "the speed-normalised law with the position error's integral",
+    ),
+    "los-pid": (make_los_pid, {}, "line-of-sight guidance, PID autopilots and the planner's feed-forward"),
+    "lqi": (make_lqi, {}, "linear-quadratic control with integral action, gains scheduled with speed and turn rate"),
+    "current-observer": (
+        make_current_observer,
+        {},
+        "the speed-normalised law in the water frame, a simple observer",
+    ),
+    "ekf": (make_ekf_law, {}, "the same on an extended Kalman filter of vehicle, actuators and sea"),
+    "nmpc": (make_nmpc, {}, "nonlinear model predictive control on the same filter, with a preview of the path"),
+    "oracle": (Oracle, {}, "knows plant, current, waves and lag, now and in future: the score's 1; evaluation only"),
+    "open-loop": (OpenLoop, {}, "the planner's forces alone"),
+}
+"""Controllers by name: (factory, its options, one line about it). Add an entry here to use it everywhere by name."""
+
+
+def make_controller(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None = None, **options: Any) -> Policy:
+    """Return a controller of `POLICIES`; options override those of the entry.
+
+    Args:
+        name: the controller's.
+        vehicle: the one that it believes in, if its factory takes one. None: the paper's.
+        options: of the factory.
+
+    Raises:
+        ValueError: the name is unknown, or the factory does not take such options.
+    """
+    if name not in POLICIES:
+        raise ValueError(f"unknown policy {name!r}; allowed are {', '.join(POLICIES)}")
+    factory, defaults, _ = POLICIES[name]
+    try:
+        return factory(**{**defaults, **told(factory, vehicle), **options})
+    except TypeError as error:
+        raise ValueError(f"policy {name!r} does not take these options: {error}") from error
+
+
+def told(factory: Callable[..., Any], vehicle: Any) -> dict[str, Any]:
+    """Return the option that tells a factory of the known vehicle; none if there is none, or it takes no `vehicle`."""
+    try:
+        takes = vehicle is not None and "vehicle" in inspect.signature(factory).parameters
+    except (TypeError, ValueError):  # of something without a signature
+        takes = False
+    return {"vehicle": vehicle} if takes else {}

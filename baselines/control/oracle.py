@@ -72,7 +72,7 @@ class TruePlan:
 
 
 class Oracle:
-    """The oracle as a privileged policy, see `baselines.evaluation.rollout.Privileged`."""
+    """The oracle as a privileged policy, see `baselines.policy.Privileged`."""
 
     def __init__(self) -> None:
         self._plan: TruePlan | None = None

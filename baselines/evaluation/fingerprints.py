@@ -12,9 +12,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from baselines import POLICIES
 from baselines.agents.agent import RECORD, WEIGHTS
-from baselines.agents.loading import FADING, agent_folder
+from baselines.agents.names import FADING, agent_folder
+from baselines.agents.sb3_models import statistics_file
+from baselines.control import POLICIES
 from baselines.control.open_loop import NO_EXPERT
 from baselines.gains.loading import FOLDER as GAINS
 
@@ -39,8 +40,11 @@ def fingerprint(name: str) -> str:
     """
     bare = name.removesuffix(FADING)
     try:
-        if bare.endswith(".zip") or ".py:" in bare:
-            return _hash([_bytes(Path(bare if bare.endswith(".zip") else bare.rpartition(":")[0]))])
+        if ".py:" in bare:
+            return _hash([_bytes(Path(bare.rpartition(":")[0]))])
+        if bare.endswith(".zip"):
+            beside = statistics_file(Path(bare))
+            return _hash([_bytes(Path(bare)), *([_bytes(beside)] if beside else [])])
         if bare in POLICIES:
             return _of_controller(bare)
         if (folder := agent_folder(bare)) is not None:

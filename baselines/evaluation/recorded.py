@@ -21,7 +21,7 @@ import numpy as np
 from auv_gym.presets import REGIMES
 from baselines import list_policies
 from baselines.agents.agent import Agent
-from baselines.agents.loading import FADING, agent_folder
+from baselines.agents.names import FADING, agent_folder
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.runner import Cell, Recorded, Run

@@ -19,13 +19,14 @@ from auv_gym.scenario import Scenario
 from baselines import make_policy
 from baselines.agents.loading import caution
 from baselines.evaluation import recorded
+from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.options import Options
 from baselines.evaluation.recorded import regimes_of
 from baselines.evaluation.rollout import make_env
 from baselines.evaluation.runner import Cell, Run, drawn
 from baselines.evaluation.score import EXPERT, ORACLE, regime_of
 from baselines.evaluation.suites import list_suites, load
-from baselines.tools.command_line import UsageError
+from baselines.tools.command_line import UsageError, printable
 from baselines.tools.workers import Workers, connect
 
 T = TypeVar("T")
@@ -186,6 +187,8 @@ def checked_scenario(name: str, others: Iterable[str] = ()) -> Scenario:
         known = ", ".join((*others, *PRESETS))
         raise UsageError(f"unknown scenario {name!r}; allowed are a .toml or .json file, or one of {known}")
     scenario = checked(partial(Scenario.load, name))
+    if scenario.name != printable(scenario.name):
+        raise UsageError(f"{name}: the scenario's name {scenario.name!r} cannot be printed; choose another one")
     checked(partial(make_env, scenario))
     return scenario
 
@@ -209,6 +212,7 @@ def checked_policies(names: Sequence[str]) -> tuple[str, ...]:
         if (note := caution(name)) is not None:
             print(f"note: {note}", file=sys.stderr)
         checked(partial(make_policy, name))
+        checked(partial(fingerprint, name))
     return tuple(dict.fromkeys(names))
 
 

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import Any, NamedTuple, TypeAlias
 
 import gymnasium as gym
 import numpy as np
@@ -20,23 +20,13 @@ from auv_gym.paths import Line
 from auv_gym.policy import Policy, preview_of
 from auv_gym.scenario import Scenario
 from baselines.evaluation.metrics import Array, Measures, Track, effort, rmse, settling_time, smoothness, tail_rmse
+from baselines.policy import Privileged
 
 ENV_ID = "auv_gym:UnderactuatedAUVTrack-v0"
 PATIENCE = 10
 """Control steps before a policy's speed is judged: the first ones may compile or load."""
 Begun: TypeAlias = tuple[UnderactuatedAUVTrackVectorEnv, Array]
 """An environment at the beginning of its episodes, and what is observed there."""
-
-
-@runtime_checkable
-class Privileged(Protocol):
-    """A policy that looks behind the observation, as no competitor may; whoever runs it lets it."""
-
-    def prepare(self, scenario: Scenario, episodes: Sequence[Episode]) -> None:
-        """Learn, before the reset, which N episodes are to run side by side."""
-
-    def observe(self, env: Any) -> None:
-        """Look at the vector environment before each `predict`: `state`, `force`, `current`, `time`."""
 
 
 class PolicyError(Exception):

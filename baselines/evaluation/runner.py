@@ -25,6 +25,7 @@ from baselines import make_policy
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import Measures, Track
 from baselines.evaluation.rollout import PolicyError, Rollout, rollout
+from baselines.tools.command_line import printable
 from baselines.tools.workers import Workers
 
 LANES = 512
@@ -131,11 +132,12 @@ class Task:
                 policy = make_policy(self.policy, self.scenario.vehicle)
                 result = rollout(policy, self.scenario, self.episodes, self.step_limit, self._progress())
             except PolicyError as exception:
-                error = str(exception)
+                error = printable(str(exception))
             except (Exception, SystemExit) as exception:  # noqa: BLE001, whatever it raises costs it its row, not the others theirs
-                error = " ".join(f"{type(exception).__name__}: {exception}".split())
+                error = printable(" ".join(f"{type(exception).__name__}: {exception}".split()))
         self._tell(self.scenario.steps)
-        return self.number, Part(result, error, tuple(dict.fromkeys(str(warning.message) for warning in caught)))
+        messages = tuple(dict.fromkeys(printable(" ".join(str(warning.message).split())) for warning in caught))
+        return self.number, Part(result, error, messages)
 
     def _progress(self) -> Callable[[int], None]:
         """Return what tells now and then how many control steps are done."""

@@ -11,7 +11,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from baselines.agents.agent import Agent
-from baselines.agents.loading import AGENTS
+from baselines.agents.names import AGENTS
 from baselines.tools.command_line import DONE, UsageError, parse, run
 from baselines.training.command import CURVE, train
 from baselines.training.run_folder import AGENT

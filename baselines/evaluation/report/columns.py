@@ -71,7 +71,8 @@ def ratio_text(value: float) -> str:
 
 def lost_text(lost: int, episodes: int) -> str:
     """Return how many episodes were lost, and the largest share that can be meant by it."""
-    return f"{lost} of {episodes} (<= {100 * most_lost(lost, episodes):.2g} %)"
+    most = 100 * most_lost(lost, episodes)
+    return f"{lost} of {episodes} (<= {most:.2g} %)" if most < 99.5 else f"{lost} of {episodes}"
 
 
 COLUMNS = (

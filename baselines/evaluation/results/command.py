@@ -69,5 +69,8 @@ def main(arguments: Sequence[str]) -> int:
     except OSError as error:
         print(f"{PROGRAM}: cannot write to {options.out}: {error.strerror}", file=sys.stderr)
         return FAILED
+    except ValueError as error:
+        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        return FAILED
     print(f"Wrote {options.out / PAGE} with its figures, and {options.out / FINDINGS}")
     return FAILED if failed else DONE

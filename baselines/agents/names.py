@@ -1,0 +1,27 @@
+"""What the name of a policy stands for: an agent that ships with the package, a path, or neither."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+AGENTS = Path(__file__).parent / "shipped"
+"""Where the agents are that ship with the package, a folder each."""
+FADING = ":fade"
+"""Behind an agent's name: its corrections fade where it leaves what it has seen, see `Agent.policy`."""
+
+
+def shipped_agents() -> list[str]:
+    """Return the names of the agents in `AGENTS`."""
+    return sorted(file.parent.name for file in AGENTS.glob("*/agent.json"))
+
+
+def agent_folder(name: str) -> Path | None:
+    """Return the folder of an agent, by its name, its path or that of the run that trained it; None for no agent."""
+    places = (AGENTS / name,) if name in shipped_agents() else (Path(name), Path(name, "agent"))
+    return next((place for place in places if (place / "agent.json").is_file()), None)
+
+
+def is_path(name: str) -> bool:
+    """Return whether a policy's name is a path to one."""
+    known = name.endswith(".zip") or ".py:" in name or "/" in name or "\\" in name
+    return known or (name not in shipped_agents() and agent_folder(name) is not None)

@@ -1,0 +1,123 @@
+"""Models that Stable-Baselines3 or sb3-contrib has saved, as policies: pickled objects, which can run any code."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import pickle
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_gym.policy import Policy, checked_authority
+from auv_gym.task import SIZE
+from baselines.policy import Memory
+
+ALGORITHMS = {
+    "stable_baselines3.common.policies": ("stable_baselines3", "PPO"),
+    "stable_baselines3.sac.policies": ("stable_baselines3", "SAC"),
+    "stable_baselines3.td3.policies": ("stable_baselines3", "TD3"),
+    "sb3_contrib.common.recurrent.policies": ("sb3_contrib", "RecurrentPPO"),
+    "sb3_contrib.tqc.policies": ("sb3_contrib", "TQC"),
+    "sb3_contrib.crossq.policies": ("sb3_contrib", "CrossQ"),
+    "sb3_contrib.ars.policies": ("sb3_contrib", "ARS"),
+}
+"""Which class loads a model, by the module of its network; A2C, TRPO and DDPG act as their relatives here do."""
+STATISTICS = "vecnormalize.pkl"
+"""The file in which rl_zoo3 keeps the statistics of `VecNormalize`, beside a model or in a folder beside it."""
+AUTHORITY = 0.5
+"""Authority of the residual environment, if nothing else is asked for."""
+LARGEST_DATA = 2**26
+"""Largest description [bytes] that is read."""
+
+
+class Model:
+    """A model whose observations are normalised as they were in training, and whose action may correct an expert's."""
+
+    def __init__(self, model: Any, statistics: Any, expert: Policy | None, authority: Any = AUTHORITY) -> None:
+        """Take a loaded model, the `VecNormalize` that it was trained behind, and the expert that it corrects."""
+        self.model, self.statistics, self.expert = model, statistics, expert
+        self.authority = np.array(checked_authority(authority))
+
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: Memory | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], Memory | None]:
+        """Return the action (2,) or actions (N, 2) and the model's memory."""
+        if self.expert is None:
+            action, state = self._act(observation, state, episode_start, deterministic)
+            return action, state
+        base, _ = self.expert.predict(observation, None, episode_start, deterministic)
+        seen = np.concatenate((observation, base), axis=-1)
+        correction, state = self._act(seen, state, episode_start, deterministic)
+        action = base.astype(np.float64) + self.authority * np.clip(correction, -1.0, 1.0)
+        return np.clip(action, -1.0, 1.0).astype(np.float32), state
+
+    def _act(self, observation: NDArray[Any], *rest: Any) -> tuple[NDArray[np.float32], Memory | None]:
+        if self.statistics is not None:
+            observation = self.statistics.normalize_obs(observation)
+        result: tuple[NDArray[np.float32], Memory | None] = self.model.predict(observation, *rest)
+        return result
+
+
+def statistics_file(file: Path) -> Path | None:
+    """Return the file with the statistics that a model was trained behind, if there is one beside it."""
+    beside = (file.with_name(STATISTICS), file.with_suffix("") / STATISTICS)
+    found = [path for path in beside if path.is_file()] or sorted(file.parent.glob(f"*/{STATISTICS}"))
+    return found[0] if len(found) == 1 or (found and found[0] in beside) else None
+
+
+def load_model(file: Path, expert: Policy, authority: float | tuple[float, float] = AUTHORITY) -> Policy:
+    """Return the policy of a FILE.zip.
+
+    Args:
+        file: the model; `VecNormalize`'s statistics beside it are used.
+        expert: what a model corrects that was trained on the residual environment, without memory.
+        authority: of those corrections.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is damaged, or of another task.
+    """
+    package, algorithm = _algorithm(file)
+    try:
+        loader = getattr(importlib.import_module(package), algorithm)
+    except ImportError as error:
+        raise ValueError(f"{file} needs {package}: pip install 'auv-gym[train]'") from error
+    try:
+        model = loader.load(file, device="cpu")
+        shapes = tuple(model.observation_space.shape), tuple(model.action_space.shape)
+        beside = statistics_file(file)
+        statistics = pickle.loads(beside.read_bytes()) if beside else None
+    except OSError:
+        raise
+    except (Exception, SystemExit) as error:  # whatever a damaged or foreign pickle raises
+        raise ValueError(f"{file} cannot be loaded: {type(error).__name__}: {error}") from error
+    if shapes not in (((SIZE,), (2,)), ((SIZE + 2,), (2,))):
+        raise ValueError(
+            f"{file} takes observations {shapes[0]} and gives actions {shapes[1]}; here they are ({SIZE},), or "
+            f"({SIZE + 2},) of the residual environment, and (2,): wrap it in a module and name FILE.py:FACTORY"
+        )
+    return Model(model, statistics, expert if shapes[0] == (SIZE + 2,) else None, authority)
+
+
+def _algorithm(file: Path) -> tuple[str, str]:
+    """Return package and class that load a file."""
+    try:
+        with zipfile.ZipFile(file) as archive:
+            if archive.getinfo("data").file_size > LARGEST_DATA:
+                raise ValueError(f"its description is larger than {LARGEST_DATA} bytes")
+            module = json.loads(archive.read("data"))["policy_class"]["__module__"]
+    except OSError:
+        raise
+    except Exception as error:  # zipfile.BadZipFile, zlib.error, KeyError, TypeError, RecursionError ...
+        raise ValueError(f"{file} is no model of Stable-Baselines3: {error}") from error
+    if not isinstance(module, str) or module not in ALGORITHMS:
+        raise ValueError(f"{file} has a network of {module}; known are those of {', '.join(ALGORITHMS)}")
+    return ALGORITHMS[module]

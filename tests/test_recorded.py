@@ -1,0 +1,235 @@
+"""What is kept of runs: rows that repeat, fingerprints of all that makes them, files that are whole or refused."""
+
+import ast
+import dataclasses
+import json
+import shutil
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import baselines
+from auv_gym.presets import PRESETS
+from baselines.agents.agent import Agent
+from baselines.agents.features import FEATURES
+from baselines.agents.networks import Gru
+from baselines.control.backstepping import Backstepping
+from baselines.evaluation import fingerprints, recorded, store, suites
+from baselines.evaluation.fingerprints import fingerprint
+from baselines.evaluation.rows import RowStore
+from baselines.evaluation.runner import drawn, run_all
+from baselines.evaluation.store import Stored, reading, write
+from baselines.evaluation.study_files import load_all
+from baselines.evaluation.suites import __main__ as command
+from baselines.evaluation.suites.verify import Verdict, cells_to_run, told
+from baselines.tools.command_line import DONE, FAILED
+
+SAMPLE = {"benchmark-v1": "cruise-storm", "ood-v1": "slow-current-x1.5", "unmodelled-v1": "slow-everything"}
+CLOSEST = 1e-6
+"""Relative difference that another processor may make; on the one that recorded the rows there is none."""
+
+
+@pytest.mark.parametrize("suite", SAMPLE)
+@pytest.mark.parametrize("policy", ["backstepping", "open-loop", "los-pid"])
+def test_recorded_rows_repeat(suite, policy):
+    """A sample of what `make verify` does."""
+    whole = suites.load(suite)
+    old = recorded.read(whole, policy)
+    (cell,) = cells_to_run(whole, old, [SAMPLE[suite]])
+    verdict = Verdict.of(next(run for run in old if run.cell_hash == cell.hash), run_all((policy,), [cell])[0])
+    assert verdict.numbers == 9 * len(cell.episodes)
+    assert verdict.largest < CLOSEST
+    assert verdict.differing < 0.01 * verdict.numbers
+
+
+@pytest.fixture
+def rows(tmp_path, monkeypatch):
+    """A folder with the recorded rows of two cheap policies in a suite; the command works on it."""
+    folder = tmp_path / "recorded"
+    (folder / "ood-v1").mkdir(parents=True)
+    for policy in ("backstepping", "open-loop"):
+        shutil.copy(recorded.FOLDER / "ood-v1" / f"{policy}.npz", folder / "ood-v1")
+    shutil.copy(recorded.FOLDER / recorded.STAMPS, folder)
+    for name, count in (("read", 2), ("stamp", 2), ("recorded_policies", 1)):
+        bound = getattr(recorded, name)
+        monkeypatch.setattr(recorded, name, lambda *a, count=count, bound=bound: bound(*a[:count], folder))
+    return folder
+
+
+def test_verify_finds_what_differs(rows, capsys):
+    arguments = ["verify", "ood-v1", "--cells", "slow-lawnmower"]
+    assert command.main(arguments) == DONE
+    assert capsys.readouterr().out.count("equal ") == 2
+    file = rows / "ood-v1" / "open-loop.npz"
+    with reading(file) as kept:
+        measures = kept.arrays["measures"].copy()
+    suite = suites.load("ood-v1")
+    at = [cell.scenario.name for cell in suite.cells].index("slow-lawnmower") * 260 + 7
+    measures[1, at] *= 1.001
+    write(file, Stored(kept.record, {"measures": measures}))
+    assert command.main([*arguments, "--policy", "open-loop"]) == FAILED
+    out = capsys.readouterr().out
+    assert (
+        "DIFFERENT  open-loop in ood-v1: 1 of 2340 numbers, at most by 1.0e-03 of the value, tail of episode 7" in out
+    )
+
+
+def test_stale_rows_are_stamped_once_they_are_verified(rows, monkeypatch, capsys):
+    suite = suites.load("ood-v1")
+    entry = (Backstepping, {"gains": "auto"}, "the same law, said otherwise")
+    monkeypatch.setitem(baselines.POLICIES, "backstepping", entry)
+    found = recorded.load(suite, rows)
+    assert "have changed since" in found.refused["backstepping"]
+    assert {run.policy for run in found.runs} == {"open-loop"}
+    assert (
+        command.main(["verify", "ood-v1", "--policy", "backstepping", "--cells", "slow-lawnmower", "--stamp"]) == DONE
+    )
+    assert recorded.load(suite, rows).refused == {}
+
+
+def test_rows_that_were_changed_or_are_of_another_policy_do_not_count(rows):
+    suite, folder = suites.load("ood-v1"), rows / "ood-v1"
+    shutil.copy(folder / "open-loop.npz", folder / "backstepping.npz")
+    assert "holds the rows of open-loop" in recorded.load(suite, rows).refused["backstepping"]
+    with reading(folder / "open-loop.npz") as kept:
+        write(folder / "open-loop.npz", Stored(kept.record, {"measures": kept.arrays["measures"] * 1.5}))
+    assert "the rows have" in recorded.load(suite, rows).refused["open-loop"]
+
+
+def test_verdicts_by_hand():
+    (old,) = run_all(("open-loop",), [drawn(PRESETS["slow-calm"], 3, 0)])
+    assert Verdict.of(old, old).differing == 0
+    tail = old.measures.tail.copy()
+    tail[2] = np.nan
+    other = dataclasses.replace(old, measures=dataclasses.replace(old.measures, tail=tail))
+    verdict = Verdict.of(old, other)
+    assert (verdict.differing, verdict.largest, verdict.where) == (1, np.inf, "tail of episode 2")
+    assert "DIFFERENT" in told("open-loop", [Verdict.of(old, old), verdict])
+    with pytest.raises(ValueError, match="fails in slow-calm: no"):
+        Verdict.of(old, dataclasses.replace(old, measures=None, error="no"))
+
+
+def test_every_policy_has_a_fingerprint_of_its_own():
+    prints = {name: fingerprint(name) for name in baselines.list_policies()}
+    assert all(len(digest) == 64 for digest in prints.values())
+    assert len(set(prints.values())) == len(prints)
+    assert fingerprint("nobody") == ""
+
+
+def test_code_counts_and_what_it_says_of_itself_does_not(tmp_path):
+    file = tmp_path / "law.py"
+    digests = []
+    for text in (
+        'def f(x):\n    """Return x."""\n    return 2 * x\n',
+        '"""A module."""\n# a comment\ndef f(\n    x,\n):\n    return 2*x\n\n',
+        "def f(x):\n    return 3 * x\n",
+    ):
+        file.write_text(text)
+        fingerprints._parsed.cache_clear()
+        digests.append(fingerprints._unit(file).digest)
+    assert digests[0] == digests[1] != digests[2]
+    assert fingerprints._plain(ast.parse("'alone'\nx = 1")) == fingerprints._plain(ast.parse("x = 1"))
+
+
+def test_a_controller_is_made_of_its_modules_and_gains(tmp_path, monkeypatch):
+    made_of = fingerprints._closure("baselines.control.ekf_law")
+    words = set().union(*(unit.words for unit in made_of))
+    assert "ekf" in words
+    assert "nmpc" not in words
+    shutil.copytree(fingerprints.GAINS, tmp_path / "gains")
+    monkeypatch.setattr(fingerprints, "GAINS", tmp_path / "gains")
+    before = {name: fingerprint(name) for name in ("ekf", "lqi")}
+    file = tmp_path / "gains" / "lqi-slow.json"
+    record = json.loads(file.read_text())
+    file.write_text(json.dumps(record | {"command": "another"}))
+    assert fingerprint("lqi") == before["lqi"]
+    record["gains"][next(iter(record["gains"]))] *= 1.5
+    file.write_text(json.dumps(record))
+    assert fingerprint("lqi") != before["lqi"]
+    assert fingerprint("ekf") == before["ekf"]
+
+
+def test_of_an_agent_counts_what_acts(tmp_path, monkeypatch):
+    network = Gru(len(FEATURES), 2, 2, 2)
+    zeros = {name: np.zeros(shape, np.float32) for name, shape in network.shapes.items()}
+    agent = Agent(network, zeros, "backstepping", (0.5, 0.5), region=(1.0,) * 6)
+    name = str(tmp_path / "agent")
+
+    def digest(suffix="", **changes):
+        dataclasses.replace(agent, **changes).save(name)
+        return fingerprint(name + suffix)
+
+    same = digest()
+    assert digest(training={"seconds": 3}, scenarios=("slow-calm",)) == same
+    (tmp_path / "agent" / "card.md").write_text("another card")
+    assert fingerprint(name) == same == digest(region=(2.0,) * 6)
+    assert digest(":fade") != digest(":fade", region=(2.0,) * 6)
+    assert same not in (digest(expert="ekf"), digest(authority=(0.5, 0.4)))
+    monkeypatch.setitem(baselines.POLICIES, "backstepping", (Backstepping, {"gains": "robust"}, "another"))
+    assert digest() != same
+
+
+def test_a_file_without_end_is_no_policy(tmp_path):
+    file = tmp_path / "model.zip"
+    with file.open("wb") as stream:
+        stream.truncate(fingerprints.LARGEST_FILE + 1)
+    with pytest.raises(ValueError, match="is larger than"):
+        fingerprint(str(file))
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """A finished run, and the file that keeps it."""
+    run = run_all(("open-loop",), [drawn(PRESETS["slow-calm"], 2, 0)])[0]
+    folder = RowStore(tmp_path_factory.mktemp("rows"))
+    folder.save(run)
+    return folder, run
+
+
+def test_a_row_under_another_key_is_refused(kept):
+    folder, run = kept
+    assert folder.load(run.key).policy == "open-loop"
+    (folder.folder / "0123456789abcdef0123.npz").write_bytes((folder.folder / f"{run.key}.npz").read_bytes())
+    assert folder.load("0123456789abcdef0123") is None
+
+
+def test_damaged_files_are_refused_whatever_is_wrong(kept, tmp_path):
+    """Single bits, cuts, wrong types: a ValueError or the file as it was."""
+    folder, run = kept
+    whole, file = (folder.folder / f"{run.key}.npz").read_bytes(), tmp_path / "a.npz"
+    rng = np.random.default_rng(0)
+    for i in range(150):
+        data = bytearray(whole)
+        data[rng.integers(len(data))] ^= 1 << int(rng.integers(8))
+        file.write_bytes(data if i % 3 else data[: rng.integers(len(data))])
+        try:
+            with reading(file) as stored:
+                assert stored.record["policy"] == "open-loop"
+        except ValueError as error:
+            assert str(file) in str(error)  # noqa: PT017
+        assert RowStore(tmp_path).load("a") is None
+
+
+@pytest.mark.parametrize("record", ["[]", "{}", "3", "[" * 100_000, '{"policy": {}, "fingerprint": []}'])
+def test_records_of_the_wrong_kind_are_refused(record, tmp_path):
+    np.savez(tmp_path / "a.npz", record=np.array(record))
+    assert RowStore(tmp_path).load("a") is None
+    with pytest.raises(ValueError, match=r"a\.npz is damaged"):
+        load_all(tmp_path)
+
+
+def test_a_bomb_is_not_unpacked(tmp_path, monkeypatch):
+    monkeypatch.setattr(store, "LARGEST_CONTENT", 10**6)
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("measures.npy", bytes(2 * 10**6))
+    assert (tmp_path / "a.npz").stat().st_size < 10**4
+    with pytest.raises(ValueError, match="larger than"), reading(tmp_path / "a.npz"):
+        pass
+
+
+def test_no_pickle_is_loaded(tmp_path):
+    np.savez(tmp_path / "a.npz", record=np.array("{}"), arrays=np.array([{}], dtype=object))
+    with pytest.raises(ValueError, match="allow_pickle"), reading(Path(tmp_path / "a.npz")):
+        pass
