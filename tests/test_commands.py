@@ -63,6 +63,21 @@ def quick(line):
     words = shlex.split(line)[1:]
     if words[:2] == ["-m", "baselines.evaluation.suites"]:
         return [*words[:3], "unmodelled-v1", "--policy", "open-loop", "--episodes", "1"]
+    if words[:2] == ["-m", "baselines.evaluation.fresh"]:
+        policies = [] if "--policy" in words else ["--policy", "open-loop"]
+        chosen = [word for word in words if word not in ("--suite", "benchmark-v1")]
+        return [
+            *chosen,
+            *policies,
+            "--suite",
+            "benchmark-v1",
+            "--case",
+            "cruise-calm",
+            "--episodes",
+            "1",
+            "--out",
+            "new",
+        ]
     if words == ["evaluate.py"] or (words[0] == "evaluate.py" and "--help" not in words):
         for option, count in (("--suite", 2), ("--episodes", 2), ("--jobs", 2)):
             if option in words:
@@ -212,6 +227,7 @@ def folder(tmp_path_factory):
                 (folder / name).write_text(text, encoding="utf-8")
     for run, agent in (("apg-cruise", "apg-cruise"), ("ppo-slow", "ppo-slow")):
         shutil.copytree(AGENTS / agent, folder / "runs" / "train" / run / "agent")
+    (folder / "runs" / "ppo").mkdir()
     model = PPO("MlpPolicy", make_env(PRESETS["cruise-calm"]), n_steps=8, batch_size=8, device="cpu")
     for name in ("model.zip", "runs/ppo/model.zip"):
         model.save(folder / name)
