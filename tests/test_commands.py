@@ -162,8 +162,10 @@ def test_train_all_trains_those_that_are_named(copy):
 
 def test_results_are_the_pages_that_are_kept(copy):
     made(copy, "results")
-    for page in (copy / "pages").glob("*.md"):
-        assert page.read_bytes() == (ROOT / "docs" / page.name).read_bytes()
+    pages = sorted((copy / "pages").glob("*.md"))
+    assert [page.name for page in pages] == ["findings.md", "results.md"]
+    for page in pages:
+        assert page.read_bytes() == (ROOT / "docs" / page.name).read_bytes(), "run `make results`"
 
 
 def test_docs_are_built_without_a_warning(copy):
