@@ -150,9 +150,9 @@ def _trainings(results: Results, studies: Mapping[str, Study], *kinds: str) -> s
             steps = float(np.mean([curve[-1, 0] for curve in study.curves])) / 1e6
             score, total = _score(results, study), sum(tail.size for tail in own.tails)
             lost = f"{own.losses(study.regime)} of {total}"
-            rows.append((score.mean, [f"`{name}`", study.about, f"{steps:.3g} M", *_text(score), lost]))
+            rows.append((score.mean, [f"`{name}`: {study.about}", f"{steps:.3g} M", *_text(score), lost]))
     ordered = [row for _, row in sorted(rows, key=lambda row: -row[0])]
-    return table(("training", "what it is", "steps", "score", "95 %", "lost"), ordered)
+    return table(("training", "steps", "score", "95 %", "lost"), ordered)
 
 
 def _shares(results: Results) -> str:
