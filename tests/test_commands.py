@@ -63,6 +63,21 @@ def quick(line):
     words = shlex.split(line)[1:]
     if words[:2] == ["-m", "baselines.evaluation.suites"]:
         return [*words[:3], "unmodelled-v1", "--policy", "open-loop", "--episodes", "1"]
+    if words[:2] == ["-m", "baselines.evaluation.fresh"]:
+        policies = [] if "--policy" in words else ["--policy", "open-loop"]
+        chosen = [word for word in words if word not in ("--suite", "benchmark-v1")]
+        return [
+            *chosen,
+            *policies,
+            "--suite",
+            "benchmark-v1",
+            "--case",
+            "cruise-calm",
+            "--episodes",
+            "1",
+            "--out",
+            "new",
+        ]
     if words == ["evaluate.py"] or (words[0] == "evaluate.py" and "--help" not in words):
         for option, count in (("--suite", 2), ("--episodes", 2), ("--jobs", 2)):
             if option in words:
@@ -147,8 +162,10 @@ def test_train_all_trains_those_that_are_named(copy):
 
 def test_results_are_the_pages_that_are_kept(copy):
     made(copy, "results")
-    for page in (copy / "pages").glob("*.md"):
-        assert page.read_bytes() == (ROOT / "docs" / page.name).read_bytes()
+    pages = sorted((copy / "pages").glob("*.md"))
+    assert [page.name for page in pages] == ["findings.md", "results.md"]
+    for page in pages:
+        assert page.read_bytes() == (ROOT / "docs" / page.name).read_bytes(), "run `make results`"
 
 
 def test_docs_are_built_without_a_warning(copy):
@@ -212,6 +229,7 @@ def folder(tmp_path_factory):
                 (folder / name).write_text(text, encoding="utf-8")
     for run, agent in (("apg-cruise", "apg-cruise"), ("ppo-slow", "ppo-slow")):
         shutil.copytree(AGENTS / agent, folder / "runs" / "train" / run / "agent")
+    (folder / "runs" / "ppo").mkdir()
     model = PPO("MlpPolicy", make_env(PRESETS["cruise-calm"]), n_steps=8, batch_size=8, device="cpu")
     for name in ("model.zip", "runs/ppo/model.zip"):
         model.save(folder / name)

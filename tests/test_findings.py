@@ -1,4 +1,7 @@
-"""The page of findings is what the command writes; fresh episodes are fresh, and do what is kept of them."""
+"""The page of findings says what the files say; fresh episodes are fresh, and do what is kept of them.
+
+That the page is what `make results` writes is checked with the verbs, in test_commands.py.
+"""
 
 import re
 from pathlib import Path
@@ -6,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.evaluation import fresh, recorded, suites
-from baselines.evaluation.results.collection import SUITES, collected
-from baselines.evaluation.results.findings import at_most, findings, fresh_results
+from auv_gym.presets import CASES, PRESETS
+from baselines.evaluation import fresh, recorded, silence, suites
+from baselines.evaluation.results.findings import at_most, fresh_results
 from baselines.evaluation.runner import run_task
-from baselines.evaluation.study_files import load_all
 from baselines.tools.command_line import UsageError
 from baselines.training.config import TRAINING_SEED
 
@@ -21,11 +23,6 @@ PAGE = (ROOT / "docs" / "findings.md").read_text(encoding="utf-8")
 @pytest.fixture(scope="module")
 def anew():
     return fresh_results()
-
-
-def test_the_page_is_what_the_command_writes(anew):
-    found = [results for results, _ in map(collected, SUITES) if results is not None]
-    assert findings(found, anew, load_all()) == PAGE, "run `make results`"
 
 
 def test_storms_by_hand():
@@ -70,6 +67,15 @@ def test_command_keeps_rows_that_are_found_again(tmp_path, capsys):
     found = recorded.load(fresh.fresh("benchmark-v1", 2, ["cruise-calm"]), tmp_path)
     assert [len(run.measures) for run in found.runs] == [2]
     assert recorded.load(fresh.fresh("benchmark-v1", 3, ["cruise-calm"]), tmp_path).refused
+
+
+def test_an_expert_goes_on_where_a_network_falls_silent():
+    calm = [PRESETS["cruise-calm"]]
+    assert [silence.lost(name, calm, 2, silent=True) for name in ("apg-cruise", "apg-scratch-cruise")] == [0, 2]
+    assert silence.faster(calm[0]).path.speed == silence.FAST
+    episodes, counts = silence.kept()
+    assert episodes == silence.EPISODES * len(CASES)
+    assert all(0 <= lost <= episodes for row in counts.values() for lost in row.values() if lost is not None)
 
 
 @pytest.mark.parametrize(

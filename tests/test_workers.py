@@ -89,7 +89,8 @@ def lost(_):
 def test_a_machine_that_is_lost_is_one_line(ray, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["it"])
     assert run(lambda _: list(Workers(2, on_cluster=True).results(lost, [(1,), (2,)])), "it") == 1
-    assert capsys.readouterr().err == "it: the Ray cluster failed twice, with 2 tasks left: RayError: the node is gone\n"
+    says = "it: the Ray cluster failed twice, with 2 tasks left: RayError: the node is gone\n"
+    assert capsys.readouterr().err == says
 
 
 def test_workers_of_a_command_line(ray):
@@ -104,7 +105,8 @@ def test_workers_of_a_command_line(ray):
 def test_words_that_are_no_text_are_refused(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["evaluate.py", "--out", "a\udcff"])
     assert run(evaluate.main, evaluate.PROGRAM) == 2
-    assert capsys.readouterr().err == "evaluate.py: 'a\\udcff' holds characters that cannot be printed; leave them out\n"
+    says = "evaluate.py: 'a\\udcff' holds characters that cannot be printed; leave them out\n"
+    assert capsys.readouterr().err == says
 
 
 @pytest.mark.parametrize("address", ["nonsense", "nowhere:x", "host:99999", ":1"])

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from auv_gym.presets import REGIMES
-from baselines.evaluation import fresh, recorded
+from baselines.evaluation import fresh, recorded, silence
 from baselines.evaluation.metrics import Array
 from baselines.evaluation.results.collection import Results
 from baselines.evaluation.results.page import table
@@ -42,7 +42,8 @@ def findings(found: Sequence[Results], anew: Sequence[Results], studies: Mapping
     if (unmodelled := by_name.get("unmodelled-v1")) is not None:
         parts += [UNMODELLED, _leads(unmodelled, fresh_by_name.get("unmodelled-v1"), studies)]
     if benchmark is not None:
-        parts += [SHORTS, _shorts(benchmark, studies), REWARDS, _rewards(benchmark, studies)]
+        parts += [RESIDUAL, _silence(), SHORTS, _trainings(benchmark, studies, SHORT)]
+        parts += [REWARDS, _trainings(benchmark, studies, *LEARNERS)]
         parts += [YARDSTICK, _shares(benchmark)]
     return "\n\n".join([*parts, UNTABLED]) + "\n"
 
@@ -73,7 +74,7 @@ def _lead(results: Results, regime: str, seeds: Mapping[str, Array]) -> tuple[Sc
 
 
 def _agents(studies: Mapping[str, Study], *left_out: str) -> Iterator[tuple[str, Study]]:
-    """Yield the agents of a study that ship with the package, without some families."""
+    """Yield the agents that ship with the package, without some families."""
     for name, study in studies.items():
         if not name.startswith((SHORT, *left_out)):
             yield name, study
@@ -86,26 +87,24 @@ def _leads(results: Results, anew: Results | None, studies: Mapping[str, Study])
             continue
         regime, tails = study.regime, dict(zip(own.cells, own.tails, strict=True))
         above, count = _lead(results, regime, tails)
-        expert, oracle = ([_tails(results, p, regime)[case] for case in own.cells] for p in (EXPERT, ORACLE))
         total, lost = sum(tail.size for tail in own.tails), own.losses(regime)
         rows.append([
             f"`{name}`",
-            score_text(seeds_score(expert, own.tails, oracle)),
-            f"{sum(len(tail) for tail in expert)}",
+            score_text(_score(results, study)),
+            f"{total // len(own.tails[0])}",
             *_text(above),
             str(count),
-            *_on_fresh(anew, name, regime),
+            *(_on_fresh(anew, name, regime) if anew else ()),
             f"{lost} of {total}",
             f"{100 * at_most(lost, total):.2g} %",
         ])  # fmt: skip
-    names = ("agent", "score", "episodes", f"lead over {RIVAL}", "95 %", "episodes", "fresh lead", "95 %", "episodes",
-             "lost", "at most")  # fmt: skip
-    return table(names, rows)
+    names = ["agent", "score", "episodes", f"lead over {RIVAL}", "95 %", "episodes"]
+    return table([*names, *(("fresh lead", "95 %", "episodes") if anew else ()), "lost", "at most"], rows)
 
 
-def _on_fresh(anew: Results | None, name: str, regime: str) -> tuple[str, str, str]:
+def _on_fresh(anew: Results, name: str, regime: str) -> tuple[str, str, str]:
     """Return the lead of the shipped agent on fresh episodes, its interval and their number."""
-    if anew is None or not (own := _tails(anew, name, regime)):
+    if not (own := _tails(anew, name, regime)):
         return "-", "-", "-"
     above, count = _lead(anew, regime, {case: tail[None] for case, tail in own.items()})
     return *_text(above), str(count)
@@ -125,29 +124,35 @@ def _by_case(results: Results, studies: Mapping[str, Study], regime: str) -> str
     return table([regime, *(case.removeprefix(f"{regime}-") for case in rival)], rows)
 
 
-def _shorts(results: Results, studies: Mapping[str, Study]) -> str:
-    rows = []
-    for name, study in studies.items():
-        if name.startswith(SHORT) and (own := study.suites.get(results.suite.name)) is not None:
-            expert, oracle = ([_tails(results, p, study.regime)[case] for case in own.cells] for p in (EXPERT, ORACLE))
-            score = seeds_score(expert, own.tails, oracle)
-            total = sum(tail.size for tail in own.tails)
-            lost = f"{own.losses(study.regime)} of {total}"
-            rows.append((score.mean, [f"`{name}`", study.about, *_text(score), lost]))
-    ordered = [row for _, row in sorted(rows, key=lambda row: -row[0])]
-    return table(("training", "what is different", "score", "95 %", "lost"), ordered)
+def _silence() -> str:
+    """Return how many episodes agents lose as they were trained, silent, and faster than trained."""
+    episodes, counts = silence.kept()
+    kinds = list(next(iter(counts.values())))
+    rows = [
+        [f"`{name}`", *("-" if (lost := of[kind]) is None else f"{lost} of {episodes}" for kind in kinds)]
+        for name, of in ((key.replace(", ", "`, `"), row) for key, row in counts.items())
+    ]
+    return table(("policy, regime", *kinds), rows)
 
 
-def _rewards(results: Results, studies: Mapping[str, Study]) -> str:
+def _score(results: Results, study: Study) -> Score:
+    """Return the score of a study's agents."""
+    own = study.suites[results.suite.name]
+    expert, oracle = ([_tails(results, p, study.regime)[case] for case in own.cells] for p in (EXPERT, ORACLE))
+    return seeds_score(expert, own.tails, oracle)
+
+
+def _trainings(results: Results, studies: Mapping[str, Study], *kinds: str) -> str:
+    """Return the scores of the trainings whose names begin with one of the kinds, the best one first."""
     rows = []
     for name, study in studies.items():
-        if name.startswith(LEARNERS) and (own := study.suites.get(results.suite.name)) is not None:
-            expert, oracle = ([_tails(results, p, study.regime)[case] for case in own.cells] for p in (EXPERT, ORACLE))
+        if name.startswith(kinds) and (own := study.suites.get(results.suite.name)) is not None:
             steps = float(np.mean([curve[-1, 0] for curve in study.curves])) / 1e6
-            lost, total = own.losses(study.regime), sum(tail.size for tail in own.tails)
-            score = seeds_score(expert, own.tails, oracle)
-            rows.append([f"`{name}`", f"{steps:.3g} M", *_text(score), f"{lost} of {total}"])
-    return table(("agent", "steps", "score", "95 %", "lost"), rows)
+            score, total = _score(results, study), sum(tail.size for tail in own.tails)
+            lost = f"{own.losses(study.regime)} of {total}"
+            rows.append((score.mean, [f"`{name}`: {study.about}", f"{steps:.3g} M", *_text(score), lost]))
+    ordered = [row for _, row in sorted(rows, key=lambda row: -row[0])]
+    return table(("training", "steps", "score", "95 %", "lost"), ordered)
 
 
 def _shares(results: Results) -> str:
@@ -187,6 +192,13 @@ UNMODELLED = f"""## Where all is not as told
 fewer episodes than scores. `apg-adverse-*` were trained on these kinds of trouble, all at once and in slightly wider
 ranges, and on the sheared current of `ood-v1`: for them this is no test of the unforeseen. The others had met none of
 it. What robustness costs where nothing is wrong is the distance between `apg-adverse-*` and `apg-*` above."""
+RESIDUAL = f"""## What the expert is for
+
+The expert does not make the final score better: `apg-scratch-*`, networks that command alone, end level with the
+corrected expert. What a residual buys is that it begins at the expert's level, and what the expert knows where the
+network fails. How many fresh episodes of the eight cases are lost *as trained*, with a network that falls *silent*, its
+output zero from a third of each episode on, and *fast*, at {silence.FAST[0]} to {silence.FAST[1]} m/s, above the speeds
+of the training (`python -m baselines.evaluation.silence`)."""
 SHORTS = f"""## What each part is worth
 
 Trainings of fewer steps and seeds at cruise, each of which differs from `{BASE}` in one thing."""
@@ -200,11 +212,6 @@ the distance from expert to oracle: to reject a current is most of the task, and
 alone gains little by it. Read the single cases beside the pooled score."""
 UNTABLED = """## What no table shows
 
-- **The expert does not make the final score better**: `apg-scratch-*`, networks that command alone, end level with the
-  corrected expert. What a residual buys is something else. It begins at the expert's level and not far below it. If
-  the network falls silent, the expert goes on; a network that commands alone is lost with its first dead output. Beyond
-  the speeds of the training, where networks alone lose vehicles, corrected experts mostly keep them. To see it, run an
-  agent in a scenario of that kind, and set its correction to zero on the way.
 - **An authority is no safety bound** where it is large: a correction of the whole limit can undo any command. Only a
   small one leaves the expert in charge.
 - **One agent does not serve every speed.** Each was trained in its regime; outside it, it may do worse than the expert.
