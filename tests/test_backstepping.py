@@ -1,6 +1,7 @@
 """The tracking law against the paper's equations typed anew, and its closed loop against known eigenvalues."""
 
 import math
+from dataclasses import astuple
 
 import numpy as np
 import pytest
@@ -24,6 +25,20 @@ def observation(e_x=0.0, e_y=0.0, psi_e=0.0, u_e=0.0, v_e=0.0, r_e=0.0, speed=0.
     u_R, v_R = speed / math.hypot(1, tan), speed * tan / math.hypot(1, tan)
     F_uR, F_rR = V.d11 * u_R - V.m22 * v_R * r_R, (V.m22 - V.m11) * u_R * v_R + V.d33 * r_R
     return Observation(e_x, e_y, psi_e, u_e, v_e, r_e, u_R, v_R, r_R, F_uR, F_rR, 1.0, 0.0, 400.0, 200.0, 0.0, 0.0, 0.1)
+
+
+LITERALS = {
+    "paper": (0.5, 0.7, 0.5, 0.7, 0.6, 0.6, 0.1, 0.49, None),
+    "cruise": (0.918, 0.335, 0.028, 1.016, 1.189, 0.102, 0.478, 2.0, None),
+    "robust": (0.1408, 1.1192, 0.0059, 0.0731, 1.1634, 0.0032, 0.5062, 2.0, None),
+    "normalised-paper": (0.5, 0.7, 0.5, 0.7, 0.6, 0.6, 0.1, math.inf, 0.1),
+    "normalised": (0.4, 0.7, 0.23, 0.0, 2.0, 0.0, 0.155, math.inf, 0.1),
+}
+"""k, k1, cu, ku, c, kc, cr, largest speed, reference speed: what every recorded row and agent was made with."""
+
+
+def test_gains_are_those_of_the_paper_and_of_the_records():
+    assert {name: astuple(gains) for name, gains in GAINS.items()} == LITERALS
 
 
 def test_law_is_the_papers():

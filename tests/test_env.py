@@ -86,6 +86,18 @@ def test_truncation_after_the_scenarios_steps_then_reset_is_needed():
         env.step(ZERO)
 
 
+def test_wrappers_are_told_the_episodes_length():
+    from gymnasium.wrappers import TimeAwareObservation
+
+    assert gym.make(TRACK, scenario="slow-calm").spec.max_episode_steps == 600
+    assert TimeAwareObservation(gym.make(TRACK)).reset(seed=0)[0].shape == (19,)
+    again = gym.make(gym.make(TRACK, scenario="slow-calm").spec)
+    env = gym.make(TRACK, scenario="slow-calm", max_episode_steps=5)
+    assert (again.spec.max_episode_steps, env.spec.max_episode_steps) == (600, 5)
+    env.reset(seed=0)
+    assert [env.step(np.zeros(2))[3] for _ in range(5)] == [False] * 4 + [True]
+
+
 def test_termination_when_lost():
     env = gym.make(TRACK)
     env.reset(seed=0, options={"initial_error": (-9.99, 0.0, 0.0)})

@@ -291,3 +291,16 @@ def test_a_path_can_be_planned_to_its_very_end():
     R = plan(path, PAPER_VEHICLE, np.linspace(0, path.end, 500))
     np.testing.assert_allclose((R.x[-1], R.y[-1]), path.waypoints[-1], rtol=0, atol=1e-9)
     assert plan(path, PAPER_VEHICLE, np.array([1.0, 1.1])).x.shape == (2,)
+
+
+@pytest.mark.parametrize(
+    ("path", "vehicle", "steps"),
+    [
+        (Circle(1.0, 0.1), replace(PAPER_VEHICLE, d22=1e8), 1000),
+        (Circle(1.0, 0.1), PAPER_VEHICLE, 3_000_000),
+        (Circle(1.0, 0.1), replace(PAPER_VEHICLE, d22=1e4), 1_000_000),
+    ],
+)
+def test_work_is_bounded_before_it_is_begun(path, vehicle, steps):
+    with pytest.raises(ValueError, match=r"the plan would need \d+ samples of the path, at most 2097152"):
+        plan(path, vehicle, 0.1 * np.arange(steps + 1))

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 
 import numpy as np
 import pytest
@@ -120,6 +121,48 @@ def test_bad_files_are_refused(tmp_path):
     (tmp_path / "wrong.json").write_text('{"steps": 0}')
     with pytest.raises(ValueError, match=r"wrong.json: steps is 0"):
         Scenario.load(tmp_path / "wrong.json")
+
+
+BIG = "9" * 400
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"vehicle": {"m11": BIG, "m22": 265, "m33": 80, "d11": 70, "d22": 100, "d33": 50}}',
+        '{"control_dt": BIG}',
+        '{"sensors": {"position_bias": BIG}}',
+        '{"sensors": {"position_bias": [0, BIG]}}',
+        '{"actuators": {"F_u_rate": BIG}}',
+        '{"path": {"family": "circle", "speed": BIG, "turn_rate": 0.1}}',
+        '{"path": {"family": ["circle"]}}',
+        '{"path": {"speed": 1, "turn_rate": 0.1, "families": [["circle"]]}}',
+        '{"vehicle": ["paper"]}',
+        '{"name": ["storm"]}',
+        '{"name": "\\ud800"}',
+        '{"name": "\\u001b[31mred"}',
+        '{"path": %s}' % ("[" * 100_000 + "]" * 100_000),
+        '{"path": %s}' % ("[" * 900 + "]" * 900),
+        "\xff",
+    ],
+    ids=range(15),
+)
+def test_files_meant_to_break_the_reader_are_refused_in_one_error(text, tmp_path):
+    file = tmp_path / "scenario.json"
+    file.write_bytes(text.replace("BIG", BIG).encode("latin-1"))
+    with pytest.raises(ValueError, match=r"scenario\.json"):
+        Scenario.load(file)
+
+
+def test_deeply_nested_toml_fifos_and_giants_are_refused(tmp_path):
+    nested, fifo, giant = (tmp_path / name for name in ("nested.toml", "fifo.toml", "giant.json"))
+    nested.write_text("path = " + "[" * 100_000 + "]" * 100_000)
+    os.mkfifo(fifo)
+    with giant.open("wb") as file:
+        file.truncate(2**24 + 1)
+    for file in (nested, fifo, giant):
+        with pytest.raises(ValueError, match=file.name):
+            Scenario.load(file)
 
 
 def test_a_path_of_the_users_own_cannot_be_written(tmp_path):

@@ -24,8 +24,47 @@ def test_observation_stays_in_its_bounds(errors):
     assert (np.abs(observation[[0, 1, 3, 4, 5]]) <= task.BOUNDS[[0, 1, 3, 4, 5]]).all()
 
 
-def test_names_agree():
-    assert task.Observation._fields == tuple(term.name for term in task.TERMS)
+SCALES = {
+    "e_x": 1, "e_y": 1, "psi_e": 0.5, "u_e": 0.5, "v_e": 0.5, "r_e": 0.125, "u_R": 0.5, "v_R": 0.5, "r_R": 0.125,
+    "F_uR": 128, "F_rR": 64, "cos_psi": 1, "sin_psi": 1, "F_u_max": 128, "F_r_max": 64, "a_u": 1, "a_r": 1, "dt": 0.125,
+}  # fmt: skip
+"""The contract with every trained agent: to change one is to break them."""
+
+
+def test_terms_and_scales_are_those_of_the_contract():
+    assert {term.name: term.scale for term in task.TERMS} == SCALES
+    assert task.Observation._fields == tuple(SCALES)
+    np.testing.assert_array_equal(task.decode_observation(np.ones(task.SIZE)), list(SCALES.values()))
+
+
+def test_the_environments_table_is_that_of_the_terms():
+    from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
+
+    document = UnderactuatedAUVTrackEnv.__doc__ or ""
+    lines = [line for line in document.splitlines() if line.count("|") == 8 and line.strip()[2].isdigit()]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
+    for i, (row, term) in enumerate(zip(rows, task.TERMS, strict=True)):
+        bound = "2 pi" if term.name == "psi_e" else f"{term.bound:g}"
+        assert row[:6] == [str(i), term.name, term.unit, f"{term.scale:g}", f"-{bound}", bound]
+
+
+def test_codec_of_floats_rows_and_tensors_is_one():
+    torch = pytest.importorskip("torch")
+    from auv_gym.namespaces import ARRAYS, tensors
+
+    terms = np.random.default_rng(0).normal(size=(task.SIZE, 5)) * np.repeat([100.0, 0.5], [6, 12])[:, None]
+    rows = task.encode(tuple(terms), ARRAYS)
+    singles = np.array([task.encode_observation(tuple(column)) for column in terms.T.tolist()]).T
+    encoded = task.encode(torch.tensor(terms).unbind(), tensors())
+    np.testing.assert_array_equal(rows, singles)
+    np.testing.assert_array_equal(rows, encoded.numpy())
+    decoded = torch.stack(list(task.decode(encoded.unbind(), tensors())))
+    np.testing.assert_array_equal(task.decode(rows, ARRAYS), decoded.numpy())
+
+
+def test_forces_become_actions_within_their_limits():
+    assert task.action_of((100.0, -300.0), (400.0, 200.0), FLOATS) == (0.25, -1.0)
+    assert task.action_of((-900.0, 30.0), (400.0, 200.0), FLOATS) == (-1.0, 0.15)
 
 
 def test_batch_decodes_as_single_observations_do():
@@ -56,6 +95,8 @@ def test_change_of_the_action_costs():
 def test_lost_is_beyond_the_distance():
     assert not task.lost(100.0, 10.0)
     assert task.lost(math.nextafter(100.0, math.inf), 10.0)
+    assert task.lost(math.nan, 10.0)
+    assert task.lost(np.array([0.0, math.nan, math.inf]), 10.0).tolist() == [False, True, True]
 
 
 def test_reference_beyond_the_bounds_is_refused():

@@ -84,6 +84,73 @@ def test_seeds_as_an_integer_a_list_or_none():
         env.reset(seed=[1, 2])
 
 
+def test_fractional_seeds_are_refused_as_by_the_scalar_environment():
+    for env in (vector(), gym.make(TRACK)):
+        for seed in (1.7, -1):
+            with pytest.raises(gym.error.Error):
+                env.reset(seed=seed)
+    assert (vector().reset(seed=list(np.arange(3)))[0] == vector().reset(seed=0)[0]).all()
+
+
+@pytest.mark.parametrize("env_id", [TRACK, RESIDUAL])
+def test_returned_observations_are_their_own_memory(env_id):
+    env, twin = (vector(env_id, scenario="cruise-storm") for _ in range(2))
+    mask = np.array([True, False, False])
+    for action in (None, 0.1, 0.2):
+        step = [e.reset(seed=0) if action is None else e.step(np.full((3, 2), action)) for e in (env, twin)]
+        assert (step[0][0] == step[1][0]).all()
+        step[0][0][:] = 1e3
+    assert (env.reset(options={"reset_mask": mask})[0] == twin.reset(options={"reset_mask": mask})[0]).all()
+
+
+# Fast turns in a wide range of speeds: about a fourth of the draws cannot be followed.
+HARD = {
+    "name": "hard",
+    "path": {"speed": [0.2, 1.5], "turn_rate": 0.5, "families": ["circle", "sine"]},
+    "actuators": {"F_u_max": 160.0, "F_r_max": 60.0},
+    "control_dt": 0.1,
+    "steps": 25,
+}
+
+
+def test_draws_that_cannot_be_followed_are_drawn_anew_alike_everywhere():
+    scenario, rng = Scenario.from_dict(HARD), np.random.default_rng(0)
+    tables = Lanes(40, scenario, None, None)._tables(np.arange(40), [scenario.draw(rng) for _ in range(40)])
+    assert tables == [None] * 40  # as they are planned in one batch, of which some cannot be followed
+    n = 12
+    scalars = [gym.make(TRACK, scenario=HARD) for _ in range(n)]
+    assert assert_equals_scalars(vector(n=n, scenario=HARD), scalars, 80) >= 3 * n
+
+
+@pytest.mark.parametrize("backend", ["numpy", "torch"])
+def test_an_episode_that_can_never_be_followed_changes_nothing(backend, monkeypatch):
+    if backend == "torch":
+        pytest.importorskip("torch")
+    options = {"dtype": "float64"} if backend == "torch" else {}
+    env = vector(scenario={**SHORT["cruise-storm"], "steps": 70}, backend=backend, **options)
+    env.reset(seed=0)
+    actions = np.full((3, 2), 0.05)
+    for _ in range(69):
+        env.step(actions)
+
+    def nothing(*_):
+        raise ValueError("cannot be followed")
+
+    lanes = env.unwrapped._lanes
+    with monkeypatch.context() as patch:
+        patch.setattr("auv_gym.envs.lanes.reference_tables", nothing)
+        time, states = lanes.time, [g.bit_generator.state for g in lanes._generators]
+        for _ in range(2):
+            with pytest.raises(ValueError, match="cannot be followed"):
+                env.step(actions)
+        assert (lanes.time == time).all()
+        assert [g.bit_generator.state for g in lanes._generators] == states
+        with pytest.raises(ValueError, match="cannot be followed"):
+            env.reset(options={"reset_mask": np.array([True, False, False])})
+    *_, truncated, _ = env.step(actions)
+    assert truncated.all()
+
+
 def test_reset_mask_begins_only_those():
     env = vector(scenario="cruise-storm")
     with pytest.raises(ValueError, match="first reset"):

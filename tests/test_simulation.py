@@ -1,0 +1,131 @@
+"""One control step in literal numbers: reward, measurements, saturation, and what the actuators can reach."""
+
+import math
+
+import numpy as np
+import pytest
+
+from auv_gym.namespaces import ARRAYS, FLOATS
+from auv_gym.simulation import Parameters, Parts, Plant, Sample, Shear, start, step
+from auv_gym.task import ERRORS, Observation
+from auv_gym.vehicle import PAPER_VEHICLE
+
+AT_ONCE = (1.0, 1.0, math.inf, math.inf)
+CONSTANTS = Parameters(
+    h=0.1,
+    coefficients=PAPER_VEHICLE.coefficients,
+    F_u_max=400.0,
+    F_r_max=200.0,
+    response=AT_ONCE,
+    filter_gain=1.0,
+    error_scale=0.5,
+    rate_weight=0.05,
+    lost_distance=30.0,
+    thrust_u=400.0,
+    thrust_r=200.0,
+    reach_u=1.0,
+    reach_r=1.0,
+    delay=0.0,
+    shear=Shear(0.0, 0.0, 0.0, 0.0, 0.0),
+    parts=Parts(),
+)
+STILL = Sample(*(0.0,) * 19, fix=1.0)
+
+
+def begun(p=CONSTANTS, sample=STILL, state=(0.0,) * 6):
+    return start(state, sample, p, FLOATS)[0]
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "cost"),
+    [
+        ((0.5, 0.0), (0.5, 0.0), 0.0),
+        ((0.5, 0.0), (0.2, 0.0), 0.05 * 0.09),
+        ((-0.5, 0.0), (0.2, 0.0), 0.05 * 0.49),
+        ((0.0, 0.4), (0.0, -0.4), 0.05 * 0.64),
+        ((0.3, -0.2), (-0.1, 0.1), 0.05 * (0.16 + 0.09)),
+    ],
+)
+def test_reward_of_a_step(before, now, cost):
+    """The vehicle is taken along by hand, so that its position error is 0.3 and 0.4 m: half a metre, one scale."""
+    plant = begun()._replace(a_u=before[0], a_r=before[1])
+    weak = CONSTANTS._replace(thrust_u=0.0, thrust_r=0.0)
+    _, _, (reward, lost, squared_error, _) = step(plant, now, STILL._replace(x_R=0.3, y_R=-0.4), weak, FLOATS)
+    assert squared_error == pytest.approx(0.25, abs=1e-15)
+    assert reward == pytest.approx(1 / math.sqrt(2) - cost, abs=1e-15)
+    assert lost is False
+
+
+def test_measurement_errors_are_added():
+    noisy = STILL._replace(n_x=0.1, n_y=-0.2, n_psi=0.0, n_u=0.3, n_v=-0.4, n_r=0.05, x_R=1.0, y_R=2.0, r_R=0.01)
+    _, terms = start((1.0, 2.0, 0.0, 0.7, 0.02, 0.03), noisy._replace(u_R=0.5), CONSTANTS, FLOATS)
+    o = Observation(*terms)
+    assert o[:ERRORS] == pytest.approx((0.1, -0.2, 0.0, 0.7 + 0.3 - 0.5, 0.02 - 0.4, 0.03 + 0.05 - 0.01), abs=1e-15)
+    _, terms = start((0.0,) * 6, STILL._replace(n_psi=0.25), CONSTANTS, FLOATS)
+    o = Observation(*terms)
+    assert (o.psi_e, o.cos_psi, o.sin_psi) == pytest.approx((0.25, math.cos(0.25), math.sin(0.25)), abs=1e-15)
+
+
+def test_velocities_are_measured_over_ground():
+    _, terms = start((0.0, 0.0, math.pi / 2, 1.0, 0.0, 0.0), STILL._replace(V_x=0.3, V_y=0.2), CONSTANTS, FLOATS)
+    o = Observation(*terms)
+    assert (o.u_e, o.v_e) == pytest.approx((1.2, -0.3), abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("action", "saturated"),
+    [
+        ((1.0, 0.0), True),
+        ((-1.0, 0.0), True),
+        ((0.0, 1.0), True),
+        ((0.0, -1.0), True),
+        ((0.0, -7.0), True),
+        ((0.999, -0.999), False),
+    ],
+)
+def test_saturation_on_both_sides_of_each_actuator(action, saturated):
+    assert step(begun(), action, STILL, CONSTANTS, FLOATS)[2][3] is saturated
+    rows = tuple(np.array([a]) for a in action)
+    sample = [np.array([s]) for s in STILL]
+    plant, _ = start((np.zeros(1),) * 6, sample, CONSTANTS, ARRAYS)
+    assert step(plant, rows, sample, CONSTANTS, ARRAYS)[2][3].tolist() == [saturated]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_each_actuator_has_its_own_limit_and_reach(sign):
+    weak = CONSTANTS._replace(thrust_u=300.0, thrust_r=100.0, reach_u=0.5, reach_r=0.25, parts=Parts(weak=True))
+    plant, terms, _ = step(begun(), (sign, sign), STILL, weak, FLOATS)
+    assert (plant.F_u, plant.F_r) == pytest.approx((sign * 150.0, sign * 25.0))
+    assert (plant.a_u, plant.a_r) == (sign, sign)  # nobody is told
+    assert (Observation(*terms).F_u_max, Observation(*terms).F_r_max) == (400.0, 200.0)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 2, 3])
+def test_commands_act_as_many_periods_late_as_they_should(delay):
+    late, plant = CONSTANTS._replace(delay=float(delay), parts=Parts(delayed=True)), begun()
+    sent = [(0.1, -0.5), (0.2, -0.6), (0.3, -0.7), (0.4, -0.8), (0.5, -0.9)]
+    acted = []
+    for action in sent:
+        plant, _, _ = step(plant, action, STILL, late, FLOATS)
+        acted.append((plant.F_u / 400.0, plant.F_r / 200.0))
+    np.testing.assert_allclose(acted, ([(0.0, 0.0)] * delay + sent)[: len(sent)], atol=1e-15)
+
+
+def test_without_a_fix_the_last_position_stays_and_all_else_goes_on():
+    blind, plant = CONSTANTS._replace(parts=Parts(outages=True)), begun(CONSTANTS._replace(parts=Parts(outages=True)))
+    plant = plant._replace(x=3.0, u=1.0)
+    _, terms, _ = step(plant, (0.0, 0.0), STILL._replace(fix=0.0), blind, FLOATS)
+    assert Observation(*terms).e_x == 0.0
+    assert Observation(*terms).u_e > 0.9
+    _, terms, _ = step(plant, (0.0, 0.0), STILL, blind, FLOATS)
+    assert Observation(*terms).e_x == pytest.approx(3.1, abs=0.01)
+
+
+def test_whatever_is_no_number_any_more_is_lost():
+    nan = begun()._replace(x=math.nan)
+    assert step(nan, (0.0, 0.0), STILL, CONSTANTS, FLOATS)[2][1] is True
+    everything = Plant(*(math.nan,) * 10, memory=nan.memory)
+    assert step(everything, (0.0, 0.0), STILL, CONSTANTS, FLOATS)[2][1] is True
+    rows = Plant(*(np.array([math.nan, 0.0]) for _ in range(10)), memory=nan.memory)
+    sample = [np.full(2, s) for s in STILL]
+    assert step(rows, (np.zeros(2), np.zeros(2)), sample, CONSTANTS, ARRAYS)[2][1].tolist() == [True, False]

@@ -1,0 +1,80 @@
+"""Integration steps that are too long for a vehicle are refused before they blow up."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from auv_gym.disturbances import RandomMismatch
+from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
+from auv_gym.presets import PRESETS
+from auv_gym.stiffness import MAX_STIFFNESS, fastest_rate
+from auv_gym.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+
+STIFF = Vehicle(m11=30.0, m22=60.0, m33=4.0, d11=20.0, d22=60.0, d33=60.0)
+CALM = PRESETS["slow-calm"]
+
+
+def test_stiff_vehicle_needs_substeps():
+    with pytest.raises(ValueError, match=r"is 0.2 s; it must be at most 0.133 s .* raise substeps"):
+        replace(CALM, vehicle=STIFF)
+    env = UnderactuatedAUVTrackEnv(replace(CALM, vehicle=STIFF, substeps=2))
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        env.step(rng.uniform(-0.1, 0.1, 2))
+        assert np.abs(env.state[3:]).max() < 5
+
+
+def test_stiffest_draw_of_a_mismatch_counts():
+    with pytest.raises(ValueError, match="raise substeps"):
+        replace(CALM, mismatch=RandomMismatch(m33=(0.01, 1.0)))
+    with pytest.raises(ValueError, match="raise substeps"):
+        replace(CALM, mismatch=RandomMismatch(quadratic=(0.0, 10.0)))
+    replace(CALM, mismatch=RandomMismatch(quadratic=(0.0, 10.0)), substeps=10)
+
+
+def test_extremes_are_as_stiff_as_every_draw():
+    mismatch = PRESETS["cruise-storm"].mismatch
+    rng, load = np.random.default_rng(0), (250.0, 0.0, 100.0)
+    bound = fastest_rate(mismatch.extremes(PAPER_VEHICLE), load).max()
+    drawn = [mismatch.draw(rng.random, PAPER_VEHICLE) for _ in range(300)]
+    rates = fastest_rate(Coefficients(*np.array([v.coefficients for v in drawn]).T), load)
+    assert (rates <= bound * (1 + 1e-12)).all()
+    assert rates.max() > 0.5 * bound
+
+
+def test_fast_start_and_foreign_vehicle_are_checked_before_anything_changes():
+    env = UnderactuatedAUVTrackEnv(replace(CALM, mismatch=RandomMismatch(quadratic=1.0)))
+    before = env.reset(seed=3)[0]
+    with pytest.raises(ValueError, match="raise substeps"):
+        env.reset(options={"initial_velocity": (0.0, 1e3, 0.0)})
+    env = UnderactuatedAUVTrackEnv(CALM)
+    episode = CALM.draw(np.random.default_rng(0))
+    with pytest.raises(ValueError, match="raise substeps"):
+        env.reset(options={"episode": replace(episode, vehicle=STIFF)})
+    assert (env.reset(seed=3)[0] == before).sum() >= 6
+
+
+@pytest.mark.slow
+def test_no_vehicle_within_the_bound_blows_up():
+    """Random vehicles under full thrust to and fro: speeds stay within a few times those in reach."""
+    from auv_gym.dynamics import rk4_step
+
+    rng, n = np.random.default_rng(0), 20_000
+    low = np.array([5, 5, 1, 1, 1, 1, 0.1, 0.1, 0.1, 5, 2, 0.02])
+    high = np.array([500, 500, 300, 500, 500, 500, 500, 500, 500, 800, 400, 0.5])
+    m11, _, *rest = np.exp(rng.uniform(np.log(low), np.log(high), (n, 12))).T
+    *middle, F_u, F_r, dt = rest
+    coefficients = Coefficients(m11, m11 * rng.uniform(1.02, 3, n), *middle)
+    chosen = fastest_rate(coefficients, (F_u, 0 * F_u, F_r)) * dt < MAX_STIFFNESS
+    coefficients, F_u, F_r, dt = Coefficients(*(c[chosen] for c in coefficients)), F_u[chosen], F_r[chosen], dt[chosen]
+    assert chosen.sum() > 3000
+    state = tuple(np.zeros(chosen.sum()) for _ in range(6))
+    for k in range(400):
+        if k % 5 == 0:
+            a_u, a_r = rng.choice([-1, 0, 1], (2, chosen.sum()))
+        state = rk4_step(state, (a_u * F_u, 0.0, a_r * F_r), coefficients, dt, ns=np)
+        assert np.isfinite(state[3:]).all()
+    power = F_u**2 / coefficients.d11 + F_r**2 / coefficients.d33
+    assert (np.abs(state[3]) < 5 * np.sqrt(power / coefficients.d11)).all()
