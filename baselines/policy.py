@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 Memory: TypeAlias = tuple[NDArray[Any], ...]
 """What a controller remembers: arrays whose leading axis counts the N vehicles it steers."""
 
+U_R, V_R, F_U_MAX, F_R_MAX = (Observation._fields.index(name) for name in ("u_R", "v_R", "F_u_max", "F_r_max"))
+"""Where these terms stand in an observation: a list of terms is faster to make than an `Observation`."""
 CRUISE_SPEED = 0.4
 """Reference speed [m/s] above which controllers use their gains for cruise."""
 SPEED_FLOOR = 0.02
@@ -45,10 +47,16 @@ def first_order(dt: Number, time: Number) -> Any:
     return -np.expm1(-dt / time)
 
 
-def action_of(forces: Force, o: Observation, ns: Namespace) -> tuple[Number, Number]:
-    """Return the action that commands F_u [N], F_r [N m], within [-1, 1]; its limits are those of the observation."""
+def action_of(forces: Force, o: Sequence[Number], ns: Namespace) -> tuple[Number, Number]:
+    """Return the action that commands F_u [N], F_r [N m], within [-1, 1].
+
+    Args:
+        forces: F_u, F_r.
+        o: an `Observation`, or its terms in that order; what an action of 1 commands is among them.
+        ns: the namespace of the numbers.
+    """
     F_u, F_r = forces
-    return ns.clip(F_u / o.F_u_max, -1.0, 1.0), ns.clip(F_r / o.F_r_max, -1.0, 1.0)
+    return ns.clip(F_u / o[F_U_MAX], -1.0, 1.0), ns.clip(F_r / o[F_R_MAX], -1.0, 1.0)
 
 
 class Controller(Protocol):

@@ -246,5 +246,5 @@ def test_given_gains_replace_the_files(folder, name):
 def test_unknown_regimes_and_options_are_refused():
     with pytest.raises(ValueError, match="unknown regime 'fast'; allowed are slow, cruise"):
         load_gains("lqi", "fast", LqiWeights._fields)
-    with pytest.raises(ValueError, match="policy 'integral' does not take these options: .*form"):
+    with pytest.raises(ValueError, match=r"policy 'integral' does not take these options: .*form"):
         baselines.make_policy("integral", form="other")

@@ -19,10 +19,10 @@ from auv_gym.simulation import Parts
 from auv_gym.task import SCALES, SIZE, L
 from baselines.agents.features import INTEGRALS, STANDARD, Inputs
 from baselines.agents.networks import ACTIONS
-from baselines.control.backstepping import U_R, V_R, Backstepping, tracking_forces
+from baselines.control.backstepping import Backstepping, tracking_forces
 from baselines.control.ekf_law import EkfLaw
 from baselines.control.open_loop import Zero
-from baselines.policy import BySpeed, is_fast
+from baselines.policy import U_R, V_R, BySpeed, is_fast
 
 Law = Callable[[Sequence[Any], Namespace], tuple[Any, Any]]
 """Forces F_u [N], F_r [N m] from the terms of an observation in SI units, as `Backstepping.forces`."""
