@@ -107,10 +107,19 @@ def decoded_terms(observation: NDArray[Any]) -> Any:
     return decode(observation, FLOATS).tolist() if len(shape) == 1 else decode(observation.T, ARRAYS)
 
 
-def action_of(forces: Force, o: Observation, ns: Namespace) -> tuple[Number, Number]:
-    """Return the action that commands F_u [N], F_r [N m], within [-1, 1]; its limits are those of the observation."""
+F_U_MAX, F_R_MAX = (Observation._fields.index(name) for name in ("F_u_max", "F_r_max"))
+
+
+def action_of(forces: Force, o: Sequence[Number], ns: Namespace) -> tuple[Number, Number]:
+    """Return the action that commands F_u [N], F_r [N m], within [-1, 1].
+
+    Args:
+        forces: F_u, F_r.
+        o: an `Observation`, or its terms in that order; what an action of 1 commands is among them.
+        ns: the namespace of the numbers.
+    """
     F_u, F_r = forces
-    return ns.clip(F_u / o.F_u_max, -1.0, 1.0), ns.clip(F_r / o.F_r_max, -1.0, 1.0)
+    return ns.clip(F_u / o[F_U_MAX], -1.0, 1.0), ns.clip(F_r / o[F_R_MAX], -1.0, 1.0)
 
 
 def check_reference(table: NDArray[np.float64]) -> None:

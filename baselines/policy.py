@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 Memory: TypeAlias = tuple[NDArray[Any], ...]
 """What a controller remembers: arrays whose leading axis counts the N vehicles it steers."""
 
+U_R, V_R = (Observation._fields.index(name) for name in ("u_R", "v_R"))
+"""Where these terms stand in an observation: a list of terms is faster to make than an `Observation`."""
 CRUISE_SPEED = 0.4
 """Reference speed [m/s] above which controllers use their gains for cruise."""
 SPEED_FLOOR = 0.02

@@ -11,9 +11,11 @@ from hypothesis import strategies as st
 
 import baselines
 from auv_gym.dynamics import rates
+from auv_gym.namespaces import ARRAYS, FLOATS
 from auv_gym.task import BOUNDS, SIZE, Observation, decode_observation, encode_observation
 from auv_gym.vehicle import PAPER_VEHICLE as V
 from baselines.control.backstepping import GAINS, Backstepping, Gains, StabilityWarning, lyapunov_terms, tracking_forces
+from baselines.policy import action_of, is_fast, reference_speed
 
 small = st.floats(-2, 2)
 PAPER = GAINS["paper"]
@@ -119,6 +121,22 @@ def test_auto_chooses_the_gains_by_speed():
     for speed, name in ((0.3, "paper"), (0.5, "cruise")):
         o = observation(0.1, 0.2, 0.1, speed=speed)
         assert auto.forces(o) == tracking_forces(o, V, GAINS[name])
+
+
+@pytest.mark.parametrize(
+    ("u_R", "v_R", "speed", "fast"),
+    [(0.0, 0.0, 0.02, False), (0.012, -0.016, 0.02, False), (0.24, 0.32, 0.4, False), (0.3, -0.27, 0.40361, True)],
+)
+def test_speed_and_regime_of_a_reference(u_R, v_R, speed, fast):
+    assert reference_speed(u_R, v_R, FLOATS) == pytest.approx(speed, rel=1e-5)
+    assert reference_speed(np.array([u_R]), np.array([v_R]), ARRAYS) == pytest.approx(speed, rel=1e-5)
+    assert is_fast(u_R, v_R) == fast
+
+
+def test_action_is_the_share_of_the_limits():
+    o = observation()._replace(F_u_max=250.0, F_r_max=80.0)
+    assert action_of((50.0, -20.0), o, FLOATS) == (0.2, -0.25)
+    assert action_of((-400.0, 81.0), list(o), FLOATS) == (-1.0, 1.0)
 
 
 def test_too_fast_a_reference_warns_once():

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 import evaluate
-from auv_gym.vehicle import PAPER_VEHICLE
+from auv_gym.dynamics import rates
+from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 from baselines import make_policy
 from baselines.control.backstepping import Backstepping
+from baselines.control.linearisation import error_dynamics
 from baselines.evaluation.stability import report as stability_report
 from baselines.evaluation.stability.analysis import linearise_policy
 from baselines.evaluation.stability.report import LIMITS, success
@@ -24,6 +26,27 @@ class Plain:
 
     def __init__(self, law):
         self.predict = law.predict
+
+
+def test_error_dynamics_with_quadratic_drag():
+    """Against differences of (2) and of the errors' kinematics in the body frame, about any motion."""
+    hull = Vehicle(m11=215.0, m22=265.0, m33=80.0, d11=70.0, d22=100.0, d33=50.0, X_uu=30.0, Y_vv=80.0, N_rr=20.0)
+    u_R, v_R, r_R = 0.8, -0.3, 0.2
+
+    def error_rates(e, force=(0.0, 0.0)):
+        e_x, e_y, psi_e, u_e, v_e, r_e = e
+        u, v, r = u_R + u_e, v_R + v_e, r_R + r_e
+        c, s = np.cos(psi_e), np.sin(psi_e)
+        _, _, *accelerations = rates(0.0, u, v, r, (force[0], 0.0, force[1]), hull.coefficients)
+        return np.array((u - c * u_R - s * v_R + r * e_y, v - c * v_R + s * u_R - r * e_x, r_e, *accelerations))
+
+    A, B = error_dynamics(hull, u_R, v_R, r_R)
+    h, still = 1e-6, np.zeros(6)
+    slopes = [(error_rates(h * d) - error_rates(-h * d)) / (2 * h) for d in np.eye(6)]
+    np.testing.assert_allclose(A, np.array(slopes).T, atol=1e-8)
+    np.testing.assert_allclose(
+        B, np.array([error_rates(still, d) - error_rates(still) for d in np.eye(2)]).T, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("speed", MAP)

@@ -19,11 +19,9 @@ from numpy.typing import NDArray
 from auv_gym.intervals import check_number
 from auv_gym.namespaces import ARRAYS, FLOATS, Namespace, Number
 from auv_gym.scenario import as_vehicle
-from auv_gym.task import Observation, action_of, decode_observation
+from auv_gym.task import action_of, decoded_terms
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
-from baselines.policy import is_fast, reference_speed, squared_speed
-
-U_R, V_R = (Observation._fields.index(name) for name in ("u_R", "v_R"))
+from baselines.policy import U_R, V_R, is_fast, reference_speed, squared_speed
 
 
 class StabilityWarning(UserWarning):
@@ -199,12 +197,12 @@ class Backstepping:
         Raises:
             ValueError: the observation has another shape.
         """
-        o = decode_observation(observation)
+        o = decoded_terms(observation)
         if observation.ndim == 1:
-            if o.u_R > self._max_speed:
-                self._warn(o.u_R)
+            if o[U_R] > self._max_speed:
+                self._warn(o[U_R])
             return np.array(action_of(self.forces(o), o, FLOATS), dtype=np.float32), state
-        if (u_R := float(o.u_R.max(initial=0.0))) > self._max_speed:
+        if (u_R := float(o[U_R].max(initial=0.0))) > self._max_speed:
             self._warn(u_R)
         return np.stack(action_of(self.forces(o, ARRAYS), o, ARRAYS), axis=1).astype(np.float32), state
 

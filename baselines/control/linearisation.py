@@ -19,7 +19,7 @@ from baselines.policy import Array
 Feedback = Callable[[Sequence[Array]], Force]
 """F_u [N], F_r [N m] of the first eleven terms of an observation, rows of shape (N,)."""
 
-STEP = 1e-6
+FINE_STEP = 1e-6
 """Half width of the central differences of a feedback, in SI units: their error is about 1e-10."""
 LONGEST_PERIOD = 5.0
 """Longest control period [s] that is looked at."""
@@ -91,7 +91,7 @@ class Linearisation:
 
 
 def linearise(
-    vehicle: Vehicle, feedback: Feedback, speed: float, turn_rate: float, step: float = STEP
+    vehicle: Vehicle, feedback: Feedback, speed: float, turn_rate: float, step: float = FINE_STEP
 ) -> Linearisation:
     """Return the loop linearised about steady motion.
 
@@ -107,7 +107,7 @@ def linearise(
 
 
 def linearise_about(
-    vehicle: Vehicle, feedback: Feedback, reference: Sequence[float], step: float = STEP
+    vehicle: Vehicle, feedback: Feedback, reference: Sequence[float], step: float = FINE_STEP
 ) -> Linearisation:
     """Return the loop linearised about an instant of any reference, steady or not: what the reference does cancels.
 

@@ -34,7 +34,7 @@ SHORTEST_LAG = 1e-3
 """Least time constant of the actuators [s]: they respond at once, but the derivatives are finite."""
 LONGEST_LAG = 2.0
 """Largest time constant of the actuators [s]."""
-STEP = 1e-6
+INCREMENT = 1e-6
 """Increment of the difference quotients, in SI units."""
 
 
@@ -186,11 +186,11 @@ def hull_jacobian(before: Array, dt: Array, vehicle: Vehicle) -> tuple[Array, Ar
     """
     n = len(before)
     varied = np.repeat(before[:, None], n + 1, axis=1)  # the first of the n + 1 as it is
-    varied[np.arange(n), np.arange(1, n + 1)] += STEP
+    varied[np.arange(n), np.arange(1, n + 1)] += INCREMENT
     psi, u, v, r, X, Y, N = varied
     origin = np.zeros_like(psi)
     after = np.array(rk4_step((origin, origin, psi, u, v, r), (X, Y, N), vehicle.coefficients, dt, ns=ARRAYS))
-    slopes = (after[:, 1:] - after[:, :1]) / STEP
+    slopes = (after[:, 1:] - after[:, :1]) / INCREMENT
     return slopes[:, :4], slopes[:, 4:]
 
 

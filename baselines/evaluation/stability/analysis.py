@@ -14,7 +14,7 @@ from auv_gym.policy import Policy
 from auv_gym.task import encode
 from auv_gym.vehicle import Vehicle
 from baselines.control.backstepping import Backstepping, Gains, backstepping_errors, tracking_forces
-from baselines.control.linearisation import STEP, Feedback, Linearisation, linearise
+from baselines.control.linearisation import FINE_STEP, Feedback, Linearisation, linearise
 from baselines.policy import Array
 
 Law = Callable[[Sequence[Number], Vehicle, Gains, Namespace], Force]
@@ -44,7 +44,7 @@ def feedback_of(policy: Policy, dt: float) -> tuple[Feedback, float]:
         dt: control period that it is told [s].
     """
     if isinstance(policy, Backstepping):  # in double precision
-        return lambda o: policy.forces(o, ARRAYS), STEP
+        return lambda o: policy.forces(o, ARRAYS), FINE_STEP
 
     def feedback(o: Sequence[Array]) -> Force:
         n = len(o[0])

@@ -20,10 +20,10 @@ from auv_gym.simulation import PLANT, PLANT_ROWS, Parameters, Parts
 from auv_gym.task import SIZE, Observation, decode
 from baselines.agents.features import INTEGRALS, STANDARD, Inputs
 from baselines.agents.networks import ACTIONS
-from baselines.control.backstepping import U_R, V_R, Backstepping, tracking_forces
+from baselines.control.backstepping import Backstepping, tracking_forces
 from baselines.control.ekf_law import EkfLaw
 from baselines.control.open_loop import Zero
-from baselines.policy import BySpeed, is_fast
+from baselines.policy import U_R, V_R, BySpeed, is_fast
 
 NEAR, CURVE = 2.0, 0.3
 """Where the error's loss turns from a parabola into a logarithm, in units of its scale, and how curved the first is."""
