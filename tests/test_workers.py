@@ -73,7 +73,9 @@ def test_workers_of_a_command_line(ray):
 def test_words_that_are_no_text_are_refused(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["evaluate.py", "--out", "a\udcff"])
     assert run(evaluate.main, evaluate.PROGRAM) == 2
-    assert capsys.readouterr().err == "evaluate.py: argument 'a\\udcff' is no UTF-8 text\n"
+    assert (
+        capsys.readouterr().err == "evaluate.py: 'a\\udcff' holds characters that cannot be printed; leave them out\n"
+    )
 
 
 @pytest.mark.parametrize("address", ["nonsense", "nowhere:x", "host:99999", ":1"])

@@ -7,6 +7,7 @@ import io
 import os
 import signal
 import sys
+import unicodedata
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
 from typing import Any, NoReturn, TypeVar
@@ -42,9 +43,8 @@ def parse(options: type[Options], arguments: Sequence[str], program: str) -> Opt
         UsageError: the arguments do not fit.
         SystemExit: help was asked for, and printed.
     """
-    for word in arguments:
-        if word != word.encode(errors="ignore").decode():
-            raise UsageError(f"argument {word!r} is no UTF-8 text")
+    if strange := [word for word in arguments if word != printable(word)]:
+        raise UsageError(f"{strange[0]!r} holds characters that cannot be printed; leave them out")
     errors = io.StringIO()
     try:
         with contextlib.redirect_stderr(errors):
@@ -53,6 +53,11 @@ def parse(options: type[Options], arguments: Sequence[str], program: str) -> Opt
         if end.code in (None, 0):
             raise
         raise UsageError(f"{_first_paragraph(errors.getvalue())}; see {program} --help") from None
+
+
+def printable(text: str) -> str:
+    """Return a text without what a terminal would obey or no file could hold: control characters, lone surrogates."""
+    return "".join(c if unicodedata.category(c) not in ("Cc", "Cs") else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def _first_paragraph(box: str) -> str:
@@ -105,7 +110,7 @@ def run(command: Callable[[Sequence[str]], int], program: str) -> int:
     except KeyboardInterrupt:
         line = "interrupted"
     if line:
-        print(f"{program}: {' '.join(line.split())}", file=sys.stderr)
+        print(f"{program}: {printable(' '.join(line.split()))}", file=sys.stderr)
     return status
 
 

@@ -12,8 +12,9 @@ from tyro.conf import Positional, arg
 
 from baselines.agents.agent import Agent
 from baselines.agents.loading import AGENTS
+from baselines.agents.model_card import CURVE
 from baselines.tools.command_line import DONE, UsageError, parse, run
-from baselines.training.command import CURVE, train
+from baselines.training.command import train
 from baselines.training.run_folder import AGENT
 from baselines.training.trainings import SHIPPED, request_of
 
