@@ -134,6 +134,15 @@ def test_a_folder_belongs_to_one_process_until_that_is_gone(tmp_path):
         assert [file.name for file in (tmp_path / "run").iterdir()] == [LOCK]
 
 
+def test_a_file_system_without_locks_is_refused(tmp_path, monkeypatch):
+    def acquire(self, **_):
+        raise NotImplementedError
+
+    monkeypatch.setattr("filelock.FileLock.acquire", acquire)
+    with pytest.raises(UsageError, match="choose a folder on another file system"), locked(tmp_path):
+        pass
+
+
 @pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory):
     """A run's folder with a checkpoint, and the bytes of the latter."""
