@@ -350,6 +350,16 @@ def test_options_and_words_of_a_command_line_are_the_same(options):
     assert parse(Options, command_line.words_of(options, Options()), "train.py") == options
 
 
+def test_an_interruption_ends_all_seeds(call, capsys, monkeypatch):
+    def interrupted(self, state):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Run, "save_checkpoint", interrupted)
+    assert call(*tiny("ppo"), "--seeds", 2, "--jobs", 1) == 1
+    assert capsys.readouterr().err.splitlines()[-1] == "interrupted; the same command with --resume goes on"
+    assert not any(Path("out/seed-1").iterdir())
+
+
 def test_agent_says_where_it_comes_from(call):
     assert call(*tiny("ppo"), "--authority", 0.2, 0.4, "--expert", "none") == 0
     agent = Agent.load("out/agent")

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent import futures
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -74,23 +74,19 @@ class Workers:
         elif jobs <= 1:
             yield from (function(*task) for task in tasks)
         else:
-            calls = [joblib.delayed(_watched)(os.getpid(), function, task) for task in tasks]
+            calls = [joblib.delayed(function)(*task) for task in tasks]
+            each = {"inner_max_num_threads": 1, "initializer": _end_with, "initargs": (os.getpid(),)}
             try:
-                with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
+                with joblib.parallel_config(backend="loky", **each):
                     yield from joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(calls)
             except BrokenProcessPool as error:
                 reason = str(error).partition(chr(10))[0]
                 raise WorkerError(f"a worker process was lost, perhaps for want of memory: {reason}") from error
 
 
-def _watched(parent: int, function: Callable[..., Any], task: tuple[Any, ...]) -> Any:
-    """Call a function in a worker process that ends with its parent, even one that is killed."""
-    _watch(parent)
-    return function(*task)
+def _end_with(parent: int) -> None:
+    """Let this worker process end with its parent, even with one that is killed."""
 
-
-@cache
-def _watch(parent: int) -> None:
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(WATCH)

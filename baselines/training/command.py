@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from baselines.agents.agent import Agent
+from baselines.agents.model_card import CURVE
 from baselines.evaluation.request import checked
 from baselines.tools.command_line import DONE, FAILED, WRONG_USAGE, UsageError
 from baselines.tools.files import versions, write_atomically
@@ -20,8 +21,6 @@ from baselines.training.learning_curve import learning_curve
 from baselines.training.progress import live, plain
 from baselines.training.request import Request
 from baselines.training.run_folder import AGENT, Run, TrainingError, locked, read_progress
-
-CURVE = "learning_curve.png"
 
 
 def train(request: Request) -> int:
@@ -35,9 +34,13 @@ def train(request: Request) -> int:
         for config, folder in zip(request.configs, request.folders, strict=True)
     ]
     status = DONE
-    for each, line in request.workers.results(train_one, tasks):
-        print(line, file=sys.stderr if each else sys.stdout)
-        status = max(status, each)
+    try:
+        for each, line in request.workers.results(train_one, tasks):
+            print(line, file=sys.stderr if each else sys.stdout)
+            status = max(status, each)
+    except KeyboardInterrupt:
+        print("interrupted; the same command with --resume goes on", file=sys.stderr)
+        return FAILED
     if several and status == DONE:
         rows = [checked(partial(read_progress, folder)) for folder in request.folders]
         write_atomically(request.out / CURVE, learning_curve(rows, [folder.name for folder in request.folders]))
@@ -60,8 +63,6 @@ def train_one(config: Config, folder: Path, command: str, one_of_several: bool =
         return FAILED, f"{label}{' '.join(str(error).split())}"
     except OSError as error:
         return FAILED, f"{label}cannot write to {folder}: {error.strerror or error}"
-    except KeyboardInterrupt:
-        return FAILED, f"{label}interrupted; the same command with --resume goes on"
     return DONE, f"{label}validation score {score:.3f} after {run.seconds:.0f} s; agent: {folder / AGENT}"
 
 

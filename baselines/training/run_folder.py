@@ -57,14 +57,17 @@ def locked(folder: Path) -> Iterator[None]:
 
     Raises:
         OSError: it cannot be written to.
-        UsageError: another process holds it.
+        UsageError: another process holds it, or its file system knows no locks.
     """
     folder.mkdir(parents=True, exist_ok=True)
     try:
-        with FileLock(folder / LOCK, blocking=False):
-            yield
+        held = FileLock(folder / LOCK).acquire(blocking=False)
     except Timeout:
         raise UsageError(f"another training writes to {folder}; wait for it, or choose another folder") from None
+    except NotImplementedError as error:
+        raise UsageError(f"nothing can be locked where {folder} is; choose a folder on another file system") from error
+    with held:
+        yield
 
 
 class Run:

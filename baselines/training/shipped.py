@@ -11,9 +11,10 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from baselines.agents.agent import Agent
+from baselines.agents.model_card import CURVE
 from baselines.agents.names import AGENTS
 from baselines.tools.command_line import DONE, UsageError, parse, run
-from baselines.training.command import CURVE, train
+from baselines.training.command import train
 from baselines.training.run_folder import AGENT
 from baselines.training.trainings import SHIPPED, request_of
 
