@@ -139,15 +139,6 @@ def test_readme_names_every_policy_and_family_of_scenarios():
         assert f"`{name}`" in README or f"`{name.split('-', 1)[1]}`" in README
 
 
-def columns_of_quickstart():
-    """Return the columns that the quickstart explains."""
-    text = (
-        (ROOT / "docs" / "quickstart.md").read_text(encoding="utf-8").split("| column | what it says |\n|---|---|\n")[1]
-    )
-    names = [line.split(" | ")[0].removeprefix("| ") for line in text.split("\n\n")[0].splitlines()]
-    return [name for group in names for name in group.split(", ") if name != "score"]  # it needs the oracle
-
-
 def test_readme_table_is_what_the_command_prints(tmp_path, capsys, monkeypatch):
     """As a terminal of 80 columns shows it."""
     monkeypatch.setattr(terminal, "WIDTH", 80)

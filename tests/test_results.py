@@ -58,9 +58,9 @@ def test_the_readme_shows_the_same(benchmark):
     for policy, *shown in rows:
         for regime, text in zip(("slow", "cruise"), shown, strict=True):
             name = policy.replace("*", regime)
-            entry = next(p for p in benchmark.pooled if (p.policy, p.regime) == (name, regime))
-            low, high = entry.score.ci95
-            assert text == f"{entry.score.mean:.2f} ({low:.2f} ... {high:.2f}), {100 * entry.lost:.1f} %", policy
+            entry = next(p for p in benchmark.pooled if (p.policy, p.place) == (name, regime))
+            (low, high), lost = entry.score.ci95, entry.lost / entry.summary.episodes
+            assert text == f"{entry.score.mean:.2f} ({low:.2f} ... {high:.2f}), {100 * lost:.1f} %", policy
 
 
 def test_figures_of_the_table_by_hand(benchmark):
@@ -70,13 +70,18 @@ def test_figures_of_the_table_by_hand(benchmark):
     raw = {p: np.load(folder / f"{p}.npz") for p in ("ekf", "backstepping")}
     own, expert = (raw[p]["measures"].reshape(9, 16, 260)[:, cells].reshape(9, -1) for p in ("ekf", "backstepping"))
     text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8").split("### cruise")[1]
-    row = re.search(r"^\| `ekf` \| (.*) \|$", text, re.MULTILINE)[1].split(" | ")
+    rows = [line.strip("| ").split(" | ") for line in text.split("\n\n")[1].splitlines()]
+    row = dict(zip(rows[0], next(row for row in rows if row[0] == "`ekf`"), strict=True))
     tail = own[1].astype(float)
     worst = np.sort(tail)[-104:].mean()
-    assert [float(row[i]) for i in (4, 5, 6)] == pytest.approx([tail.mean(), np.quantile(tail, 0.95), worst], rel=5e-3)
+    shown = [float(row[name]) for name in ("tail [m]", "p95 [m]", "worst 5 % [m]")]
+    assert shown == pytest.approx([tail.mean(), np.quantile(tail, 0.95), worst], rel=5e-3)
     ratios = [own[i].astype(float).mean() / expert[i].astype(float).mean() for i in (3, 4)]
-    assert [float(row[i]) for i in (7, 8)] == pytest.approx(ratios, abs=6e-3)
-    assert row[-1] == "2080"
+    assert [float(row[name]) for name in ("effort", "rate")] == pytest.approx(ratios, abs=6e-3)
+    lost = int(((own[8] > 0) | (tail >= 2.0)).sum())
+    assert row["lost"].startswith(f"{lost} of 2080 (<= ")
+    scores = [float(line[rows[0].index("score")]) for line in rows[2:]]
+    assert scores == sorted(scores, reverse=True)
 
 
 def test_an_oracle_that_is_worse_is_an_error(benchmark, monkeypatch, tmp_path, capsys):

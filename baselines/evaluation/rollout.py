@@ -144,7 +144,7 @@ def rollout(
     policy: Policy,
     scenario: Scenario,
     episodes: Sequence[Episode],
-    step_limit: float,
+    step_limit: float = math.inf,
     on_step: Callable[[int], None] = lambda _: None,
 ) -> Rollout:
     """Return N episodes of a policy, side by side; each ends where the scenario ends it.
