@@ -140,7 +140,8 @@ class OptimalControl:
     ) -> Plan:
         """Return what comes of commands, shape (K, COMMANDS, N), from a state, shape (STATES, N).
 
-        With a plan and a descent from it, whose step the commands hold already, the feedback is added to the commands, and they are kept within the limits.
+        With a plan and a descent from it, whose step the commands hold already, its feedback is added to the commands,
+        and they are kept within the limits.
         """
         states, applied = np.empty((len(commands) + 1, *start.shape)), commands.copy()
         states[0], cost = start, np.zeros(start.shape[1])
