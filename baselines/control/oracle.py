@@ -117,7 +117,7 @@ class Oracle:
 def decided(plan: TruePlan, gains: Array, state: State, force: Array, sent: Array, k: NDArray[np.int64]) -> Array:
     """Return the actions of N vehicles, shape (2, N).
 
-    The regulator asks for a mean force over the period in which the command acts: the plan's, less the gains times the
+    The regulator asks for a mean force over the period in which the command acts: the plan's, plus the gains times the
     errors foreseen for its beginning. The command is the one that gives this mean in spite of the actuators' lag.
 
     Args:

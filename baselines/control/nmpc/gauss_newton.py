@@ -16,11 +16,11 @@ from baselines.control.nmpc.problem import (
     POSITION,
     STATES,
     CostWeights,
+    Descent,
     Horizon,
     Integers,
     OptimalControl,
     Plan,
-    Policy,
     replaced,
     taken,
 )
@@ -51,20 +51,20 @@ def solved(problem: OptimalControl, plan: Plan, ahead: Horizon, steps: Integers)
 
 def improved(problem: OptimalControl, plan: Plan, ahead: Horizon) -> tuple[Plan, Array]:
     """Return the plan after one Gauss-Newton step, or a part of one where the whole raises the cost; its promise."""
-    policy, best = descent(problem, plan, ahead), plan
+    way, best = descent(problem, plan, ahead), plan
     few = np.arange(len(plan.cost))
     for length in LENGTHS:
-        old, change = taken(plan, few), taken(policy, few)
+        old, change = taken(plan, few), taken(way, few)
         trial = problem.planned(old.states[0], old.commands + length * change.step, taken(ahead, few), old, change)
         better = trial.cost <= old.cost
         best = replaced(best, few[better], taken(trial, better.nonzero()[0]))
         few = few[~better]
         if not few.size:
             break
-    return best, policy.promise
+    return best, way.promise
 
 
-def descent(problem: OptimalControl, plan: Plan, ahead: Horizon) -> Policy:
+def descent(problem: OptimalControl, plan: Plan, ahead: Horizon) -> Descent:
     """Return the Gauss-Newton step at a plan, with commands within their limits.
 
     Names and recursion are those of section II of Tassa et al., backward from the last stage. With f the derivative of
@@ -99,7 +99,7 @@ def descent(problem: OptimalControl, plan: Plan, ahead: Horizon) -> Policy:
         V_x = Q_1[:, x] + (Q_xu @ k[:, :, None])[:, :, 0]
         step[i], feedback[i] = k.T, K.transpose(1, 2, 0)
         promise -= ((Q_1[:, u] + 0.5 * (Q_2[:, u, u] @ k[:, :, None])[:, :, 0]) * k).sum(axis=1)
-    return Policy(step, feedback, promise)
+    return Descent(step, feedback, promise)
 
 
 def _errors(problem: OptimalControl, plan: Plan, ahead: Horizon) -> tuple[Array, Array]:

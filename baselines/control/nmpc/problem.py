@@ -70,7 +70,7 @@ class Plan(NamedTuple):
     cost: Array  # [m^2 s], shape (N,); infinite where no finite states come of them
 
 
-class Policy(NamedTuple):
+class Descent(NamedTuple):
     """How commands should change: by `step` + `feedback` (state - state of the plan)."""
 
     step: Array  # shape (K, COMMANDS, N)
@@ -78,7 +78,7 @@ class Policy(NamedTuple):
     promise: Array  # [m^2 s] how much lower the cost would be if all were linear, shape (N,)
 
 
-Rows = TypeVar("Rows", Horizon, Plan, Policy)
+Rows = TypeVar("Rows", Horizon, Plan, Descent)
 
 
 def taken(rows: Rows, few: Integers) -> Rows:
@@ -136,19 +136,20 @@ class OptimalControl:
     weights: CostWeights
 
     def planned(
-        self, start: Array, commands: Array, ahead: Horizon, plan: Plan | None = None, policy: Policy | None = None
+        self, start: Array, commands: Array, ahead: Horizon, plan: Plan | None = None, descent: Descent | None = None
     ) -> Plan:
         """Return what comes of commands, shape (K, COMMANDS, N), from a state, shape (STATES, N).
 
-        With a plan and a policy about it, its feedback is added to the commands, and they are kept within the limits.
+        With a plan and a descent from it, whose step the commands hold already, its feedback is added to the commands,
+        and they are kept within the limits.
         """
         states, applied = np.empty((len(commands) + 1, *start.shape)), commands.copy()
         states[0], cost = start, np.zeros(start.shape[1])
         for k, known in enumerate(zip(*ahead[:-1], strict=True)):
             duration, aim, *_ = known
-            if plan is not None and policy is not None:
+            if plan is not None and descent is not None:
                 off = states[k] - plan.states[k]
-                wanted = commands[k] + (policy.feedback[k] * off).sum(axis=1)
+                wanted = commands[k] + (descent.feedback[k] * off).sum(axis=1)
                 applied[k] = np.minimum(np.maximum(wanted, -ahead.limits), ahead.limits)
             states[k + 1] = stage(states[k], applied[k], known, self.vehicle, ARRAYS)
             each, end = stage_cost(states[k], applied[k], states[k + 1], aim, self.weights, ARRAYS)
