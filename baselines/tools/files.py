@@ -9,8 +9,6 @@ import math
 import os
 import platform
 import stat
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -30,37 +28,23 @@ LARGEST_TREE = 2**20
 """Most entries of a file, aliases counted as often as they are used."""
 LARGEST_INTEGER = 2**1000
 """Magnitude of an integer that a float can still hold."""
-DAMAGE = (
-    ArithmeticError,
-    AttributeError,
-    EOFError,
-    LookupError,
-    MemoryError,
-    RecursionError,
-    TypeError,
-    ValueError,
-    csv.Error,
-    zipfile.BadZipFile,
-    zlib.error,
-)
-"""What readers raise at damaged or hostile input."""
 
 
 @contextmanager
-def guarded(what: str, *more: type[Exception]) -> Iterator[None]:
+def guarded(what: str) -> Iterator[None]:
     """Turn whatever damaged input makes a reader raise into ValueError; OSError passes, since it names the file itself.
 
     Args:
         what: begins the message.
-        more: further exceptions of the reader's own.
 
     Raises:
         ValueError: the input is damaged.
     """
-    damage: tuple[type[Exception], ...] = (*DAMAGE, *more)
     try:
         yield
-    except damage as error:
+    except OSError:
+        raise
+    except Exception as error:  # zlib.error, TypeError, RecursionError, MemoryError ...
         kind = "" if isinstance(error, (ValueError, Warning)) else f"{type(error).__name__}: "
         raise ValueError(f"{what}: {' '.join(f'{kind}{error}'.split())[:1000]}") from error
 
@@ -125,7 +109,7 @@ def parse_yaml(text: str) -> Any:
     """
     import yaml
 
-    with guarded("YAML", yaml.YAMLError):
+    with guarded("YAML"):
         loader = yaml.SafeLoader(text)
         if (node := loader.get_single_node()) is None:
             return None

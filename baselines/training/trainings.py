@@ -31,12 +31,12 @@ def training(
     """Return what an agent is trained on and how; what is None or empty is as the algorithm's hyper-parameters say.
 
     Args:
-        algo: the algorithm.
-        scenario: what `train.py --scenario` takes, words apart.
-        authority: see `Options`, as the next two.
-        expert: the policy that is corrected.
-        timesteps: control steps.
-        changes: of the hyper-parameters.
+        algo: see `Options`, as all but the last.
+        scenario: the words of the option, with blanks between them.
+        authority: one number, or one each for surge and yaw.
+        expert: a policy's name.
+        timesteps: control steps, summed over vehicles.
+        changes: of the hyper-parameters, by name.
     """
     words = tuple(changed_words(changes))
     return Options(algo, tuple(scenario.split()), expert, authority, timesteps=timesteps, set=words)

@@ -103,8 +103,7 @@ def make_model(config: Config) -> BaseAlgorithm:
     values |= {name: _schedule(name, values[name]) for name in _SCHEDULED if name in values}
     if isinstance(values.get("train_freq"), list):
         values["train_freq"] = tuple(values["train_freq"])
-    wrong = (AssertionError, NotImplementedError, RuntimeError, UserWarning)
-    with guarded(f"hyper-parameters of {config.algo}", *wrong), warnings.catch_warnings():
+    with guarded(f"hyper-parameters of {config.algo}"), warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)
         model = cls(policy, env, seed=config.seed, device="cpu", **values)
     env.seed(config.episode_seed)
