@@ -15,8 +15,7 @@ from auv_gym.envs.torch_sim import PLAIN, TENSORS, simulate
 from auv_gym.namespaces import Namespace
 from auv_gym.policy import Policy, corrected
 from auv_gym.preview import encode_preview
-from auv_gym.rows import filled
-from auv_gym.simulation import PLANT, PLANT_ROWS, Parameters, Parts
+from auv_gym.simulation import PARAMETERS, PLANT, PLANT_ROWS, Parts
 from auv_gym.task import SIZE, Observation, decode
 from baselines.agents.features import INTEGRALS, STANDARD, Inputs
 from baselines.agents.networks import ACTIONS
@@ -109,9 +108,10 @@ class ClosedLoop:
             o, seen, base, carried.correction.unbind(), carried.integrals.unbind(), TENSORS
         )
         correction, hidden = network(torch.stack(rows, dim=1), carried.hidden)
-        correction = correction.T
-        command = corrected(torch.stack(base), self.authority[:, None], correction, TENSORS)
-        return command, torch.stack(integrals), correction, hidden
+        corrections = correction.unbind(dim=1)
+        rule = zip(base, self.authority.unbind(), corrections, strict=True)
+        command = torch.stack([corrected(b, authority, c, TENSORS) for b, authority, c in rule])
+        return command, torch.stack(integrals), torch.stack(corrections), hidden
 
     def step(
         self,
@@ -134,9 +134,8 @@ class ClosedLoop:
         """
         command, integrals, correction, hidden = self.act(network, carried, ahead, outside)
         t = simulate(carried.state, command, sample, parameters, self.parts)
-        p, before = Parameters.of(parameters.unbind(), self.parts), filled(PLANT, carried.state.unbind())
-        previous, dt = torch.stack((before.a_u, before.a_r)), p.h * self.parts.substeps
-        loss = self.loss.of(t.squared_error, p.error_scale, command, previous, dt)
+        previous, dt = carried.state[PLANT.a_u : PLANT.a_r + 1], self.parts.substeps * parameters[PARAMETERS.h]
+        loss = self.loss.of(t.squared_error, parameters[PARAMETERS.error_scale], command, previous, dt)
         return Carried(t.state, t.observation, integrals, correction, hidden), loss, t.squared_error
 
 
