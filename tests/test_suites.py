@@ -130,8 +130,7 @@ def test_recorded_rows_belong_to_an_agents_weights(small, tmp_path, monkeypatch)
     suite, folder = suites.load("small", small), tmp_path / "agents"
     network = Gru(len(FEATURES), 2, 2, 2)
     weights = {name: np.zeros(shape, np.float32) for name, shape in network.shapes.items()}
-    for module in ("baselines", "baselines.agents.loading"):
-        monkeypatch.setattr(f"{module}.AGENTS", folder)
+    monkeypatch.setattr("baselines.agents.names.AGENTS", folder)
     Agent(network, weights, "backstepping", (0.5, 0.5)).save(folder / "mine")
     recorded.save(suite, run_all(("mine",), suite.cells), versions(), tmp_path)
     assert len(recorded.load(suite, tmp_path).runs) == 2
