@@ -283,6 +283,18 @@ def test_a_cluster_trains_what_this_machine_does(call, ray, capsys):
     assert Path("there/learning_curve.png").exists()
 
 
+def test_a_cluster_that_is_lost_is_one_line(call, ray, capsys, monkeypatch):
+    def lost(*_):
+        raise RuntimeError("gone")
+
+    monkeypatch.setattr(sys.modules["ray.util.multiprocessing"], "Pool", lost)
+    assert call(*tiny("ppo"), "--cluster", "local") == 1
+    err = (
+        "the Ray cluster failed twice, with 1 tasks left: RuntimeError: gone; the same command with --resume goes on\n"
+    )
+    assert capsys.readouterr().err == err
+
+
 def test_a_folder_in_use_is_refused_and_left_alone(call, capsys):
     with locked(Path("out")):
         assert call(*tiny("ppo")) == 2

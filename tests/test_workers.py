@@ -1,6 +1,7 @@
 """Where tasks run: the same results from this process, worker processes and a pool of Ray's kind; clear refusals."""
 
 import json
+import multiprocessing.pool
 import socket
 import sys
 
@@ -51,14 +52,29 @@ def test_an_address_that_answers(ray, monkeypatch):
     assert ray.addresses == [address, f"ray://{address}"]
 
 
-def lost(_):
-    raise sys.modules["ray.exceptions"].RayError("the node is gone")
+def dying_pool(times):
+    """Return a pool whose first ones lose a machine after two results, so many of them."""
+    made = []
+
+    class Pool(multiprocessing.pool.ThreadPool):
+        def imap_unordered(self, *arguments, **options):
+            made.append(self)
+            for i, result in enumerate(super().imap_unordered(*arguments, **options)):
+                if i == 2 and len(made) <= times:
+                    raise RuntimeError("the actor\ndied")
+                yield result
+
+    return Pool
 
 
-def test_a_machine_that_is_lost_is_one_line(ray, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["it"])
-    assert run(lambda _: list(Workers(2, on_cluster=True).results(lost, [(1,), (2,)])), "it") == 1
-    assert capsys.readouterr().err == "it: the Ray cluster has lost a process or machine: the node is gone\n"
+def test_what_a_dead_machine_had_in_hand_is_tried_once_more(ray, monkeypatch):
+    tasks = [(base, 2) for base in range(7)]
+    for times in (0, 1):
+        monkeypatch.setattr(sys.modules["ray.util.multiprocessing"], "Pool", dying_pool(times))
+        assert sorted(Workers(3, on_cluster=True).results(power, tasks)) == [base**2 for base in range(7)]
+    monkeypatch.setattr(sys.modules["ray.util.multiprocessing"], "Pool", dying_pool(2))
+    with pytest.raises(ClusterError, match="failed twice, with 3 tasks left: RuntimeError: the actor died"):
+        list(Workers(3, on_cluster=True).results(power, tasks))
 
 
 def test_workers_of_a_command_line(ray):

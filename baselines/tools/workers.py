@@ -66,18 +66,12 @@ class Workers:
         it. On a cluster every machine needs this project in the same version, and the files that the arguments name.
 
         Raises:
-            WorkerError: a worker process or a machine of the cluster was lost; what it did is to be run again.
+            ClusterError: the cluster fails twice.
+            WorkerError: a worker process was lost.
         """
         jobs = min(self.jobs, len(tasks))
         if self.on_cluster and tasks:
-            from ray.exceptions import RayError
-            from ray.util.multiprocessing import Pool  # joblib's backend for Ray is this, but returns all at the end
-
-            try:
-                with Pool(jobs) as pool:
-                    yield from pool.imap_unordered(partial(_call, function), tasks, chunksize=1)
-            except RayError as error:
-                raise WorkerError(f"the Ray cluster has lost a process or machine: {error}") from error
+            yield from _on_cluster(function, tasks, jobs)
         elif jobs <= 1:
             yield from (function(*task) for task in tasks)
         else:
@@ -102,8 +96,27 @@ def _end_with(parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _call(function: Callable[..., Any], task: tuple[Any, ...]) -> Any:
-    return function(*task)
+def _on_cluster(function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], jobs: int) -> Iterator[Any]:
+    """Yield the results of a Ray cluster; what a machine that dies had in hand is tried once more."""
+    from ray.util.multiprocessing import Pool  # joblib's backend for Ray is this pool, but returns all at the end
+
+    left = dict(enumerate(tasks))
+    for last in (False, True):
+        try:
+            with Pool(min(jobs, len(left))) as pool:
+                for i, result in pool.imap_unordered(partial(_numbered, function), list(left.items()), chunksize=1):
+                    del left[i]
+                    yield result
+        except Exception as error:  # of whatever kind Ray's own are
+            if last:
+                reason = " ".join(f"{type(error).__name__}: {error}".split())
+                raise ClusterError(f"the Ray cluster failed twice, with {len(left)} tasks left: {reason}") from error
+        if not left:
+            return
+
+
+def _numbered(function: Callable[..., Any], task: tuple[int, tuple[Any, ...]]) -> tuple[int, Any]:
+    return task[0], function(*task[1])
 
 
 def connect(address: str) -> int:

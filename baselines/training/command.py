@@ -17,6 +17,7 @@ from baselines.evaluation.report.numbers import versions
 from baselines.evaluation.request import checked
 from baselines.tools.command_line import DONE, FAILED, WRONG_USAGE, UsageError
 from baselines.tools.files import write_atomically
+from baselines.tools.workers import ClusterError
 from baselines.training.config import ALGORITHMS, Config
 from baselines.training.learning_curve import learning_curve
 from baselines.training.progress import live, plain
@@ -39,8 +40,9 @@ def train(request: Request) -> int:
         for each, line in request.workers.results(train_one, tasks):
             print(line, file=sys.stderr if each else sys.stdout)
             status = max(status, each)
-    except KeyboardInterrupt:
-        print("interrupted; the same command with --resume goes on", file=sys.stderr)
+    except (ClusterError, KeyboardInterrupt) as error:
+        reason = str(error) or "interrupted"
+        print(f"{reason}; the same command with --resume goes on", file=sys.stderr)
         return FAILED
     if several and status == DONE:
         rows = [checked(partial(read_progress, folder)) for folder in request.folders]
