@@ -15,9 +15,7 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 @pytest.fixture
 def ray(monkeypatch):
     """A stand-in for Ray with the calls that are used, its pool one of threads."""
-    names = ("ray", "ray.util", "ray.util.multiprocessing", "ray.exceptions")
-    module, util, pool, exceptions = (types.ModuleType(name) for name in names)
-    exceptions.RayError = type("RayError", (Exception,), {})
+    module, util, pool = (types.ModuleType(name) for name in ("ray", "ray.util", "ray.util.multiprocessing"))
     module.addresses, module.locked, module.silent = [], False, 0.0
 
     def init(address, **_):
@@ -28,6 +26,6 @@ def ray(monkeypatch):
 
     module.init, module.cluster_resources = init, lambda: {"CPU": 3.0}
     pool.Pool = multiprocessing.pool.ThreadPool
-    for part in (module, util, pool, exceptions):
+    for part in (module, util, pool):
         monkeypatch.setitem(sys.modules, part.__name__, part)
     return module

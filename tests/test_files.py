@@ -23,11 +23,9 @@ from baselines.tools.files import (
 )
 
 TEXT = st.text(st.characters(max_codepoint=0xFFFF, exclude_categories=["Cs"]))  # JSON writes others as two, YAML as one
-PLAIN = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | TEXT,
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(TEXT, inner, max_size=4),
-    max_leaves=12,
-)
+LEAF = st.none() | st.booleans() | st.integers() | st.floats() | TEXT
+FLAT = LEAF | st.lists(LEAF, max_size=4) | st.dictionaries(TEXT, LEAF, max_size=4)
+PLAIN = FLAT | st.lists(FLAT, max_size=4) | st.dictionaries(TEXT, FLAT, max_size=4)
 READERS = (read_csv, read_json, read_text, read_yaml)
 AWKWARD = {
     "brackets": b"[" * 100_000,

@@ -283,6 +283,18 @@ def test_a_cluster_trains_what_this_machine_does(call, ray, capsys):
     assert Path("there/learning_curve.png").exists()
 
 
+def test_a_cluster_that_is_lost_is_one_line(call, ray, capsys, monkeypatch):
+    def lost(*_):
+        raise RuntimeError("gone")
+
+    monkeypatch.setattr(sys.modules["ray.util.multiprocessing"], "Pool", lost)
+    assert call(*tiny("ppo"), "--cluster", "local") == 1
+    err = (
+        "the Ray cluster failed twice, with 1 tasks left: RuntimeError: gone; the same command with --resume goes on\n"
+    )
+    assert capsys.readouterr().err == err
+
+
 def test_a_folder_in_use_is_refused_and_left_alone(call, capsys):
     with locked(Path("out")):
         assert call(*tiny("ppo")) == 2
@@ -403,11 +415,9 @@ def test_damaged_configuration_is_refused(record, message):
         Config.from_dict(configuration().to_dict() | record)
 
 
-JSON = st.recursive(
-    st.none() | st.booleans() | st.integers(-3, 200) | st.integers() | st.just(10**309) | st.floats() | st.text(),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
-    max_leaves=8,
-)
+LEAF = st.none() | st.booleans() | st.integers(-3, 200) | st.integers() | st.just(10**309) | st.floats() | st.text()
+FLAT = LEAF | st.lists(LEAF, max_size=4) | st.dictionaries(st.text() | st.just("kind"), LEAF, max_size=4)
+JSON = FLAT | st.lists(FLAT, max_size=3) | st.dictionaries(st.text() | st.just("kind"), FLAT, max_size=3)
 
 
 @settings(deadline=None, max_examples=300)

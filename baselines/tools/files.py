@@ -42,7 +42,7 @@ def guarded(what: str) -> Iterator[None]:
     """
     try:
         yield
-    except OSError:
+    except (ImportError, OSError):
         raise
     except Exception as error:  # zlib.error, TypeError, RecursionError, MemoryError ...
         kind = "" if isinstance(error, (ValueError, Warning)) else f"{type(error).__name__}: "

@@ -66,7 +66,7 @@ class Workers:
         it. On a cluster every machine needs this project in the same version, and the files that the arguments name.
 
         Raises:
-            WorkerError: a worker process or a machine of the cluster was lost; what it did is to be run again.
+            WorkerError: a worker process was lost, or the cluster has failed twice; what it did is to be run again.
         """
         jobs = min(self.jobs, len(tasks))
         if self.on_cluster and tasks:

@@ -14,7 +14,7 @@ from typing import Any
 from baselines.agents.agent import Agent
 from baselines.agents.model_card import CURVE
 from baselines.evaluation.request import checked
-from baselines.tools.command_line import DONE, FAILED, WRONG_USAGE, UsageError
+from baselines.tools.command_line import DONE, FAILED, WRONG_USAGE, UsageError, WorkerError
 from baselines.tools.files import versions, write_atomically
 from baselines.training.config import ALGORITHMS, Config
 from baselines.training.learning_curve import learning_curve
@@ -38,8 +38,9 @@ def train(request: Request) -> int:
         for each, line in request.workers.results(train_one, tasks):
             print(line, file=sys.stderr if each else sys.stdout)
             status = max(status, each)
-    except KeyboardInterrupt:
-        print("interrupted; the same command with --resume goes on", file=sys.stderr)
+    except (WorkerError, KeyboardInterrupt) as error:
+        reason = str(error) or "interrupted"
+        print(f"{reason}; the same command with --resume goes on", file=sys.stderr)
         return FAILED
     if several and status == DONE:
         rows = [checked(partial(read_progress, folder)) for folder in request.folders]
