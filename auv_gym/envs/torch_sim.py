@@ -47,6 +47,8 @@ logger = logging.getLogger(__name__)
 
 TENSORS = tensors()
 PLAIN = Parts()
+CONSTANT_GLOBALS: Any = {"guard_filter_fn": torch.compiler.skip_guard_on_globals_unsafe}
+"""Option of `torch.compile`: tables of places and scales are not looked through for changes at every call."""
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
 
 
@@ -91,7 +93,7 @@ def step_function(device: torch.device, dtype: torch.dtype, parts: Parts, compil
     if not (compiled and can_compile(device)):
         return eager
     logger.info("compiling the simulation step for %s, %s; the first time takes up to a minute", device, dtype)
-    step: Callable[..., Transition] = torch.compile(eager, dynamic=True, fullgraph=True)
+    step: Callable[..., Transition] = torch.compile(eager, dynamic=True, fullgraph=True, options=CONSTANT_GLOBALS)
     with torch._dynamo.config.patch(specialize_float=True):  # our floats are constants
         return step if _runs(step, *_ones(device, dtype)) else eager
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from auv_gym.envs.torch_sim import can_compile
+from auv_gym.envs.torch_sim import CONSTANT_GLOBALS, can_compile
 from auv_gym.intervals import check_number
 from auv_gym.namespaces import ARRAYS
 from auv_gym.policy import preview_of
@@ -273,5 +273,5 @@ def compiled(loop: ClosedLoop) -> Step:
     if not can_compile(torch.device("cpu")):
         return loop.step
     logger.info("compiling the control step; the first time takes about a minute")
-    step: Step = torch.compile(loop.step, fullgraph=True, dynamic=False)
+    step: Step = torch.compile(loop.step, fullgraph=True, dynamic=False, options=CONSTANT_GLOBALS)
     return step
