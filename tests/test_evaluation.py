@@ -238,7 +238,9 @@ def few_recorded(monkeypatch):
     load = recorded.load
 
     def few(suite):
-        return recorded.Found(tuple(run for run in load(suite).runs if run.policy in ("ekf", "oracle")), {"lqi": "old"})
+        return recorded.Found(
+            tuple(run for run in load(suite).runs if run.policy in ("los-pid", "oracle")), {"lqi": "old"}
+        )
 
     monkeypatch.setattr(recorded, "load", few)
 
@@ -258,7 +260,7 @@ def test_report_is_one_page(call, small, tmp_path, bad_policies, few_recorded, c
     assert f"({recorded_on}, auv_gym 0.1.0)" in page.text
     out, err = capsys.readouterr()
     assert "note: the recorded rows of lqi are left out: old" in err
-    assert f"* recorded, not run now: ekf, oracle ({recorded_on}, auv_gym 0.1.0)" in out
+    assert f"* recorded, not run now: los-pid, oracle ({recorded_on}, auv_gym 0.1.0)" in out
     assert {(p["policy"], p["regime"]) for p in record["pooled"]} >= {("oracle", "slow"), ("open-loop", "cruise")}
     scores = {p["policy"]: p["score"]["mean"] for p in record["pooled"] if p["regime"] == "slow"}
     assert scores["backstepping"] == 0

@@ -8,7 +8,7 @@ from rich.console import Console
 from auv_gym.presets import PRESETS
 from baselines.evaluation import progress as module
 from baselines.evaluation.progress import INTERVAL, Board, Clock, progress
-from baselines.evaluation.runner import drawn, run_all
+from baselines.evaluation.runner import drawn, runs
 from baselines.tools.workers import Workers
 
 
@@ -39,7 +39,8 @@ def test_workers_write_on_the_board(capsys):
     cells = [drawn(PRESETS["slow-calm"], 3, 0)]
     steps = 2 * 3 * PRESETS["slow-calm"].steps
     with progress(2, steps) as report:
-        run_all(("backstepping", "open-loop"), cells, Workers(2), report.run, report.board.note)
+        for run in runs([(p, cells[0]) for p in ("backstepping", "open-loop")], Workers(2), note=report.board.note):
+            report.run(run)
         assert report.board.total() == steps
         time.sleep(2 * INTERVAL)  # let the watcher look
     lines = capsys.readouterr().err.splitlines()

@@ -1,7 +1,8 @@
 """What a trained policy sees: an observation and its expert's action, scaled by what is observed, plus slow memory.
 
 One copy of the equations for NumPy rows and torch tensors. Lengths are in units of the way that the reference covers in
-a second and forces in units of the actuators' limits, so one policy can serve every speed.
+a second and forces in units of the actuators' limits, so one network can learn every speed; those that
+ship with the package have learned one regime each.
 """
 
 from __future__ import annotations
