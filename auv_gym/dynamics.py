@@ -5,8 +5,8 @@ Written on components, so that they run on floats, NumPy arrays, torch tensors a
 A current that is irrotational and constant in the world enters the hydrodynamics only through the water-relative
 velocity (T. I. Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2nd ed., 2021, section 10.3): (2)
 then holds for `u, v` relative to the water, and (1) gains the current. Currents that vary in time or, by a shear, in
-space are treated likewise: what their change along the way would add to the inertia forces is left out. For a shear
-that is m (V . grad) V for the vehicle's velocity V over ground, up to 15 N at cruise in `ood-v1`.
+space are treated as if they were: what their change along the way would add to the inertia forces is left out. For a
+shear that is m (V . grad) V for the vehicle's velocity V over ground, up to 15 N at cruise in `ood-v1`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Load: TypeAlias = tuple[Number, Number, Number]
 Current: TypeAlias = tuple[Number, Number]
 """V_x, V_y [m/s] of the water in the world."""
 
-STILL_WATER: Current = (0.0, 0.0)
+STILL_WATER: Current = (0.0, 0.0)  # [m/s]
 
 
 def rates(

@@ -102,9 +102,11 @@ its tangent but not these two, which makes it a third of their cost."""
 
 _floor = (1.0).__rfloordiv__  # as math.floor, but of whatever is no number any more, too
 FLOATS = Namespace(math.sin, math.cos, math.sqrt, _floor, _clip, _where, _scaled_floats, _bounded_floats, np.array)
+"""The namespace of Python floats."""
 ARRAYS = Namespace(
     _sin_array, _cos_array, np.sqrt, np.floor, _clip_array, np.where, _scaled_arrays, _bounded_arrays, np.stack
 )
+"""The namespace of NumPy arrays, one row for each component."""
 
 
 @cache

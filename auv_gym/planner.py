@@ -298,8 +298,8 @@ def assemble(
 
     Args:
         times: as the plan keeps them [s].
-        position: likewise [m].
-        along: speed, direction and their rates along the path.
+        position: x, y of the path at those times [m].
+        along: speed, direction and their rates along the path at those times.
         w: sine of the sideslip.
         vehicle: whose plan it is.
         sway_load: external force Y on the hull along its sway axis [N], in (2b), and its rate [N/s].

@@ -40,8 +40,9 @@ _REGIMES = {
         Sensors(position=0.05, heading=0.015, velocity=0.02, yaw_rate=0.005), 0.12, 0.4, 0.5, 30.0,
     ),
 }  # fmt: skip
-REGIMES = tuple(_REGIMES)
+REGIMES = tuple(_REGIMES)  # names of the ranges of speeds
 CASES = ("calm", "noise", "current", "gauss-markov", "waves", "mismatch", "actuator", "storm")
+"""Names of the kinds of trouble; the preset of each in a regime is called REGIME-CASE."""
 
 
 def _preset(regime: str, case: str) -> Scenario:

@@ -132,12 +132,16 @@ class Parameters(NamedTuple):
         return filled(PARAMETERS, rows)._replace(parts=parts)
 
 
-PLANT, SAMPLE, PARAMETERS = numbered(Plant), numbered(Sample), numbered(Parameters)
-"""The place of every number in a row: `SAMPLE.V_x` is that of the current's first component."""
-PLANT_ROWS, SAMPLE_ROWS, PARAMETER_ROWS = (len(leaves(places)) for places in (PLANT, SAMPLE, PARAMETERS))
-REFERENCE, CURRENT = slice(SAMPLE.x_R, SAMPLE.F_rR + 1), slice(SAMPLE.V_x, SAMPLE.V_y + 1)
-LOAD, NOISE = slice(SAMPLE.X, SAMPLE.N + 1), slice(SAMPLE.n_x, SAMPLE.n_r + 1)
-"""Parts of a sample: x_R ... F_rR; V_x, V_y; X, Y, N; n_x ... n_r."""
+PLANT = numbered(Plant)  # the place of every number of a plant in the row of them
+SAMPLE = numbered(Sample)  # the place of every number of a sample: `SAMPLE.V_x` is that of the current's first one
+PARAMETERS = numbered(Parameters)  # the place of every number of the parameters in the row of them
+PLANT_ROWS = len(leaves(PLANT))  # how many numbers a plant has
+SAMPLE_ROWS = len(leaves(SAMPLE))  # how many numbers a sample has
+PARAMETER_ROWS = len(leaves(PARAMETERS))  # how many numbers the parameters have
+REFERENCE = slice(SAMPLE.x_R, SAMPLE.F_rR + 1)  # the part of a sample that is the reference, x_R ... F_rR
+CURRENT = slice(SAMPLE.V_x, SAMPLE.V_y + 1)  # the part of a sample that is the current, V_x, V_y
+LOAD = slice(SAMPLE.X, SAMPLE.N + 1)  # the part of a sample that is the external load, X, Y, N
+NOISE = slice(SAMPLE.n_x, SAMPLE.n_r + 1)  # the part of a sample that is the measurement errors, n_x ... n_r
 
 _new = tuple.__new__
 """Makes a named tuple of a plain one at a fourth of the cost."""

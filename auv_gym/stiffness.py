@@ -13,7 +13,7 @@ MAX_INTEGRATION_STEP = 0.5  # [s]
 MAX_STIFFNESS = 2.0
 """Largest product of an integration step and `fastest_rate`: of 60,000 vehicles that were steered at random, none blew
 up below 2.1."""
-AT_REST: Load = (0.0, 0.0, 0.0)
+AT_REST: Load = (0.0, 0.0, 0.0)  # surge, sway [m/s] and yaw rate [rad/s] of a vehicle at rest
 
 
 def check_step(h: float, coefficients: Coefficients, load: Load, speeds: Load = AT_REST) -> None:

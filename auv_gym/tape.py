@@ -25,8 +25,9 @@ Lanes = NDArray[np.int64]
 
 GROUP = 128  # lanes read together: few enough for the cache, many enough for NumPy
 TILE = 8  # lanes transposed together: one cache line of the result
-MEASURED, GUSTS = slice(0, 6), slice(6, 8)  # of the standard normals of a control step: six measurements, two gusts
-NORMALS = 8
+NORMALS = 8  # standard normals of a control step
+MEASURED = slice(0, 6)  # those of the normals that become errors of the six measurements
+GUSTS = slice(6, 8)  # those of the normals that drive the gusts
 
 
 class Tape:

@@ -26,15 +26,16 @@ class Term(NamedTuple):
     meaning: str
 
 
-L, V, W = 64.0, 16.0, 8.0
-"""Bounds of positions [m], velocities [m/s] and yaw rates [rad/s] in an observation."""
+L = 64.0  # [m] bound of positions in an observation
+V = 16.0  # [m/s] bound of velocities in an observation
+W = 8.0  # [rad/s] bound of yaw rates in an observation
 
 
 class Observation(NamedTuple):
     """A decoded observation in SI units: floats, or arrays of shape (N,); behind each field the rest of its `Term`."""
 
     e_x: Annotated[Number, "m", 1.0, L, "measured position error along the body's surge axis, R(psi)^T (x_e, y_e)"]
-    e_y: Annotated[Number, "m", 1.0, L, "the same along the sway axis"]
+    e_y: Annotated[Number, "m", 1.0, L, "measured position error along the body's sway axis"]
     psi_e: Annotated[Number, "rad", 0.5, 2 * math.pi, "measured heading error, in [-pi, pi)"]
     u_e: Annotated[Number, "m/s", 0.5, V / 0.5, "measured surge velocity error, over ground"]
     v_e: Annotated[Number, "m/s", 0.5, V / 0.5, "measured sway velocity error, over ground"]
@@ -54,9 +55,10 @@ class Observation(NamedTuple):
 
 
 TERMS = tuple(Term(name, *hint.__metadata__) for name, hint in get_type_hints(Observation, include_extras=True).items())
-SIZE = len(TERMS)
-SCALES = np.array([term.scale for term in TERMS])
-BOUNDS = np.array([term.bound for term in TERMS])
+"""The entries of an observation, in its order."""
+SIZE = len(TERMS)  # of an observation without a preview
+SCALES = np.array([term.scale for term in TERMS])  # (SIZE,) by which terms in SI units are divided
+BOUNDS = np.array([term.bound for term in TERMS])  # (SIZE,) of the scaled terms
 ERRORS = 6
 """How many of the terms, the first ones, may leave their bounds: the others are inside of them by construction."""
 
@@ -107,7 +109,8 @@ def decoded_terms(observation: NDArray[Any]) -> Any:
     return decode(observation, FLOATS).tolist() if len(shape) == 1 else decode(observation.T, ARRAYS)
 
 
-F_U_MAX, F_R_MAX = (Observation._fields.index(name) for name in ("F_u_max", "F_r_max"))
+F_U_MAX = Observation._fields.index("F_u_max")  # the place of the surge limit in an observation
+F_R_MAX = Observation._fields.index("F_r_max")  # the place of the yaw limit in an observation
 
 
 def action_of(forces: Force, o: Sequence[Number], ns: Namespace) -> tuple[Number, Number]:

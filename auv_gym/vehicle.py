@@ -33,7 +33,7 @@ MIN_MASS_RATIO = 1.01
 class Vehicle:
     """Parameters of (2): rigid body plus added mass, linear drag and, beyond the paper, quadratic drag.
 
-    Drag enters as `-(d11 + X_uu |u|) u` and likewise in sway and yaw; all coefficients are magnitudes.
+    Drag enters as `-(d11 + X_uu |u|) u` in surge, in sway and yaw with their coefficients; all are magnitudes.
 
     Raises:
         ValueError: a parameter is not finite, too large or negative, a mass or linear drag is zero, or

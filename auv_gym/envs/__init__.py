@@ -27,15 +27,15 @@ def make_track_vector_env(
     """Return the vector environment of `UnderactuatedAUVTrack-v0`.
 
     Args:
-        num_envs: see `UnderactuatedAUVTrackVectorEnv`, as the next four.
-        scenario: likewise.
-        vehicle: likewise.
-        control_dt: likewise.
-        render_mode: likewise.
+        num_envs: N, the number of vehicles.
+        scenario: a `Scenario`, the name of a preset or a dict; or a sequence of N of them, one for each vehicle.
+        vehicle: in place of the scenarios' known vehicle: a `Vehicle`, a name or a dict.
+        control_dt: control period [s] in place of the scenarios'; their duration stays.
+        render_mode: None, since the vector environments do not draw.
         backend: "numpy" for arrays of float64, or "torch" for tensors, see `TorchSimulator`.
         device: where the tensors live, "cpu" or "cuda"; with backend "torch" only.
         dtype: their type, "float32" or "float64"; with backend "torch" only.
-        preview: see `UnderactuatedAUVTrackVectorEnv`.
+        preview: control periods ahead at which the reference is observed, see `auv_gym.preview.Preview`.
 
     Raises:
         ValueError: the back end is unknown, does not take such options, or the device is not available.

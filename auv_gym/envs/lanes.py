@@ -28,9 +28,9 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 ScenarioLike = Scenario | str | Mapping[str, Any]
 
-LARGEST_BLOCK = 64  # control steps of tape read at once ...
-BLOCK_SAMPLES = 2**18  # ... fewer where that many vehicles times steps are exceeded: it bounds the memory
-PLANNED_AT_ONCE = 256  # references planned in one batch, for the same reason
+LARGEST_BLOCK = 64  # most control steps of tape that are read at once
+BLOCK_SAMPLES = 2**18  # most vehicles times control steps that are read at once: it bounds the memory
+PLANNED_AT_ONCE = 256  # most references planned in one batch: it bounds the memory
 
 
 class Planned(NamedTuple):

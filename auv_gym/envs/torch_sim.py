@@ -45,11 +45,11 @@ from auv_gym.vehicle import Vehicle
 
 logger = logging.getLogger(__name__)
 
-TENSORS = tensors()
-PLAIN = Parts()
+TENSORS = tensors()  # the namespace of tensors
+PLAIN = Parts()  # nothing but vehicle and actuators in use
 CONSTANT_GLOBALS: Any = {"guard_filter_fn": torch.compiler.skip_guard_on_globals_unsafe}
 """Option of `torch.compile`: tables of places and scales are not looked through for changes at every call."""
-DTYPES = {"float32": torch.float32, "float64": torch.float64}
+DTYPES = {"float32": torch.float32, "float64": torch.float64}  # by name
 
 
 class Transition(NamedTuple):
@@ -77,10 +77,8 @@ def simulate(state: Tensor, action: Tensor, sample: Tensor, parameters: Tensor, 
     plant, terms, (reward, lost, squared_error, saturated) = simulation.step(
         filled(PLANT, state.unbind()), action.unbind(), sample.unbind(), p, TENSORS
     )
-    rows = torch.stack(leaves(plant))
-    return Transition(
-        rows, encode(terms, TENSORS), reward, lost.to(state.dtype), squared_error, saturated.to(state.dtype)
-    )
+    rows, observation = torch.stack(leaves(plant)), encode(terms, TENSORS)
+    return Transition(rows, observation, reward, lost.to(state.dtype), squared_error, saturated.to(state.dtype))
 
 
 @cache
@@ -134,13 +132,13 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
 
     Args:
         num_envs: N, the number of vehicles.
-        scenario: see `UnderactuatedAUVTrackVectorEnv`, as the next two.
-        vehicle: likewise.
-        control_dt: likewise.
+        scenario: a `Scenario`, the name of a preset or a dict; or a sequence of N of them, one for each vehicle.
+        vehicle: in place of the scenarios' known vehicle: a `Vehicle`, a name or a dict.
+        control_dt: control period [s] in place of the scenarios'; their duration stays.
         device: a torch device, "cpu" or "cuda".
         dtype: "float32" or "float64", or the torch type.
         compiled: whether to compile the step.
-        preview: control periods ahead, see `UnderactuatedAUVTrackEnv`.
+        preview: control periods ahead at which the reference is observed, see `auv_gym.preview.Preview`.
 
     Raises:
         ValueError: an unknown type, an unavailable device, or whatever the scenarios refuse.
@@ -161,9 +159,7 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
     ) -> None:
         self.device, self.dtype = checked_device(device), checked_dtype(dtype)
         self._lanes = Lanes(num_envs, scenario, vehicle, control_dt, preview)
-        self.num_envs = num_envs
-        self.render_mode = None
-        self.scenarios = self._lanes.scenarios
+        self.num_envs, self.scenarios = num_envs, self._lanes.scenarios
         kind: Any = np.float32 if self.dtype == torch.float32 else np.float64
         bounds: Any = observation_bounds(self._lanes.preview.periods).astype(kind)
         self.single_action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
@@ -243,8 +239,8 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
 
         Args:
             state: the rows of the plants, as `simulate` returns them, without a graph.
-            terms: the observations as `simulate` returns them, shape (SIZE, N), likewise.
-            over: where; others go on.
+            terms: the observations as `simulate` returns them, shape (SIZE, N), without a graph.
+            over: where an episode is over; the others go on.
 
         Returns:
             The observations from which it goes on, shape (N, columns); `state` and `constants` have changed as well.

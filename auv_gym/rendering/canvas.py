@@ -22,17 +22,17 @@ ARROW_MEMORY: Final = 20.0  # [s] time constant with which that speed is forgott
 PICTURE: Final = (960.0, 720.0)  # [units] the layout's nominal size; a unit is a pixel at that size
 OVERSAMPLING: Final = 2  # shapes are drawn this much larger and scaled down: smooth edges
 
-SEA: Final[Color] = (243, 248, 251)
-GRID: Final[Color] = (205, 219, 228)
-INK: Final[Color] = (32, 48, 60)
-MUTED: Final[Color] = (98, 116, 130)
-WHITE: Final[Color] = (255, 255, 255)
-PLAN: Final[Color] = (0, 114, 178)
-PLAN_DONE: Final[Color] = (168, 200, 220)
-VEHICLE: Final[Color] = (230, 159, 0)
-VELOCITY: Final[Color] = (0, 110, 82)
-CURRENT: Final[Color] = (86, 180, 233)
-ALERT: Final[Color] = (213, 94, 0)
+SEA: Final[Color] = (243, 248, 251)  # the water
+GRID: Final[Color] = (205, 219, 228)  # lines of constant x and y, and frames
+INK: Final[Color] = (32, 48, 60)  # text and outlines
+MUTED: Final[Color] = (98, 116, 130)  # text of less weight
+WHITE: Final[Color] = (255, 255, 255)  # panels, and the halo of an arrow
+PLAN: Final[Color] = (0, 114, 178)  # the path that lies ahead
+PLAN_DONE: Final[Color] = (168, 200, 220)  # the path that is behind
+VEHICLE: Final[Color] = (230, 159, 0)  # the hull and its trail
+VELOCITY: Final[Color] = (0, 110, 82)  # the arrow of the velocity over ground
+CURRENT: Final[Color] = (86, 180, 233)  # the arrows of the current
+ALERT: Final[Color] = (213, 94, 0)  # the position error, and forces at their limit
 
 
 class Canvas:

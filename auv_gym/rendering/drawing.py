@@ -31,12 +31,12 @@ from auv_gym.rendering.canvas import (
 
 # The torpedo in units of its length: nose at x = 0.5, stern at x = -0.5, port is +y.
 _BOW = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 13)
-NOSE: Final[Array] = np.column_stack((0.32 + 0.18 * np.cos(_BOW), 0.1 * np.sin(_BOW)))
+NOSE: Final[Array] = np.column_stack((0.32 + 0.18 * np.cos(_BOW), 0.1 * np.sin(_BOW)))  # [lengths]
 _STERN = [(-0.15, 0.1), (-0.32, 0.075), (-0.45, 0.035), (-0.45, -0.035), (-0.32, -0.075), (-0.15, -0.1)]
-HULL: Final[Array] = np.vstack((NOSE, np.array(_STERN)))
+HULL: Final[Array] = np.vstack((NOSE, np.array(_STERN)))  # [lengths] the outline
 _FIN = np.array([(-0.29, 0.07), (-0.36, 0.19), (-0.45, 0.19), (-0.43, 0.03)])
-FINS: Final[tuple[Array, Array]] = (_FIN, _FIN * (1.0, -1.0))
-PROPELLER: Final[Array] = np.array([(-0.47, 0.085), (-0.5, 0.085), (-0.5, -0.085), (-0.47, -0.085)])
+FINS: Final[tuple[Array, Array]] = (_FIN, _FIN * (1.0, -1.0))  # [lengths] port, starboard
+PROPELLER: Final[Array] = np.array([(-0.47, 0.085), (-0.5, 0.085), (-0.5, -0.085), (-0.47, -0.085)])  # [lengths]
 
 
 def draw_world(canvas: Canvas, camera: Camera, view: View, travelled: int) -> None:

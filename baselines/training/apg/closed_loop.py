@@ -157,7 +157,7 @@ def law_of(expert: Policy) -> tuple[Law, bool]:
     return (forces, True) if forces else (Backstepping().forces, False)
 
 
-def _by_speed(slow: EkfLaw, cruise: EkfLaw, o: Sequence[Any], ns: Namespace) -> tuple[Any, Any]:
+def _by_speed(slow: EkfLaw, cruise: EkfLaw, o: Any, ns: Namespace) -> tuple[Any, Any]:
     fast = is_fast(o[U_R], o[V_R])
     slow_forces, cruise_forces = (tracking_forces(o, law.vehicle, law.gains, ns) for law in (slow, cruise))
     return ns.where(fast, cruise_forces[0], slow_forces[0]), ns.where(fast, cruise_forces[1], slow_forces[1])
