@@ -240,8 +240,8 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
     def renew(self, state: Tensor, terms: Tensor, over: np.typing.NDArray[np.bool_]) -> Tensor:
         """Place the vehicles where a `window` has brought them, and begin new episodes where `over` (N,) is True.
 
-        `state` and `terms` (SIZE, N) are as `simulate` returns them, without a graph. Returns the observations from which
-        it goes on, shape (N, columns); `state` and `constants` of the simulator have changed as well.
+        `state` and `terms` (SIZE, N) are as `simulate` returns them, without a graph. Returns the observations it goes
+        on from, shape (N, columns); `state` and `constants` of the simulator have changed as well.
         """
         lanes = over.nonzero()[0]
         planned = self._lanes.planned(lanes)
