@@ -12,7 +12,6 @@ Back-propagation through time needs no more than the environment itself, since `
         for _ in range(32):
             observation, reward, *_ = sim.step(policy(observation))
             total = total + reward.mean()
-        optimizer.zero_grad()
         (-total).backward()
         optimizer.step()
         observation = sim.detach()
@@ -237,13 +236,8 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
     def renew(self, state: Tensor, terms: Tensor, over: np.typing.NDArray[np.bool_]) -> Tensor:
         """Place the vehicles where a `window` has brought them, and begin new episodes where `over` (N,) is True.
 
-        Args:
-            state: the rows of the plants, as `simulate` returns them, without a graph.
-            terms: the observations as `simulate` returns them, shape (SIZE, N), without a graph.
-            over: where an episode is over; the others go on.
-
-        Returns:
-            The observations from which it goes on, shape (N, columns); `state` and `constants` have changed as well.
+        `state` and `terms` (SIZE, N) are as `simulate` returns them, without a graph. Returns the observations it goes
+        on from, shape (N, columns); `state` and `constants` of the simulator have changed as well.
         """
         lanes = over.nonzero()[0]
         planned = self._lanes.planned(lanes)
