@@ -42,7 +42,7 @@ def make_policy(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None = N
     folder of a trained agent, which cannot. An agent's name or folder may be followed by `FADING`.
 
     Args:
-        name: see above.
+        name: one of `list_policies`, FILE.py:FACTORY, a FILE.zip, or the folder of an agent.
         vehicle: the one that the task knows; a law, or the expert of an agent, believes in it, and a policy whose
             factory takes no `vehicle` is not told. None: the paper's.
         options: of the factory.
@@ -80,13 +80,17 @@ def make_residual_env(
     """Return the environment of `UnderactuatedAUVTrackResidual-v0`: the tracking task with corrections to an expert.
 
     Args:
-        scenario: see `UnderactuatedAUVTrackEnv`, as the next three.
-        vehicle: likewise.
-        control_dt: likewise.
-        render_mode: likewise.
+        scenario: a `Scenario`, its dict, or a preset's name.
+        vehicle: the known vehicle, in place of the scenario's.
+        control_dt: control period [s], in place of the scenario's.
+        render_mode: None, "human" or "rgb_array".
         expert: a policy, or the name of one, which is told the known vehicle; the observation has the preview that it
             needs.
-        authority: see `ResidualAction`.
+        authority: largest correction of surge and yaw, as fractions of the limits in (0, 2]; one number or a pair.
+
+    Raises:
+        OSError: the expert's file cannot be read.
+        ValueError: scenario, vehicle, control period, render mode, expert or authority are not what they must be.
     """
     known = as_scenario(scenario).changed(vehicle).vehicle
     policy = make_policy(expert, known) if isinstance(expert, str) else expert
@@ -109,17 +113,22 @@ def make_residual_vector_env(
     """Return the vector environment of `UnderactuatedAUVTrackResidual-v0`.
 
     Args:
-        num_envs: see `auv_gym.envs.make_track_vector_env`, as the next four and the last three.
-        scenario: likewise.
-        vehicle: likewise.
-        control_dt: likewise.
-        render_mode: likewise.
+        num_envs: N, the number of vehicles.
+        scenario: a `Scenario`, its dict, a preset's name, or a sequence of N of them.
+        vehicle: the known vehicle, in place of the scenarios'.
+        control_dt: control period [s], in place of the scenarios'.
+        render_mode: None; the scalar environment draws.
         expert: a policy, or the name of one, which is told the known vehicle, if it is the same one everywhere; with
             backend "torch" a law that computes on tensors.
-        authority: see `VectorResidualAction`.
-        backend: see `auv_gym.envs.make_track_vector_env`.
-        device: likewise.
-        dtype: likewise.
+        authority: largest correction of surge and yaw, as fractions of the limits in (0, 2]; one number or a pair.
+        backend: "numpy" for arrays of float64, or "torch" for tensors.
+        device: where the tensors live, "cpu" or "cuda"; with backend "torch" only.
+        dtype: type of the tensors, "float32" or "float64"; with backend "torch" only.
+
+    Raises:
+        ImportError: the back end is "torch", and torch is not installed.
+        OSError: the expert's file cannot be read.
+        ValueError: an argument is not what it must be.
     """
     given = [scenario] if isinstance(scenario, (Scenario, str, Mapping)) else scenario
     known = common_vehicle([as_scenario(s).changed(vehicle) for s in given])

@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 Memory: TypeAlias = tuple[NDArray[Any], ...]
 """What a controller remembers: arrays whose leading axis counts the N vehicles it steers."""
 
-U_R, V_R = (Observation._fields.index(name) for name in ("u_R", "v_R"))
-"""Where these terms stand in an observation: a list of terms is faster to make than an `Observation`."""
+U_R = Observation._fields.index("u_R")  # where u_R stands in a list of terms, faster to make than an `Observation`
+V_R = Observation._fields.index("v_R")  # where v_R stands in a list of terms
 CRUISE_SPEED = 0.4
 """Reference speed [m/s] above which controllers use their gains for cruise."""
 SPEED_FLOOR = 0.02

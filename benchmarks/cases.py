@@ -20,12 +20,9 @@ from benchmarks.timing import Array, Run, cpu_time, interleaved, timed, typical,
 TRACK = "auv_gym:UnderactuatedAUVTrack-v0"  # under a policy's own commands
 RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"  # under corrections to the expert
 NATIVE = "vector_entry_point"  # the mode of Gymnasium's `make_vec` in which an environment is its own vector
-SCENARIO = "cruise-storm"
-"""Every disturbance at once."""
-EPISODE = PRESETS[SCENARIO].steps
-"""Control steps of an episode."""
-WINDOW = 32
-"""Control steps that a gradient goes back over."""
+SCENARIO = "cruise-storm"  # every disturbance at once
+EPISODE = PRESETS[SCENARIO].steps  # control steps of an episode
+WINDOW = 32  # control steps that a gradient goes back over
 
 
 @dataclass(frozen=True)
@@ -102,10 +99,10 @@ def track(n: int, steps: int = EPISODE, staggered: bool = False) -> Run:
     return vector_run(env, lambda observation: expert.predict(observation)[0], steps, staggered)
 
 
-def residual(n: int, steps: int = EPISODE) -> Run:
+def residual(n: int) -> Run:
     """Return our residual vector environment on NumPy with zero corrections; its expert's time is a part of it."""
     env, zero = gym.make_vec(RESIDUAL, n, NATIVE, scenario=SCENARIO), np.zeros((n, 2), dtype=np.float32)
-    return vector_run(env, lambda _: zero, steps)
+    return vector_run(env, lambda _: zero, EPISODE)
 
 
 def on_torch(n: int, steps: int, compiled: bool) -> Run:

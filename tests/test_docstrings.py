@@ -17,95 +17,6 @@ LEANING = re.compile(
 """Words by which a docstring leans on one of its neighbours."""
 PLAIN = {"FOLDER", "PROGRAM", "T"}
 """Constants that their names explain: a module's folder of data, its command, a type variable."""
-TO_MEND: dict[str, set[str]] = {
-    "baselines/__init__.py": {"make_residual_env", "make_residual_vector_env"},
-    "baselines/agents/agent.py": {"CARD", "ENTRIES", "OBSERVATION_LAYOUT", "RECORD", "WEIGHTS"},
-    "baselines/agents/features.py": {"FAST", "FEATURES", "SLOW"},
-    "baselines/agents/model_card.py": {"CURVE"},
-    "baselines/agents/networks.py": {"ACTIONS", "ACTIVATIONS"},
-    "baselines/control/current_observer.py": {"LAW"},
-    "baselines/control/ekf_law.py": {"FILTER", "LAW"},
-    "baselines/control/integral.py": {"LAW"},
-    "baselines/control/los_pid.py": {"PIDGains.horizon"},
-    "baselines/control/lqi.py": {"FORCES", "SPEEDS", "STATES", "Weights.horizon"},
-    "baselines/control/nmpc/controller.py": {"FIRST_STEPS", "LAW", "STEPS"},
-    "baselines/control/nmpc/gauss_newton.py": {"NEGLIGIBLE", "TOLERANCE"},
-    "baselines/control/nmpc/problem.py": {"COMMANDS", "FORCE", "STATES", "SWAY"},
-    "baselines/control/oracle.py": {"BLIND"},
-    "baselines/estimation/kalman.py": {
-        "FIRST_BIAS",
-        "FIRST_CURRENT",
-        "FIRST_LAG",
-        "FIRST_POSE",
-        "FIRST_SURGE",
-        "FIRST_SWAY",
-        "FIRST_TURN",
-        "FORCE_DRIFT",
-        "HULL_DRIFT",
-        "LAG_DRIFT",
-    },
-    "baselines/estimation/sea_model.py": {
-        "BIAS",
-        "BIAS_MEMORY",
-        "CURRENT",
-        "CURRENT_MEMORY",
-        "FORCE",
-        "GUST",
-        "GUST_MEMORY",
-        "HULL",
-        "LAG",
-        "LONGEST_LAG",
-        "SENSORS",
-        "SHORTEST_LAG",
-        "SIZE",
-        "WAVES",
-    },
-    "baselines/estimation/water_frame.py": {""},
-    "baselines/evaluation/paper/noise_study.py": {"SEEDS"},
-    "baselines/evaluation/paper/numbers.py": {"PAPER_GAINS"},
-    "baselines/evaluation/report/figures.py": {"DRAWN"},
-    "baselines/evaluation/report/html.py": {"BODY", "CAPTIONS", "DEFINITIONS"},
-    "baselines/evaluation/report/page.py": {"FRAME"},
-    "baselines/evaluation/report/plots.py": {"COLUMNS", "LEGEND"},
-    "baselines/evaluation/report/terminal.py": {"LOOK"},
-    "baselines/evaluation/request.py": {"DEFAULT_EPISODES", "DEFAULT_SUITE"},
-    "baselines/evaluation/results/collection.py": {"Results.tails"},
-    "baselines/evaluation/results/studies.py": {"NAMES"},
-    "baselines/evaluation/rollout.py": {"ENV_ID"},
-    "baselines/evaluation/score.py": {"EXPERT", "ORACLE"},
-    "baselines/evaluation/stability/certificate.py": {"BOXES", "COARSE", "FINE", "MISSING"},
-    "baselines/evaluation/stability/report.py": {"STEPS"},
-    "baselines/evaluation/study_files.py": {"InSuite.effort", "InSuite.lost"},
-    "baselines/evaluation/suites/__init__.py": {"FORMAT", "SUMS"},
-    "baselines/evaluation/suites/builder.py": {
-        "EPISODES",
-        "FARTHER",
-        "OUTAGES",
-        "OUTAGE_TIME",
-        "RAMP",
-        "SHEAR",
-        "SLUGGISH",
-        "STRONGER",
-        "UNMODELLED_EPISODES",
-        "VALIDATION_EPISODES",
-        "WAVELENGTHS",
-    },
-    "baselines/tools/command_line.py": {"DONE", "FAILED", "WRONG_USAGE"},
-    "baselines/tools/figure_style.py": {"MARKERS"},
-    "baselines/training/apg/closed_loop.py": {"CURVE", "NEAR"},
-    "baselines/training/apg/trainer.py": {"Settings.rate_weight"},
-    "baselines/training/command.py": {"CURVE"},
-    "baselines/training/config.py": {"LARGEST_SEED"},
-    "baselines/training/hyperparameters/__init__.py": {"ENV_ID"},
-    "baselines/training/mixtures.py": {"ADVERSE_WEIGHT", "OUTAGE_TIMES", "WAVELENGTHS"},
-    "baselines/training/request.py": {"DEFAULT_AUTHORITY", "DEFAULT_TIMESTEPS"},
-    "baselines/training/run_folder.py": {"AGENT", "CHECKPOINT", "CONFIG", "EVENTS", "PROGRESS"},
-    "baselines/training/sb3/trainer.py": {"CALLBACKS", "MODELS", "NOISES", "WRAPPERS"},
-    "baselines/training/study/command.py": {"FEW", "SHORT"},
-    "baselines/training/validation.py": {"SUITE"},
-    "baselines/tuning/search.py": {"CRUISE_LAW", "INTEGRAL", "LAW", "NORMALISED", "TUNING_SEED", "VALIDATION_EPISODES"},
-}
-"""Names whose docstrings are still to be mended, by file; none may be added."""
 
 
 def name_of(path):
@@ -166,9 +77,7 @@ def explained(name, tree, lines):
 
 @pytest.mark.parametrize("path", FILES, ids=name_of)
 def test_docstrings_stand_alone(path):
-    found, known = offenders(path), TO_MEND.get(name_of(path), set())
-    assert set(found) <= known, {name: why for name, why in found.items() if name not in known}
-    assert known <= set(found), f"mended, so take from TO_MEND: {sorted(known - set(found))}"
+    assert not offenders(path)
 
 
 def test_public_modules_say_what_they_are():

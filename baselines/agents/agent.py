@@ -36,9 +36,11 @@ from baselines.tools.files import guarded, read_bytes, read_json, synchronise, w
 
 FORMAT = 2
 """Version of the folder's layout."""
-WEIGHTS, RECORD, CARD = "weights.safetensors", "agent.json", "card.md"
-OBSERVATION_LAYOUT = [[t.name, t.scale] for t in TERMS]
-ENTRIES = (
+WEIGHTS = "weights.safetensors"  # file of the network's arrays
+RECORD = "agent.json"  # file of everything else, see `ENTRIES`
+CARD = "card.md"  # file of the description
+OBSERVATION_LAYOUT = [[t.name, t.scale] for t in TERMS]  # what an observation is, by term, in its order
+ENTRIES = (  # of agent.json
     "format",
     "network",
     "inputs",

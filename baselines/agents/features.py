@@ -18,8 +18,8 @@ from baselines.policy import reference_speed
 
 BOUND = 8.0
 """Largest magnitude of a feature."""
-FAST, SLOW = 0.1, 0.015
-"""Rates [1/s] at which the two integrals of the position error forget."""
+FAST = 0.1  # [1/s] at which the fast integral of the position error forgets
+SLOW = 0.015  # [1/s] at which the slow integral of the position error forgets
 FAR = 4.0
 """Largest position error that is integrated, in units of U * 1 s: a vehicle that is lost must not wind them up."""
 
@@ -33,7 +33,7 @@ class Feature(NamedTuple):
     meaning: str
 
 
-FEATURES = (
+FEATURES = (  # what a network sees, in its order
     Feature("e_x", "m", "U * 1 s", "measured position error along the body's surge axis"),
     Feature("e_y", "m", "U * 1 s", "the same along the sway axis"),
     Feature("psi_e", "rad", "0.5 rad", "measured heading error"),

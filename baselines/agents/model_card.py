@@ -7,7 +7,7 @@ from typing import Any
 
 from baselines.control.open_loop import NO_EXPERT
 
-CURVE = "learning_curve.png"
+CURVE = "learning_curve.png"  # file beside the card
 TEXT = """# {name}
 
 A network that {own}, by at most {surge:g} of the surge limit and {yaw:g} of the yaw limit. It steers the underactuated

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from baselines.policy import Array
 
-ACTIONS = 2
+ACTIONS = 2  # outputs: the corrections of surge and yaw
 LARGEST = 4096
 """Most units of a layer."""
 Weights = Mapping[str, NDArray[Any]]
 Shapes = dict[str, tuple[int, ...]]
 
 Function = Callable[[Array], Array]
-ACTIVATIONS: dict[str, Function] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
+ACTIVATIONS: dict[str, Function] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}  # of the layers
 BOUNDS: dict[str, Function] = {"tanh": np.tanh, "clip": lambda x: np.clip(x, -1.0, 1.0)}
 """What keeps the output in [-1, 1]."""
 

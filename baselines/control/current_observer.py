@@ -69,9 +69,9 @@ class CurrentObserver:
 
         Args:
             o: the observation.
-            begun: the first three arrays of the memory, see the class, as the next two.
-            copy: (N, 4).
-            current: (N, 2).
+            begun: whether the observer has run, shape (N,).
+            copy: the copy's u, v [m/s] and the measured psi [rad], r [rad/s], shape (N, 4).
+            current: V_x, V_y [m/s] as observed so far, shape (N, 2).
         """
         copy_gain, follow = self.sampled_gains(o.dt)
         u, v, psi, r = copy.T

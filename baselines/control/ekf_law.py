@@ -23,7 +23,7 @@ from baselines.estimation.water_frame import Sea, WaterPlan, reference_motion, w
 from baselines.gains.loading import tuned_policy
 from baselines.policy import Array, Memory
 
-FILTER_GAINS = tuple(field.name for field in fields(Tuning))
+FILTER_GAINS = tuple(field.name for field in fields(Tuning))  # names of the filter's gains
 EKF_GAINS = (*UNDAMPED_GAINS, "lead", *FILTER_GAINS)
 """Names of the gains: the law's, see `backstepping.undamped`; `lead` [1/s], how fast the actuators' force is to
 approach what the law asks for; and the filter's `Tuning`."""

@@ -23,9 +23,8 @@ from baselines.policy import Array, Memory
 
 INTEGRAL_GAINS = ("rate", "horizon", "surge")
 """[1/s] of the integral; [s] bound of error and integral as a travel time of the reference; [1] share of surge."""
-PRINTED_GAINS = (*LAW_GAINS, *INTEGRAL_GAINS)
-NORMALISED_GAINS = (*LAW_GAINS, "reference_speed", *INTEGRAL_GAINS)
-"""Names of the gains of the law as printed, and normalised with the speed."""
+PRINTED_GAINS = (*LAW_GAINS, *INTEGRAL_GAINS)  # names of the gains of the law as printed
+NORMALISED_GAINS = (*LAW_GAINS, "reference_speed", *INTEGRAL_GAINS)  # of the law normalised with the speed
 
 
 class IntegralLaw:

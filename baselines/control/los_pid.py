@@ -32,7 +32,7 @@ class PIDGains(NamedTuple):
 
     lookahead: float  # [s] distance to the point steered for, as a travel time of the reference
     rate: float  # [1/s] of the position error's integral, see `inertial_integral`
-    horizon: float  # [s] bound of error and integral, likewise
+    horizon: float  # [s] bound of error and integral as a travel time of the reference
     crab: float  # [1] share of the measured drift angle that the heading leans against
     crab_time: float  # [s] low-pass of that angle
     heading: float  # [1/s^2] heading, proportional

@@ -26,16 +26,13 @@ from baselines.control.linearisation import error_dynamics
 from baselines.gains.loading import tuned_policy
 from baselines.policy import Array, Memory, first_order
 
-SPEEDS = np.geomspace(0.05, 2.5, 14)
-TURN_RATES = np.linspace(-0.18, 0.18, 7)
-"""Grid of u_R [m/s] and r_R [rad/s]; beyond it the gain at its edge is used."""
+SPEEDS = np.geomspace(0.05, 2.5, 14)  # [m/s] u_R of the grid of gains; beyond it the gain at its edge is used
+TURN_RATES = np.linspace(-0.18, 0.18, 7)  # [rad/s] r_R of the grid of gains
 
-STATES, FORCES = 8, 2
-"""How many errors with their integrals there are, and how many forces."""
-ERRORS, INTEGRALS = slice(0, 6), slice(6, 8)
-POSITION, VELOCITY, HEADING_AND_VELOCITY = slice(0, 2), slice(3, 5), slice(2, 5)
-HEADING, TURN = 2, 5
-"""Where they stand in a state: e_x, e_y, psi_e, u_e, v_e, r_e, then the two integrals."""
+_STATES, _FORCES = 8, 2  # how many errors with their integrals there are, and how many forces
+_ERRORS, _INTEGRALS = slice(0, 6), slice(6, 8)
+_POSITION, _VELOCITY, _HEADING_AND_VELOCITY = slice(0, 2), slice(3, 5), slice(2, 5)
+_HEADING, _TURN = 2, 5  # where they stand in a state: e_x, e_y, psi_e, u_e, v_e, r_e, then the two integrals
 
 
 class LqiWeights(NamedTuple):
@@ -55,7 +52,7 @@ class LqiWeights(NamedTuple):
     yaw_rate: float  # [m s]
     lag: float  # [s] time constant that the actuators are believed to have
     rate: float  # [1/s] of the integral, see `inertial_integral`
-    horizon: float  # [s] bound of error and integral, likewise
+    horizon: float  # [s] bound of error and integral as a travel time of the reference
 
 
 def steady_sway(u_R: float, r_R: float, vehicle: Vehicle) -> float:
@@ -70,14 +67,15 @@ def sampled_model(u_R: float, r_R: float, vehicle: Vehicle, w: LqiWeights, dt: f
     """
     A6, B6 = error_dynamics(vehicle, u_R, steady_sway(u_R, r_R, vehicle), r_R)
     turning = np.array([[0.0, r_R], [-r_R, 0.0]])
-    n = STATES + FORCES
-    M = np.zeros((n + FORCES, n + FORCES))  # of the states but the last two, and the command
-    M[ERRORS, ERRORS], M[ERRORS, STATES:n] = A6, B6
-    M[INTEGRALS, INTEGRALS], M[INTEGRALS, POSITION] = turning, w.rate * np.eye(2)  # xi' = rate R(psi) e in the world
-    M[STATES:n, STATES:n], M[STATES:n, n:] = -np.eye(FORCES) / w.lag, np.eye(FORCES) / w.lag
+    n = _STATES + _FORCES
+    M = np.zeros((n + _FORCES, n + _FORCES))  # of the states but the last two, and the command
+    M[_ERRORS, _ERRORS], M[_ERRORS, _STATES:n] = A6, B6
+    M[_INTEGRALS, _INTEGRALS] = turning
+    M[_INTEGRALS, _POSITION] = w.rate * np.eye(2)  # xi' = rate R(psi) e in the world
+    M[_STATES:n, _STATES:n], M[_STATES:n, n:] = -np.eye(_FORCES) / w.lag, np.eye(_FORCES) / w.lag
     step = expm(dt * M)
-    Phi, Gamma = np.zeros((n + FORCES, n + FORCES)), np.zeros((n + FORCES, FORCES))
-    Phi[:n, :n], Gamma[:n], Gamma[n:] = step[:n, :n], step[:n, n:], np.eye(FORCES)
+    Phi, Gamma = np.zeros((n + _FORCES, n + _FORCES)), np.zeros((n + _FORCES, _FORCES))
+    Phi[:n, :n], Gamma[:n], Gamma[n:] = step[:n, :n], step[:n, n:], np.eye(_FORCES)
     return Phi, Gamma
 
 
@@ -96,16 +94,16 @@ def optimal_gain(
     """
     Phi, Gamma = sampled_model(u_R, r_R, vehicle, w, dt)
     v_R = steady_sway(u_R, r_R, vehicle)
-    weighted = np.zeros((STATES, STATES))  # errors times the roots of their weights
-    weighted[POSITION, POSITION] = weighted[INTEGRALS, INTEGRALS] = np.eye(2)
-    weighted[HEADING, HEADING], weighted[TURN, TURN] = w.heading * np.hypot(u_R, v_R), w.turn
-    weighted[VELOCITY, HEADING_AND_VELOCITY] = w.velocity * np.array(
+    weighted = np.zeros((_STATES, _STATES))  # errors times the roots of their weights
+    weighted[_POSITION, _POSITION] = weighted[_INTEGRALS, _INTEGRALS] = np.eye(2)
+    weighted[_HEADING, _HEADING], weighted[_TURN, _TURN] = w.heading * np.hypot(u_R, v_R), w.turn
+    weighted[_VELOCITY, _HEADING_AND_VELOCITY] = w.velocity * np.array(
         [[-v_R, 1.0, 0.0], [u_R, 0.0, 1.0]]
     )  # (17), linearised
     effort = np.diag(np.square(np.array([w.surge_effort, w.yaw_effort]) / limits))
     change = np.diag(np.square(np.array([w.surge_rate, w.yaw_rate]) / limits / dt))
-    Q = block_diag(weighted.T @ weighted, np.zeros((FORCES, FORCES)), change)
-    cross = np.vstack((np.zeros((STATES + FORCES, FORCES)), -change))
+    Q = block_diag(weighted.T @ weighted, np.zeros((_FORCES, _FORCES)), change)
+    cross = np.vstack((np.zeros((_STATES + _FORCES, _FORCES)), -change))
     R = effort + change
     P = solve_discrete_are(Phi, Gamma, Q, R, s=cross)
     return np.asarray(np.linalg.solve(R + Gamma.T @ P @ Gamma, Gamma.T @ P @ Phi + cross.T))
@@ -147,7 +145,7 @@ class LQI:
         """Return K for each vehicle, shape (N, 2, 12)."""
         points = np.stack((o.u_R, o.r_R), axis=1)
         points = np.clip(points, (SPEEDS[0], TURN_RATES[0]), (SPEEDS[-1], TURN_RATES[-1]))
-        K = np.empty((len(points), FORCES, STATES + 2 * FORCES))
+        K = np.empty((len(points), _FORCES, _STATES + 2 * _FORCES))
         designs = np.stack((o.dt, o.F_u_max, o.F_r_max), axis=1)
         for dt, *limits in np.unique(designs, axis=0).tolist():
             rows = (designs == (dt, *limits)).all(axis=1)

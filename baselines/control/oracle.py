@@ -47,19 +47,17 @@ class RegulatorWeights:
 
 REGULATORS = {"slow": RegulatorWeights(0.1, 50.0, 25.0), "cruise": RegulatorWeights(0.9, 200.0, 90.0)}
 """Weights in each regime, for a small tail error on the validation split of benchmark-v1 without losing an episode."""
-NEGLIGIBLE = 1e-6
-"""Weight of the other errors, for a Riccati equation that is well posed."""
+NEGLIGIBLE = 1e-6  # weight of what `RegulatorWeights` leave out, for a Riccati equation that is well posed
 SOFTER = (2.0, 4.0)
 """Factors on the position's weight that are tried in turn where an episode goes astray under the regulator."""
-ASTRAY = 5.0
-"""Root mean square [m] of the foreseen position error from which an episode counts as astray."""
+ASTRAY = 5.0  # [m] root mean square of the foreseen position error from which an episode counts as astray
 LARGEST_SINE = 0.93
 """Largest sine of the sideslip that is planned: a little less than that of `water_frame`."""
 HARDEST_BRAKING = 0.35
 """Largest braking -V'/V through the water [1/s]: a little less than what `water_frame` allows the paper's vehicle."""
 SMOOTHING = 0.2
 """Width [s] of the Gauss filter on the current, whose gusts are too rough to be differentiated twice."""
-BLIND = "the oracle needs prepare() before the reset and observe() before predict(), as evaluate.py calls them"
+_BLIND = "the oracle needs prepare() before the reset and observe() before predict(), as evaluate.py calls them"
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,7 @@ class Oracle:
     def observe(self, env: Any) -> None:
         """Decide on the true state of the vector environment."""
         if self._plan is None:
-            raise RuntimeError(BLIND)
+            raise RuntimeError(_BLIND)
         k = np.rint(env.time / self._dt).astype(int)
         x, y, psi, u, v, r = env.state.T
         V_x, V_y = env.current.T
@@ -110,7 +108,7 @@ class Oracle:
             RuntimeError: nobody has let it look behind the observation.
         """
         if self._plan is None:
-            raise RuntimeError(BLIND)
+            raise RuntimeError(_BLIND)
         return self._action, state
 
 

@@ -20,10 +20,9 @@ from auv_gym.tape import Tape
 
 Array = NDArray[np.float64]
 
-CURRENT, LOAD = slice(8, 10), slice(10, 13)
-"""Where V_x, V_y and X, Y, N stand in a `Sample`."""
-BODY = 8
-"""The first entries of a `Plant`: the state and the forces that the actuators apply."""
+CURRENT = slice(8, 10)  # where V_x, V_y stand in a `Sample`
+LOAD = slice(10, 13)  # where X, Y, N stand in a `Sample`
+BODY = 8  # the first entries of a `Plant`: the state and the forces that the actuators apply
 
 
 def samples(scenario: Scenario, episodes: Sequence[Episode]) -> Array:

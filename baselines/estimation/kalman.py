@@ -44,8 +44,7 @@ FIRST_NOISE = np.array((0.05, 0.05, 0.015, 0.02, 0.02, 0.005))
 until there are enough of them to tell."""
 LEAST_NOISE = np.array((1e-4, 1e-4, 3e-5, 3e-5, 3e-5, 3e-5))
 """Lower bounds of the standard deviations that are found, in the same order and units."""
-NOISE_MEMORY = 5.0
-"""Time [s] over which the noise is averaged."""
+NOISE_MEMORY = 5.0  # [s] over which the noise is averaged
 
 
 @dataclass(frozen=True)
@@ -71,26 +70,16 @@ class Tuning:
             check_number(f"tuning {field.name}", getattr(self, field.name), 0, 1e6)
 
 
-HULL_DRIFT = 1e-5
-"""Drift of position [m] and heading [rad] that no velocity explains, after one second."""
-FORCE_DRIFT = 1e-3
-"""Drift of the actuators' forces, as a share of their limits, after one second."""
-LAG_DRIFT = 0.01
-"""Drift of the actuators' lag [s], after one second."""
-FIRST_POSE = 0.1
-"""Deviation of position [m] and heading [rad] before the first measurement."""
-FIRST_TURN = 0.05
-"""Deviation of the yaw rate [rad/s] before it."""
-FIRST_LAG = 0.2
-"""Lag [s] that is expected before it, and the deviation from that."""
-FIRST_SURGE = 1.0
-"""Deviation of the surge velocity before it, as a share of the reference's speed."""
-FIRST_SWAY = 0.3
-"""Deviation of the sway velocity before it, as a share of the same."""
-FIRST_CURRENT = 0.3
-"""Deviation of the current on each axis before it, as a share of the same."""
-FIRST_BIAS = 0.2
-"""Deviation of the slowly varying load before it, in the units of `Tuning`."""
+HULL_DRIFT = 1e-5  # of position [m] and heading [rad] that no velocity explains, after one second
+FORCE_DRIFT = 1e-3  # of the actuators' forces, as a share of their limits, after one second
+LAG_DRIFT = 0.01  # [s] of the actuators' lag after one second
+FIRST_POSE = 0.1  # deviation of position [m] and heading [rad] before the first measurement
+FIRST_TURN = 0.05  # [rad/s] deviation of the yaw rate before the first measurement
+FIRST_LAG = 0.2  # [s] lag that is expected before the first measurement, and the deviation from that
+FIRST_SURGE = 1.0  # deviation of the surge velocity before the first measurement over the reference's speed
+FIRST_SWAY = 0.3  # deviation of the sway velocity before the first measurement over the reference's speed
+FIRST_CURRENT = 0.3  # deviation of the current on each axis before the first measurement over the reference's speed
+FIRST_BIAS = 0.2  # deviation of the slowly varying load before the first measurement, in the units of `Tuning`
 
 
 class ExtendedKalmanFilter:

@@ -19,23 +19,16 @@ from auv_gym.namespaces import ARRAYS
 from auv_gym.vehicle import Vehicle
 from baselines.policy import Array, first_order
 
-WAVE_FREQUENCY = 0.8
-"""Natural frequency of the wave oscillators [rad/s]."""
-WAVE_DAMPING = 0.1
-"""Their relative damping."""
-GUST_MEMORY = 3.0
-"""Time [s] in which the current's rate is forgotten."""
+WAVE_FREQUENCY = 0.8  # [rad/s] natural frequency of the wave oscillators
+WAVE_DAMPING = 0.1  # [1] relative damping of the wave oscillators
+GUST_MEMORY = 3.0  # [s] in which the current's rate is forgotten
 CURRENT_MEMORY = 40.0
 """Time [s] in which the current is forgotten. On a straight line only the common effect of current and load is seen:
 without an end to memory, opposite ones could grow together."""
-BIAS_MEMORY = 10.0
-"""Time [s] in which the slowly varying load is forgotten."""
-SHORTEST_LAG = 1e-3
-"""Least time constant of the actuators [s]: they respond at once, but the derivatives are finite."""
-LONGEST_LAG = 2.0
-"""Largest time constant of the actuators [s]."""
-INCREMENT = 1e-6
-"""Increment of the difference quotients, in SI units."""
+BIAS_MEMORY = 10.0  # [s] in which the slowly varying load is forgotten
+SHORTEST_LAG = 1e-3  # [s] least time constant of the actuators: they respond at once, but the derivatives are finite
+LONGEST_LAG = 2.0  # [s] largest time constant of the actuators
+INCREMENT = 1e-6  # of the difference quotients, in SI units
 
 
 class Estimate(NamedTuple):
@@ -65,18 +58,17 @@ class Estimate(NamedTuple):
     N_swing: Array  # [N m]
 
 
-SIZE = len(Estimate._fields)
-AT: Any = Estimate._make(range(SIZE))
-"""Where each field stands in an `Estimate`: `AT.lag` is the row of the lag."""
-HULL = slice(AT.x_e, AT.F_u)
-"""What moves; the sensors measure these six, velocities over ground, in this order."""
-MOTION = slice(AT.psi, AT.F_u)
-"""The part of it that the rates depend on."""
-FORCE, CURRENT, GUST = slice(AT.F_u, AT.V_x), slice(AT.V_x, AT.V_x_rate), slice(AT.V_x_rate, AT.X)
-BIAS, WAVES = slice(AT.X, AT.lag), slice(AT.X_wave, SIZE)
-WAVE_PAIRS = tuple(slice(wave, wave + 2) for wave in (AT.X_wave, AT.Y_wave, AT.N_wave))
-"""Wave load and swing of each axis."""
-SENSORS = AT.F_u
+SIZE = len(Estimate._fields)  # how many rows an `Estimate` has
+AT: Any = Estimate._make(range(SIZE))  # where each field stands in an `Estimate`: `AT.lag` is the row of the lag
+HULL = slice(AT.x_e, AT.F_u)  # what moves; the sensors measure these six, velocities over ground, in this order
+MOTION = slice(AT.psi, AT.F_u)  # what of the hull's motion its rates depend on
+FORCE = slice(AT.F_u, AT.V_x)  # what the actuators apply
+CURRENT = slice(AT.V_x, AT.V_x_rate)  # the current
+GUST = slice(AT.V_x_rate, AT.X)  # the current's rate
+BIAS = slice(AT.X, AT.lag)  # the slowly varying load
+WAVES = slice(AT.X_wave, SIZE)  # the wave loads and swings of all axes
+WAVE_PAIRS = tuple(slice(wave, wave + 2) for wave in (AT.X_wave, AT.Y_wave, AT.N_wave))  # load and swing of each axis
+SENSORS = AT.F_u  # how many values are measured: the `HULL`
 
 
 def lag_response(lag: Array, dt: Array) -> Response:

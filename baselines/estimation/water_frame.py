@@ -2,7 +2,7 @@
 
 In a current c that is constant in the world the vehicle moves relative to the water as it would in still water. Its
 path there has the velocity p_R' - c and the higher derivatives of p_R, and the planner gives heading and forces
-for it; where the current changes, its rate is subtracted likewise. A sway force on the hull enters the equation of the
+for it; where the current changes, its rate is subtracted too. A sway force on the hull enters the equation of the
 sideslip and is planned for as well.
 """
 

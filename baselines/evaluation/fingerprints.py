@@ -21,11 +21,10 @@ from baselines.gains.loading import FOLDER as GAINS
 
 ROOMS = ("baselines.agents", "baselines.control", "baselines.estimation", "baselines.gains", "baselines.policy")
 """Modules that policies are made of; what tunes, trains and measures them stands elsewhere."""
-AGENT_CODE = "baselines.agents.residual_policy"
+_AGENT_CODE = "baselines.agents.residual_policy"  # the module that trained agents act by
 ACTING = ("format", "network", "inputs", "features", "observation", "expert", "authority")
 """Entries of agent.json that an agent's actions depend on; `region` does where corrections fade."""
-LARGEST_FILE = 2**28
-"""Largest file [bytes] that is read."""
+LARGEST_FILE = 2**28  # [bytes] of a file that is read
 
 
 def fingerprint(name: str) -> str:
@@ -59,7 +58,7 @@ def _of_agent(folder: Path, fades: bool) -> str:
     acting = {key: record.get(key) for key in (*ACTING, *(("region",) if fades else ()))}
     expert = record["expert"]
     parts = [json.dumps(acting, sort_keys=True), "" if expert == NO_EXPERT else fingerprint(expert)]
-    return _hash([_bytes(folder / WEIGHTS), *parts, *(unit.digest for unit in _closure(AGENT_CODE))])
+    return _hash([_bytes(folder / WEIGHTS), *parts, *(unit.digest for unit in _closure(_AGENT_CODE))])
 
 
 def _of_controller(name: str) -> str:

@@ -126,9 +126,9 @@ def bootstrap_interval(values: Sequence[float] | Array) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def cvar(values: Array, share: float = WORST) -> float:
-    """Return the mean of the worst `share` of the values, shape (M,); at least of one."""
-    worst = max(1, math.ceil(share * len(values) - 1e-9))
+def cvar(values: Array) -> float:
+    """Return the mean of the worst share `WORST` of the values, shape (M,); at least of one."""
+    worst = max(1, math.ceil(WORST * len(values) - 1e-9))
     return float(np.mean(np.sort(values)[-worst:]))
 
 

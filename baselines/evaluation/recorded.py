@@ -31,7 +31,7 @@ from baselines.evaluation.suites import Suite
 from baselines.tools.files import json_text, write_atomically
 
 FOLDER = Path(__file__).parent / "data" / "recorded"
-STAMPS = "fingerprints.json"
+STAMPS = "fingerprints.json"  # file of the fingerprints of what was recorded
 
 
 @dataclass(frozen=True)

@@ -33,9 +33,9 @@ T = TypeVar("T")
 
 DRAWN: dict[str, tuple[str, ...]] = {"presets": tuple(PRESETS), "paper": ("paper-circle",)}
 """Scenarios of each suite whose episodes are drawn from the seed, by name; the others are frozen."""
-DEFAULT_SUITE, DEFAULT_EPISODES = "benchmark-v1", 20
-MOST_EPISODES = 100_000
-"""Of each scenario: they are drawn before anything runs."""
+DEFAULT_SUITE = "benchmark-v1"  # what is evaluated if no scenario is named
+DEFAULT_EPISODES = 20  # of each scenario that is not frozen
+MOST_EPISODES = 100_000  # of each scenario: they are drawn before anything runs
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from auv_gym.scenario import Scenario
 from baselines.evaluation.metrics import Array, Measures, Track, effort, rmse, settling_time, smoothness, tail_rmse
 from baselines.policy import Privileged
 
-ENV_ID = "auv_gym:UnderactuatedAUVTrack-v0"
+ENV_ID = "auv_gym:UnderactuatedAUVTrack-v0"  # of the environment that policies are run in
 PATIENCE = 10
 """Control steps before a policy's speed is judged: the first ones may compile or load."""
 Begun: TypeAlias = tuple[UnderactuatedAUVTrackVectorEnv, Array]
@@ -49,10 +49,10 @@ class Moment(NamedTuple):
 
     observation: Array  # what was acted on, shape (N, terms)
     command: Array  # shape (N, 2), zero where an episode has ended
-    reward: Array  # shape (N,), as the next two
-    error: Array  # [m] distance to the reference after the step
-    running: NDArray[np.bool_]  # not ended before the step; what is said of the others means nothing
-    lost: NDArray[np.bool_]  # ended by this step, beyond the lost distance
+    reward: Array  # shape (N,)
+    error: Array  # [m] distance to the reference after the step, shape (N,)
+    running: NDArray[np.bool_]  # shape (N,), not ended before the step; what is said of the others means nothing
+    lost: NDArray[np.bool_]  # shape (N,), ended by this step, beyond the lost distance
 
 
 class Watch:

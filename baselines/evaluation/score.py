@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from auv_gym.presets import REGIMES
 from baselines.evaluation.metrics import RESAMPLES, Array, Measures
 
-EXPERT, ORACLE = "backstepping", "oracle"
-"""The policies that score 0 and 1."""
+EXPERT = "backstepping"  # the policy that scores 0
+ORACLE = "oracle"  # the policy that scores 1
 LARGEST_TAIL: Mapping[str, float] = {"slow": 0.6, "cruise": 2.0}
 """Tail RMSE [m] from which an episode counts as lost; the capped score counts no more than that for it."""
 

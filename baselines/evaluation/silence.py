@@ -28,12 +28,9 @@ from baselines.tools.command_line import DONE, parse, run
 from baselines.tools.files import json_text, write_atomically
 
 PROGRAM = "python -m baselines.evaluation.silence"
-FILE = Path(__file__).parent / "data" / "silence.json"
-"""What is kept."""
-EPISODES = 15
-"""Of each of the eight cases."""
-FAST = (1.5, 2.0)
-"""Speeds [m/s] above those that any agent was trained at."""
+FILE = Path(__file__).parent / "data" / "silence.json"  # what is kept of the measurement
+EPISODES = 15  # of each of the eight cases
+FAST = (1.5, 2.0)  # [m/s] speeds above those that any agent was trained at
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from baselines.tools.files import write_atomically
 
-LARGEST_FILE, LARGEST_CONTENT = 2**26, 2**29
-"""Largest file [bytes] that is read, and largest sum of what it unpacks to."""
+LARGEST_FILE = 2**26  # [bytes] of a file that is read
+LARGEST_CONTENT = 2**29  # [bytes] that a file unpacks to
 RECORD = "record"
 """Name of the array that holds the JSON text."""
 

@@ -32,10 +32,10 @@ class InSuite:
     hash: str  # of the suite
     cells: tuple[str, ...]  # names of their scenarios
     tails: tuple[Array, ...]  # [m] tail RMSE, shape (S, M) for each cell
-    lost: tuple[NDArray[np.bool_], ...]  # ended beyond the lost distance, likewise
-    effort: Array  # means over all episodes, shape (S,); see `metrics`, as the next two
-    smoothness: Array
-    decision_seconds: float
+    lost: tuple[NDArray[np.bool_], ...]  # ended beyond the lost distance, shape (S, M) for each cell
+    effort: Array  # mean over all episodes, shape (S,); see `metrics`
+    smoothness: Array  # mean over all episodes, shape (S,); see `metrics`
+    decision_seconds: float  # of an agent for one vehicle and control step
 
     @classmethod
     def of(cls, suite: str, runs: Sequence[Sequence[Run]]) -> InSuite:

@@ -17,8 +17,9 @@ from threadpoolctl import threadpool_limits
 
 Options = TypeVar("Options")
 
-DONE, FAILED, WRONG_USAGE = 0, 1, 2
-"""Exit statuses."""
+DONE = 0  # exit status of a command that did its work
+FAILED = 1  # exit status of a command that could not
+WRONG_USAGE = 2  # exit status of a command with wrong arguments
 THREADS = "OMP_NUM_THREADS"
 """Variable that says how many threads a process computes with; without it, one."""
 

@@ -18,15 +18,12 @@ from joblib.externals.loky.process_executor import BrokenProcessPool
 
 from baselines.tools.command_line import WorkerError
 
-PATIENCE = 5.0
-"""Seconds until an address counts as not answering; Ray itself waits for two minutes."""
-JOINING = 60.0
-"""Seconds in which a cluster that answers must take this process in."""
+PATIENCE = 5.0  # [s] until an address counts as not answering; Ray itself waits for two minutes
+JOINING = 60.0  # [s] in which a cluster that answers must take this process in
 NAMED = ("auto", "local")
 """Names in place of an address: the cluster that this machine belongs to, and one made for the occasion."""
-DEFAULT_JOBS = min(2, os.cpu_count() or 1)
-WATCH = 0.5
-"""Seconds between two looks of a worker process at whether its parent is still there."""
+DEFAULT_JOBS = min(2, os.cpu_count() or 1)  # tasks at a time
+WATCH = 0.5  # [s] between two looks of a worker process at whether its parent is still there
 
 
 class ClusterError(ValueError):

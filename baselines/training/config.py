@@ -30,7 +30,7 @@ apg: analytic policy gradient, back-propagation through the simulator; the other
 """
 TRAINING_SEED = 1_000_000_000
 """First seed of all episodes that are trained on; those of tuning, validation and evaluation begin far below."""
-LARGEST_SEED = 10_000
+LARGEST_SEED = 10_000  # of a run
 _LANES = 2**20  # seeds reserved for the vehicles of one run
 
 

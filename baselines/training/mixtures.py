@@ -14,9 +14,9 @@ Mixture = tuple[tuple[Scenario, float], ...]
 
 CASE_WEIGHTS: Mapping[str, float] = {"noise": 2.0, "actuator": 2.0, "storm": 3.0}
 """Weights of a regime's cases, the others have 1: those where most of the error is, or where vehicles are lost."""
-ADVERSE_WEIGHT = 8.0
-WAVELENGTHS = {"slow": (5.0, 20.0), "cruise": (20.0, 80.0)}
-OUTAGE_TIMES = {"slow": (0.5, 3.0), "cruise": (0.3, 2.0)}
+ADVERSE_WEIGHT = 8.0  # of the adverse scenario beside a regime's cases
+WAVELENGTHS = {"slow": (5.0, 20.0), "cruise": (20.0, 80.0)}  # [m] of a sheared current
+OUTAGE_TIMES = {"slow": (0.5, 3.0), "cruise": (0.3, 2.0)}  # [s] how long an outage of the position fix lasts
 
 
 def regime_mixture(regime: str) -> Mixture:

@@ -21,8 +21,8 @@ from baselines.training.mixtures import MIXTURES
 from baselines.training.options import Options
 from baselines.training.run_folder import AGENT, LOCK, read_config
 
-DEFAULT_AUTHORITY = (0.5,)
-DEFAULT_TIMESTEPS = 1_000_000
+DEFAULT_AUTHORITY = (0.5,)  # largest correction of surge and yaw, a fraction of the limits
+DEFAULT_TIMESTEPS = 1_000_000  # control steps, summed over vehicles
 
 
 @dataclass(frozen=True)

@@ -25,11 +25,12 @@ from baselines.training.validation import Validation, validation_cell
 if TYPE_CHECKING:
     from torch.utils.tensorboard.writer import SummaryWriter
 
-CONFIG, PROGRESS, CHECKPOINT, AGENT = "config.json", "progress.csv", "checkpoint.pt", "agent"
-"""What a run folder holds; besides `EVENTS`, `validation.YARDSTICKS` and the learning curve."""
-EVENTS = "tensorboard"
-LOCK = ".lock"
-"""File in a run folder that the process holds which writes there; it stays behind and then means nothing."""
+CONFIG = "config.json"  # file of the training's `Config`
+PROGRESS = "progress.csv"  # file of the learning curve
+CHECKPOINT = "checkpoint.pt"  # file that a run is resumed from
+AGENT = "agent"  # folder of the trained agent
+EVENTS = "tensorboard"  # folder of TensorBoard's files
+LOCK = ".lock"  # file that the process holds which writes in the run folder; left behind, it means nothing
 DIGEST = hashlib.sha256().digest_size
 """Bytes in front of a checkpoint: the SHA-256 of the rest."""
 VALIDATIONS = 20

@@ -70,7 +70,7 @@ EXACT: Mapping[str, Any] = {
 }
 """Of the analytic gradient where nothing counts but the error: sight ahead, a larger network, cheap commands."""
 FREE: Mapping[str, Any] = {**EXACT, "effort_weight": 0.0003, "rate_weight": 0.0003}
-"""The same at cruise, where calm commands cost more of the error."""
+"""`EXACT` at cruise, where calm commands cost more of the error."""
 SPINS: Mapping[str, int] = {"actuator": 3, "storm": 2}
 """Weights of the cases for PPO: fast vehicles with slow actuators spin under it."""
 HARDEST: Mapping[str, int] = {"noise": 2, "actuator": 4, "storm": 4}

@@ -27,15 +27,12 @@ from baselines.evaluation.score import EXPERT, ORACLE, capped, cut, is_lost, lar
 from baselines.evaluation.suites import load
 from baselines.tools.files import guarded, json_text, read_json, write_atomically
 
-SUITE = "benchmark-v1-validation"
-VALIDATION_SEED = 30_000_000
-"""First seed of the episodes of scenarios that the suite does not hold."""
-EPISODES = 64
-"""Of each such scenario."""
+SUITE = "benchmark-v1-validation"  # whose episodes agents are validated in
+VALIDATION_SEED = 30_000_000  # first seed of the episodes of scenarios that the suite does not hold
+EPISODES = 64  # of each scenario that the suite does not hold
 SEEN = 0.999
 """Share of the control steps of the validation episodes whose errors an agent's region holds."""
-YARDSTICKS = "validation.json"
-"""File of a run folder that keeps what expert and oracle do."""
+YARDSTICKS = "validation.json"  # file of a run folder that keeps what expert and oracle do
 
 
 @dataclass(frozen=True)

@@ -35,10 +35,9 @@ from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tuning.objective import Course, compared
 
 PROGRAM = "python -m baselines.tuning"
-TUNING_SEED = 10_000_000
-VALIDATION_SEED = 20_000_000
-"""First seeds of the episodes that gains are tuned on and checked on; an evaluation's begin far below."""
-VALIDATION_EPISODES = 1024
+TUNING_SEED = 10_000_000  # first seed of the episodes that gains are tuned on; an evaluation's begin far below
+VALIDATION_SEED = 20_000_000  # first seed of the episodes that gains are checked on
+VALIDATION_EPISODES = 1024  # that gains are checked on
 
 GainSet = Mapping[str, float]
 
@@ -72,9 +71,7 @@ class _EvaluationsSpentError(Exception):
     """Ends a search; unlike StopIteration it passes through the optimisers."""
 
 
-def tune(
-    tunable: Tunable, course: Course, start: GainSet, evaluations: int, price: float = 0.0, seed: int = 0
-) -> dict[str, float]:
+def tune(tunable: Tunable, course: Course, start: GainSet, evaluations: int, price: float = 0.0) -> dict[str, float]:
     """Return the best gains that were found on a course.
 
     Two fifths of the evaluations go to a differential evolution between the bounds, the rest to Nelder and Mead's
@@ -86,12 +83,11 @@ def tune(
         start: gains to begin at; 0 evaluations return them.
         evaluations: how often the course may be run.
         price: what is minimised is the error times the command's smoothness to this power.
-        seed: of the search.
     """
     search = _Search(tunable, course, start, evaluations, price)
     try:
         if evaluations:
-            search.explore(seed)
+            search.explore()
             search.refine()
     except _EvaluationsSpentError:
         pass
@@ -128,9 +124,9 @@ class _Search:
             print(f"{self._count:5d} {seconds:6.0f} s {result.error_m:8.4f} m  {_text(gains)}", flush=True)
         return cost
 
-    def explore(self, seed: int) -> None:
+    def explore(self) -> None:
         """Evolve a population of three per gain within a factor of 4 about the start, which is one of it."""
-        rng, centre, reach = np.random.default_rng(seed), self._centre, self._reach
+        rng, centre, reach = np.random.default_rng(0), self._centre, self._reach
         population = centre + min(np.log(4.0), reach) * rng.uniform(-1, 1, (3 * len(centre), len(centre)))
         population[0] = centre
         bounds = optimize.Bounds(centre - reach, centre + reach)

@@ -40,9 +40,9 @@ from baselines.policy import Array, Memory, Remembering
 
 PREVIEW = (1, 2, 4, 6, 8, 11, 14, 17, 20, 24, 28, 32, 36, 40, 45, 50)
 """Where the stages of the horizon end, in control periods: 5 s ahead at cruise, 10 s in slow motion."""
-STEPS, FIRST_STEPS = 6, 12
-"""Most Gauss-Newton steps at an instant, and at the first instant of an episode."""
-COST_GAINS = ("huber", "surge", "yaw", "sway", "terminal")
+STEPS = 6  # most Gauss-Newton steps at an instant
+FIRST_STEPS = 12  # most Gauss-Newton steps at the first instant of an episode
+COST_GAINS = ("huber", "surge", "yaw", "sway", "terminal")  # names of the gains that are fields of `CostWeights`
 NMPC_GAINS = (*COST_GAINS, *FILTER_GAINS)
 """Names of the gains: those of `CostWeights`, with `surge` and `yaw` for 100 N and 100 N m; and the filter's
 `Tuning`."""

@@ -29,10 +29,8 @@ from baselines.policy import Array
 
 LENGTHS = (1.0, 0.3, 0.05)
 """Parts of a step that are tried until one lowers the cost; where none does, the commands stay as they are."""
-TOLERANCE = 0.2
-"""Steps go on while they break their promise by more than this share of the cost."""
-NEGLIGIBLE = 1e-6
-"""Cost [m^2 s] that is added to it, so that steps end where nothing is left to gain."""
+TOLERANCE = 0.2  # steps go on while they break their promise by more than this share of the cost
+NEGLIGIBLE = 1e-6  # [m^2 s] added to the cost in that comparison, so that steps end where nothing is left to gain
 
 
 def solved(problem: OptimalControl, plan: Plan, ahead: Horizon, steps: Integers) -> Plan:

@@ -22,11 +22,10 @@ from baselines.policy import Array
 Integers = NDArray[np.int64]
 
 STATES = AT.V_x
-"""The state: x, y [m], psi [rad] in the world, u, v [m/s] relative to the water, r [rad/s], what the actuators apply,
-F_u [N], F_r [N m]: the rows of an `Estimate` in front of the current, in its order."""
-POSITION = slice(AT.x_e, AT.psi)
-COMMANDS = 2
-"""The command: F_u [N], F_r [N m]."""
+"""Size of the state: x, y [m], psi [rad] in the world, u, v [m/s] relative to the water, r [rad/s], what the actuators
+apply, F_u [N], F_r [N m]: the rows of an `Estimate` in front of the current, in its order."""
+POSITION = slice(AT.x_e, AT.psi)  # where x, y stand in the state
+COMMANDS = 2  # how many values a command has: F_u [N], F_r [N m]
 
 
 @dataclass(frozen=True)

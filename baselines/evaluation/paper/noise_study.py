@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,9 +20,8 @@ POSITION_NOISE = 0.1  # [m]
 HEADING_NOISE = math.radians(1.0)  # [rad], and per second for the yaw rate
 VELOCITY_NOISE = 0.01  # [m/s]
 CUT_OFFS: tuple[float | None, ...] = (None, 1.0, 0.5, 0.3)  # [Hz] of the low-pass; None: no filter
-SEEDS = tuple(range(6))
-TRANSIENT = 400
-"""Control steps [0.1 s] left out at the beginning: eight time constants of the slowest eigenvalue."""
+SEEDS = tuple(range(6))  # of the sensor noise
+TRANSIENT = 400  # control steps [0.1 s] left out at the beginning: eight time constants of the slowest eigenvalue
 
 
 @dataclass(frozen=True)
@@ -51,12 +49,12 @@ def noise_scenario(cut_off: float | None) -> Scenario:
     return Scenario(name="paper-circle-noise", sensors=sensors, steps=2000)
 
 
-def noise_study(cut_offs: Sequence[float | None] = CUT_OFFS, seeds: Sequence[int] = SEEDS) -> list[NoiseRun]:
+def noise_study() -> list[NoiseRun]:
     """Return a run of the printed law for each low-pass; all meet the same noise."""
     runs = []
-    for cut_off in cut_offs:
+    for cut_off in CUT_OFFS:
         scenario = noise_scenario(cut_off)
-        episodes = [drawn(scenario, 1, seed).episodes[0] for seed in seeds]
+        episodes = [drawn(scenario, 1, seed).episodes[0] for seed in SEEDS]
         begun = beginning([(scenario, episodes)], ())
         moments = list(play(Backstepping(gains="paper"), begun, scenario.steps))[TRANSIENT:]
         limits = np.array((scenario.actuators.F_u_max, scenario.actuators.F_r_max))

@@ -31,7 +31,7 @@ from baselines.evaluation.stability.closed_loop import Response, respond, settli
 
 Array = NDArray[np.float64]
 
-PAPER_GAINS = GAINS["paper"]
+PAPER_GAINS = GAINS["paper"]  # those printed in the paper
 SIGNS = tuple(itertools.product((1, -1), repeat=3))
 """Signs of x_e, y_e, psi_e: the paper prints moduli only."""
 STARTS = np.array(SIGNS).T * np.array([[0.5], [1.0], [math.radians(20.0)]])

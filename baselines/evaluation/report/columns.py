@@ -118,8 +118,7 @@ COLUMNS = (
            lambda e, _: 1e3 * e.decision_seconds, digits(2)),
 )  # fmt: skip
 """What is told of every policy, in the order of the tables."""
-SHOWN = tuple(column for column in COLUMNS if column.heading)
-"""Those that tables have."""
+SHOWN = tuple(column for column in COLUMNS if column.heading)  # the columns that tables have
 
 
 def used(entries: Sequence[Entry]) -> list[Column]:
@@ -166,10 +165,4 @@ def ranked(entries: Sequence[Entry]) -> list[Entry]:
 
 def definitions() -> dict[str, str]:
     """Return what each column is, by its heading, or by its key where tables do not have it."""
-    return {column.heading or f"{column.key}": column.definition for column in COLUMNS}
-
-
-def definitions_table() -> str:
-    """Return the same as a table in Markdown, with the names in results.json."""
-    rows = [f"| {c.heading or '-'} | `{c.key}` | {c.definition} |" for c in COLUMNS]
-    return "\n".join(["| column | in `results.json` | definition |", "|---|---|---|", *rows])
+    return {column.heading or column.key: column.definition for column in COLUMNS}

@@ -11,7 +11,7 @@ from baselines.evaluation.report.plots import error_over_time, tail_error, traje
 from baselines.evaluation.report.score_plots import error_distribution, score_by_case
 from baselines.tools.figure_style import styled, to_png
 
-DRAWN: tuple[Callable[[Sequence[Result], Sequence[str]], Figure | None], ...] = (
+_DRAWN: tuple[Callable[[Sequence[Result], Sequence[str]], Figure | None], ...] = (
     score_by_case,
     tail_error,
     error_distribution,
@@ -27,7 +27,7 @@ def evaluation_figures(results: Sequence[Result]) -> dict[str, bytes]:
         return {}
     policies = list(dict.fromkeys(result.run.policy for result in done))
     figures = {}
-    for draw in DRAWN:
+    for draw in _DRAWN:
         with styled():
             if (figure := draw(done, policies)) is not None:
                 figures[draw.__name__] = to_png(figure)

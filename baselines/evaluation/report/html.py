@@ -13,14 +13,14 @@ from baselines.evaluation.report.page import figure, page, table
 from baselines.evaluation.request import Request
 from baselines.tools.files import versions
 
-CAPTIONS = {
+_CAPTIONS = {
     "score_by_case": "Scores in each scenario, 95 % intervals of a paired bootstrap over episodes.",
     "tail_error": "Mean tail error with its 95 % interval.",
     "error_distribution": "Distribution of the tail error over episodes.",
     "error_over_time": "Position error over time: median and 10-90 % band of the episodes.",
     "trajectories": "The first episode of each scenario.",
 }
-BODY = Template("""<p><code>$command</code></p>
+_BODY = Template("""<p><code>$command</code></p>
 <p class="note">$setting</p>
 $scores
 $figures
@@ -41,11 +41,11 @@ def report_html(
     episodes = sum(len(cell.episodes) for cell in request.cells)
     setting = f"{len(request.cells)} scenarios, {episodes} episodes of each policy, hash {request.hash}"
     when = recordings(results)
-    body = BODY.substitute(
+    body = _BODY.substitute(
         command=escape(request.command),
         setting=escape(setting),
         scores=f"<h2>Score</h2>\n{_table(pooled)}" if any(entry.score for entry in pooled) else "",
-        figures="\n".join(figure(CAPTIONS.get(name, name.replace("_", " ")), png) for name, png in figures.items()),
+        figures="\n".join(figure(_CAPTIONS.get(name, name.replace("_", " ")), png) for name, png in figures.items()),
         results=_table([result.entry for result in results]),
         recorded=f'<p class="note">* recorded, not run now: {escape(when)}</p>' if when else "",
         notes=_notes(request, results),

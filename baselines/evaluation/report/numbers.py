@@ -26,8 +26,8 @@ class Entry:
     recorded: bool  # whether its episodes were not run now
     decision_seconds: float  # of the policy for one vehicle and control step
     summary: Summary | None = None  # None: the policy failed
-    effort_ratio: float = math.nan  # to the expert, as the next one; nan if there is none
-    smoothness_ratio: float = math.nan
+    effort_ratio: float = math.nan  # effort over the expert's; nan if there is no expert
+    smoothness_ratio: float = math.nan  # smoothness over the expert's; nan if there is no expert
     score: Score | None = None  # None: expert or oracle are missing
     capped: Score | None = None  # with every tail RMSE at most `score.LARGEST_TAIL`
     lost: int = 0  # episodes, see `score.is_lost`

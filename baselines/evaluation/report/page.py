@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from html import escape
 from string import Template
 
-FRAME = Template("""<!DOCTYPE html>
+_FRAME = Template("""<!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
@@ -35,7 +35,7 @@ $body
 
 def page(title: str, body: str) -> str:
     """Return the text of a page; the body is HTML."""
-    return FRAME.substitute(title=escape(title), body=body)
+    return _FRAME.substitute(title=escape(title), body=body)
 
 
 def figure(caption: str, png: bytes) -> str:

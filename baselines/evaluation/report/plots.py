@@ -17,10 +17,10 @@ from baselines.evaluation.report.numbers import Result
 from baselines.evaluation.score import regime_of
 from baselines.tools.figure_style import COLOURS, MARKERS, panels
 
-COLUMNS = 4
+COLUMNS = 4  # most panels side by side
 BAND: dict[str, Any] = {"color": "0.8", "linewidth": 4.0, "solid_capstyle": "round", "zorder": 1}
 """How the reference is drawn below trajectories that cover it."""
-LEGEND: dict[str, Any] = {"loc": "outside upper center", "ncols": 4}
+LEGEND: dict[str, Any] = {"loc": "outside upper center", "ncols": 4}  # of a figure with several panels
 
 
 def look(policy: str, policies: Sequence[str]) -> dict[str, Any]:

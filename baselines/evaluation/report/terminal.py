@@ -17,9 +17,8 @@ from baselines.evaluation.report.columns import Column, ranked, used
 from baselines.evaluation.report.numbers import Entry, Result, recordings
 from baselines.evaluation.score import ORACLE
 
-WIDTH = 200
-"""Columns of a table that does not go to a terminal."""
-LOOK: dict[str, Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False}
+WIDTH = 200  # characters in a line of a table that does not go to a terminal
+LOOK: dict[str, Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False}  # of every table
 
 
 def console() -> Console:

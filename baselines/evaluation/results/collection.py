@@ -27,7 +27,7 @@ class Results:
     runs: tuple[Run, ...]
     pooled: list[Entry]
     scores: dict[str, dict[str, Score]]  # of each policy in each case alone, by policy, by case
-    tails: dict[str, dict[str, float]]  # [m] mean tail error, likewise
+    tails: dict[str, dict[str, float]]  # [m] mean tail error of each policy in each case alone, by policy, by case
     gains: dict[str, dict[str, float]]  # [m] by how much that is smaller than the oracle's in the same episodes
 
     @classmethod

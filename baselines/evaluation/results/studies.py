@@ -34,7 +34,7 @@ def section(studies: Mapping[str, Study], found: Sequence[Results]) -> str:
         for results in found:
             rows = [_row(name, study, results) for name, study in own.items() if results.suite.name in study.suites]
             if rows:
-                parts.append(f"On {results.suite.name}:\n\n{table(NAMES, rows)}")
+                parts.append(f"On {results.suite.name}:\n\n{table(_NAMES, rows)}")
         parts.append("\n".join(_made(name, study) for name, study in own.items()))
     return "\n\n".join(parts)
 
@@ -46,7 +46,7 @@ control steps, summed over vehicles; *score* and its interval are over training 
 score's distance to `{RIVAL}`, the strongest controller that does not learn, with an interval of the same kind; *lost*
 adds up all seeds' episodes; *effort* and *rate* are relative to the expert's; *minutes* are the wall time of a
 training, two at a time on a machine that was more or less busy with other work, so that only steps compare."""
-NAMES = (
+_NAMES = (
     "agent",
     "steps",
     "seeds",

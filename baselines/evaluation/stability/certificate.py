@@ -29,9 +29,9 @@ from baselines.control.linearisation import linearise_about
 from baselines.evaluation.stability.analysis import feedback_of
 from baselines.policy import Array
 
-MISSING = "the certificate needs a semidefinite solver: pip install 'auv-gym[certificate]'"
-COARSE, FINE = 3, 21
-"""Points of the grids on each axis of r_R and gamma; A is affine in U'/U, whose two ends are enough."""
+MISSING = "the certificate needs a semidefinite solver: pip install 'auv-gym[certificate]'"  # message of an error
+COARSE = 3  # points on each axis of r_R and gamma of the grid that a certificate is searched on
+FINE = 21  # points of the grid that it is checked on; A is affine in U'/U, whose two ends are enough
 SAME = 0.01
 """Largest difference between the loops at two speeds of a law that acts alike at all: single precision makes some."""
 HALVINGS = 12
@@ -52,7 +52,7 @@ class Box:
         return f"|r_R| <= {self.turn_rate:g}, |gamma| <= {self.sideslip:g}, |U'/U| <= {self.acceleration:g}"
 
 
-BOXES = (Box(0.1, 0.22), Box(0.1, 0.22, 0.05), Box(0.3, 0.57))
+BOXES = (Box(0.1, 0.22), Box(0.1, 0.22, 0.05), Box(0.3, 0.57))  # those that are certified
 
 
 @dataclass(frozen=True)

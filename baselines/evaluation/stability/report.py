@@ -33,19 +33,14 @@ from baselines.tools.command_line import DONE, FAILED
 from baselines.tools.figure_style import styled, to_png
 from baselines.tools.files import json_text, write_atomically
 
-SPEEDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.75, 1.0, 1.5, 2.0)
-"""Path speeds [m/s] of the map ..."""
-TURN_RATES = (0.0, 0.1, 0.2, 0.3)
-"""... and turn rates [rad/s]."""
-CERTIFIED_SPEEDS = (0.1, 0.3, 1.0, 2.0)
-"""Path speeds [m/s] of the certificates."""
+SPEEDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.75, 1.0, 1.5, 2.0)  # [m/s] path speeds of the map
+TURN_RATES = (0.0, 0.1, 0.2, 0.3)  # [rad/s] turn rates of the map
+CERTIFIED_SPEEDS = (0.1, 0.3, 1.0, 2.0)  # [m/s] path speeds of the certificates
 LIMITS: dict[str, tuple[float, float]] = {"without limits": (8192.0, 4096.0), "250 N, 120 N m": (250.0, 120.0)}
 """Limits of the actuators [N], [N m] that success is sampled with; none means the largest that can be set."""
-STARTS = 200
-"""Number of random starts."""
-SETTLED = 0.05
-"""Position error [m] below which a start has converged after `STEPS`."""
-STEPS = 2000
+STARTS = 200  # number of random starts
+STEPS = 2000  # control steps from each start
+SETTLED = 0.05  # [m] position error below which a start has converged after `STEPS`
 
 
 def examine(name: str) -> Stability:

@@ -31,8 +31,8 @@ from baselines.control.truth import Array, samples
 from baselines.evaluation.runner import Cell
 
 FOLDER = Path(__file__).parent
-SUMS = "SHA256SUMS"
-FORMAT = 1
+SUMS = "SHA256SUMS"  # file of the suites' hashes
+FORMAT = 1  # version of the files' layout
 
 
 class SuiteError(ValueError):

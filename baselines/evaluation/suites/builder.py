@@ -22,27 +22,23 @@ from baselines.evaluation.suites import rounded
 
 FAMILIES = ("line", "circle", "sine", "figure_eight", "random_smooth")
 """Path families that agents train on; each has the same number of episodes in a cell."""
-EPISODES, VALIDATION_EPISODES, UNMODELLED_EPISODES = 52, 10, 30
-"""Episodes of a path family in a cell."""
-STRONGER, FARTHER = 1.5, 1.3
-"""Factors out of distribution: on current and waves, and on the range of the mismatch about 1."""
+EPISODES = 52  # of a path family in a cell of benchmark-v1 and ood-v1
+VALIDATION_EPISODES = 10  # of a path family in a cell of benchmark-v1-validation
+UNMODELLED_EPISODES = 30  # of a path family in a cell of unmodelled-v1
+STRONGER = 1.5  # factor out of distribution on current and waves
+FARTHER = 1.3  # factor out of distribution on the range of the mismatch about 1
 
-SWELL = (0.15, 0.45)
-"""Frequencies [rad/s] of waves below the usual band."""
-LOSS = (0.6, 0.9)
-"""Share of the commanded force that is left."""
-SLUGGISH, RAMP = (0.4, 0.7), 0.5
-"""Time constants [s] of the actuators, and their time [s] from zero to the limit."""
-DELAY = (1.0, 3.0)
-"""Control periods until a command acts."""
-SHORT = (0.45, 0.75)
-"""Share of the told limits at which the actuators saturate."""
-OUTAGES, OUTAGE_TIME = 4.0, {"slow": (0.5, 2.5), "cruise": (0.3, 1.5)}
-"""Outages of the position fix per minute, and how long they last [s]."""
-SHEAR, WAVELENGTHS = (0.1, 0.25), {"slow": (5.0, 15.0), "cruise": (20.0, 60.0)}
-"""Amplitude of a sheared current as a share of the path's speed, and its wave length [m]."""
-TURN = {"slow": (-0.02, 0.02), "cruise": (-0.05, 0.05)}
-"""How fast a turning current turns [rad/s]."""
+SWELL = (0.15, 0.45)  # [rad/s] frequencies of waves below the usual band
+LOSS = (0.6, 0.9)  # share of the commanded force that is left
+SLUGGISH = (0.4, 0.7)  # [s] time constants of the actuators
+RAMP = 0.5  # [s] in which sluggish actuators go from zero to the limit
+DELAY = (1.0, 3.0)  # control periods until a command acts
+SHORT = (0.45, 0.75)  # share of the told limits at which the actuators saturate
+OUTAGES = 4.0  # [1/min] how often the position fix fails
+OUTAGE_TIME = {"slow": (0.5, 2.5), "cruise": (0.3, 1.5)}  # [s] how long an outage of the position fix lasts
+SHEAR = (0.1, 0.25)  # amplitude of a sheared current as a share of the path's speed
+WAVELENGTHS = {"slow": (5.0, 15.0), "cruise": (20.0, 60.0)}  # [m] of a sheared current
+TURN = {"slow": (-0.02, 0.02), "cruise": (-0.05, 0.05)}  # [rad/s] how fast a turning current turns
 
 PathOf = Callable[[np.random.Generator, RandomPath, float], Path | None]
 """Returns a path for a duration [s], or None to let the scenario draw one."""

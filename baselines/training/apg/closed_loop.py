@@ -23,10 +23,9 @@ from baselines.control.ekf_law import EkfLaw
 from baselines.control.open_loop import Zero
 from baselines.policy import U_R, V_R, BySpeed, is_fast
 
-NEAR, CURVE = 2.0, 0.3
-"""Where the error's loss turns from a parabola into a logarithm, in units of its scale, and how curved the first is."""
-TINY = 1e-6
-"""Added to the squared error, in units of the scale's square: the distance has no slope at zero."""
+NEAR = 2.0  # error in units of its scale where the loss turns from a parabola into a logarithm
+CURVE = 0.3  # weight of the squared error, in units of its scale, in the parabola
+TINY = 1e-6  # added to the squared error, in units of the scale's square: the distance has no slope at zero
 
 
 class Carried(NamedTuple):

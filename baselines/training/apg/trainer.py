@@ -37,8 +37,7 @@ from baselines.training.run_folder import VALIDATIONS, Run, TrainingError
 
 logger = logging.getLogger(__name__)
 
-LOGS = 200
-"""How often in a run its progress is logged."""
+LOGS = 200  # how often in a run its progress is logged
 Step = Callable[..., tuple[Carried, Tensor, Tensor]]
 
 
@@ -55,8 +54,8 @@ class Settings:
     max_grad_norm: float = 0.05  # less than most gradients have, so that every window weighs the same
     average: float = 0.02  # share of the run over which weights are averaged; it is their average that an agent gets
     hidden_size: int = 64  # of each layer of the network
-    effort_weight: float = 0.006  # see `closed_loop.Loss`
-    rate_weight: float = 0.006  # [s^2] likewise
+    effort_weight: float = 0.006  # [1] of the squared command in `closed_loop.Loss`
+    rate_weight: float = 0.006  # [s^2] of its squared rate of change in `closed_loop.Loss`
     memory: bool = True  # whether the network has recurrent units, else it is of two tanh layers
     integrals: bool = True  # whether it sees the integrals of the position error
     preview: tuple[int, ...] = ()  # where it sees the reference ahead, in control periods

@@ -17,7 +17,7 @@ from typing import Any
 from baselines.tools.files import parse_yaml, read_yaml
 
 FOLDER = Path(__file__).parent
-ENV_ID = "UnderactuatedAUVTrackResidual-v0"
+ENV_ID = "UnderactuatedAUVTrackResidual-v0"  # the key of the files
 
 
 @dataclass(frozen=True)

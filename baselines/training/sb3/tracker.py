@@ -16,8 +16,7 @@ from baselines.training.run_folder import VALIDATIONS, Run, TrainingError
 from baselines.training.sb3.export import exported
 from baselines.training.sb3.snapshot import restore_exploration, snapshot
 
-LARGEST_WEIGHT = 1e6
-"""Beyond that, and where a weight is no number at all, training has diverged."""
+LARGEST_WEIGHT = 1e6  # beyond that, and where a weight is no number at all, training has diverged
 
 
 class Tracker(BaseCallback):

@@ -36,19 +36,19 @@ from baselines.training.sb3.vec_reward import VecErrorCost
 
 T = TypeVar("T")
 
-MODELS: Mapping[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "td3": TD3, "tqc": TQC}
-CALLBACKS: Mapping[str, type[BaseCallback]] = {
+MODELS: Mapping[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "td3": TD3, "tqc": TQC}  # by algorithm
+_CALLBACKS: Mapping[str, type[BaseCallback]] = {
     f"{cls.__module__}.{cls.__name__}": cls for cls in (ZeroCorrection, FrozenActor)
 }
-WRAPPERS: Mapping[str, type[VecEnvWrapper]] = {
+_WRAPPERS: Mapping[str, type[VecEnvWrapper]] = {
     f"{cls.__module__}.{cls.__name__}": cls for cls in (VecErrorCost, VecFeatures)
 }
 _OURS = {"self", "policy", "env", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model"}
-NOISES: Mapping[str, Callable[[Any, Any], ActionNoise]] = {
+_NOISES: Mapping[str, Callable[[Any, Any], ActionNoise]] = {
     "normal": NormalActionNoise,
     "ornstein-uhlenbeck": OrnsteinUhlenbeckActionNoise,
 }
-LARGEST_FLEET = 2**16
+_LARGEST_FLEET = 2**16
 _SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf")
 
 
@@ -121,8 +121,8 @@ def make_training_env(config: Config, n_envs: int, wrappers: Any = ()) -> VecFea
     Raises:
         ValueError: there are too few vehicles, or a wrapper is unknown.
     """
-    if isinstance(n_envs, bool) or not isinstance(n_envs, int) or not 1 <= n_envs <= LARGEST_FLEET:
-        raise ValueError(f"hyper-parameter n_envs is {n_envs!r}; it must be an integer in [1, {LARGEST_FLEET}]")
+    if isinstance(n_envs, bool) or not isinstance(n_envs, int) or not 1 <= n_envs <= _LARGEST_FLEET:
+        raise ValueError(f"hyper-parameter n_envs is {n_envs!r}; it must be an integer in [1, {_LARGEST_FLEET}]")
     expert = config.make_expert()
     track = gym.make_vec(
         "auv_gym:UnderactuatedAUVTrack-v0",
@@ -132,7 +132,7 @@ def make_training_env(config: Config, n_envs: int, wrappers: Any = ()) -> VecFea
         preview=preview_of(expert),
     )
     env: VecEnv = VecMonitor(SB3VecEnv(VectorResidualAction(track, expert, config.authority)))
-    for make in _named(wrappers, WRAPPERS, "vec_env_wrapper"):
+    for make in _named(wrappers, _WRAPPERS, "vec_env_wrapper"):
         env = make(env)
     return env if isinstance(env, VecFeatures) else VecFeatures(env)
 
@@ -155,15 +155,15 @@ def _noise(values: dict[str, Any]) -> ActionNoise | None:
     kind, std = values.pop("noise_type", None), values.pop("noise_std", 0.0)
     if kind is None:
         return None
-    if kind not in list(NOISES) or isinstance(std, bool) or not isinstance(std, (int, float)) or not 0 <= std <= 100:
-        kinds = " or ".join(NOISES)
+    if kind not in list(_NOISES) or isinstance(std, bool) or not isinstance(std, (int, float)) or not 0 <= std <= 100:
+        kinds = " or ".join(_NOISES)
         raise ValueError(f"noise is {kind!r} of noise_std {std!r}; it must be {kinds}, of a number in [0, 100]")
-    return NOISES[kind](np.zeros(2), np.full(2, float(std)))
+    return _NOISES[kind](np.zeros(2), np.full(2, float(std)))
 
 
 def _callbacks(entries: Any) -> list[BaseCallback]:
     """Return the callbacks that a configuration names. Training always starts at the expert, named or not."""
-    made = [make() for make in _named(entries, CALLBACKS, "callback")]
+    made = [make() for make in _named(entries, _CALLBACKS, "callback")]
     return made if any(isinstance(callback, ZeroCorrection) for callback in made) else [ZeroCorrection(), *made]
 
 

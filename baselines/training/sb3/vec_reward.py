@@ -15,8 +15,7 @@ from baselines.policy import SPEED_FLOOR, reference_speed
 
 Array = NDArray[np.float64]
 
-LINEAR = 2.0
-"""Lag [s] up to which it costs in proportion; beyond, its logarithm does, with the same slope there."""
+LINEAR = 2.0  # [s] lag up to which the error costs in proportion; beyond, its logarithm does, with the same slope
 
 
 class VecErrorCost(VecEnvWrapper):

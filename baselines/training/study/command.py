@@ -41,10 +41,9 @@ class Variant:
     suites: tuple[str, ...] = SUITES
 
 
-SEEDS = 5
-"""Of each agent that ships with the package."""
-SHORT, FEW = 3_000_000, 2
-"""Control steps and seeds of the trainings that differ from `short-cruise` in one thing."""
+SEEDS = 5  # of each agent that ships with the package
+SHORT = 3_000_000  # control steps of the trainings that differ from `short-cruise` in one thing
+FEW = 2  # seeds of the trainings that differ from `short-cruise` in one thing
 
 
 def _short(about: str, expert: str | None = None, authority: tuple[float, ...] = (), **changes: Any) -> Variant:
