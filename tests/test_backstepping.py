@@ -26,7 +26,8 @@ def observation(e_x=0.0, e_y=0.0, psi_e=0.0, u_e=0.0, v_e=0.0, r_e=0.0, speed=0.
     tan = -V.m11 * r_R / V.d22
     u_R, v_R = speed / math.hypot(1, tan), speed * tan / math.hypot(1, tan)
     F_uR, F_rR = V.d11 * u_R - V.m22 * v_R * r_R, (V.m22 - V.m11) * u_R * v_R + V.d33 * r_R
-    return Observation(e_x, e_y, psi_e, u_e, v_e, r_e, u_R, v_R, r_R, F_uR, F_rR, 1.0, 0.0, 400.0, 200.0, 0.0, 0.0, 0.1)
+    known = e_x, e_y, psi_e, u_e, v_e, r_e, u_R, v_R, r_R, F_uR, F_rR, 1.0, 0.0, 400.0, 200.0, 0.0, 0.0, 0.1
+    return Observation(*known, *[0.0] * (SIZE - len(known)))
 
 
 LITERALS = {

@@ -90,7 +90,7 @@ def test_wrappers_are_told_the_episodes_length():
     from gymnasium.wrappers import TimeAwareObservation
 
     assert gym.make(TRACK, scenario="slow-calm").spec.max_episode_steps == 600
-    assert TimeAwareObservation(gym.make(TRACK)).reset(seed=0)[0].shape == (19,)
+    assert TimeAwareObservation(gym.make(TRACK)).reset(seed=0)[0].shape == (SIZE + 1,)
     again = gym.make(gym.make(TRACK, scenario="slow-calm").spec)
     env = gym.make(TRACK, scenario="slow-calm", max_episode_steps=5)
     assert (again.spec.max_episode_steps, env.spec.max_episode_steps) == (600, 5)

@@ -14,9 +14,9 @@ from auv_gym.paths import Circle, FigureEight, Sine
 from auv_gym.planner import plan
 from auv_gym.presets import CASES, PRESETS
 from auv_gym.scenario import RandomPath, Scenario, Start
-from auv_gym.simulation import Parameters, Parts, start, step
+from auv_gym.simulation import PARAMETER_ROWS, Parameters, Parts, start, step
 from auv_gym.task import Observation
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
 from baselines import make_policy
 from baselines.control.backstepping import Gains, tracking_forces
 from baselines.control.current_observer import OBSERVER_GAINS, CurrentObserver
@@ -174,10 +174,16 @@ def test_filter_finds_lag_and_load():
     lags, load = np.array([0.15, 0.3, 0.6]), (15.0, 0.0, -6.0)
     dt, n, steps = 0.1, len(lags), 600
     reference = plan(Circle(1.0, 0.15), PAPER_VEHICLE, dt * np.arange(steps + 1)).table
-    rows = [np.full(n, x) for x in (dt, *PAPER_VEHICLE.coefficients, 400.0, 200.0)]
-    responses = np.array([Response.of(lag, np.inf, np.inf, dt) for lag in lags]).T
-    rest = (*(np.ones(n) for _ in range(4)), *rows[-2:], *(np.ones(n) for _ in range(8)))
-    p = Parameters.of((*rows, *responses, *rest), Parts())
+    h, F_u_max, F_r_max = (np.full(n, x) for x in (dt, 400.0, 200.0))
+    p = Parameters.of([np.ones(n)] * PARAMETER_ROWS, Parts())._replace(
+        h=h,
+        coefficients=Coefficients(*(np.full(n, x) for x in PAPER_VEHICLE.coefficients)),
+        response=Response(*np.array([Response.of(lag, np.inf, np.inf, dt) for lag in lags]).T),
+        F_u_max=F_u_max,
+        F_r_max=F_r_max,
+        thrust_u=F_u_max,
+        thrust_r=F_r_max,
+    )
     sample = [np.concatenate((row, (0.0, 0.0), load, np.zeros(6), [1.0]))[:, None] * np.ones(n) for row in reference]
     plant, terms = start(tuple(np.zeros((6, n)) + np.array([0, 0, 0, 1.0, 0, 0])[:, None]), sample[0], p, ARRAYS)
     estimator = ExtendedKalmanFilter()

@@ -8,7 +8,7 @@ import pytest
 
 from auv_gym.namespaces import ARRAYS
 from auv_gym.presets import REGIMES
-from auv_gym.task import Observation
+from auv_gym.task import SIZE, Observation
 from auv_gym.vehicle import PAPER_VEHICLE
 from baselines import make_policy
 from baselines.control.backstepping import GAINS, LAW_GAINS, tracking_forces
@@ -24,7 +24,7 @@ STEPS = 25
 def seen(k):
     """Return what is observed of both vehicles at an instant."""
     t = k * DT
-    return Observation(
+    return Observation._make(np.zeros((SIZE, 2)))._replace(
         e_x=0.3 * U * np.sin(1.1 * t + 0.3),
         e_y=0.4 * U * np.cos(0.9 * t),
         psi_e=0.2 * np.sin(0.7 * t + 0.1),

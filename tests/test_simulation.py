@@ -6,28 +6,33 @@ import numpy as np
 import pytest
 
 from auv_gym.namespaces import ARRAYS, FLOATS
-from auv_gym.simulation import Parameters, Parts, Plant, Sample, Shear, start, step
+from auv_gym.scenario import Scenario
+from auv_gym.simulation import Parts, Plant, Sample, Shear, start, step
 from auv_gym.task import ERRORS, Observation
 from auv_gym.vehicle import PAPER_VEHICLE
 
 AT_ONCE = (1.0, 1.0, math.inf, math.inf)
-CONSTANTS = Parameters(
-    h=0.1,
-    coefficients=PAPER_VEHICLE.coefficients,
-    F_u_max=400.0,
-    F_r_max=200.0,
-    response=AT_ONCE,
-    filter_gain=1.0,
-    error_scale=0.5,
-    rate_weight=0.05,
-    lost_distance=30.0,
-    thrust_u=400.0,
-    thrust_r=200.0,
-    reach_u=1.0,
-    reach_r=1.0,
-    delay=0.0,
-    shear=Shear(0.0, 0.0, 0.0, 0.0, 0.0),
-    parts=Parts(),
+CONSTANTS = (
+    Scenario()
+    .parameters(Scenario().draw(np.random.default_rng(0)))
+    ._replace(
+        h=0.1,
+        coefficients=PAPER_VEHICLE.coefficients,
+        F_u_max=400.0,
+        F_r_max=200.0,
+        response=AT_ONCE,
+        filter_gain=1.0,
+        error_scale=0.5,
+        rate_weight=0.05,
+        lost_distance=30.0,
+        thrust_u=400.0,
+        thrust_r=200.0,
+        reach_u=1.0,
+        reach_r=1.0,
+        delay=0.0,
+        shear=Shear(0.0, 0.0, 0.0, 0.0, 0.0),
+        parts=Parts(),
+    )
 )
 STILL = Sample(*(0.0,) * 19, fix=1.0)
 

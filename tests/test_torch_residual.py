@@ -7,6 +7,7 @@ import torch
 
 from auv_gym.envs.torch_residual import TorchResidualAction
 from auv_gym.envs.torch_sim import TorchSimulator
+from auv_gym.task import SIZE
 from baselines import make_policy
 
 RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"
@@ -76,4 +77,4 @@ def test_bad_input_is_refused():
 def test_make_vec_gives_it():
     env = gym.make_vec(RESIDUAL, 2, vectorization_mode="vector_entry_point", backend="torch", dtype="float64")
     assert isinstance(env, TorchResidualAction)
-    assert env.observation_space.shape == (2, 20)
+    assert env.observation_space.shape == (2, SIZE + 2)
