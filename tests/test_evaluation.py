@@ -4,6 +4,7 @@ import csv
 import dataclasses
 import html.parser
 import json
+import re
 import subprocess
 import sys
 import time
@@ -260,7 +261,7 @@ def test_report_is_one_page(call, small, tmp_path, bad_policies, few_recorded, c
     assert f"({recorded_on}, auv_gym 0.1.0)" in page.text
     out, err = capsys.readouterr()
     assert "note: the recorded rows of lqi are left out: old" in err
-    assert f"* recorded, not run now: los-pid, oracle ({recorded_on}, auv_gym 0.1.0)" in out
+    assert re.search(rf"\* recorded, not run now: .*oracle \({recorded_on}, auv_gym 0.1.0\)", out)
     assert {(p["policy"], p["regime"]) for p in record["pooled"]} >= {("oracle", "slow"), ("open-loop", "cruise")}
     scores = {p["policy"]: p["score"]["mean"] for p in record["pooled"] if p["regime"] == "slow"}
     assert scores["backstepping"] == 0

@@ -12,7 +12,7 @@ import pytest
 from auv_gym.presets import CASES, PRESETS
 from baselines.evaluation import fresh, recorded, silence, suites
 from baselines.evaluation.results.findings import at_most, fresh_results
-from baselines.evaluation.runner import run_task
+from baselines.evaluation.runner import Task
 from baselines.tools.command_line import UsageError
 from baselines.training.config import TRAINING_SEED
 
@@ -56,7 +56,7 @@ def test_kept_rows_are_what_the_policies_do(anew, policy):
     results = next(r for r in anew if r.suite.name == "benchmark-v1")
     kept = next(r for r in results.runs if (r.policy, r.scenario.name) == (policy, "cruise-storm"))
     (cell,) = fresh.fresh("benchmark-v1", 2, ["cruise-storm"]).cells
-    again = run_task(policy, cell.scenario, cell.episodes).rollout
+    again = Task(policy, cell.scenario, cell.episodes).run()[1].rollout
     np.testing.assert_allclose(again.measures.tail, kept.measures.tail[:2], rtol=1e-4)
 
 

@@ -82,17 +82,6 @@ def test_an_address_that_answers(ray, monkeypatch):
     assert ray.addresses == [address, f"ray://{address}"]
 
 
-def lost(_):
-    raise sys.modules["ray.exceptions"].RayError("the node is gone")
-
-
-def test_a_machine_that_is_lost_is_one_line(ray, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["it"])
-    assert run(lambda _: list(Workers(2, on_cluster=True).results(lost, [(1,), (2,)])), "it") == 1
-    says = "it: the Ray cluster failed twice, with 2 tasks left: RayError: the node is gone\n"
-    assert capsys.readouterr().err == says
-
-
 def test_workers_of_a_command_line(ray):
     assert Workers.of(None, None) == Workers(DEFAULT_JOBS)
     assert Workers.of(5, None) == Workers(5)

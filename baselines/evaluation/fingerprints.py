@@ -8,7 +8,7 @@ import importlib.util
 import inspect
 import json
 from collections.abc import Iterable, Iterator
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -63,14 +63,15 @@ def _of_agent(folder: Path, fades: bool) -> str:
 
 def _of_controller(name: str) -> str:
     factory, options, _ = POLICIES[name]
-    made_in = getattr(factory, "__module__", type(factory).__module__)
-    code = list(_closure(made_in))
+    parts = (factory.func, *factory.args, *factory.keywords.values()) if isinstance(factory, partial) else (factory,)
+    code = list(_closure(*(part.__module__ for part in parts if callable(part))))
     if not code and (file := inspect.getsourcefile(inspect.getmodule(factory) or type(factory))):
         code = [_unit(Path(file))]
     words = set().union(*(unit.words for unit in code))
     gains = [file for file in sorted(GAINS.glob("*.json")) if file.stem.rpartition("-")[0] in words]
     numbers = [json.dumps([file.name, _gains(file)], sort_keys=True) for file in gains]
-    return _hash([repr(sorted(options.items())), *numbers, *(unit.digest for unit in code)])
+    settings = [repr(part) for part in parts if not callable(part)] + [repr(sorted(options.items()))]
+    return _hash([*settings, *numbers, *(unit.digest for unit in code)])
 
 
 def _gains(file: Path) -> Any:
@@ -86,10 +87,10 @@ class Unit(NamedTuple):
     words: frozenset[str]  # its string constants
 
 
-def _closure(module: str) -> Iterator[Unit]:
-    """Yield a module and all that it imports within `ROOMS`, in the order of their names; nothing for one outside."""
+def _closure(*modules: str) -> Iterator[Unit]:
+    """Yield modules and all that they import within `ROOMS`, in the order of their names; nothing for one outside."""
     units: dict[str, Unit] = {}
-    waiting = {module}
+    waiting = set(modules)
     while waiting:
         name = waiting.pop()
         if name in units or not f"{name}.".startswith(tuple(f"{room}." for room in ROOMS)):

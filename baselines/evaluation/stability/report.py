@@ -40,6 +40,7 @@ LIMITS: dict[str, tuple[float, float]] = {"without limits": (8192.0, 4096.0), "2
 """Limits of the actuators [N], [N m] that success is sampled with; none means the largest that can be set."""
 STARTS = 200  # number of random starts
 STEPS = 2000  # control steps from each start
+SUBSTEPS = 10  # integration steps in each: a vehicle without limits can spin fast
 SETTLED = 0.05  # [m] position error below which a start has converged after `STEPS`
 
 
@@ -78,6 +79,7 @@ def success(policy: Policy, limits: tuple[float, float], starts: int) -> float:
         actuators=Actuators(*limits),
         start=Start(x_e=offset, y_e=offset, psi_e=(-math.pi, math.pi)),
         steps=STEPS,
+        substeps=SUBSTEPS,
         lost_distance=64.0,
     )
     result = rollout(policy, scenario, drawn(scenario, starts, 0).episodes, math.inf)
