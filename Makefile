@@ -27,7 +27,7 @@ test: export MPLBACKEND = Agg
 test: export SDL_AUDIODRIVER = dummy
 test: export SDL_VIDEODRIVER = dummy
 test: lint typecheck ## lint, typecheck and run the tests
-	$(BIN)/python -m pytest -n 2 $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
 
 lint: $(VENV)/dev.stamp ## check the style, the format and the set-up of the project
 	$(BIN)/python -m ruff check
