@@ -133,7 +133,7 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
             observation[ended], errors[ended] = beginning.observation, beginning.errors
             saturated = saturated & ~done
         info.update(self._info(errors, saturated, self._everywhere))
-        self._observation = observation.copy()
+        self._observation = observation.copy(order="K")  # a term stays a row in memory: a third of the cost
         return observation, reward, lost, truncated, info
 
     def _info(self, errors: Array, saturated: Mask, mask: Mask) -> dict[str, Any]:
