@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -27,7 +26,7 @@ from baselines.evaluation.runner import Cell, Run, drawn
 from baselines.evaluation.score import EXPERT, ORACLE, regime_of
 from baselines.evaluation.suites import list_suites, load
 from baselines.tools.command_line import UsageError, printable
-from baselines.tools.workers import Workers, connect
+from baselines.tools.workers import Workers
 
 T = TypeVar("T")
 
@@ -73,7 +72,7 @@ class Request:
         kept = zip(names, skipped, strict=True)
         without = {(name, cell.scenario.name) for name, cells in kept for cell in cells}
         pairs = [(name, cell) for cell in task.cells for name in names if (name, cell.scenario.name) not in without]
-        workers = _workers(options)
+        workers = checked(partial(Workers.of, options.jobs, options.cluster))
         checked_folder(options.out)
         return cls(options, command, suite, task.hash, task.cells, names, tuple(pairs), workers, earlier, tuple(notes))
 
@@ -120,13 +119,6 @@ def _foreign(policy: str, task: _Task, notes: list[str]) -> list[Cell]:
         names = ", ".join(cell.scenario.name for cell in others)
         notes.append(f"{policy} was trained in {' and '.join(regimes)} motion, and not for {names}")
     return []
-
-
-def _workers(options: Options) -> Workers:
-    if options.cluster is None:
-        return Workers(options.jobs or min(2, os.cpu_count() or 1))
-    processors = checked(partial(connect, options.cluster))
-    return Workers(options.jobs or processors, on_cluster=True)
 
 
 def _frozen(name: str, options: Options) -> _Task:

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.tools.files import write_atomically
+from baselines.tools.files import read_bytes, write_atomically
 
-LARGEST_FILE = 2**26  # [bytes] of a file that is read
 LARGEST_CONTENT = 2**29  # [bytes] that a file unpacks to
 RECORD = "record"
 """Name of the array that holds the JSON text."""
@@ -60,12 +59,11 @@ def reading(file: Path) -> Iterator[Stored]:
 
 
 def _read(file: Path) -> Stored:
-    with file.open("rb") as stream:
-        data = stream.read(LARGEST_FILE + 1)
+    data = read_bytes(file)
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         size = sum(entry.file_size for entry in archive.infolist())
-    if len(data) > LARGEST_FILE or size > LARGEST_CONTENT:
-        raise ValueError(f"it is larger than {LARGEST_FILE} bytes, or than {LARGEST_CONTENT} unpacked")
+    if size > LARGEST_CONTENT:
+        raise ValueError(f"it is larger than {LARGEST_CONTENT} bytes unpacked")
     with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
         found = {name: arrays[name] for name in arrays.files}
     record = json.loads(str(found.pop(RECORD)))

@@ -35,7 +35,7 @@ class Options:
     timesteps: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Control steps of each, to try it out. Default: as many as the shipped ones had."""
     install: bool = False
-    """Put the trained agents into baselines/agents, in place of those that are there."""
+    """Put the trained agents into baselines/agents/shipped, in place of those that are there."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def install(name: str, run_folder: Path) -> None:
-    """Put the trained agent of a run into baselines/agents, in place of what is there."""
+    """Put the trained agent of a run into baselines/agents/shipped, in place of what is there."""
     Agent.load(run_folder / AGENT).save(AGENTS / name, (run_folder / CURVE).read_bytes())
 
 

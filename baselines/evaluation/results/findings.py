@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from scipy import stats
 
 from auv_gym.presets import REGIMES
 from baselines.evaluation import fresh, recorded, silence
-from baselines.evaluation.metrics import Array
+from baselines.evaluation.metrics import Array, most_lost
 from baselines.evaluation.results.collection import Results
 from baselines.evaluation.results.page import table
 from baselines.evaluation.results.studies import RIVAL, SHORT
@@ -20,8 +19,6 @@ BASE = "short-cruise"
 """The training from which the other short ones differ in one thing."""
 LEARNERS = ("ppo", "sac", "td3")
 """Families of agents that learn from rewards alone."""
-CONFIDENCE = 0.95
-"""Of an upper bound on a share of lost episodes."""
 
 
 def findings(found: Sequence[Results], anew: Sequence[Results], studies: Mapping[str, Study]) -> str:
@@ -52,11 +49,6 @@ def fresh_results() -> list[Results]:
     """Return what is recorded of fresh episodes, of the suites whose expert and oracle ran."""
     runs = {suite: recorded.load(suite, fresh.FOLDER).runs for suite in map(fresh.fresh, fresh.EPISODES)}
     return [Results.of(suite, own) for suite, own in runs.items() if {EXPERT, ORACLE} <= {r.policy for r in own}]
-
-
-def at_most(lost: int, episodes: int) -> float:
-    """Return the largest share of lost episodes that is still likely where so many were; 3 / episodes for none."""
-    return float(stats.beta.ppf(CONFIDENCE, lost + 1, episodes - lost)) if lost < episodes else 1.0
 
 
 def _tails(results: Results, policy: str, regime: str) -> dict[str, Array]:
@@ -96,7 +88,7 @@ def _leads(results: Results, anew: Results | None, studies: Mapping[str, Study])
             str(count),
             *(_on_fresh(anew, name, regime) if anew else ()),
             f"{lost} of {total}",
-            f"{100 * at_most(lost, total):.2g} %",
+            f"{100 * most_lost(lost, total):.2g} %",
         ])  # fmt: skip
     names = ["agent", "score", "episodes", f"lead over {RIVAL}", "95 %", "episodes"]
     return table([*names, *(("fresh lead", "95 %", "episodes") if anew else ()), "lost", "at most"], rows)

@@ -102,7 +102,7 @@ class Options:
     jobs: int = 2
     """Trainings at the same time."""
     install: bool = False
-    """Put the first seed's agent into baselines/agents, where one of the name ships with the package."""
+    """Put the first seed's agent into baselines/agents/shipped, where one of the name ships with the package."""
 
 
 def main(arguments: Sequence[str]) -> int:
