@@ -1,0 +1,107 @@
+"""Derivatives of a graph as further nodes of the same graph: reverse mode for gradients, forward mode for Jacobians."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from auv_gym.codegen.graph import SYMBOLS, TRUTHS, Graph, Symbol, arguments_of
+
+Pulled = tuple[Any, ...]
+"""What each argument of an operation contributes to: its adjoint's share, None where there is none."""
+
+
+def _clip(_: Symbol, a: Sequence[Symbol], g: Symbol) -> Pulled:
+    x, low, high = a
+    inside = SYMBOLS.where(x < low, 0.0, SYMBOLS.where(x > high, 0.0, g))
+    below = None if low.value is not None else SYMBOLS.where(x < low, g, 0.0)
+    above = None if high.value is not None else SYMBOLS.where(x < low, 0.0, SYMBOLS.where(x > high, g, 0.0))
+    return inside, below, above
+
+
+PULLS: dict[str, Callable[[Symbol, Sequence[Symbol], Symbol], Pulled]] = {
+    "add": lambda _, a, g: (g, g),
+    "sub": lambda _, a, g: (g, -g),
+    "mul": lambda _, a, g: (g * a[1], g * a[0]),
+    "div": lambda y, a, g: (g / a[1], -(g * y) / a[1]),
+    "neg": lambda _, a, g: (-g,),
+    "abs": lambda _, a, g: (SYMBOLS.where(a[0] < 0.0, -g, SYMBOLS.where(a[0] > 0.0, g, 0.0)),),
+    "sin": lambda _, a, g: (g * SYMBOLS.cos(a[0]),),
+    "cos": lambda _, a, g: (-(g * SYMBOLS.sin(a[0])),),
+    "exp": lambda y, a, g: (g * y,),
+    "log": lambda _, a, g: (g / a[0],),
+    "sqrt": lambda y, a, g: (0.5 * g / y,),
+    "floor": lambda _, a, g: (None,),
+    "single": lambda _, a, g: (g,),
+    "clip": _clip,
+    "where": lambda _, a, g: (None, SYMBOLS.where(a[0], g, 0.0), SYMBOLS.where(a[0], 0.0, g)),
+}
+"""For each operation y = f(a) and an adjoint g of y: g times the derivatives of f, in the order of the arguments.
+
+At a kink the derivative is that of torch: 0 for |0|, 1 at the ends of `clip`."""
+
+
+def gradient(outputs: Sequence[Symbol], adjoints: Sequence[Any], inputs: Sequence[Symbol]) -> tuple[Symbol, ...]:
+    """Return sum_k adjoint_k d output_k / d input_j for each input, by reverse mode.
+
+    Args:
+        outputs: what is differentiated.
+        adjoints: what each output counts, symbols of the same graph or numbers.
+        inputs: any nodes of the graph; what lies behind one does not go on to what it is made of.
+    """
+    graph = outputs[0].graph
+    ends = {s.index for s in inputs}
+    order = graph.needed(s.index for s in outputs)
+    active = _active(graph, order, ends)
+    bar: dict[int, Symbol] = {}
+    for y, g in zip(outputs, adjoints, strict=True):
+        _add(bar, y.index, graph.symbol(g))
+    for i in reversed(order):
+        if i in bar and i in active and i not in ends:
+            y = Symbol(graph, i)
+            for argument, share in zip(y.arguments, PULLS[y.node[0]](y, y.arguments, bar[i]), strict=True):
+                if share is not None and argument.index in active:
+                    _add(bar, argument.index, graph.symbol(share))
+    zero = graph.constant(0.0)
+    return tuple(bar.get(s.index, zero) for s in inputs)
+
+
+def directional(outputs: Sequence[Symbol], directions: Mapping[int, Any]) -> tuple[Symbol, ...]:
+    """Return the derivative of each output along a direction, by forward mode.
+
+    Args:
+        outputs: what is differentiated.
+        directions: by the index of a node, how fast it changes: a symbol of the same graph or a number.
+    """
+    graph = outputs[0].graph
+    one, zero = graph.constant(1.0), graph.constant(0.0)
+    order = graph.needed(s.index for s in outputs)
+    active = _active(graph, order, set(directions))
+    dot = {i: graph.symbol(d) for i, d in directions.items()}
+    for i in order:
+        if i in active and i not in dot:
+            y = Symbol(graph, i)
+            for argument, slope in zip(y.arguments, PULLS[y.node[0]](y, y.arguments, one), strict=True):
+                if slope is not None and argument.index in dot:
+                    _add(dot, i, slope * dot[argument.index])
+    return tuple(dot.get(s.index, zero) for s in outputs)
+
+
+def jacobian(outputs: Sequence[Symbol], inputs: Sequence[Symbol]) -> tuple[tuple[Symbol, ...], ...]:
+    """Return d output_k / d input_j, a row for each output, by forward mode."""
+    columns = [directional(outputs, {s.index: 1.0}) for s in inputs]
+    return tuple(zip(*columns, strict=True))
+
+
+def _active(graph: Graph, order: Sequence[int], ends: set[int]) -> set[int]:
+    """Return the nodes whose value changes when one of `ends` does, those among them; truth values do not change."""
+    found: set[int] = set()
+    for i in order:
+        node = graph.nodes[i]
+        if i in ends or (node[0] not in TRUTHS and any(a in found for a in arguments_of(node))):
+            found.add(i)
+    return found
+
+
+def _add(sums: dict[int, Symbol], index: int, share: Symbol) -> None:
+    sums[index] = sums[index] + share if index in sums else share

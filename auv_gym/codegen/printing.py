@@ -1,0 +1,187 @@
+"""Printers: a graph as flat Python on floats or on NumPy rows, or as C for many vehicles side by side."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+from auv_gym.codegen.graph import TRUTHS, Graph, Symbol, arguments_of
+
+DEEPEST = 12
+"""Levels of expressions that are written into one another before a result gets a name."""
+Arrays = Mapping[str, Sequence[Symbol]]
+"""The rows of arrays, by the arrays' names."""
+
+
+@dataclass(frozen=True)
+class Language:
+    """How operations are written."""
+
+    forms: Mapping[str, str]  # an operation with its arguments {0}, {1}, ...
+    named: frozenset[str]  # operations that write an argument more than once, so that it must be a name
+    number: Callable[[float | bool], str]
+
+
+def _python_number(value: float | bool) -> str:
+    if isinstance(value, bool) or math.isfinite(value):
+        return f"({value!r})"
+    return "nan" if value != value else "inf" if value > 0 else "(-inf)"
+
+
+ARITHMETIC = {
+    "add": "({0} + {1})",
+    "sub": "({0} - {1})",
+    "mul": "({0} * {1})",
+    "div": "({0} / {1})",
+    "neg": "(-{0})",
+    "lt": "({0} < {1})",
+    "le": "({0} <= {1})",
+}
+FUNCTIONS = ("sin", "cos", "exp", "log", "sqrt", "floor", "single", "abs")
+PYTHON = Language(
+    {
+        **ARITHMETIC,
+        **{name: f"{name}({{0}})" for name in FUNCTIONS},
+        "clip": "({1} if {0} < {1} else {2} if {0} > {2} else {0})",
+        "where": "({1} if {0} else {2})",
+        "and": "({0} and {1})",
+        "or": "({0} or {1})",
+        "not": "(not {0})",
+    },
+    frozenset(("clip",)),
+    _python_number,
+)
+"""On floats."""
+NUMPY = Language(
+    {
+        **PYTHON.forms,
+        "clip": "clip({0}, {1}, {2})",
+        "where": "where({0}, {1}, {2})",
+        "and": "({0} & {1})",
+        "or": "({0} | {1})",
+        "not": "(~{0})",
+    },
+    frozenset(),
+    _python_number,
+)
+"""On rows of shape (N,)."""
+
+
+def c_language(precision: str) -> Language:
+    """Return C on numbers of a precision, "float64" or "float32"."""
+    suffix = "f" if precision == "float32" else ""
+
+    def number(value: float | bool) -> str:
+        if isinstance(value, bool):
+            return str(int(value))
+        if not math.isfinite(value):
+            return "NAN" if value != value else "INFINITY" if value > 0 else "(-INFINITY)"
+        return f"({float(value).hex()}{suffix})"
+
+    forms = {
+        **ARITHMETIC,
+        **{name: f"{name}{suffix}({{0}})" for name in ("sin", "cos", "exp", "log", "sqrt", "floor")},
+        "abs": f"fabs{suffix}({{0}})",
+        "single": "((real)(float){0})",
+        "clip": "({0} < {1} ? {1} : {0} > {2} ? {2} : {0})",
+        "where": "({0} ? {1} : {2})",
+        "and": "({0} && {1})",  # with & and | gcc would not vectorise
+        "or": "({0} || {1})",
+        "not": "(!{0})",
+    }
+    return Language(forms, frozenset(("clip",)), number)
+
+
+def written(
+    graph: Graph, outputs: Sequence[Symbol], language: Language, inputs: Mapping[str, str]
+) -> tuple[list[tuple[str, str, bool]], list[str]]:
+    """Return statements, (name, expression, whether it is a truth value), and the expressions of some outputs then.
+
+    A result that is used once is written into the expression that uses it, unless that grows too deep.
+
+    Args:
+        graph: what the outputs are nodes of.
+        outputs: what is to be computed.
+        language: how it is written.
+        inputs: what each input is called, by its name in the graph.
+    """
+    order = graph.needed(s.index for s in outputs)
+    uses = Counter(a for i in order for a in arguments_of(graph.nodes[i]))
+    uses.update(s.index for s in outputs)
+    named = {a for i in order if graph.nodes[i][0] in language.named for a in arguments_of(graph.nodes[i])}
+    text: dict[int, str] = {}
+    depth: dict[int, int] = {}
+    statements = []
+    for i in order:
+        operation, *arguments = graph.nodes[i]
+        depth[i] = 0
+        if operation == "input":
+            text[i] = inputs[arguments[0]]
+        elif operation == "constant":
+            text[i] = language.number(arguments[0])
+        else:
+            text[i] = language.forms[operation].format(*(text[a] for a in arguments))
+            depth[i] = 1 + max(depth[a] for a in arguments)
+            if uses[i] > 1 or i in named or depth[i] > DEEPEST:
+                statements.append((f"v{i}", text[i], operation in TRUTHS))
+                text[i], depth[i] = f"v{i}", 0
+    return statements, [text[s.index] for s in outputs]
+
+
+def python_function(name: str, graph: Graph, arguments: Arrays, results: Sequence[Symbol], language: Language) -> str:
+    """Return the source of a Python function that takes a sequence for each array and returns the results' tuple."""
+    inputs = {s.node[1]: s.node[1] for rows in arguments.values() for s in rows}
+    statements, outputs = written(graph, results, language, inputs)
+    lines = [f"def {name}({', '.join(arguments)}):"]
+    lines += [f"    {', '.join(s.node[1] for s in rows)}, = {array}" for array, rows in arguments.items() if rows]
+    lines += [f"    {target} = {expression}" for target, expression, _ in statements]
+    return "\n".join((*lines, f"    return ({''.join(f'{output}, ' for output in outputs)})")) + "\n"
+
+
+def c_function(
+    name: str, graph: Graph, arguments: Arrays, results: Arrays, over_time: Collection[str], precision: str, back: bool
+) -> str:
+    """Return the source of a C function for n vehicles and some steps, one after the other, from step `first` on.
+
+        void NAME(long n, long first, long steps, const real *ARGUMENT, ..., real *RESULT, ...)
+
+    An array has shape (rows, n), or (T, rows, n) if it is one of `over_time`. One that is argument and result at once
+    is carried from step to step. Truth values become 0 and 1.
+
+    Args:
+        name: of the function.
+        graph: what the results are nodes of.
+        arguments: the arrays that it reads.
+        results: the arrays that it writes.
+        over_time: names of arrays that have a row for each step.
+        precision: of all numbers, "float64" or "float32".
+        back: whether it goes through the steps from the last one to the first.
+    """
+    rows = {array: len(entries) for array, entries in {**arguments, **results}.items()}
+    place = {array: f"{array}[{f'(k * {count} + {{}})' if array in over_time else '{}'} * n + i]" for array, count in rows.items()}
+    wanted = [s for entries in results.values() for s in entries]
+    read = {graph.nodes[i][1] for i in graph.needed(s.index for s in wanted) if graph.nodes[i][0] == "input"}
+    given = {s.node[1]: place[array].format(j) for array, own in arguments.items() for j, s in enumerate(own)}
+    statements, texts = written(graph, wanted, c_language(precision), {entry: entry for entry in read})
+    parameters = [f"{'' if a in results else 'const '}real *restrict {a}" for a in rows]
+    step = "first + steps - 1 - j" if back else "first + j"
+    lines = [
+        f"void {name}({', '.join(('long n', 'long first', 'long steps', *parameters))})",
+        "{",
+        "for (long j = 0; j < steps; j++) {",
+        f"const long k = {step};",
+        "#pragma omp simd",
+        "for (long i = 0; i < n; i++) {",
+    ]
+    lines += [f"const real {entry} = {given[entry]};" for entry in sorted(read)]
+    lines += [f"const {'int' if truth else 'real'} {target} = {text};" for target, text, truth in statements]
+    values = iter(texts)
+    for array, entries in results.items():
+        for j, entry in enumerate(entries):
+            target, value = place[array].format(j), next(values)
+            if given.get(value) != target:  # what stays as it is need not be written
+                truth = graph.nodes[entry.index][0] in TRUTHS
+                lines.append(f"{target} = {f'({value} ? (real)1 : (real)0)' if truth else value};")  # vectorises
+    return "\n".join((*lines, "}", "}", "}")) + "\n"
