@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -82,7 +83,7 @@ class Kernel:
             results[array], at = flat[at : at + len(entries)], at + len(entries)
         real = "float" if self.precision == "float32" else "double"
         body = c_function(self.name, self.graph, self.arguments, results, self.over_time, self.precision, self.back)
-        return f"#include <math.h>\ntypedef {real} real;\n{body}"
+        return f"#include <math.h>\n#include <stdint.h>\ntypedef {real} real;\n{body}"
 
     @property
     def _wanted(self) -> list[Symbol]:
@@ -91,13 +92,10 @@ class Kernel:
     @cached_property
     def _native(self) -> Any:
         """The compiled function; None where there is none."""
-        import ctypes
-
         library = native.library(self.source)
         if library is None:
             return None
         function = library[self.name]
-        function.argtypes = [ctypes.c_long] * 3 + [ctypes.c_void_p] * len(self.rows)
         function.restype = None
         return function
 
@@ -127,12 +125,13 @@ class Kernel:
         n = self._checked(arrays)
         ordered = [arrays[name] for name in self.rows]
         if (function := self._native) is not None:
-            addresses = [a.ctypes.data for a in ordered]
+            table = (ctypes.c_int64 * (1 + len(ordered)))(n, *(a.ctypes.data for a in ordered))
+            at = ctypes.c_void_p(ctypes.addressof(table))
 
             def run(first: int = 0, steps: int = 1) -> None:
-                function(n, first, steps, *addresses)
+                function(at, first, steps)
 
-            run.__dict__["arrays"] = ordered  # alive as long as their addresses are used
+            run.__dict__["kept"] = table, ordered  # alive as long as their addresses are used
             return run
         return self._interpreted(arrays, n)
 
