@@ -80,6 +80,22 @@ def start_kernel(parts: Parts, forces: Forces | None = None) -> Kernel:
     return Kernel.traced(equation, {"state": STATES, "sample": SAMPLE_ROWS, "parameters": PARAMETER_ROWS})
 
 
+def begun(
+    parts: Parts, states: Array, sample: Array, parameters: Array, forces: Forces | None = None
+) -> tuple[Array, Array]:
+    """Return plants, shape (PLANT_ROWS, n), and observations, shape (columns, n), at the start of n episodes.
+
+    Args:
+        parts: what is in use of the simulation.
+        states: x, y [m], psi [rad], u, v [m/s] relative to the water, r [rad/s], shape (STATES, n).
+        sample: rows of their `simulation.Sample` there, shape (SAMPLE_ROWS, n).
+        parameters: rows of their `simulation.Parameters`, shape (PARAMETER_ROWS, n).
+        forces: of a law whose action is observed as well.
+    """
+    results = start_kernel(parts, forces)(state=states, sample=sample, parameters=parameters)
+    return results["plant"], results["seen"]
+
+
 def columns(forces: Forces | None) -> int:
     """Return how many numbers an observation has, the action of a law included."""
     return SIZE if forces is None else SIZE + ACTIONS
@@ -94,12 +110,12 @@ class _Side(NamedTuple):
 
 
 class Vehicles:
-    """N vehicles, stepped by a kernel from one side of a memory to the other; a step counts once it is accepted.
+    """N vehicles, stepped by a kernel from one side of a memory to the other, so that the last step can be undone.
 
     Attributes:
         action: what they do in the next step, shape (ACTIONS, N); commands, or corrections to a law.
-        now: plant, observation and the outcome that led here.
-        next: the same after a step, from `run(row, 1)` on, which takes a row of the samples, until it is accepted.
+        now: the plants, shape (PLANT_ROWS, N), what is `seen` of them, shape (columns, N), and the `outcome` of the step
+            that led here, the rows of an `Outcome`.
     """
 
     def __init__(
@@ -124,12 +140,12 @@ class Vehicles:
         self._samples, self._parameters = samples, parameters
         self._authority = np.repeat(np.array(authority, dtype=np.float64)[:, None], n, axis=1)
         sizes = PLANT_ROWS, columns(forces), OUTCOMES
-        self.now, self.next = (_Side(*(np.zeros((rows, n)) for rows in sizes)) for _ in range(2))
+        self.now, self._other = (_Side(*(np.zeros((rows, n)) for rows in sizes)) for _ in range(2))
         self._bind()
 
     def _bind(self) -> None:
         kernel = step_kernel(self.parts, self.forces)
-        self.run, self._run_back = (
+        self._run, self._run_back = (
             kernel.bound(
                 plant=now.plant,
                 seen=now.seen,
@@ -141,35 +157,33 @@ class Vehicles:
                 next_seen=after.seen,
                 outcome=after.outcome,
             )
-            for now, after in ((self.now, self.next), (self.next, self.now))
+            for now, after in ((self.now, self._other), (self._other, self.now))
         )
 
     def __getstate__(self) -> dict[str, Any]:
         """Return everything but the addresses of this memory."""
-        return {key: value for key, value in self.__dict__.items() if key not in ("run", "_run_back")}
+        return {key: value for key, value in self.__dict__.items() if key not in ("_run", "_run_back")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take everything up, at new addresses."""
         self.__dict__.update(state)
         self._bind()
 
-    def begin(self, lanes: Any, states: Array, sample: Array) -> None:
-        """Put vehicles at the start of their episodes, now.
+    def place(self, lanes: Any, plant: Array, seen: Array) -> None:
+        """Put n of the vehicles, an index of which is given, where `begun` says, now."""
+        self.now.plant[:, lanes], self.now.seen[:, lanes] = plant, seen
 
-        Args:
-            lanes: which of the N, an index of n of them.
-            states: x, y [m], psi [rad], u, v [m/s] relative to the water, r [rad/s], shape (STATES, n).
-            sample: rows of their `simulation.Sample` now, shape (SAMPLE_ROWS, n).
-        """
-        begun = start_kernel(self.parts, self.forces)(
-            state=states, sample=sample, parameters=self._parameters[:, lanes]
-        )
-        self.now.plant[:, lanes], self.now.seen[:, lanes] = begun["plant"], begun["seen"]
+    def step(self, row: int) -> None:
+        """Go on by a control step, with `action` and a row of the samples."""
+        self._run(row, 1)
+        self._turn()
 
-    def accept(self) -> None:
-        """Go on to the next side."""
-        self.now, self.next = self.next, self.now
-        self.run, self._run_back = self._run_back, self.run
+    def undo(self) -> None:
+        """Take the last step back."""
+        self._turn()
+
+    def _turn(self) -> None:
+        self.now, self._other, self._run, self._run_back = self._other, self.now, self._run_back, self._run
 
     @property
     def plant(self) -> Plant:

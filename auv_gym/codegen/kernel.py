@@ -69,7 +69,7 @@ class Kernel:
         results = {array: [graph.symbol(x) for x in given] for array, given in equation(**arguments).items()}
         return cls("auv_kernel", graph, arguments, results, frozenset(over_time), precision, back)
 
-    @property
+    @cached_property
     def rows(self) -> dict[str, int]:
         """How many rows each array has, in the order in which the compiled function takes them."""
         return {array: len(entries) for array, entries in {**self.arguments, **self.results}.items()}
@@ -125,7 +125,7 @@ class Kernel:
         n = self._checked(arrays)
         ordered = [arrays[name] for name in self.rows]
         if (function := self._native) is not None:
-            table = (ctypes.c_int64 * (1 + len(ordered)))(n, *(a.ctypes.data for a in ordered))
+            table = (ctypes.c_int64 * (1 + len(ordered)))(n, *map(_address, ordered))
             at = ctypes.c_void_p(ctypes.addressof(table))
 
             def run(first: int = 0, steps: int = 1) -> None:
@@ -182,6 +182,10 @@ class Kernel:
     def _empty(self, name: str, steps: int, n: int) -> Array:
         shape = (steps, self.rows[name], n) if name in self.over_time else (self.rows[name], n)
         return np.empty(shape, dtype=self.precision)
+
+
+def _address(array: Array) -> int:
+    return int(array.__array_interface__["data"][0])  # half the cost of `array.ctypes.data`
 
 
 def _floor(x: float) -> float:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from auv_gym.envs.lanes import checked_actions, replaced
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv, checked_action
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.namespaces import ARRAYS, FLOATS
 from auv_gym.policy import Policy, checked_authority, corrected, traceable
 
@@ -94,6 +95,9 @@ class VectorResidualAction(
         self.authority = checked_authority(authority)
         self.single_observation_space = with_action(env.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
+        self._compiled = isinstance(env, UnderactuatedAUVTrackVectorEnv) and traceable(expert)
+        if self._compiled:
+            env.correct(expert, self.authority)  # type: ignore[attr-defined]
         self._memory: tuple[NDArray[Any], ...] | None = None
         self._base = np.zeros((env.num_envs, 2), dtype=np.float32)
 
@@ -102,6 +106,8 @@ class VectorResidualAction(
     ) -> tuple[NDArray[np.float64], dict[str, Any]]:
         """Start episodes; see the wrapped environment."""
         observation, info = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
+        if self._compiled:
+            return observation, info
         begun = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, dtype=bool)))
         if begun.all():
             self._memory = None
@@ -121,6 +127,8 @@ class VectorResidualAction(
         Raises:
             ValueError: a correction is not two finite numbers; nothing has changed then.
         """
+        if self._compiled:
+            return self.env.step(actions)
         corrections = checked_actions(actions, self.num_envs)
         command = corrected(self._base, np.array(self.authority), corrections, ARRAYS)
         observation, reward, terminated, truncated, info = self.env.step(command)

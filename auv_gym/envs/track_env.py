@@ -14,7 +14,7 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from auv_gym.episode import checked_options, with_options
-from auv_gym.kernels import STATES, Vehicles
+from auv_gym.kernels import STATES, Vehicles, begun
 from auv_gym.namespaces import ARRAYS, FLOATS
 from auv_gym.paths import Path
 from auv_gym.planner import Reference, plan
@@ -209,11 +209,13 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self._preview.load((0,), (episode.path,), (self._dt,))
         self._read()
         state = np.reshape(episode.initial_state(self._sample), (STATES, 1))
-        self._vehicle.begin(slice(None), state, self._samples[0])
+        forces = None if self._law is None else self._law.forces
+        start = begun(self.scenario.parts, state, self._samples[0], self._constants, forces)
+        self._vehicle.place(slice(None), *start)
         self._k, self._over = 0, False
         error = math.hypot(episode.initial_error[0], episode.initial_error[1])
         self._info = {"position_error": error, "saturated": False, "time": 0.0}
-        self._trail = [(self._plant.x, self._plant.y)]
+        self._trail = [self._place()]
         if self.render_mode == "human":
             self.render()
         observation = self._observed()
@@ -233,11 +235,15 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
 
     def _observed(self) -> Array:
         """Return a copy of what is observed now, its preview included."""
-        observation: Array = self._vehicle.now.seen.ravel()
+        observation: Array = self._vehicle.now.seen[:, 0]
         if not self._preview.periods:
             return observation.copy()
         o = Observation._make(decoded_terms(observation))
         return np.append(observation, encode_preview(self._preview.ahead((0,), self._k), o, ARRAYS))
+
+    def _place(self) -> tuple[float, float]:
+        x, y = self._vehicle.now.plant[[PLANT.x, PLANT.y], 0].tolist()
+        return x, y
 
     @property
     def _plant(self) -> Plant:
@@ -272,15 +278,14 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
             self._read()
         vehicle = self._vehicle
         vehicle.action[0, 0], vehicle.action[1, 0] = command
-        vehicle.run(self._row, 1)
-        vehicle.accept()
-        reward, lost, error, saturated = vehicle.now.outcome.ravel().tolist()
+        vehicle.step(self._row)
+        (reward,), (lost,), (error,), (saturated,) = vehicle.now.outcome.tolist()
         truncated = self._k >= self._steps
         terminated = lost > 0.0
         self._over = truncated or terminated
         self._info = {"position_error": error, "saturated": saturated > 0.0, "time": self._k * self._dt}
         if self.render_mode is not None:
-            self._trail.append((self._plant.x, self._plant.y))
+            self._trail.append(self._place())
             if self.render_mode == "human":
                 self.render()
         return self._observed(), reward, terminated, truncated, self._info
