@@ -216,7 +216,9 @@ def _sine_of_sideslip(along: PathRates, vehicle: Vehicle, h: float) -> Array:
     lanes = np.ones(inputs.shape[2])
     start = np.tile(slow_sideslip(along, vehicle).ravel(), (ORDER, 1))
     weights = [math.exp(-k * z) for k in range(1, ORDER)] + [g for k in range(1, ORDER) for g in _weights(z, 0, k)]
-    opening = _opening()(FIXED_POINT, u=start, inputs=inputs[:ORDER].reshape(-1, len(lanes)), weights=np.outer(weights, lanes))
+    opening = _opening()(
+        FIXED_POINT, u=start, inputs=inputs[:ORDER].reshape(-1, len(lanes)), weights=np.outer(weights, lanes)
+    )
     rates = np.outer((math.exp(-z), *_weights(z, 1 - ORDER, 1)), lanes)
     u = np.empty((len(inputs), 1, len(lanes)))
     u[:ORDER, 0] = opening["u"]
@@ -237,7 +239,8 @@ def _opening() -> Kernel:
     """
 
     def equation(u: Any, inputs: Any, weights: Any) -> dict[str, Any]:
-        F = [sideslip_rest(*inputs[3 * k : 3 * k + 3], u[k], SYMBOLS.sqrt) for k in range(ORDER)]
+        terms = (inputs[j : j + 3] for j in range(0, 3 * ORDER, 3))
+        F = [sideslip_rest(a, q, b, w, SYMBOLS.sqrt) for (a, q, b), w in zip(terms, u, strict=True)]
         decays, rows = weights[: ORDER - 1], [weights[j : j + ORDER] for j in range(ORDER - 1, len(weights), ORDER)]
         after = [_plus(decay * u[0], row, F) for decay, row in zip(decays, rows, strict=True)]
         return {"u": (u[0], *after), "rest": F}
@@ -250,8 +253,8 @@ def _recursion() -> Kernel:
     """Return one step of the formula; `history` is u_n, F_(n-1), F_(n-2), F_(n-3), `weights` decay and g_3 ... g_0."""
 
     def equation(history: Any, weights: Any, inputs: Any) -> dict[str, Any]:
-        u_n, *past = history
-        F = [sideslip_rest(*inputs, u_n, SYMBOLS.sqrt), *past]
+        (u_n, *past), (a, q, b) = history, inputs
+        F = [sideslip_rest(a, q, b, u_n, SYMBOLS.sqrt), *past]
         decay, *g = weights
         u = _plus(decay * u_n, g[::-1], F)
         return {"history": (u, *F[:-1]), "u": (u,)}

@@ -210,7 +210,7 @@ class Symbol:
         return self.graph.apply("div", other, self)
 
     def __pow__(self, power: int) -> Symbol:
-        if power != 2:  # noqa: PLR2004 - the one power that Python, NumPy and C agree on to the bit
+        if power != 2:  # the one power that Python, NumPy and C agree on to the bit
             raise ValueError(f"a symbol to the power {power!r}: only squares are taken")
         return self * self
 
@@ -273,5 +273,16 @@ def _bounded(rows: Any, bounds: Constants) -> list[Any]:
     return [SYMBOLS.clip(row, -bound, bound) for row, bound in zip(rows, bounds.numbers, strict=True)]
 
 
-SYMBOLS = Namespace(*map(_applied, ("sin", "cos", "sqrt", "exp", "floor", "clip", "where")), _scaled, _bounded, list)
+SYMBOLS = Namespace(
+    _applied("sin"),
+    _applied("cos"),
+    _applied("sqrt"),
+    _applied("exp"),
+    _applied("floor"),
+    _applied("clip"),
+    _applied("where"),
+    _scaled,
+    _bounded,
+    list,
+)
 """The namespace of symbols."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -112,7 +112,7 @@ class Kernel:
 
     def _python(self, language: Language, space: dict[str, Any]) -> Callable[..., tuple[Any, ...]]:
         source = python_function(self.name, self.graph, self.arguments, self._wanted, language)
-        exec(compile(source, f"<{self.name}>", "exec"), space)  # noqa: S102 - our own text
+        exec(compile(source, f"<{self.name}>", "exec"), space)
         function: Callable[..., tuple[Any, ...]] = space[self.name]
         return function
 
@@ -120,54 +120,93 @@ class Kernel:
         """Return the function that reads these arrays and writes to them; they must live as long as it does.
 
         Raises:
-            ValueError: an array is missing, unknown, of another shape or type, or not contiguous.
+            ValueError: an array is missing, unknown, of another shape or type, or its last axis is not contiguous.
         """
         n = self._checked(arrays)
-        ordered = [arrays[name] for name in self.rows]
-        if (function := self._native) is not None:
-            table = (ctypes.c_int64 * (1 + len(ordered)))(n, *map(_address, ordered))
-            at = ctypes.c_void_p(ctypes.addressof(table))
+        if (function := self._native) is None:
+            return self._on_one(arrays) if n == 1 else self._on_several(arrays)
+        entries = [n]
+        for name in self.rows:
+            entries += [
+                _address(arrays[name]),
+                *(stride // arrays[name].itemsize for stride in arrays[name].strides[:-1]),
+            ]
+        table = (ctypes.c_int64 * len(entries))(*entries)
+        at = ctypes.c_void_p(ctypes.addressof(table))
 
-            def run(first: int = 0, steps: int = 1) -> None:
-                function(at, first, steps)
+        def run(first: int = 0, steps: int = 1) -> None:
+            function(at, first, steps)
 
-            run.__dict__["kept"] = table, ordered  # alive as long as their addresses are used
-            return run
-        return self._interpreted(arrays, n)
+        run.__dict__["kept"] = table, arrays  # alive as long as their addresses are used
+        return run
 
     def _checked(self, arrays: Mapping[str, Array]) -> int:
         """Return the number of vehicles of well-formed arrays."""
         if set(arrays) != set(self.rows):
             raise ValueError(f"the kernel takes arrays {', '.join(self.rows)}; given are {', '.join(arrays)}")
-        n = next(iter(arrays.values())).shape[-1]
+        n: int = next(iter(arrays.values())).shape[-1]
         for name, rows in self.rows.items():
-            array, dimensions = arrays[name], 3 if name in self.over_time else 2
-            if array.dtype != self.precision or array.ndim != dimensions or array.shape[-2:] != (rows, n):
+            array, time = arrays[name], name in self.over_time
+            if array.dtype != self.precision or array.ndim != 2 + time or array.shape[-2:] != (rows, n):
                 raise ValueError(
                     f"array {name} is of type {array.dtype} and shape {array.shape}; it must be of type "
-                    f"{self.precision} and of shape {'(T, ' if dimensions > 2 else '('}{rows}, {n})"  # noqa: PLR2004
+                    f"{self.precision} and of shape {'(T, ' if time else '('}{rows}, {n})"
                 )
-            if not array.flags.c_contiguous:
-                raise ValueError(f"array {name} must be contiguous")
+            if n > 1 and array.size and array.strides[-1] != array.itemsize:
+                raise ValueError(f"array {name} must hold the vehicles of a row side by side in memory")
         return n
 
-    def _interpreted(self, arrays: Mapping[str, Array], n: int) -> Run:
-        """Return what `bound` does, on floats for one vehicle and on rows for several."""
-        function = self._on_floats if n == 1 else self._on_rows
-        sizes = [(name, len(entries)) for name, entries in self.results.items()]
+    def _steps(self, first: int, steps: int) -> Iterable[int]:
+        return range(first + steps - 1, first - 1, -1) if self.back else range(first, first + steps)
+
+    def _split(self, values: tuple[Any, ...]) -> Iterator[tuple[str, tuple[Any, ...]]]:
+        at = 0
+        for name, entries in self.results.items():
+            yield name, values[at : at + len(entries)]
+            at += len(entries)
+
+    def _on_one(self, arrays: Mapping[str, Array]) -> Run:
+        """Return what `bound` does for one vehicle, on floats."""
+        function = self._on_floats
 
         def run(first: int = 0, steps: int = 1) -> None:
-            order = range(first, first + steps)
-            for k in reversed(order) if self.back else order:
-                at = 0
-                rows = [arrays[name][k] if name in self.over_time else arrays[name] for name in self.arguments]
+            time = slice(first, first + steps)
+            rows = {n: (a[time, :, 0] if n in self.over_time else a[:, 0]).tolist() for n, a in arrays.items()}
+            for k in self._steps(0, steps):
+                given = [rows[n][k] if n in self.over_time else rows[n] for n in self.arguments]
+                try:
+                    values = function(*given)
+                except (ArithmeticError, ValueError):  # NumPy divides by zero as C does
+                    values = self._beyond(given)
+                for name, own in self._split(values):
+                    if name in self.over_time:
+                        rows[name][k] = own
+                    else:
+                        rows[name] = own
+            for name in self.results if steps else ():
+                target = arrays[name][time, :, 0] if name in self.over_time else arrays[name][:, 0]
+                target[:] = rows[name]
+
+        return run
+
+    def _beyond(self, given: Iterable[Any]) -> tuple[Any, ...]:
+        with np.errstate(all="ignore"):
+            return tuple(map(float, self._on_rows(*map(np.array, given))))
+
+    def _on_several(self, arrays: Mapping[str, Array]) -> Run:
+        """Return what `bound` does for several vehicles, on rows."""
+        function = self._on_rows
+
+        def run(first: int = 0, steps: int = 1) -> None:
+            for k in self._steps(first, steps):
+                at = {name: a[k] if name in self.over_time else a for name, a in arrays.items()}
                 with np.errstate(all="ignore"):
-                    values = function(*([row.ravel().tolist() for row in rows] if n == 1 else map(np.array, rows)))
-                for name, size in sizes:
-                    target = arrays[name][k] if name in self.over_time else arrays[name]
-                    for j in range(size):
-                        target[j] = values[at + j]
-                    at += size
+                    values = function(
+                        *(at[name].copy() if name in self.results else at[name] for name in self.arguments)
+                    )
+                for name, own in self._split(values):
+                    for row, value in zip(at[name], own, strict=True):
+                        row[:] = value
 
         return run
 
@@ -175,7 +214,9 @@ class Kernel:
         """Return new arrays with the results of the first `steps` steps, for arguments that stay as they are."""
         given = {name: np.ascontiguousarray(a, dtype=self.precision) for name, a in arguments.items()}
         n = next(iter(given.values())).shape[-1]
-        results = {name: given[name].copy() if name in given else self._empty(name, steps, n) for name in self.results}
+        results = {
+            name: np.array(given[name]) if name in given else self._empty(name, steps, n) for name in self.results
+        }
         self.bound(**{**given, **results})(0, steps)
         return results
 

@@ -27,7 +27,7 @@ class Language:
 def _python_number(value: float | bool) -> str:
     if isinstance(value, bool) or math.isfinite(value):
         return f"({value!r})"
-    return "nan" if value != value else "inf" if value > 0 else "(-inf)"
+    return "nan" if math.isnan(value) else "inf" if value > 0 else "(-inf)"
 
 
 ARITHMETIC = {
@@ -77,7 +77,7 @@ def c_language(precision: str) -> Language:
         if isinstance(value, bool):
             return str(int(value))
         if not math.isfinite(value):
-            return "NAN" if value != value else "INFINITY" if value > 0 else "(-INFINITY)"
+            return "NAN" if math.isnan(value) else "INFINITY" if value > 0 else "(-INFINITY)"
         return f"({float(value).hex()}{suffix})"
 
     forms = {
@@ -147,9 +147,10 @@ def c_function(
 
         void NAME(const int64_t *at, int first, int steps)
 
-    `at` holds n and then the address of each array, arguments first, those of results that are no arguments behind:
-    few and plain arguments, since a call from Python costs more for each of them than a step of a vehicle. An array has shape (rows, n), or (T, rows, n) if it is one of `over_time`. One that is argument and result at once
-    is carried from step to step. Truth values become 0 and 1.
+    `at` holds n and then, of each array, the address and the strides of all axes but the last, in numbers;
+    arguments come first, results that are no arguments behind. A call from Python with so few and plain arguments costs less than
+    a step of a vehicle. An array has shape (rows, n), or (T, rows, n) if it is one of `over_time`. One that is argument
+    and result at once is carried from step to step. Truth values become 0 and 1.
 
     Args:
         name: of the function.
@@ -160,19 +161,24 @@ def c_function(
         precision: of all numbers, "float64" or "float32".
         back: whether it goes through the steps from the last one to the first.
     """
-    rows = {array: len(entries) for array, entries in {**arguments, **results}.items()}
-    place = {array: f"{array}[{f'(k * {count} + {{}})' if array in over_time else '{}'} * n + i]" for array, count in rows.items()}
+    kinds = {array: f"{'' if array in results else 'const '}real *restrict" for array in {**arguments, **results}}
+    heads, at = [], 1
+    for array, kind in kinds.items():
+        heads += [f"{kind} {array} = ({kind})at[{at}];"]
+        strides = (f"{array}_time", f"{array}_row") if array in over_time else (f"{array}_row",)
+        heads += [f"const long {stride} = (long)at[{at + 1 + j}];" for j, stride in enumerate(strides)]
+        at += 1 + len(strides)
+    place = {a: f"{a}[{f'k * {a}_time + ' if a in over_time else ''}{{}} * {a}_row + i]" for a in kinds}
     wanted = [s for entries in results.values() for s in entries]
     read = {graph.nodes[i][1] for i in graph.needed(s.index for s in wanted) if graph.nodes[i][0] == "input"}
     given = {s.node[1]: place[array].format(j) for array, own in arguments.items() for j, s in enumerate(own)}
     statements, texts = written(graph, wanted, c_language(precision), {entry: entry for entry in read})
-    pointers = [f"{'' if a in results else 'const '}real *restrict" for a in rows]
     step = "first + steps - 1 - j" if back else "first + j"
     lines = [
         f"void {name}(const int64_t *at, int first, int steps)",
         "{",
         "const long n = (long)at[0];",
-        *(f"{kind} {a} = ({kind})at[{j}];" for j, (a, kind) in enumerate(zip(rows, pointers, strict=True), 1)),
+        *heads,
         "for (long j = 0; j < steps; j++) {",
         f"const long k = {step};",
         "#pragma omp simd",

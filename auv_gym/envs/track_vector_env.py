@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from auv_gym.envs.lanes import Beginning, Lanes, ScenarioLike, checked_actions, replaced
+from auv_gym.envs.lanes import Beginning, Lanes, ScenarioLike, checked_actions
 from auv_gym.envs.track_env import ReferencePoint
 from auv_gym.kernels import Vehicles
 from auv_gym.namespaces import ARRAYS
