@@ -31,6 +31,10 @@ PULLS: dict[str, Callable[[Symbol, Sequence[Symbol], Symbol], Pulled]] = {
     "exp": lambda y, a, g: (g * y,),
     "log": lambda _, a, g: (g / a[0],),
     "sqrt": lambda y, a, g: (0.5 * g / y,),
+    "arctan2": lambda _, a, g: (
+        g * a[1] / (a[0] * a[0] + a[1] * a[1]),
+        -(g * a[0]) / (a[0] * a[0] + a[1] * a[1]),
+    ),
     "floor": lambda _, a, g: (None,),
     "single": lambda _, a, g: (g,),
     "clip": _clip,

@@ -103,13 +103,13 @@ class Kernel:
 
     @cached_property
     def _on_floats(self) -> Callable[..., tuple[Any, ...]]:
-        space = {**_FLOAT_SPACE, "floor": _floor, "single": _single_float}
+        space = {**_FLOAT_SPACE, "arctan2": math.atan2, "floor": _floor, "single": _single_float}
         return self._python(PYTHON, space)
 
     @cached_property
     def _on_rows(self) -> Callable[..., tuple[Any, ...]]:
         space = {"exp": np.exp, "log": np.log, "inf": math.inf, "nan": math.nan, "single": _single_rows}
-        plain = {name: getattr(ARRAYS, name) for name in ("sin", "cos", "sqrt", "floor", "clip", "where")}
+        plain = {name: getattr(ARRAYS, name) for name in ("sin", "cos", "sqrt", "arctan2", "floor", "clip", "where")}
         return self._python(NUMPY, {**space, **plain})
 
     def _python(self, language: Language, space: dict[str, Any]) -> Callable[..., tuple[Any, ...]]:
@@ -154,8 +154,15 @@ class Kernel:
 
     def _interpreted(self, arrays: Mapping[str, Array], n: int) -> Run:
         """Return what `bound` does, on floats for one vehicle and on rows for several."""
-        function = self._on_floats if n == 1 else self._on_rows
         sizes = [(name, len(entries)) for name, entries in self.results.items()]
+
+        def computed(rows: Sequence[Array]) -> tuple[Any, ...]:
+            if n == 1:
+                try:
+                    return self._on_floats(*(row.ravel().tolist() for row in rows))
+                except (ArithmeticError, ValueError):  # what Python refuses is inf or nan on rows, as in C
+                    pass
+            return self._on_rows(*map(np.array, rows))
 
         def run(first: int = 0, steps: int = 1) -> None:
             order = range(first, first + steps)
@@ -163,7 +170,7 @@ class Kernel:
                 at = 0
                 rows = [arrays[name][k] if name in self.over_time else arrays[name] for name in self.arguments]
                 with np.errstate(all="ignore"):
-                    values = function(*([row.ravel().tolist() for row in rows] if n == 1 else map(np.array, rows)))
+                    values = computed(rows)
                 for name, size in sizes:
                     target = arrays[name][k] if name in self.over_time else arrays[name]
                     for j in range(size):

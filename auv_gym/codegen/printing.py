@@ -44,6 +44,7 @@ PYTHON = Language(
     {
         **ARITHMETIC,
         **{name: f"{name}({{0}})" for name in FUNCTIONS},
+        "arctan2": "arctan2({0}, {1})",
         "clip": "({1} if {0} < {1} else {2} if {0} > {2} else {0})",
         "where": "({1} if {0} else {2})",
         "and": "({0} and {1})",
@@ -83,6 +84,7 @@ def c_language(precision: str) -> Language:
     forms = {
         **ARITHMETIC,
         **{name: f"{name}{suffix}({{0}})" for name in ("sin", "cos", "exp", "log", "sqrt", "floor")},
+        "arctan2": f"atan2{suffix}({{0}}, {{1}})",
         "abs": f"fabs{suffix}({{0}})",
         "single": "((real)(float){0})",
         "clip": "({0} < {1} ? {1} : {0} > {2} ? {2} : {0})",
@@ -160,7 +162,10 @@ def c_function(
         back: whether it goes through the steps from the last one to the first.
     """
     rows = {array: len(entries) for array, entries in {**arguments, **results}.items()}
-    place = {array: f"{array}[{f'(k * {count} + {{}})' if array in over_time else '{}'} * n + i]" for array, count in rows.items()}
+    place = {
+        array: f"{array}[{f'(k * {count} + {{}})' if array in over_time else '{}'} * n + i]"
+        for array, count in rows.items()
+    }
     wanted = [s for entries in results.values() for s in entries]
     read = {graph.nodes[i][1] for i in graph.needed(s.index for s in wanted) if graph.nodes[i][0] == "input"}
     given = {s.node[1]: place[array].format(j) for array, own in arguments.items() for j, s in enumerate(own)}
