@@ -285,5 +285,6 @@ def _arcsin(x: Any) -> Any:
 
 
 _ELEMENTARY = map(_applied, ("sin", "cos", "sqrt", "exp", "floor", "clip", "where"))
-SYMBOLS = Namespace(*(*_ELEMENTARY, _scaled, _bounded, list, _hypot, _applied("arctan2"), _arcsin))
+_FUNCTIONS: list[Callable[..., Any]] = [*_ELEMENTARY, _scaled, _bounded, list, _hypot, _applied("arctan2"), _arcsin]
+SYMBOLS = Namespace(*_FUNCTIONS)
 """The namespace of symbols."""
