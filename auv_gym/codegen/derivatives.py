@@ -31,6 +31,10 @@ PULLS: dict[str, Callable[[Symbol, Sequence[Symbol], Symbol], Pulled]] = {
     "exp": lambda y, _a, g: (g * y,),
     "log": lambda _y, a, g: (g / a[0],),
     "sqrt": lambda y, _a, g: (0.5 * g / y,),
+    "arctan2": lambda _y, a, g: (
+        g * a[1] / (a[0] * a[0] + a[1] * a[1]),
+        -(g * a[0]) / (a[0] * a[0] + a[1] * a[1]),
+    ),
     "floor": lambda _y, _a, _g: (None,),
     "single": lambda _y, _a, g: (g,),
     "clip": _clip,
