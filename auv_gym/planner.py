@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cache, cached_property, lru_cache
 from typing import Any, NamedTuple
 
@@ -168,7 +168,8 @@ def _look_along(path: Path | Sequence[Path], vehicle: Vehicle, times: Array, sub
     fine = times[0] + h * np.arange(-lead, (len(times) - 1) * substeps + 1)
     fine[-1] = times[-1]  # not an ulp past the path's end
     derivatives = evaluate(path, fine) if isinstance(path, Sequence) else path.derivatives(fine)
-    along = path_rates(derivatives)
+    rows = _along_kernel()(derivatives=derivatives.reshape(2 * len(derivatives), -1))["along"]
+    along = PathRates(*rows.reshape(-1, *derivatives.shape[2:]))
     check_rates(along.v_p, along.beta, along.v_p_dot, vehicle, fine, derivatives[0])
     return _Fine(fine, derivatives[0], along, h, lead, slice(lead, None, substeps))
 
@@ -347,9 +348,59 @@ def assemble(
         vehicle: whose plan it is.
         sway_load: external force Y on the hull along its sway axis [N], in (2b), and its rate [N/s].
     """
-    along = replace(along, beta=np.unwrap(along.beta, axis=0))
-    rows = *position, *in_sideslip(along, w, vehicle.coefficients, sway_load, ARRAYS), along.v_p, along.omega
-    return Reference(times, *rows)
+    rows = np.array([getattr(along, field.name) for field in fields(PathRates)])
+    rows[BETA] = _continuous(rows[BETA])
+    arrays = {"along": rows.reshape(len(rows), -1), "w": w.reshape(1, -1)}
+    several = np.ndim(vehicle.m11) > 0
+    arrays["coefficients"] = _spread(vehicle.coefficients, w) if several else np.array(vehicle.coefficients)
+    if loaded := any(np.any(load) for load in sway_load):
+        arrays["load"] = _spread(sway_load, w)
+    motion = _motion_kernel(loaded, several)(**arrays)["motion"].reshape(-1, *w.shape)
+    psi, u, v, r, F_u, F_r, gamma = motion
+    return Reference(times, position[0], position[1], psi, u, v, r, F_u, F_r, gamma, along.v_p, along.omega)
+
+
+def _spread(numbers: Sequence[Number], w: Array) -> Array:
+    """Return a row for each of some numbers, one entry for each of w."""
+    return np.array([np.broadcast_to(number, w.shape) for number in numbers]).reshape(len(numbers), -1)
+
+
+def _continuous(angle: Array) -> Array:
+    """Return angles [rad] without jumps by full turns along axis 0."""
+    turns = np.round(np.diff(angle, axis=0) / (2 * math.pi))
+    if turns.any():
+        angle = angle.copy()
+        angle[1:] -= 2 * math.pi * np.cumsum(turns, axis=0)
+    return angle
+
+
+BETA = [field.name for field in fields(PathRates)].index("beta")
+"""The place of the path's direction among its rates."""
+
+
+@cache
+def _along_kernel() -> Kernel:
+    """Return `path_rates` as a kernel."""
+
+    def equation(derivatives: Any) -> dict[str, Any]:
+        pairs = list(zip(derivatives[::2], derivatives[1::2], strict=True))
+        along = path_rates(pairs, SYMBOLS)
+        return {"along": [getattr(along, field.name) for field in fields(PathRates)]}
+
+    return Kernel.traced(equation, {"derivatives": 8})
+
+
+@cache
+def _motion_kernel(loaded: bool, several: bool) -> Kernel:
+    """Return `in_sideslip` as a kernel, with a sway load or without, for several vehicles or one."""
+
+    def equation(along: Any, w: Any, coefficients: Any, load: Any = (0.0, 0.0)) -> dict[str, Any]:
+        vehicle, (Y, Y_rate) = Coefficients(*coefficients), load
+        return {"motion": in_sideslip(PathRates(*along), w[0], vehicle, (Y, Y_rate), SYMBOLS)}
+
+    rows = {"along": len(fields(PathRates)), "w": 1, "coefficients": len(Coefficients._fields)}
+    shared = [] if several else ["coefficients"]
+    return Kernel.traced(equation, {**rows, "load": 2} if loaded else rows, shared=shared)
 
 
 def in_sideslip(

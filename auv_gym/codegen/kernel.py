@@ -128,13 +128,7 @@ class Kernel:
         n = self._checked(arrays)
         if (function := self._native) is None:
             return self._on_one(arrays) if n == 1 else self._on_several(arrays)
-        entries = [n]
-        for name in self.rows:
-            entries += [
-                _address(arrays[name]),
-                *(stride // arrays[name].itemsize for stride in arrays[name].strides[:-1]),
-            ]
-        table = (ctypes.c_int64 * len(entries))(*entries)
+        table = self._table(arrays, n)
         at = ctypes.c_void_p(ctypes.addressof(table))
 
         def run(first: int = 0, steps: int = 1) -> None:
@@ -142,6 +136,16 @@ class Kernel:
 
         run.__dict__["kept"] = table, arrays  # alive as long as their addresses are used
         return run
+
+    def _table(self, arrays: Mapping[str, Array], n: int) -> Any:
+        """Return what the compiled function finds `at` its first argument, see `c_function`."""
+        entries = [n]
+        for name in self.rows:
+            about = arrays[name].__array_interface__  # half the cost of `array.ctypes`
+            entries.append(about["data"][0])
+            if name not in self.layout.shared:
+                entries += [stride // arrays[name].itemsize for stride in arrays[name].strides[:-1]]
+        return (ctypes.c_int64 * len(entries))(*entries)
 
     def _checked(self, arrays: Mapping[str, Array]) -> int:
         """Return the number of vehicles of well-formed arrays."""
@@ -222,7 +226,7 @@ class Kernel:
 
         return run
 
-    def __call__(self, steps: int = 1, **arguments: Array) -> dict[str, Array]:
+    def __call__(self, steps: int = 1, /, **arguments: Array) -> dict[str, Array]:
         """Return new arrays with the results of the first `steps` steps, for arguments that stay as they are."""
         given = {name: np.ascontiguousarray(a, dtype=self.layout.precision) for name, a in arguments.items()}
         n = next(a.shape[-1] for name, a in given.items() if name not in self.layout.shared)
@@ -235,10 +239,6 @@ class Kernel:
     def _empty(self, name: str, steps: int, n: int) -> Array:
         shape = (steps, self.rows[name], n) if name in self.layout.over_time else (self.rows[name], n)
         return np.empty(shape, dtype=self.layout.precision)
-
-
-def _address(array: Array) -> int:
-    return int(array.__array_interface__["data"][0])  # half the cost of `array.ctypes.data`
 
 
 def _floor(x: float) -> float:

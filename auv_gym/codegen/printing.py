@@ -168,9 +168,10 @@ def c_function(name: str, graph: Graph, arguments: Arrays, results: Arrays, layo
 
         void NAME(const int64_t *at, int first, int steps)
 
-    `at` holds n and then, of each array, the address and the strides of all axes but the last, in numbers; arguments come
-    first, results that are no arguments behind. A call from Python with so few and plain arguments costs less than a
-    step of a vehicle. An array that is argument and result at once is carried from step to step. Truth values become 0 and 1.
+    `at` holds n and then, of each array, the address and the strides of all axes but the last, in numbers; arguments
+    come first, results that are no arguments behind. A call from Python with so few and plain arguments costs less than
+    a step of a vehicle. An array that is argument and result at once is carried from step to step. Truth values become
+    0 and 1.
 
     Args:
         name: of the function.

@@ -228,8 +228,8 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
 
         It is what `ResidualAction` does, in the compiled step; a new episode must begin.
         """
-        self._law = law
-        parts = self.scenario.parts
+        self._law, parts = law, self.scenario.parts
+        self.observation_space = with_action(self.observation_space)
         self._vehicle = Vehicles(parts, self._samples, self._constants, law.forces, authority)
         self._k, self._over = self._steps, True
 
@@ -365,3 +365,9 @@ def checked_action(action: Any) -> list[float]:
         if math.isfinite(command[0]) and math.isfinite(command[1]):
             return command
     raise ValueError(f"action is {action!r}; it must be two finite numbers in [-1, 1], shape (2,)")
+
+
+def with_action(space: Any) -> Any:
+    """Return the space of observations that an action is appended to."""
+    bounds = np.append(space.high, np.ones(2, dtype=space.dtype))
+    return gym.spaces.Box(-bounds, bounds, dtype=space.dtype)
