@@ -19,7 +19,7 @@ from auv_gym.codegen import native
 from baselines.tools.command_line import DONE, parse, run
 from baselines.tools.figure_style import panels, to_png
 from baselines.tools.files import json_text, write_atomically
-from benchmarks import environments, learning, policies
+from benchmarks import environments, learning, policies, tracing
 from benchmarks.figures import SCENARIO, Case
 from benchmarks.page import page
 from benchmarks.timing import Run, interleaved, typical
@@ -31,6 +31,7 @@ CASES: tuple[Case, ...] = (
     environments.scalar_cases,
     environments.vector_cases,
     environments.scaling_cases,
+    tracing.tracing_cases,
     policies.decision_cases,
     policies.evaluation_cases,
     policies.command_cases,
