@@ -41,6 +41,7 @@ class Namespace:
     cos: Callable[[Number], Number]
     sqrt: Callable[[Number], Number]
     exp: Callable[[Number], Number]
+    log: Callable[[Number], Number]
     floor: Callable[[Number], Number]
     clip: Callable[[Number, Number, Number], Number]
     where: Callable[[Number, Number, Number], Number]
@@ -103,11 +104,21 @@ its tangent but not these two, which makes it a third of their cost."""
 
 _floor = (1.0).__rfloordiv__  # as math.floor, but of whatever is no number any more, too
 FLOATS = Namespace(
-    math.sin, math.cos, math.sqrt, math.exp, _floor, _clip, _where, _scaled_floats, _bounded_floats, np.array
+    math.sin, math.cos, math.sqrt, math.exp, math.log, _floor, _clip, _where, _scaled_floats, _bounded_floats, np.array
 )
 """The namespace of Python floats."""
 ARRAYS = Namespace(
-    _sin_array, _cos_array, np.sqrt, np.exp, np.floor, _clip_array, np.where, _scaled_arrays, _bounded_arrays, np.stack
+    _sin_array,
+    _cos_array,
+    np.sqrt,
+    np.exp,
+    np.log,
+    np.floor,
+    _clip_array,
+    np.where,
+    _scaled_arrays,
+    _bounded_arrays,
+    np.stack,
 )
 """The namespace of NumPy arrays, one row for each component."""
 
@@ -124,7 +135,7 @@ def tensors() -> Namespace:
         return [torch.clamp(x, -b, b) for x, b in zip(rows, bounds.numbers, strict=True)]
 
     return Namespace(
-        *(torch.sin, torch.cos, torch.sqrt, torch.exp, torch.floor, torch.clamp, torch.where),
+        *(torch.sin, torch.cos, torch.sqrt, torch.exp, torch.log, torch.floor, torch.clamp, torch.where),
         *(scaled, bounded, torch.stack),
     )
 

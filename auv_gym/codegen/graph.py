@@ -262,7 +262,7 @@ def _applied(operation: str) -> Callable[..., Any]:
     return function
 
 
-single, log = _applied("single"), _applied("log")  # operations that no namespace needs
+single = _applied("single")  # an operation that no namespace needs
 
 
 def _scaled(rows: Any, factors: Constants) -> list[Any]:
@@ -273,5 +273,8 @@ def _bounded(rows: Any, bounds: Constants) -> list[Any]:
     return [SYMBOLS.clip(row, -bound, bound) for row, bound in zip(rows, bounds.numbers, strict=True)]
 
 
-SYMBOLS = Namespace(*map(_applied, ("sin", "cos", "sqrt", "exp", "floor", "clip", "where")), _scaled, _bounded, list)
+SYMBOLS = Namespace(
+    *(_applied("sin"), _applied("cos"), _applied("sqrt"), _applied("exp"), _applied("log"), _applied("floor")),
+    *(_applied("clip"), _applied("where"), _scaled, _bounded, list),
+)
 """The namespace of symbols."""
