@@ -62,20 +62,6 @@ def _clip_array(value: Number, low: Number, high: Number) -> Number:
     return np.minimum(np.maximum(value, low), high)  # a third of np.clip's cost on small arrays
 
 
-def _sin_array(angle: Number) -> Number:
-    if angle.size < SMALL:
-        return np.sin(angle)
-    t = np.tan(0.5 * angle)
-    return (t + t) / (1.0 + t * t)
-
-
-def _cos_array(angle: Number) -> Number:
-    if angle.size < SMALL:
-        return np.cos(angle)
-    t = np.tan(0.5 * angle)
-    return 2.0 / (1.0 + t * t) - 1.0
-
-
 def _scaled_floats(rows: Any, factors: Constants) -> Any:
     if isinstance(rows, np.ndarray):
         return rows * factors.array
@@ -98,27 +84,14 @@ def _bounded_arrays(rows: Any, bounds: Constants) -> Any:
     return _clip_array(rows, -bounds.column, bounds.column)
 
 
-SMALL = 256
-"""Arrays from this size on take sine and cosine from the tangent of half the angle, exact to 4e-16: NumPy vectorises
-its tangent but not these two, which makes it a third of their cost."""
-
 _floor = (1.0).__rfloordiv__  # as math.floor, but of whatever is no number any more, too
 FLOATS = Namespace(
     math.sin, math.cos, math.sqrt, math.exp, math.log, _floor, _clip, _where, _scaled_floats, _bounded_floats, np.array
 )
 """The namespace of Python floats."""
 ARRAYS = Namespace(
-    _sin_array,
-    _cos_array,
-    np.sqrt,
-    np.exp,
-    np.log,
-    np.floor,
-    _clip_array,
-    np.where,
-    _scaled_arrays,
-    _bounded_arrays,
-    np.stack,
+    *(np.sin, np.cos, np.sqrt, np.exp, np.log, np.floor, _clip_array, np.where),
+    *(_scaled_arrays, _bounded_arrays, np.stack),
 )
 """The namespace of NumPy arrays, one row for each component."""
 

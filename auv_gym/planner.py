@@ -16,15 +16,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.codegen.graph import SYMBOLS
+from auv_gym.codegen.kernel import Kernel
 from auv_gym.dynamics import rates
 from auv_gym.feasibility import check, check_forces, check_rates
-from auv_gym.namespaces import ARRAYS, FLOATS, Number
+from auv_gym.namespaces import Number
 from auv_gym.paths import Path, evaluate
 from auv_gym.vehicle import Vehicle
 
@@ -37,7 +39,7 @@ MAX_REFINEMENT = 128  # of the step for that reason
 MAX_SIDESLIP = math.radians(80.0)  # beyond it a vehicle drifts rather than travels
 ORDER = 4  # samples in each integration formula
 MAX_SAMPLES = 2**21  # of a path or several at once, which bounds time and memory
-FEW = 8  # paths that are planned faster one by one, on floats, than together, on arrays
+MARGIN = 8  # how much finer than its samples a path may need to be looked at before several are planned one by one
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +111,7 @@ def plan(
     """
     paths = path if isinstance(path, Sequence) else (path,)
     times = _checked_times(times, paths)
-    if isinstance(path, Sequence) and (len(path) <= FEW or len(path) * len(times) > MAX_SAMPLES // FEW):
+    if isinstance(path, Sequence) and len(path) * len(times) > MAX_SAMPLES // MARGIN:
         return _side_by_side([plan(p, vehicle, times, force_limits) for p in path])
     memory = (vehicle.m22 - vehicle.m11) / vehicle.d22
     spacing = float(times[-1] - times[0]) / (len(times) - 1)
@@ -200,36 +202,67 @@ def _response(along: PathRates, vehicle: Vehicle) -> float:
     return float((vehicle.m22 * np.abs(a) + turn * tan + drag).max()) / (vehicle.m22 - vehicle.m11)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # past 90 degrees, where the caller refuses
 def _sine_of_sideslip(along: PathRates, vehicle: Vehicle, h: float) -> Array:
     """Integrate the equation of the module's docstring for w over samples h [s] apart, along axis 0.
 
     In the symbols of Cox and Matthews it is u' = c u + F(u, t) with u = w and c = -d22/Dm, and `F` below is h F:
-    u_(n+1) = e^(c h) u_n + g_0 F_n + g_1 F_(n-1) + g_2 F_(n-2) + g_3 F_(n-3).
+    u_(n+1) = e^(c h) u_n + g_0 F_n + g_1 F_(n-1) + g_2 F_(n-2) + g_3 F_(n-3). Where it passes 90 degrees it may give
+    what is no number, which the caller refuses.
     """
     Dm = vehicle.m22 - vehicle.m11
     z = vehicle.d22 / Dm * h  # -c h
-    floats = along.v_p.ndim == 1
-    bracket = ((h / Dm * term).tolist() if floats else h / Dm * term for term in sideslip_terms(along, vehicle))
-    sqrt = (FLOATS if floats else ARRAYS).sqrt
-    inputs: list[tuple[Any, Any, Any]] = list(zip(*bracket, strict=True))
-    start = slow_sideslip(along, vehicle)
-    u: list[Any] = [start.item() if floats else start] * ORDER
-    first = [(k, math.exp(-k * z), _weights(z, 0, k)) for k in range(1, ORDER)]
-    for _ in range(12):  # the first samples jointly: a fixed point of the integral over their interpolant
-        F = [sideslip_rest(*inputs[k], u[k], sqrt) for k in range(ORDER)]
-        for k, decay, (g0, g1, g2, g3) in first:
-            u[k] = decay * u[0] + g0 * F[0] + g1 * F[1] + g2 * F[2] + g3 * F[3]
-    decay = math.exp(-z)
-    g3, g2, g1, g0 = _weights(z, 1 - ORDER, 1)
-    F3, F2, F1, _ = F  # F_(n-3), F_(n-2), F_(n-1)
-    u_n = u[-1]
-    for a, q, b in inputs[ORDER - 1 : -1]:
-        F0 = sideslip_rest(a, q, b, u_n, sqrt)
-        u_n = decay * u_n + g0 * F0 + g1 * F1 + g2 * F2 + g3 * F3
-        u.append(u_n)
-        F3, F2, F1 = F2, F1, F0
-    return np.array(u)
+    terms = np.stack([h / Dm * term for term in sideslip_terms(along, vehicle)], axis=1)
+    inputs = np.ascontiguousarray(terms.reshape(len(terms), 3, -1))
+    lanes = np.ones(inputs.shape[2])
+    start = np.tile(slow_sideslip(along, vehicle).ravel(), (ORDER, 1))
+    weights = [math.exp(-k * z) for k in range(1, ORDER)] + [g for k in range(1, ORDER) for g in _weights(z, 0, k)]
+    opening = _opening()(FIXED_POINT, u=start, inputs=inputs[:ORDER].reshape(-1, len(lanes)), weights=np.outer(weights, lanes))
+    rates = np.outer((math.exp(-z), *_weights(z, 1 - ORDER, 1)), lanes)
+    u = np.empty((len(inputs), 1, len(lanes)))
+    u[:ORDER, 0] = opening["u"]
+    history = np.concatenate((opening["u"][-1:], opening["rest"][-2::-1]))
+    step = _recursion().bound(history=history, weights=rates, inputs=inputs, u=u[1:])  # from n it gives u_(n+1)
+    step(ORDER - 1, len(inputs) - ORDER)
+    return u.reshape(along.v_p.shape)
+
+
+FIXED_POINT = 12  # iterations for the first samples, which settle within fewer
+
+
+@cache
+def _opening() -> Kernel:
+    """Return one iteration for the first `ORDER` samples jointly: a fixed point of the integral over their interpolant.
+
+    `inputs` are the terms of each sample; `weights` the decays to all but the first, then the weights of each.
+    """
+
+    def equation(u: Any, inputs: Any, weights: Any) -> dict[str, Any]:
+        F = [sideslip_rest(*inputs[3 * k : 3 * k + 3], u[k], SYMBOLS.sqrt) for k in range(ORDER)]
+        decays, rows = weights[: ORDER - 1], [weights[j : j + ORDER] for j in range(ORDER - 1, len(weights), ORDER)]
+        after = [_plus(decay * u[0], row, F) for decay, row in zip(decays, rows, strict=True)]
+        return {"u": (u[0], *after), "rest": F}
+
+    return Kernel.traced(equation, {"u": ORDER, "inputs": 3 * ORDER, "weights": (ORDER - 1) * (ORDER + 1)})
+
+
+@cache
+def _recursion() -> Kernel:
+    """Return one step of the formula; `history` is u_n, F_(n-1), F_(n-2), F_(n-3), `weights` decay and g_3 ... g_0."""
+
+    def equation(history: Any, weights: Any, inputs: Any) -> dict[str, Any]:
+        u_n, *past = history
+        F = [sideslip_rest(*inputs, u_n, SYMBOLS.sqrt), *past]
+        decay, *g = weights
+        u = _plus(decay * u_n, g[::-1], F)
+        return {"history": (u, *F[:-1]), "u": (u,)}
+
+    return Kernel.traced(equation, {"history": ORDER, "weights": ORDER + 1, "inputs": 3}, ["inputs", "u"])
+
+
+def _plus(total: Any, weights: Sequence[Any], F: Sequence[Any]) -> Any:
+    for g, rest in zip(weights, F, strict=True):
+        total = total + g * rest
+    return total
 
 
 def sideslip_terms(along: PathRates, vehicle: Vehicle) -> tuple[Array, Array, Array]:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.namespaces import Namespace, Number
+from auv_gym.namespaces import ARRAYS, FLOATS, Namespace, Number
+from auv_gym.task import action_of, decoded_terms
+
+Forces: TypeAlias = Callable[[Sequence[Number], Namespace], tuple[Number, Number]]
+"""F_u [N], F_r [N m] of the terms of an observation in SI units, computed with a namespace."""
 
 
 class Policy(Protocol):
@@ -22,6 +27,46 @@ class Policy(Protocol):
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
         """Return the action and the memory to hand in at the next call."""
+
+
+class Law(ABC):
+    """A policy without memory whose forces are a pure function of the observation's terms.
+
+    That function runs on the numbers of any namespace, so it can be traced, compiled and differentiated.
+    """
+
+    @abstractmethod
+    def forces(self, o: Sequence[Number], ns: Namespace = FLOATS) -> tuple[Number, Number]:
+        """Return F_u [N], F_r [N m] for a `task.Observation` in SI units, or its terms in that order."""
+
+    def check(self, terms: Any) -> None:
+        """Look at what is observed, the terms as a list or as rows, and warn if the law is not made for it."""
+
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
+        """Return the action for an observation of shape (18,), or actions (N, 2) for (N, 18), and `state` untouched.
+
+        The law has no memory; the arguments behind the first are those of every policy. Wider observations, as the
+        residual environment's, are fine.
+
+        Raises:
+            ValueError: the observation has another shape.
+        """
+        o = decoded_terms(observation)
+        self.check(o)
+        if observation.ndim == 1:
+            return np.array(action_of(self.forces(o), o, FLOATS), dtype=np.float32), state
+        return np.stack(action_of(self.forces(o, ARRAYS), o, ARRAYS), axis=1).astype(np.float32), state
+
+
+def traceable(policy: Any) -> bool:
+    """Return whether a policy does what its `forces` say: whether it is a `Law` with `Law.predict`."""
+    return isinstance(policy, Law) and type(policy).predict is Law.predict
 
 
 def preview_of(policy: Any) -> tuple[int, ...]:

@@ -60,8 +60,8 @@ def test_gradients_flow_through_expert_and_correction():
 
 
 def test_bad_input_is_refused():
-    with pytest.raises(ValueError, match="expert OpenLoop does not compute on tensors"):
-        residual(expert="open-loop")
+    with pytest.raises(ValueError, match="expert Remembering does not compute on tensors"):
+        residual(expert="ekf")
     env = residual()
     before = env.reset(seed=0)[0]
     for bad in (

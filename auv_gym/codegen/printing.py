@@ -145,9 +145,10 @@ def c_function(
 ) -> str:
     """Return the source of a C function for n vehicles and some steps, one after the other, from step `first` on.
 
-        void NAME(long n, long first, long steps, const real *ARGUMENT, ..., real *RESULT, ...)
+        void NAME(const int64_t *at, int first, int steps)
 
-    An array has shape (rows, n), or (T, rows, n) if it is one of `over_time`. One that is argument and result at once
+    `at` holds n and then the address of each array, arguments first, those of results that are no arguments behind:
+    few and plain arguments, since a call from Python costs more for each of them than a step of a vehicle. An array has shape (rows, n), or (T, rows, n) if it is one of `over_time`. One that is argument and result at once
     is carried from step to step. Truth values become 0 and 1.
 
     Args:
@@ -165,11 +166,13 @@ def c_function(
     read = {graph.nodes[i][1] for i in graph.needed(s.index for s in wanted) if graph.nodes[i][0] == "input"}
     given = {s.node[1]: place[array].format(j) for array, own in arguments.items() for j, s in enumerate(own)}
     statements, texts = written(graph, wanted, c_language(precision), {entry: entry for entry in read})
-    parameters = [f"{'' if a in results else 'const '}real *restrict {a}" for a in rows]
+    pointers = [f"{'' if a in results else 'const '}real *restrict" for a in rows]
     step = "first + steps - 1 - j" if back else "first + j"
     lines = [
-        f"void {name}({', '.join(('long n', 'long first', 'long steps', *parameters))})",
+        f"void {name}(const int64_t *at, int first, int steps)",
         "{",
+        "const long n = (long)at[0];",
+        *(f"{kind} {a} = ({kind})at[{j}];" for j, (a, kind) in enumerate(zip(rows, pointers, strict=True), 1)),
         "for (long j = 0; j < steps; j++) {",
         f"const long k = {step};",
         "#pragma omp simd",

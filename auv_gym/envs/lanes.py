@@ -11,17 +11,18 @@ import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from auv_gym import simulation
 from auv_gym.episode import Episode, checked_options, with_options
+from auv_gym.kernels import begun
 from auv_gym.namespaces import ARRAYS
 from auv_gym.planner import plan
+from auv_gym.policy import Forces
 from auv_gym.presets import as_scenario
 from auv_gym.preview import Preview, encode_preview
 from auv_gym.rows import leaves
 from auv_gym.scenario import Scenario
-from auv_gym.simulation import PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts, Plant, Terms
+from auv_gym.simulation import PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts
 from auv_gym.tape import Tape
-from auv_gym.task import Observation, check_reference, encode
+from auv_gym.task import Observation, check_reference, decode
 from auv_gym.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -45,8 +46,8 @@ class Beginning(NamedTuple):
     """New episodes in n of the lanes."""
 
     lanes: Indices  # which, shape (n,)
-    plant: Plant  # rows of shape (n,)
-    observation: Array  # the first ones, shape (n, columns)
+    plant: Array  # rows of their `simulation.Plant`, shape (PLANT_ROWS, n)
+    seen: Array  # the first observations without previews, shape (columns, n), see `kernels.begun`
     errors: Array  # [m] position error, shape (n,)
 
 
@@ -67,6 +68,7 @@ class Lanes:
         blocks: how many blocks have been read.
         constants: the rows of `parameters`, shape (PARAMETER_ROWS, N).
         k: control steps since each lane's reset, shape (N,).
+        forces: of a law whose actions are observed as well, if there is one.
         preview: the references' positions ahead.
 
     Raises:
@@ -86,6 +88,7 @@ class Lanes:
         self.scenarios = _scenarios(scenario, num_envs, vehicle, control_dt)
         self.all: Indices = np.arange(num_envs)
         self.begun = False
+        self.forces: Forces | None = None
         self._generators = [seeding.np_random(None)[0] for _ in range(num_envs)]
         self._dt = np.array([s.control_dt for s in self.scenarios])
         self._steps = np.array([s.steps for s in self.scenarios])
@@ -213,18 +216,17 @@ class Lanes:
         ahead = self.samples[max(self.row, 0) :]
         ahead[:, :, lanes] = self._tape.read(lanes, len(ahead))
         states = np.array([episode.initial_state(table[0].tolist()) for episode, table, _ in planned]).T
-        p = Parameters.of(tuple(self.constants[:, lanes]), self.parts)
-        plant, terms = simulation.start(tuple(states), self.sample[:, lanes], p, ARRAYS)
         errors = np.hypot(*np.array([episode.initial_error[:2] for episode, _, _ in planned]).T)
-        return Beginning(lanes, plant, self.encoded(terms, lanes), errors)
+        return Beginning(
+            lanes, *begun(self.parts, states, self.sample[:, lanes], self.constants[:, lanes], self.forces), errors
+        )
 
-    def encoded(self, terms: Terms, lanes: Indices) -> Array:
-        """Return the observations of n lanes with their previews, shape (n, columns), for terms in SI units."""
-        observation: Array = encode(terms, ARRAYS).T
+    def with_preview(self, rows: Array, lanes: Indices) -> Array:
+        """Return the observations of n lanes with their previews, shape (columns, n), for those without (SIZE, n)."""
         if not self.preview.periods:
-            return observation
-        columns = encode_preview(self.preview.ahead(lanes, self.k[lanes]), Observation._make(terms), ARRAYS)
-        return np.hstack((observation, columns.T))
+            return rows
+        o = Observation._make(decode(rows, ARRAYS))
+        return np.vstack((rows, encode_preview(self.preview.ahead(lanes, self.k[lanes]), o, ARRAYS)))
 
     def _plan_of(self, lane: int) -> tuple[float, int, Vehicle, float, float]:
         """Return what a plan depends on besides the path, the arguments of `reference_tables`."""

@@ -11,9 +11,10 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from auv_gym.envs.lanes import checked_actions, replaced
-from auv_gym.envs.track_env import checked_action
+from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv, checked_action
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.namespaces import ARRAYS, FLOATS
-from auv_gym.policy import Policy, checked_authority, corrected
+from auv_gym.policy import Policy, checked_authority, corrected, traceable
 
 
 class ResidualAction(gym.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArray[np.float64], NDArray[np.float32]]):
@@ -36,6 +37,9 @@ class ResidualAction(gym.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArr
         self.expert = expert
         self.authority = checked_authority(authority)
         self.observation_space = with_action(env.observation_space)
+        self._compiled = isinstance(env, UnderactuatedAUVTrackEnv) and traceable(expert)
+        if self._compiled:
+            env.correct(expert, self.authority)  # type: ignore[attr-defined]
         self._memory: tuple[NDArray[Any], ...] | None = None
         self._base = np.zeros(2, dtype=np.float32)
 
@@ -45,7 +49,7 @@ class ResidualAction(gym.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArr
         """Start an episode; see the wrapped environment."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._memory = None
-        return self._extended(observation, True), info
+        return observation if self._compiled else self._extended(observation, True), info
 
     def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float64], float, bool, bool, dict[str, Any]]:
         """Apply the expert's action plus the correction.
@@ -53,6 +57,8 @@ class ResidualAction(gym.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArr
         Raises:
             ValueError: the correction is not two finite numbers; nothing has changed then.
         """
+        if self._compiled:
+            return self.env.step(action)  # type: ignore[return-value]
         (c_u, c_r), (a_u, a_r), (base_u, base_r) = checked_action(action), self.authority, self._base.tolist()
         command = np.array((corrected(base_u, a_u, c_u, FLOATS), corrected(base_r, a_r, c_r, FLOATS)))
         observation, reward, terminated, truncated, info = self.env.step(command)
@@ -89,6 +95,9 @@ class VectorResidualAction(
         self.authority = checked_authority(authority)
         self.single_observation_space = with_action(env.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
+        self._compiled = isinstance(env, UnderactuatedAUVTrackVectorEnv) and traceable(expert)
+        if self._compiled:
+            env.correct(expert, self.authority)  # type: ignore[attr-defined]
         self._memory: tuple[NDArray[Any], ...] | None = None
         self._base = np.zeros((env.num_envs, 2), dtype=np.float32)
 
@@ -97,6 +106,8 @@ class VectorResidualAction(
     ) -> tuple[NDArray[np.float64], dict[str, Any]]:
         """Start episodes; see the wrapped environment."""
         observation, info = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
+        if self._compiled:
+            return observation, info
         begun = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, dtype=bool)))
         if begun.all():
             self._memory = None
@@ -116,6 +127,8 @@ class VectorResidualAction(
         Raises:
             ValueError: a correction is not two finite numbers; nothing has changed then.
         """
+        if self._compiled:
+            return self.env.step(actions)
         corrections = checked_actions(actions, self.num_envs)
         command = corrected(self._base, np.array(self.authority), corrections, ARRAYS)
         observation, reward, terminated, truncated, info = self.env.step(command)

@@ -204,9 +204,9 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
         if self._block == host.blocks:
             # A graph holds rows of earlier instants, which stay; `data` spares autograd the change of those to come.
             self._samples.data[host.row + 1 :, :, where] = self._tensor(host.samples[host.row + 1 :, :, lanes])
-        begun = self._tensor(np.array(leaves(beginning.plant)))
+        begun = self._tensor(beginning.plant)
         self._state = begun if self._state is None else self._state.index_copy(1, where, begun)
-        return observation.index_copy(0, where, self._tensor(beginning.observation))
+        return observation.index_copy(0, where, self._tensor(host.with_preview(beginning.seen, lanes).T))
 
     def _with_preview(self, rows: Tensor, lanes: Indices) -> Tensor:
         """Return the observations (columns, n) of n lanes, whose terms are given, with their previews."""

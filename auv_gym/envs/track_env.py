@@ -14,16 +14,29 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from auv_gym.episode import checked_options, with_options
+from auv_gym.kernels import STATES, Vehicles, begun
 from auv_gym.namespaces import ARRAYS, FLOATS
 from auv_gym.paths import Path
 from auv_gym.planner import Reference, plan
+from auv_gym.policy import Law
 from auv_gym.presets import as_scenario
 from auv_gym.preview import Preview, encode_preview, observation_bounds
 from auv_gym.rendering import Renderer, View
 from auv_gym.scenario import Scenario
-from auv_gym.simulation import CURRENT, REFERENCE, Terms, current_at, ground_state, start, step
+from auv_gym.rows import filled, leaves
+from auv_gym.simulation import (
+    CURRENT,
+    PARAMETER_ROWS,
+    PLANT,
+    REFERENCE,
+    SAMPLE_ROWS,
+    Parameters,
+    Plant,
+    current_at,
+    ground_state,
+)
 from auv_gym.tape import Tape
-from auv_gym.task import Observation, check_reference, encode
+from auv_gym.task import Observation, check_reference, decoded_terms
 from auv_gym.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -151,7 +164,10 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self._planned: tuple[Path, Reference] | None = None
         if isinstance(self.scenario.path, Path):
             self._plan(self.scenario.path)
-        self._tape = Tape(1, BLOCK)
+        self._tape, self._samples = Tape(1, BLOCK), np.zeros((BLOCK, SAMPLE_ROWS, 1))
+        self._constants = np.ones((PARAMETER_ROWS, 1))
+        self._law: Law | None = None
+        self._vehicle = Vehicles(self.scenario.parts, self._samples, self._constants)
         self._spec: EnvSpec | None = None
         self._k = self._steps  # no episode yet
         self._over = True
@@ -188,33 +204,62 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         else:
             episode, reference = self.scenario.drawn(self.np_random, lambda episode: self._plan(episode.path))
         episode = with_options(episode, checked)
-        parameters = self.scenario.parameters(episode)
+        self._constants[:, 0] = leaves(self.scenario.parameters(episode))
         self._tape.load(0, self.scenario, episode, reference.table)
         self._preview.load((0,), (episode.path,), (self._dt,))
         self._read()
-        self._parameters, sample = parameters, self._rows[0]
-        self._plant, terms = start(episode.initial_state(sample), sample, parameters, FLOATS)
-        self._k, self._row, self._over = 0, 0, False
+        state = np.reshape(episode.initial_state(self._sample), (STATES, 1))
+        forces = None if self._law is None else self._law.forces
+        start = begun(self.scenario.parts, state, self._samples[0], self._constants, forces)
+        self._vehicle.place(slice(None), *start)
+        self._k, self._over = 0, False
         error = math.hypot(episode.initial_error[0], episode.initial_error[1])
         self._info = {"position_error": error, "saturated": False, "time": 0.0}
-        self._trail = [(self._plant.x, self._plant.y)]
+        self._trail = [self._place()]
         if self.render_mode == "human":
             self.render()
-        return self._encoded(terms), self._info
+        observation = self._observed()
+        if self._law is not None:
+            self._law.check(decoded_terms(observation))
+        return observation, self._info
 
-    def _encoded(self, terms: Terms) -> Array:
-        observation: Array = encode(terms, FLOATS)
+    def correct(self, law: Law, authority: tuple[float, float]) -> None:
+        """Take actions as corrections to a law from now on, and append the law's action to observations.
+
+        It is what `ResidualAction` does, in the compiled step; a new episode must begin.
+        """
+        self._law = law
+        parts = self.scenario.parts
+        self._vehicle = Vehicles(parts, self._samples, self._constants, law.forces, authority)
+        self._k, self._over = self._steps, True
+
+    def _observed(self) -> Array:
+        """Return a copy of what is observed now, its preview included."""
+        observation: Array = self._vehicle.now.seen[:, 0]
         if not self._preview.periods:
-            return observation
-        ahead = self._preview.ahead((0,), self._k)
-        return np.append(observation, encode_preview(ahead, Observation._make(terms), ARRAYS))
+            return observation.copy()
+        o = Observation._make(decoded_terms(observation))
+        return np.append(observation, encode_preview(self._preview.ahead((0,), self._k), o, ARRAYS))
+
+    def _place(self) -> tuple[float, float]:
+        x, y = self._vehicle.now.plant[[PLANT.x, PLANT.y], 0].tolist()
+        return x, y
 
     @property
-    def _sample(self) -> Any:
-        return self._rows[self._row]
+    def _plant(self) -> Plant:
+        return filled(PLANT, self._vehicle.now.plant.ravel().tolist())
+
+    @property
+    def _sample(self) -> list[float]:
+        numbers: list[float] = self._samples[self._row].ravel().tolist()
+        return numbers
+
+    @property
+    def _parameters(self) -> Parameters:
+        return Parameters.of(self._constants.ravel().tolist(), self.scenario.parts)
 
     def _read(self) -> None:
-        self._rows = self._tape.read((0,), BLOCK)[:, :, 0].tolist()
+        self._tape.read((0,), BLOCK, self._samples)
         self._row = 0
 
     def step(self, action: NDArray[np.floating[Any]]) -> tuple[Array, float, bool, bool, dict[str, Any]]:
@@ -231,26 +276,24 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self._row += 1
         if self._row == BLOCK:
             self._read()
-        self._plant, terms, (reward, lost, squared_error, saturated) = step(
-            self._plant, command, self._rows[self._row], self._parameters, FLOATS
-        )
+        vehicle = self._vehicle
+        vehicle.action[0, 0], vehicle.action[1, 0] = command
+        vehicle.step(self._row)
+        (reward,), (lost,), (error,), (saturated,) = vehicle.now.outcome.tolist()
         truncated = self._k >= self._steps
-        self._over = truncated or lost
-        self._info = {
-            "position_error": math.sqrt(squared_error),
-            "saturated": saturated,
-            "time": self._k * self._dt,
-        }
+        terminated = lost > 0.0
+        self._over = truncated or terminated
+        self._info = {"position_error": error, "saturated": saturated > 0.0, "time": self._k * self._dt}
         if self.render_mode is not None:
-            self._trail.append((self._plant.x, self._plant.y))
+            self._trail.append(self._place())
             if self.render_mode == "human":
                 self.render()
-        return self._encoded(terms), reward, lost, truncated, self._info
+        return self._observed(), reward, terminated, truncated, self._info
 
     @property
     def state(self) -> Array:
         """x, y [m], psi [rad], u, v [m/s] over ground, r [rad/s]; shape (6,)."""
-        return np.array(ground_state(self._plant, self._sample[CURRENT], self._parameters, FLOATS))
+        return np.array(ground_state(self._plant, tuple(self._sample[CURRENT]), self._parameters, FLOATS))
 
     @property
     def reference(self) -> ReferencePoint:
@@ -266,7 +309,8 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     def current(self) -> Array:
         """V_x, V_y [m/s] of the water in the world, where the vehicle is; shape (2,)."""
         plant = self._plant
-        return np.array(current_at(plant.x, plant.y, self._sample[CURRENT], self._parameters, FLOATS))
+        V_x, V_y = self._sample[CURRENT]
+        return np.array(current_at(plant.x, plant.y, (V_x, V_y), self._parameters, FLOATS))
 
     @property
     def time(self) -> float:

@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 
 from auv_gym.envs.lanes import Beginning, Lanes, ScenarioLike, checked_actions, replaced
 from auv_gym.envs.track_env import ReferencePoint
+from auv_gym.kernels import Vehicles
 from auv_gym.namespaces import ARRAYS
+from auv_gym.policy import Forces, Law
 from auv_gym.preview import observation_bounds
-from auv_gym.rows import filled, leaves
-from auv_gym.simulation import CURRENT, PLANT, REFERENCE, Plant, current_at, ground_state, step
+from auv_gym.simulation import CURRENT, REFERENCE, current_at, ground_state
+from auv_gym.task import SIZE, decode
 from auv_gym.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -75,7 +77,8 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
         self.single_observation_space = gym.spaces.Box(-bounds, bounds, dtype=np.float64)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._plant: Plant | None = None
+        self._law: Law | None = None
+        self._vehicles = self._made()
         self._observation = np.zeros((num_envs, len(bounds)))
         self._everywhere = np.ones(num_envs, dtype=bool)
 
@@ -88,19 +91,35 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
             ValueError: unknown or wrong options, or a wrong number of seeds; nothing has changed then.
         """
         beginning = self._lanes.reset(seed, options)
-        self._begin(beginning)
-        self._observation[beginning.lanes] = beginning.observation
+        self._observation = self._observation.copy()
+        self._observation[beginning.lanes] = self._begin(beginning)
         errors = np.zeros(self.num_envs)
         errors[beginning.lanes] = beginning.errors
         begun = np.isin(self._lanes.all, beginning.lanes)
         return self._observation.copy(), self._info(errors, ~self._everywhere, begun)
 
-    def _begin(self, beginning: Beginning) -> None:
-        """Put vehicles at the start of their episodes."""
-        begun = leaves(beginning.plant)
-        old = begun if self._plant is None else leaves(self._plant)
-        rows = [replaced(a, beginning.lanes, b) for a, b in zip(old, begun, strict=True)]
-        self._plant = filled(PLANT, rows)
+    def _made(self, forces: Forces | None = None, authority: tuple[float, float] = (0.0, 0.0)) -> Vehicles:
+        lanes = self._lanes
+        return Vehicles(lanes.parts, lanes.samples, lanes.constants, forces, authority)
+
+    def correct(self, law: Law, authority: tuple[float, float]) -> None:
+        """Take actions as corrections to a law from now on, and append the law's actions to observations.
+
+        It is what `VectorResidualAction` does, in the compiled step; all episodes must begin anew.
+        """
+        self._law, self._lanes.forces = law, law.forces
+        self._vehicles = self._made(law.forces, authority)
+        self._observation = np.zeros((self.num_envs, len(self._vehicles.now.seen)))
+        self._lanes.begun = False
+
+    def _begin(self, beginning: Beginning) -> Array:
+        """Put vehicles at the start of their episodes; return their observations, shape (n, columns)."""
+        lanes, vehicles = beginning.lanes, self._vehicles
+        vehicles.place(lanes, beginning.plant, beginning.seen)
+        rows = self._lanes.with_preview(beginning.seen, lanes)
+        if self._law is not None:
+            self._law.check(decode(rows[:SIZE], ARRAYS))
+        return rows.T
 
     def step(self, actions: NDArray[Any]) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
         """Advance every vehicle by one control period; start the next episode where one ends.
@@ -109,18 +128,21 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
             ValueError: an action is not two finite numbers; the first bad sub-environment is named, none has advanced.
             ResetNeeded: no episode has begun.
         """
-        commands = tuple(np.ascontiguousarray(checked_actions(actions, self.num_envs).T))
-        plant, lanes = self._running, self._lanes
-        plant, terms, (reward, lost, squared, saturated) = step(
-            plant, commands, tuple(lanes.coming()), lanes.parameters, ARRAYS
-        )
-        truncated = lanes.truncating
-        done = lost | truncated
+        commands, vehicles, lanes = checked_actions(actions, self.num_envs), self._running, self._lanes
+        lanes.coming()
+        vehicles.action[:] = commands.T
+        vehicles.step(lanes.row + 1)
+        reward, lost, errors, saturated = vehicles.now.outcome.copy()
+        terminated, saturated, truncated = lost > 0, saturated > 0, lanes.truncating
+        done = terminated | truncated
         ended = done.nonzero()[0]
-        planned = lanes.planned(ended) if len(ended) else []  # may be refused: nothing has changed so far
+        try:
+            planned = lanes.planned(ended) if len(ended) else []
+        except ValueError:
+            vehicles.undo()  # nothing has changed
+            raise
         lanes.advance()
-        self._plant = plant
-        observation, errors = lanes.encoded(terms, lanes.all), np.sqrt(squared)
+        observation = lanes.with_preview(vehicles.now.seen, lanes.all).copy().T
         info: dict[str, Any] = {}
         if planned:
             final = np.full(self.num_envs, None, dtype=object)
@@ -129,12 +151,11 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
             info = {"final_obs": final, "_final_obs": done, "_final_info": done}
             info["final_info"] = self._info(errors, saturated, done)
             beginning = lanes.begin(ended, planned)
-            self._begin(beginning)
-            observation[ended], errors[ended] = beginning.observation, beginning.errors
+            observation[ended], errors[ended] = self._begin(beginning), beginning.errors
             saturated = saturated & ~done
         info.update(self._info(errors, saturated, self._everywhere))
         self._observation = observation.copy(order="K")  # a term stays a row in memory: a third of the cost
-        return observation, reward, lost, truncated, info
+        return observation, reward, terminated, truncated, info
 
     def _info(self, errors: Array, saturated: Mask, mask: Mask) -> dict[str, Any]:
         """Return the scalar environment's info in Gymnasium's vector form, zero where the mask is False."""
@@ -150,7 +171,7 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
     def state(self) -> Array:
         """x, y [m], psi [rad], u, v [m/s] over ground, r [rad/s]; shape (N, 6)."""
         lanes = self._lanes
-        return np.stack(ground_state(self._running, lanes.sample[CURRENT], lanes.parameters, ARRAYS), axis=1)
+        return np.stack(ground_state(self._running.plant, lanes.sample[CURRENT], lanes.parameters, ARRAYS), axis=1)
 
     @property
     def reference(self) -> ReferencePoint:
@@ -160,12 +181,13 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
     @property
     def force(self) -> Array:
         """F_u [N], F_r [N m] that the actuators apply at this time; shape (N, 2)."""
-        return np.stack((self._running.F_u, self._running.F_r), axis=1)
+        plant = self._running.plant
+        return np.stack((plant.F_u, plant.F_r), axis=1)
 
     @property
     def current(self) -> Array:
         """V_x, V_y [m/s] of the water in the world, where the vehicles are; shape (N, 2)."""
-        lanes, plant = self._lanes, self._running
+        lanes, plant = self._lanes, self._running.plant
         return np.stack(current_at(plant.x, plant.y, lanes.sample[CURRENT], lanes.parameters, ARRAYS), axis=1)
 
     @property
@@ -174,7 +196,7 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
         return self._lanes.time
 
     @property
-    def _running(self) -> Plant:
-        if self._plant is None:
+    def _running(self) -> Vehicles:
+        if not self._lanes.begun:
             raise ResetNeeded("no episode has begun: call reset() first")
-        return self._plant
+        return self._vehicles

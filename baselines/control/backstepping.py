@@ -13,13 +13,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from auv_gym.intervals import check_number
-from auv_gym.namespaces import ARRAYS, FLOATS, Namespace, Number
+from auv_gym.namespaces import FLOATS, Namespace, Number
+from auv_gym.policy import Law
 from auv_gym.scenario import as_vehicle
-from auv_gym.task import action_of, decoded_terms
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 from baselines.policy import U_R, V_R, is_fast, reference_speed, squared_speed
 
@@ -138,7 +135,7 @@ def bounded_error(o: Sequence[Number], horizon: float, ns: Namespace = FLOATS) -
     return shrink * e_x, shrink * e_y, *rest
 
 
-class Backstepping:
+class Backstepping(Law):
     """The tracking law as a policy with Stable-Baselines3's `predict`, for one observation or a batch.
 
     Args:
@@ -182,29 +179,11 @@ class Backstepping:
         slow_forces, fast_forces = (tracking_forces(o, self.vehicle, g, ns) for g in (self._slow, self._fast))
         return ns.where(fast, fast_forces[0], slow_forces[0]), ns.where(fast, fast_forces[1], slow_forces[1])
 
-    def predict(
-        self,
-        observation: NDArray[Any],
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """Return the action for an observation of shape (18,), or actions (N, 2) for (N, 18), and `state` untouched.
-
-        The law has no memory; the arguments behind the first are those of every policy. Wider observations, as the
-        residual environment's, are fine.
-
-        Raises:
-            ValueError: the observation has another shape.
-        """
-        o = decoded_terms(observation)
-        if observation.ndim == 1:
-            if o[U_R] > self._max_speed:
-                self._warn(o[U_R])
-            return np.array(action_of(self.forces(o), o, FLOATS), dtype=np.float32), state
-        if (u_R := float(o[U_R].max(initial=0.0))) > self._max_speed:
+    def check(self, terms: Any) -> None:
+        """Warn, once, where the reference is too fast for the gains."""
+        u_R = terms[U_R] if isinstance(terms, list) else float(terms[U_R].max(initial=0.0))
+        if u_R > self._max_speed:
             self._warn(u_R)
-        return np.stack(action_of(self.forces(o, ARRAYS), o, ARRAYS), axis=1).astype(np.float32), state
 
     def _warn(self, u_R: float) -> None:
         if not self._warned:
@@ -213,5 +192,5 @@ class Backstepping:
                 f"these gains are stable up to {self._max_speed:g} m/s, the reference runs at {u_R:.3g} m/s: "
                 "expect growing oscillations; gains 'auto', 'robust' or 'normalised' go further",
                 StabilityWarning,
-                stacklevel=3,
+                stacklevel=4,
             )

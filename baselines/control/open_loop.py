@@ -2,42 +2,29 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
-from auv_gym.namespaces import ARRAYS
-from auv_gym.task import action_of, decode_observation
+from auv_gym.namespaces import FLOATS, Namespace, Number
+from auv_gym.policy import Law
+from auv_gym.task import Observation
 
 NO_EXPERT = "none"
 """Name of `Zero` where an expert is named."""
+F_UR = Observation._fields.index("F_uR")  # where the reference's surge force stands among the terms
+F_RR = Observation._fields.index("F_rR")  # where its yaw torque stands
 
 
-class OpenLoop:
+class OpenLoop(Law):
     """Applies F_uR and F_rR (16), whatever the errors are."""
 
-    def predict(
-        self,
-        observation: NDArray[Any],
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """Return the action (2,) or actions (N, 2) for observations (18,) or (N, 18), and `state` untouched."""
-        o = decode_observation(observation)
-        return np.array(action_of((o.F_uR, o.F_rR), o, ARRAYS), dtype=np.float32).T, state
+    def forces(self, o: Sequence[Number], ns: Namespace = FLOATS) -> tuple[Number, Number]:
+        """Return F_uR [N], F_rR [N m]."""
+        return o[F_UR], o[F_RR]
 
 
-class Zero:
+class Zero(Law):
     """Commands nothing."""
 
-    def predict(
-        self,
-        observation: NDArray[Any],
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """Return the zero action, shape (2,) or (N, 2), and `state` untouched."""
-        return np.zeros((*observation.shape[:-1], 2), dtype=np.float32), state
+    def forces(self, o: Sequence[Number], ns: Namespace = FLOATS) -> tuple[Number, Number]:
+        """Return zeros [N], [N m], of the shape that the terms have."""
+        return 0.0 * o[F_UR], 0.0 * o[F_RR]

@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.envs.lanes import Lanes
-from auv_gym.rows import leaves
 from auv_gym.scenario import Scenario
 from auv_gym.simulation import SAMPLE_ROWS, Parts
-from auv_gym.task import SIZE
 from baselines.agents.features import INTEGRALS
 from baselines.agents.networks import ACTIONS
 from baselines.training.apg.window import Array, Carried
@@ -53,7 +51,7 @@ class Fleet:
         """Begin an episode everywhere; return what is carried into it, for a network of so many hidden units."""
         n, beginning = len(self.fresh), self._lanes.reset(self._seed, None)
         nothing = (np.zeros((rows, n)) for rows in (INTEGRALS, ACTIONS, hidden))
-        return Carried(np.array(leaves(beginning.plant)), _terms(beginning.observation), *nothing)
+        return Carried(beginning.plant, beginning.seen, *nothing)
 
     def window(self) -> tuple[Array, Array]:
         """Return what the next window brings, and let its time pass.
@@ -79,11 +77,5 @@ class Fleet:
         renewed = Carried(*(np.where(self.fresh, 0.0, x) for x in carried))
         if len(lanes):
             beginning = self._lanes.begin(lanes, self._lanes.planned(lanes))
-            renewed.state[:, lanes] = leaves(beginning.plant)
-            renewed.observation[:, lanes] = _terms(beginning.observation)
+            renewed.state[:, lanes], renewed.observation[:, lanes] = beginning.plant, beginning.seen
         return renewed
-
-
-def _terms(observation: Array) -> Array:
-    """Return observations (N, columns) without previews, (SIZE, N)."""
-    return observation[:, :SIZE].T

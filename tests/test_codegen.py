@@ -1,0 +1,333 @@
+"""Equations as data: the printed forms give the equation's own numbers, derivatives those of torch."""
+
+import functools
+import logging
+import math
+import os
+import stat
+import subprocess
+import sys
+
+import mpmath
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from auv_gym.codegen import native
+from auv_gym.codegen.derivatives import PULLS, directional, gradient, jacobian
+from auv_gym.codegen.elementary import sine_cosine
+from auv_gym.codegen.graph import EXACT, SYMBOLS, TRUTHS, Graph, single
+from auv_gym.codegen.kernel import Kernel
+from auv_gym.codegen.printing import NUMPY, PYTHON
+from auv_gym.dynamics import rk4_step
+from auv_gym.namespaces import ARRAYS, FLOATS, tensors, wrap_angle
+from auv_gym.vehicle import PAPER_VEHICLE
+
+NUMBERS = st.floats(-50, 50, allow_subnormal=False)
+PROGRAMS = st.lists(
+    st.tuples(st.integers(0, 15), st.integers(0, 10**6), st.integers(0, 10**6), st.integers(0, 10**6)),
+    min_size=1,
+    max_size=40,
+)
+needs_compiler = pytest.mark.skipif(
+    native.compiler() is None or not native.wanted(), reason="compiled code is switched off, or there is no compiler"
+)
+
+
+def computed(program, inputs, ns, number=float):
+    """Run a random program of operations on numbers or symbols; everything stays finite."""
+    values = [*inputs, *map(number, (0.5, -2.0, 1.0, 0.0))]
+    for operation, i, j, k in program:
+        x, y, z = (values[n % len(values)] for n in (i, j, k))
+        values.append(
+            (
+                lambda: x + y,
+                lambda: x - y,
+                lambda: wrap_angle(x * y, ns),
+                lambda: x / (1.5 + y * y),
+                lambda: -x,
+                lambda: abs(x),
+                lambda: ns.sin(x),
+                lambda: ns.cos(x),
+                lambda: ns.sqrt(0.1 + abs(x)),
+                lambda: 0.01 * ns.floor(x),
+                lambda: ns.clip(x, -3.0, 3.0),
+                lambda: ns.clip(x, -abs(y), abs(y) + 1.0),
+                lambda: ns.where(x < y, y, z),
+                lambda: ns.where((x <= y) | (y > z), z, ns.exp(-abs(x))),
+                lambda: ns.where((x < y) & ((y >= z) ^ True), x * 0.3, z),
+                lambda: x * 1.0 - 0.0,
+            )[operation]()
+        )
+    return values[-3:]
+
+
+def kernel_of(program, **options):
+    return Kernel.traced(lambda given: {"out": computed(program, given, SYMBOLS)}, {"given": 3}, **options)
+
+
+def random_programs(rng, count, length):
+    return [[tuple(rng.integers(0, (16, 99, 99, 99)).tolist()) for _ in range(length)] for _ in range(count)]
+
+
+@settings(deadline=None, max_examples=150)
+@given(PROGRAMS, st.lists(NUMBERS, min_size=3, max_size=3))
+def test_printed_python_is_the_equation_bit_for_bit(program, inputs):
+    kernel = kernel_of(program)
+    expected = [float(y).hex() for y in computed(program, inputs, FLOATS)]
+    assert [float(y).hex() for y in kernel._on_floats(inputs)] == expected
+
+
+def test_printed_numpy_is_the_equation_on_arrays():
+    """But for the last digits: constants are folded by the C library, whose sine is not NumPy's."""
+    rng = np.random.default_rng(2)
+    for program in random_programs(rng, 40, 25):
+        smooth = [step for step in program if step[0] not in (2, 9)]  # without steps of floor
+        rows = rng.uniform(-3, 3, (3, 5))
+        with np.errstate(all="ignore"):
+            printed = [np.broadcast_to(y, 5) for y in kernel_of(smooth)._on_rows(rows)]
+            direct = [np.broadcast_to(y, 5) for y in computed(smooth, tuple(rows), ARRAYS)]
+        np.testing.assert_allclose(printed, direct, rtol=1e-9, atol=1e-9)
+
+
+@needs_compiler
+def test_compiled_code_is_the_printed_one_bit_for_bit():
+    """Sine and cosine are made of products and sums here, so that every form of the graph computes the same."""
+    rng = np.random.default_rng(0)
+    ns = SYMBOLS.__class__(
+        lambda x: sine_cosine(x, "float64", SYMBOLS)[0],
+        lambda x: sine_cosine(x, "float64", SYMBOLS)[1],
+        *(getattr(SYMBOLS, name) for name in SYMBOLS.__slots__[2:]),
+    )
+    for program in random_programs(rng, 12, 40):
+        program = [p for p in program if p[0] != 13] or program  # exp is the C library's
+        kernel = Kernel.traced(lambda given, p=program: {"out": computed(p, given, ns)}, {"given": 3})
+        given = rng.uniform(-9, 9, (3, 37))
+        out = kernel(given=given)["out"]
+        python = np.array([kernel._on_floats(column) for column in given.T.tolist()], dtype=np.float64).T
+        np.testing.assert_array_equal(out, python)  # for many vehicles ...
+        one = kernel(given=np.ascontiguousarray(given[:, :1]))["out"]
+        np.testing.assert_array_equal(one, python[:, :1])  # ... as for one
+
+
+@pytest.mark.parametrize(("precision", "largest", "tolerance"), [("float64", 1e4, 1e-15), ("float32", 500.0, 2e-7)])
+def test_sine_and_cosine_are_exact_to_the_last_digits(precision, largest, tolerance):
+    kernel = Kernel.traced(
+        lambda angle: {"out": (SYMBOLS.sin(angle[0]), SYMBOLS.cos(angle[0]))}, {"angle": 1}, precision=precision
+    )
+    rng = np.random.default_rng(0)
+    angles = np.concatenate((rng.uniform(-largest, largest, 2000), np.arange(-40, 41) * math.pi / 4, [0.0, 1e-9]))
+    angles = angles.astype(precision)
+    out = kernel(angle=angles[None])["out"]
+    exact = [[float(f(mpmath.mpf(float(x)))) for x in angles] for f in (mpmath.sin, mpmath.cos)]
+    np.testing.assert_allclose(out, exact, rtol=0, atol=tolerance)
+    own = sine_cosine(np.array([1e300, 1e18, -1e9]), "float64", ARRAYS)
+    assert all((np.abs(x) <= 1.2).all() for x in own), "bounded far out"
+
+
+def test_derivatives_are_those_of_autograd():
+    rng = np.random.default_rng(1)
+    ns, weights = tensors(), np.array((1.0, 2.0, -1.0))
+    for program in random_programs(rng, 60, 25):
+        inputs, direction = rng.uniform(-4, 4, (2, 3)).tolist()
+
+        def equation(given, program=program, direction=direction):
+            outputs = [given[0].graph.symbol(y) for y in computed(program, given, SYMBOLS)]
+            along = directional(outputs, {s.index: d for s, d in zip(given, direction, strict=True)})
+            rows = jacobian(outputs, given)
+            return {"g": gradient(outputs, weights.tolist(), given), "t": along, "J": [x for row in rows for x in row]}
+
+        values = np.array(Kernel.traced(equation, {"given": 3})._on_floats(inputs))
+        leaves = [torch.tensor(x, dtype=torch.float64, requires_grad=True) for x in inputs]
+        found = computed(program, leaves, ns, lambda x: torch.tensor(x, dtype=torch.float64))
+        total = sum(w * y for w, y in zip(weights.tolist(), found, strict=True)) + sum(0 * x for x in leaves)
+        expected = np.array([float(g) for g in torch.autograd.grad(total, leaves)])
+        J = values[6:].reshape(3, 3)
+        size = 1 + np.abs(J).max()
+        np.testing.assert_allclose(values[:3], expected, rtol=1e-12, atol=1e-12 * size)
+        np.testing.assert_allclose(weights @ J, expected, rtol=1e-12, atol=1e-12 * size)
+        np.testing.assert_allclose(J @ direction, values[3:6], rtol=1e-12, atol=1e-12 * size)
+
+
+def test_every_operation_that_gives_a_number_has_a_derivative_and_every_form():
+    assert set(PULLS) == set(EXACT) - TRUTHS
+    assert set(PYTHON.forms) == set(NUMPY.forms) == set(EXACT)
+
+
+def test_constants_are_folded_and_equal_expressions_merged():
+    graph = Graph()
+    x, y = graph.input("x"), graph.input("y")
+    assert (x + y).index == (y + x).index
+    assert (x * 1.0).index == x.index
+    assert ((-(-x)) - 0.0).index == x.index
+    assert graph.symbol(SYMBOLS.sqrt(SYMBOLS.sqrt(16.0)) + 1).value == 3.0
+    assert SYMBOLS.where(graph.symbol(True), x, y).index == x.index
+    assert (graph.constant(True).index, graph.constant(0.0).index) != (graph.constant(1.0).index, graph.constant(-0.0).index)
+    assert ((x < y) | True).value is True
+    assert (x * 0.0).value is None, "an infinite x would give no number"
+    sparse = Graph(structural=True)
+    z = sparse.input("z")
+    assert (z * 0.0).value == 0.0
+    assert (0.0 + z).index == z.index
+    for wrong in (lambda: x + z, lambda: x**3):
+        with pytest.raises(ValueError, match="symbol"):
+            wrong()
+    with pytest.raises(TypeError, match="where"):
+        bool(x < y)
+
+
+def test_what_depends_on_what():
+    graph = Graph()
+    a, b, c = (graph.input(name) for name in "abc")
+    constant, varying = a * b, SYMBOLS.where(c < a, a * b, b)
+    order = graph.needed([varying.index])
+    found = graph.depending_on([c.index], order)
+    assert varying.index in found
+    assert constant.index not in found
+
+
+@functools.cache
+def oscillator(back):
+    """A chain of steps, x' = x + h v, v' = v - h x + push, with what it passes through."""
+
+    def equation(z, h, push):
+        x, v = z
+        return {"z": (x + h[0] * v, v - h[0] * x + push[0]), "passed": (x, single(v)), "end": (SYMBOLS.log(2.0 + x * x),)}
+
+    return Kernel.traced(equation, {"z": 2, "h": 1, "push": 1}, ["push", "passed"], back=back)
+
+
+@pytest.mark.parametrize("back", [False, True])
+@pytest.mark.parametrize("n", [1, 5])
+def test_kernels_carry_rows_from_step_to_step(n, back):
+    rng = np.random.default_rng(3)
+    z, h, push = rng.normal(size=(2, n)), rng.uniform(0, 0.1, (1, n)), rng.normal(size=(9, 1, n))
+    kernel = oscillator(back)
+    for run_of in (kernel.bound, lambda **arrays: kernel._interpreted(arrays, n)):
+        arrays = {"z": z.copy(), "h": h, "push": push, "passed": np.zeros((9, 2, n)), "end": np.zeros((1, n))}
+        run_of(**arrays)(2, 5)
+        x, v = z
+        passed = np.zeros((9, 2, n))
+        for k in (6, 5, 4, 3, 2) if back else (2, 3, 4, 5, 6):
+            passed[k], end = (x, v.astype(np.float32)), np.log(2 + x * x)
+            x, v = x + h[0] * v, v - h[0] * x + push[k, 0]
+        np.testing.assert_array_equal(arrays["z"], (x, v))
+        np.testing.assert_array_equal(arrays["passed"], passed)
+        np.testing.assert_allclose(arrays["end"], end[None], rtol=1e-15)
+
+
+def test_what_is_no_number_stays_none():
+    kernel = Kernel.traced(
+        lambda a: {"out": (SYMBOLS.clip(a[0], -1.0, 1.0), SYMBOLS.sin(a[0]), (a[0] <= 1.0) ^ True)}, {"a": 1}
+    )
+    for n in (1, 40):
+        for value in (math.nan, math.inf):
+            out = kernel(a=np.full((1, n), value))["out"]
+            assert np.isnan(out[1]).all()
+            assert (out[2] == 1).all(), "beyond the bound, as everything that is not within it"
+        assert np.isnan(kernel(a=np.full((1, n), math.nan))["out"][0]).all()
+
+
+def test_wrong_arrays_are_refused():
+    kernel, good = oscillator(False), np.zeros((2, 4))
+    rest = {"h": np.zeros((1, 4)), "push": np.zeros((3, 1, 4)), "passed": np.zeros((3, 2, 4)), "end": np.zeros((1, 4))}
+    for z, says in (
+        (np.zeros((3, 4)), "shape"),
+        (np.zeros((2, 4), dtype=np.float32), "float32"),
+        (np.zeros((4, 2)).T, "contiguous"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            kernel.bound(z=z, **rest)
+    with pytest.raises(ValueError, match="kernel takes arrays z, h, push"):
+        kernel.bound(z=good)
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """An empty cache of compiled code."""
+    monkeypatch.setenv(native.CACHE, str(tmp_path / "cache"))
+    monkeypatch.delenv(native.SWITCH, raising=False)
+    for kept in (native.library, native.compiler):
+        kept.cache_clear()
+    yield tmp_path / "cache"
+    for kept in (native.library, native.compiler):
+        kept.cache_clear()
+
+
+SOURCE = "double auv_test(void) { return 3; }\n"
+
+
+@needs_compiler
+def test_a_library_is_built_once(cache, monkeypatch):
+    assert native.library(SOURCE) is not None
+    (file,) = cache.iterdir()
+    assert stat.S_IMODE(cache.stat().st_mode) == 0o700
+    native.library.cache_clear()
+    monkeypatch.setattr(native, "_compile", lambda *_: pytest.fail("it is there already"))
+    assert native.library(SOURCE) is not None
+    assert [file] == [*cache.iterdir()]
+
+
+@needs_compiler
+def test_an_unwritable_cache_costs_no_more_than_the_cache(cache, caplog):
+    cache.write_text("a file where the folder should be")
+    with caplog.at_level(logging.INFO, "auv_gym"):
+        assert native.library(SOURCE) is not None
+    assert "cannot be kept" in caplog.text
+
+
+def test_without_a_compiler_one_line_says_so(cache, caplog, monkeypatch):
+    monkeypatch.setenv("PATH", str(cache))
+    monkeypatch.delenv("CC", raising=False)
+    with caplog.at_level(logging.INFO, "auv_gym"):
+        assert native.library(SOURCE) is None
+        assert native.library(SOURCE + "\n") is None
+    assert [record.levelname for record in caplog.records] == ["INFO"]
+    assert "gcc or clang" in caplog.text
+    kernel = Kernel.traced(lambda a: {"out": (a[0] * 2.0,)}, {"a": 1})
+    np.testing.assert_array_equal(kernel(a=np.array([[1.5, 2.5]]))["out"], [[3.0, 5.0]])
+
+
+def test_a_broken_compiler_is_as_good_as_none(cache, caplog, monkeypatch, tmp_path):
+    broken = tmp_path / "broken-cc"
+    broken.write_text('#!/bin/sh\n[ "$1" = --version ] && echo 1.0 && exit 0\necho "no disk" >&2\nexit 1\n')
+    broken.chmod(0o755)
+    monkeypatch.setenv("CC", str(broken))
+    with caplog.at_level(logging.INFO, "auv_gym"):
+        assert native.library(SOURCE) is None
+    assert "no disk" in caplog.text
+
+
+@needs_compiler
+def test_a_damaged_library_is_built_anew(cache):
+    assert native.library(SOURCE) is not None
+    (file,) = cache.iterdir()
+    file.unlink()  # the loaded one stays mapped
+    file.write_bytes(b"not a library")
+    native.library.cache_clear()
+    assert native.library(SOURCE) is not None
+
+
+@needs_compiler
+def test_processes_that_build_at_once_share_one_library(cache):
+    code = f"from auv_gym.codegen import native; assert native.library({SOURCE!r}).auv_test"
+    environment = {**os.environ, native.CACHE: str(cache)}
+    running = [subprocess.Popen([sys.executable, "-c", code], env=environment) for _ in range(3)]
+    assert [process.wait(60) for process in running] == [0, 0, 0]
+    assert len([*cache.iterdir()]) == 1
+
+
+def test_one_step_of_the_vehicle_as_a_kernel():
+    """The equations of motion, as C and as the floats that they are written for."""
+
+    def equation(z):
+        x, y, psi, u, v, r, dt = z
+        return {"out": rk4_step((x, y, psi, u, v, r), (50.0, 1.0, 8.0), PAPER_VEHICLE.coefficients, dt, ns=SYMBOLS)}
+
+    z = np.random.default_rng(5).uniform(-1, 1, (7, 20))
+    out = Kernel.traced(equation, {"z": 7})(z=z)["out"]
+    for column, found in zip(z.T.tolist(), out.T, strict=True):
+        expected = rk4_step(tuple(column[:6]), (50.0, 1.0, 8.0), PAPER_VEHICLE.coefficients, column[6])
+        np.testing.assert_allclose(found, expected, rtol=1e-14, atol=1e-15)
