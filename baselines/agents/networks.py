@@ -58,14 +58,32 @@ class Gru:
         }
 
     def forward(self, w: Weights, x: Array, hidden: Array) -> tuple[Array, Array]:
-        """Return actions in [-1, 1], shape (N, ACTIONS), and the hidden state (N, memory), for inputs (N, inputs)."""
-        x = np.tanh(_linear(w, "encoder", x))
-        i_r, i_z, i_n = np.split(x @ w["gru.weight_ih"].T + w["gru.bias_ih"], 3, axis=1)
-        h_r, h_z, h_n = np.split(hidden @ w["gru.weight_hh"].T + w["gru.bias_hh"], 3, axis=1)
-        r, z = _sigmoid(i_r + h_r), _sigmoid(i_z + h_z)
-        n = np.tanh(i_n + r * h_n)
-        hidden = n + z * (hidden - n)
-        return BOUNDS[self.bound](_linear(w, "head", np.tanh(_linear(w, "decoder", hidden)))), hidden
+        """Return actions in [-1, 1], shape (ACTIONS, N), and the hidden state (memory, N).
+
+        Args:
+            w: what `in_columns` gives.
+            x: inputs, shape (inputs, N).
+            hidden: as the last call returned it; zero at an episode's start.
+        """
+        x = _linear(w, "encoder", x)
+        given, own = w["gru.weight_ih"] @ np.tanh(x, out=x), w["gru.weight_hh"] @ hidden
+        given += w["gru.bias_ih"]
+        own += w["gru.bias_hh"]
+        split = 2 * self.hidden
+        gates = given[:split]
+        gates += own[:split]
+        gates *= 0.5
+        np.tanh(gates, out=gates)
+        gates *= 0.5
+        gates += 0.5  # the sigmoid
+        n = gates[: self.hidden] * own[split:]
+        n += given[split:]
+        np.tanh(n, out=n)
+        hidden = hidden - n
+        hidden *= gates[self.hidden :]
+        hidden += n
+        x = _linear(w, "decoder", hidden)
+        return BOUNDS[self.bound](_linear(w, "head", np.tanh(x, out=x))), hidden
 
 
 @dataclass(frozen=True)
@@ -99,7 +117,7 @@ class Mlp:
         return shapes
 
     def forward(self, w: Weights, x: Array, hidden: Array) -> tuple[Array, Array]:
-        """Return actions in [-1, 1], shape (N, ACTIONS), and `hidden` untouched, for inputs (N, inputs)."""
+        """Return actions in [-1, 1], shape (ACTIONS, N), and `hidden` untouched, as `Gru.forward`."""
         for i in range(len(self.layers)):
             x = ACTIVATIONS[self.activation](_linear(w, f"layers.{i}", x))
         return BOUNDS[self.bound](_linear(w, f"layers.{len(self.layers)}", x)), hidden
@@ -145,16 +163,21 @@ def check_weights(network: Network, weights: Weights) -> None:
             raise ValueError(f"weight {name} has entries that are not finite numbers")
 
 
+def in_columns(weights: Weights, precision: str = "float64") -> Weights:
+    """Return weights as `forward` takes them: numbers of a precision, and biases as columns."""
+    return {
+        name: np.ascontiguousarray(w[:, None] if w.ndim == 1 else w, dtype=precision) for name, w in weights.items()
+    }
+
+
 def _layer(name: str, inputs: int, outputs: int) -> Shapes:
     return {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
 
 
 def _linear(w: Weights, name: str, x: Array) -> Array:
-    return np.asarray(x @ w[f"{name}.weight"].T + w[f"{name}.bias"])
-
-
-def _sigmoid(x: Array) -> Array:
-    return np.asarray(0.5 + 0.5 * np.tanh(0.5 * x))
+    y: Array = w[f"{name}.weight"] @ x
+    y += w[f"{name}.bias"]
+    return y
 
 
 def _check_sizes(**sizes: Any) -> None:

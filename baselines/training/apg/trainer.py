@@ -33,6 +33,7 @@ from baselines.training.apg.torch_network import torch_network, weights_of
 from baselines.training.apg.window import Array, Window
 from baselines.training.config import Config
 from baselines.training.run_folder import VALIDATIONS, Run, TrainingError
+from baselines.training.validation import PRECISION
 
 LOGS = 200  # how often in a run its progress is logged
 
@@ -230,7 +231,8 @@ class Trainer:
     def validate(self) -> None:
         """Measure the agent on the validation episodes, keep the best, and save a checkpoint."""
         weights = weights_of(self.averaged.module)
-        score = self.run.validate(self.agent(weights).policy(vehicle=self.run.config.vehicle), self.timesteps)
+        policy = self.agent(weights).policy(vehicle=self.run.config.vehicle, precision=PRECISION)
+        score = self.run.validate(policy, self.timesteps)
         if score > self.score:
             self.score, self.best = score, weights
         self.run.save_checkpoint(self._state())
