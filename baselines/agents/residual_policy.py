@@ -18,6 +18,8 @@ from baselines.agents.features import INTEGRALS, STANDARD, Inputs, scaled_errors
 from baselines.agents.networks import ACTIONS, Network, Weights, in_columns
 from baselines.policy import Array, Memory, batched, renewed
 
+BLOCK = 128
+"""Most vehicles that go through the network at once: what it computes on the way stays in the processor's cache."""
 Symbols = Sequence[Symbol]
 
 
@@ -122,7 +124,7 @@ class ResidualPolicy:
             ValueError: the observation has the wrong shape, or `state` is of another number of vehicles.
         """
         rows = observation[None] if observation.ndim == 1 else observation
-        if rows.ndim != 2 or rows.shape[1] < SIZE + 2 * len(self.preview):  # noqa: PLR2004
+        if rows.ndim != 2 or rows.shape[1] < SIZE + 2 * len(self.preview):
             batched(observation, self.preview)  # says what is wrong
         n = len(rows)
         integrals, correction, hidden = self._renewed(state, n, episode_start)
@@ -140,8 +142,7 @@ class ResidualPolicy:
         desk.see(0, 1)
         if self._law is not None:
             self._law.check(arrays["terms"])
-        features = arrays["features"].astype(self.precision, copy=False)
-        correction, hidden = self.network.forward(self.weights, features, hidden.T)
+        correction, hidden = self._applied(arrays["features"].astype(self.precision, copy=False), hidden.T)
         if self.region is not None:
             correction = correction * trust(arrays["errors"], self.region)
         arrays["correction"][:], arrays["authority"][:] = correction, self.authority[:, None]
@@ -149,6 +150,16 @@ class ResidualPolicy:
         command = arrays["command"].T.astype(np.float32)
         memory = arrays["integrals"].T.copy(), arrays["correction"].T.copy(), hidden.T, *(past or ())
         return (command[0] if observation.ndim == 1 else command), memory
+
+    def _applied(self, features: Array, hidden: Array) -> tuple[Array, Array]:
+        """Return correction and hidden state of `Network.forward`, block by block."""
+        n = features.shape[1]
+        if n <= BLOCK:
+            return self.network.forward(self.weights, features, hidden)
+        blocks = [slice(first, first + BLOCK) for first in range(0, n, BLOCK)]
+        parts = [self.network.forward(self.weights, features[:, block], hidden[:, block]) for block in blocks]
+        correction, hidden = (np.concatenate(rows, axis=1) for rows in zip(*parts, strict=True))
+        return correction, hidden
 
     def _renewed(self, state: Memory | None, n: int, episode_start: NDArray[np.bool_] | None) -> Memory:
         """Return this policy's own memory of n vehicles."""

@@ -33,7 +33,8 @@ class Options:
 
     action: Annotated[Positional[Literal["build", "check", "yardsticks", "record", "verify"]], arg(metavar="ACTION")]
     """build: replace a suite's file and its hash. check: compare every episode with what it generated. yardsticks:
-    measure what expert and oracle do, which validations of a training read. record: keep the policies' results. verify: run what is recorded again and compare every number with the recorded one, to the bit."""
+    measure what expert and oracle do, for the scores of validations. record: keep the policies' results. verify: run
+    what is recorded again and compare every number with the recorded one, to the bit."""
     name: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME ...]")] = ()
     """The suites; check and verify take all without any."""
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
