@@ -6,12 +6,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from auv_gym import simulation
-from auv_gym.envs.torch_residual import Law
 from auv_gym.namespaces import Namespace, Number
-from auv_gym.policy import Policy, corrected
+from auv_gym.policy import Forces, Law, Policy, corrected, traceable
 from auv_gym.preview import preview_columns
 from auv_gym.rows import filled, leaves
 from auv_gym.simulation import PLANT, Parameters, Parts
@@ -77,7 +76,7 @@ class ClosedLoop:
     Between two control instants `move`, at each of them `expert` and then `features`; their numbers are of any kind.
     """
 
-    law: Law
+    law: Forces
     inputs: Inputs = STANDARD  # of the network
     parts: Parts = Parts()  # noqa: RUF009 - a tuple; of the simulation, what is in use
 
@@ -134,7 +133,7 @@ class ClosedLoop:
         return Moved(leaves(plant), tuple(encode(terms, ns)), squared_error, lost)
 
 
-def law_of(expert: Policy) -> tuple[Law, bool]:
+def law_of(expert: Policy) -> tuple[Forces, bool]:
     """Return an expert's law on components, and whether that is the expert itself.
 
     An expert that computes on NumPy alone, with a memory perhaps, has its slope taken from a law near it: the one on an
@@ -149,8 +148,7 @@ def law_of(expert: Policy) -> tuple[Law, bool]:
         and isinstance(controller.cruise, EkfLaw)
     ):
         return partial(_by_speed, controller.slow, controller.cruise), False
-    forces: Law | None = getattr(expert, "forces", None)
-    return (forces, True) if forces else (Backstepping().forces, False)
+    return (cast(Law, expert).forces, True) if traceable(expert) else (Backstepping().forces, False)
 
 
 def _by_speed(slow: EkfLaw, cruise: EkfLaw, o: Any, ns: Namespace) -> tuple[Any, Any]:
