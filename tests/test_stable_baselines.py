@@ -18,7 +18,6 @@ from auv_gym.scenario import Scenario
 from auv_gym.task import decode_observation
 from baselines import make_policy
 from baselines.agents.features import FEATURES
-from baselines.agents.networks import in_columns
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import EXPERT
@@ -63,7 +62,9 @@ def test_exported_actor_is_the_models_predict(algo, values):
     agent = exported(model.policy, configuration(algo))
     x = np.random.default_rng(0).uniform(-2, 2, (200, len(FEATURES))).astype(np.float32)
     expected, _ = model.predict(x, deterministic=True)
-    actions = agent.network.forward(in_columns(agent.weights), x.T.astype(np.float64), np.zeros((0, 200)))[0].T
+    actions = agent.network.forward(agent.network.prepared(agent.weights), x.T.astype(np.float64), np.zeros((0, 200)))[
+        0
+    ].T
     np.testing.assert_allclose(actions, expected, rtol=0, atol=1e-6)
     assert 0.05 < np.abs(expected).mean() < 0.95
     assert (np.abs(expected) == 1).any() == (algo == "ppo")  # clipped, the others bounded by tanh
@@ -81,7 +82,9 @@ def test_random_search_can_be_exported_too(squash):
     model = ARS("MlpPolicy", make_training_env(configuration(), 3), policy_kwargs={"squash_output": squash}, seed=0)
     x = np.random.default_rng(0).uniform(-2, 2, (200, len(FEATURES))).astype(np.float32)
     agent = exported(model.policy, configuration())
-    actions = agent.network.forward(in_columns(agent.weights), x.T.astype(np.float64), np.zeros((0, 200)))[0].T
+    actions = agent.network.forward(agent.network.prepared(agent.weights), x.T.astype(np.float64), np.zeros((0, 200)))[
+        0
+    ].T
     np.testing.assert_allclose(actions, model.predict(x, deterministic=True)[0], rtol=0, atol=1e-6)
 
 

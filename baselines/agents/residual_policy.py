@@ -15,7 +15,7 @@ from auv_gym.policy import Forces, Law, Policy, corrected, preview_of, traceable
 from auv_gym.preview import shared_preview
 from auv_gym.task import SIZE, action_of, decode
 from baselines.agents.features import INTEGRALS, STANDARD, Inputs, scaled_errors
-from baselines.agents.networks import ACTIONS, Network, Weights, in_columns
+from baselines.agents.networks import ACTIONS, Network, Weights
 from baselines.policy import Array, Memory, batched, renewed
 
 BLOCK = 128
@@ -100,7 +100,7 @@ class ResidualPolicy:
         self.region, self.inputs = None if region is None else np.array(region), inputs
         self.preview, self._seen, self._seen_by_expert = shared_preview(inputs.preview, preview_of(expert))
         self.expert, self.network, self.authority = expert, network, np.array(authority)
-        self.weights, self.precision = in_columns(weights, precision), np.dtype(precision)
+        self._layers, self.precision = network.prepared(weights, precision), np.dtype(precision)
         self._law = cast(Law, expert) if traceable(expert) else None
         self._desk: tuple[int, _Desk] | None = None
         self._at(1)  # what is to be compiled is compiled before it has to decide
@@ -141,7 +141,8 @@ class ResidualPolicy:
             arrays["base"][:] = action.T
         desk.see(0, 1)
         if self._law is not None:
-            self._law.check(arrays["terms"])
+            terms = arrays["terms"]
+            self._law.check(terms.ravel().tolist() if n == 1 else terms)
         correction, hidden = self._applied(arrays["features"].astype(self.precision, copy=False), hidden.T)
         if self.region is not None:
             correction = correction * trust(arrays["errors"], self.region)
@@ -155,9 +156,9 @@ class ResidualPolicy:
         """Return correction and hidden state of `Network.forward`, block by block."""
         n = features.shape[1]
         if n <= BLOCK:
-            return self.network.forward(self.weights, features, hidden)
+            return self.network.forward(self._layers, features, hidden)
         blocks = [slice(first, first + BLOCK) for first in range(0, n, BLOCK)]
-        parts = [self.network.forward(self.weights, features[:, block], hidden[:, block]) for block in blocks]
+        parts = [self.network.forward(self._layers, features[:, block], hidden[:, block]) for block in blocks]
         correction, hidden = (np.concatenate(rows, axis=1) for rows in zip(*parts, strict=True))
         return correction, hidden
 
