@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.errors import to_body
-from auv_gym.namespaces import Namespace
+from auv_gym.namespaces import Namespace, Number
 from auv_gym.paths import Path, evaluate
 from auv_gym.task import BOUNDS, SIZE, L, Observation
 
@@ -111,8 +111,13 @@ def encode_preview(ahead: Any, o: Observation, ns: Namespace) -> Any:
 
     `o` is the observation, whose measured heading alone counts; `ns` is the namespace of arrays or tensors.
     """
-    turned = ns.stack(to_body(ahead[:, 0], ahead[:, 1], o.cos_psi, o.sin_psi), 1)
-    return ns.clip(turned, -L, L).reshape(2 * len(ahead), -1)
+    return ns.stack(preview_columns(ahead.reshape(2 * len(ahead), -1), o, ns))
+
+
+def preview_columns(ahead: Sequence[Number], o: Observation, ns: Namespace) -> tuple[Number, ...]:
+    """Return what `encode_preview` does as components, for as many displacements x, y, x, y, ... [m] of any numbers."""
+    ways = zip(ahead[::2], ahead[1::2], strict=True)
+    return tuple(ns.clip(z, -L, L) for x, y in ways for z in to_body(x, y, o.cos_psi, o.sin_psi))
 
 
 def _positions(paths: Sequence[Path], t: Array) -> Array:

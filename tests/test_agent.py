@@ -54,7 +54,7 @@ def test_gru_equals_torch():
     hidden, peer = np.zeros((5, 10)), torch.zeros(5, 10, dtype=torch.float64)
     for _ in range(20):
         x = rng.standard_normal((5, N))
-        action, hidden = SIZES.forward(w, x, hidden)
+        action, hidden = (y.T for y in SIZES.forward(SIZES.prepared(w), x.T, hidden.T))
         peer = cell(torch.tanh(encoder(torch.tensor(x))), peer)
         np.testing.assert_allclose(hidden, peer.numpy(), atol=1e-6)
         np.testing.assert_allclose(action, torch.tanh(head(torch.tanh(decoder(peer)))).numpy(), atol=1e-6)
@@ -68,7 +68,7 @@ def test_mlp_equals_torch(activation, layer):
     modules = [loaded(nn.Linear(a, b), w, f"layers.{i}.") for i, (a, b) in enumerate(((N, 16), (16, 8), (8, 2)))]
     peer = nn.Sequential(modules[0], layer, modules[1], layer, modules[2], nn.Hardtanh())
     x = np.random.default_rng(1).standard_normal((6, N))
-    action, _ = network.forward(w, x, np.zeros((6, 0)))
+    action = network.forward(network.prepared(w), x.T, np.zeros((0, 6)))[0].T
     np.testing.assert_allclose(action, peer(torch.tensor(x)).numpy(), atol=1e-6)
     assert np.abs(action).max() <= 1
 
@@ -88,12 +88,12 @@ NETWORKS = st.builds(
 def test_networks_are_bounded_alike_in_batches_and_described_in_json(network, seed, scale):
     w, rng = weights_of(network, seed, scale), np.random.default_rng(seed)
     x, hidden = rng.standard_normal((4, network.inputs)), rng.uniform(-1, 1, (4, network.memory))
-    action, after = network.forward(w, x, hidden)
+    action, after = (y.T for y in network.forward(network.prepared(w), x.T, hidden.T))
     assert action.shape == (4, 2)
     assert np.abs(action).max() <= 1
     assert after.shape == hidden.shape
     assert np.abs(after).max(initial=0) <= 1
-    alone, its = network.forward(w, x[2:3], hidden[2:3])
+    alone, its = (y.T for y in network.forward(network.prepared(w), x[2:3].T, hidden[2:3].T))
     np.testing.assert_allclose(alone[0], action[2], rtol=0, atol=1e-9)
     np.testing.assert_allclose(its[0], after[2], rtol=0, atol=1e-9)
     assert network_of(json.loads(json.dumps(network_record(network)))) == network

@@ -6,24 +6,34 @@ import numpy as np
 import pytest
 import torch
 
+from auv_gym.codegen.native import SWITCH, library
+from auv_gym.envs.torch_sim import TENSORS
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.namespaces import ARRAYS, FLOATS
 from auv_gym.presets import PRESETS
+from auv_gym.preview import preview_columns
 from auv_gym.simulation import PARAMETER_ROWS
-from auv_gym.task import TERMS
+from auv_gym.task import TERMS, Observation
 from baselines import make_policy
 from baselines.agents.agent import Agent
-from baselines.agents.features import FEATURES, Inputs
+from baselines.agents.features import FEATURES, STANDARD, Inputs
 from baselines.agents.networks import Gru, Mlp
 from baselines.control.open_loop import Zero
-from baselines.training.apg.closed_loop import CURVE, NEAR, Carried, ClosedLoop, Loss, law_of
+from baselines.training.apg.closed_loop import CURVE, NEAR, ClosedLoop, Loss, law_of
 from baselines.training.apg.fleet import Fleet
+from baselines.training.apg.kernels import LoopKernels
+from baselines.training.apg.passes import gates_back
 from baselines.training.apg.torch_network import torch_network, weights_of
 from baselines.training.apg.trainer import Settings, Trainer, check, train
+from baselines.training.apg.window import Carried, Window
 from baselines.training.config import Config
 from baselines.training.run_folder import Run
+from baselines.training.validation import PRECISION
 
 SIZES = Gru(len(FEATURES), 8, 8, 8)
 AUTHORITY = (0.3, 0.6)
+INPUTS = [Inputs(), Inputs((3, 20)), Inputs((40,), integrals=False)]
+LOSS = Loss(effort=0.1, rate=0.01)
 
 
 @pytest.fixture(autouse=True)
@@ -32,26 +42,109 @@ def one_thread():
     torch.manual_seed(0)
 
 
-def network(head=0.5, sizes=SIZES):
-    made = torch_network(sizes).double()
+def network(head=0.5, sizes=SIZES, dtype=torch.float64):
+    made = torch_network(sizes).to(dtype)
     torch.nn.init.normal_((made.head if isinstance(sizes, Gru) else made.layers[-1]).weight, std=head)
     return made
 
 
-def fleet(names, window=5, preview=()):
-    return Fleet([PRESETS[name] for name in names], 7, window, preview, torch.float64)
+class Setting:
+    """Vehicles, and a window that they run through with a network."""
+
+    def __init__(self, names, net, expert="backstepping", inputs=STANDARD, steps=5, precision="float64"):
+        self.expert = Zero() if expert == "none" else make_policy(expert)
+        law, self.exact = law_of(self.expert)
+        self.fleet = Fleet([PRESETS[name] for name in names], 7, steps, inputs.preview)
+        self.loop = ClosedLoop(law, inputs, self.fleet.parts)
+        kernels = LoopKernels(self.loop, self.exact, precision)
+        self.net, self.window = net, Window(kernels, net, len(names), steps)
+        self.carried, self.memory = self.fleet.reset(net.sizes.memory), None
+
+    def act(self, observation):
+        action, self.memory = self.expert.predict(np.asarray(observation).T.astype(float), self.memory)
+        return action.T
+
+    def run(self):
+        """Return the mean loss and the squared error at the end of the next window; the gradient is the network's."""
+        act = None if self.exact else lambda _, observation: self.act(observation)
+        given = (*self.fleet.window(), self.fleet.constants, AUTHORITY, LOSS, act)
+        loss, _, carried, squared_error = self.window.run(self.carried, *given)
+        self.carried = Carried(*(x.copy() for x in carried))
+        return loss, squared_error
+
+    def by_torch(self):
+        """Return the same loss as a tensor: the same equations on tensors, torch's layers and autograd."""
+        carried = [torch.tensor(x, dtype=next(self.net.parameters()).dtype) for x in self.carried]
+        state, observation, integrals, correction, hidden = (list(x.unbind()) for x in carried)
+        hidden, total = carried[-1].T, torch.zeros(())
+        as_rows = lambda x: torch.tensor(x, dtype=carried[0].dtype).unbind()  # noqa: E731
+        for ahead, sample in zip(*self.fleet.window(), strict=True):
+            base = self.loop.expert(observation, TENSORS)
+            if not self.exact:  # the expert's value, the law's slope
+                value = as_rows(self.act(torch.stack(observation).detach()))
+                base = [v + (b - b.detach()) for v, b in zip(value, base, strict=True)]
+            features, integrals = self.loop.features(observation, as_rows(ahead), base, correction, integrals, TENSORS)
+            output, hidden = applied(self.net, torch.stack(features, dim=1), hidden)
+            correction = output.unbind(dim=1)
+            rows = as_rows(sample), as_rows(self.fleet.constants), AUTHORITY, LOSS
+            state, observation, _, loss = self.loop.move(state, base, correction, *rows, TENSORS)
+            total = total + loss.mean() / self.window.steps
+        return total
 
 
-def unrolled(loop, net, vehicles, carried, past=None):
-    """Return the mean loss of a window, and where it ends; `past` has an expert on NumPy, and its memory."""
-    total, outside = torch.zeros((), dtype=torch.float64), None
-    for ahead, sample in zip(*vehicles.window(), strict=True):
-        if past:
-            action, past[1] = past[0].predict(carried.observation.detach().numpy().T, past[1])
-            outside = torch.tensor(action.T.astype(float))
-        carried, loss, squared_error = loop.step(net, carried, ahead, sample, vehicles.simulator.constants, outside)
-        total = total + loss.mean()
-    return total, carried, squared_error
+def applied(net, x, hidden):
+    """Return what a network makes of inputs (N, inputs) and its hidden state, by torch's own layers."""
+    if isinstance(net.sizes, Mlp):
+        for layer in net.layers:
+            x = torch.tanh(layer(x))
+        return x, hidden
+    hidden = net.gru(torch.tanh(net.encoder(x)), hidden)
+    return torch.tanh(net.head(torch.tanh(net.decoder(hidden)))), hidden
+
+
+def gradient_of(net):
+    return torch.cat([p.grad.ravel() for p in net.parameters()])
+
+
+@pytest.fixture(params=["compiled", "interpreted"])
+def native(request, monkeypatch):
+    """With a compiler, and without."""
+    if request.param == "interpreted":
+        monkeypatch.setenv(SWITCH, "0")
+    for cached in (library, gates_back):
+        cached.cache_clear()
+    yield
+    for cached in (library, gates_back):
+        cached.cache_clear()
+
+
+@pytest.mark.usefixtures("native")
+@pytest.mark.parametrize(
+    ("expert", "memory", "inputs"),
+    [
+        ("backstepping", True, INPUTS[0]),
+        ("backstepping", False, INPUTS[1]),
+        ("none", True, INPUTS[2]),
+        ("ekf", True, INPUTS[1]),
+        ("current-observer", False, INPUTS[0]),
+    ],
+)
+def test_gradient_equals_that_of_torch(expert, memory, inputs):
+    n = len(inputs.features)
+    sizes = Gru(n, 8, 6, 7) if memory else Mlp(n, (8, 6), bound="tanh")
+    for precision, tolerance in (("float64", 1e-9), ("float32", 1e-6)):
+        torch.manual_seed(0)
+        net = network(sizes=sizes, dtype=getattr(torch, precision))
+        names = ["slow-storm", "cruise-actuator", "cruise-storm", "cruise-noise"]
+        mine, theirs = (Setting(names, net, expert, inputs, 12, precision) for _ in range(2))
+        value, _ = mine.run()
+        found = gradient_of(net)
+        net.zero_grad()
+        expected = theirs.by_torch()
+        expected.backward()
+        near = tolerance if mine.exact else 1e-5  # its actions are in float32
+        assert value == pytest.approx(float(expected.detach()), rel=near)
+        assert float((found - gradient_of(net)).norm()) <= near * float(gradient_of(net).norm())
 
 
 def test_begins_as_its_expert():
@@ -60,96 +153,79 @@ def test_begins_as_its_expert():
         assert [bool(p.any()) for name, p in last if name.startswith(("head", "layers.2"))] == [False, False]
 
 
-INPUTS = [Inputs(), Inputs((3, 20)), Inputs((40,), integrals=False)]
-
-
 @pytest.mark.parametrize("inputs", INPUTS, ids=["plain", "preview", "no-integrals"])
 @pytest.mark.parametrize("memory", [True, False], ids=["gru", "mlp"])
 @pytest.mark.parametrize("expert", ["backstepping", "none", "ekf", "current-observer"])
 def test_equals_the_policy_in_the_environment(expert, memory, inputs):
-    """Expert, features, network and vehicle in one graph do what the NumPy policy does in the NumPy environment."""
+    """Expert, features, network and vehicle in one window do what the policy does in the environment."""
     n = len(inputs.features)
     sizes = Gru(n, 8, 8, 8) if memory else Mlp(n, (8, 8), bound="tanh")
     names, net = ["slow-storm", "cruise-actuator", "cruise-storm"], network(sizes=sizes)
-    known = Zero() if expert == "none" else make_policy(expert)
-    law, exact = law_of(known)
-    past = None if exact else [known, None]
-    loop = ClosedLoop(law, torch.tensor(AUTHORITY, dtype=torch.float64), Loss.weighted(), inputs=inputs)
-    vehicles = fleet(names, preview=inputs.preview)
+    setting = Setting(names, net, expert, inputs)
     policy = Agent(sizes, weights_of(net), expert, AUTHORITY, inputs=inputs).policy()
     env = UnderactuatedAUVTrackVectorEnv(3, names, preview=policy.preview)
-    carried, (observation, _), memory = vehicles.reset(sizes.memory), env.reset(seed=7), None
+    (observation, _), memory = env.reset(seed=7), None
     for _ in range(8):
-        with torch.no_grad():
-            _, carried, squared_error = unrolled(loop, net, vehicles, carried, past)
+        _, squared_error = setting.run()
         for _ in range(5):
             action, memory = policy.predict(observation, memory)
             observation, *_, info = env.step(action)
         terms = observation[:, : len(TERMS)]
-        np.testing.assert_allclose(carried.observation.numpy().T, terms, atol=1e-5)  # actions are in float32
-        np.testing.assert_allclose(squared_error.sqrt().numpy(), info["position_error"], atol=1e-5)
+        np.testing.assert_allclose(setting.carried.observation.T, terms, atol=1e-5)  # actions are in float32
+        np.testing.assert_allclose(np.sqrt(squared_error), info["position_error"], atol=1e-5)
 
 
 def test_gradient_equals_finite_differences():
-    names = ["cruise-storm", "slow-mismatch", "cruise-gauss-markov"]
-    loop, net = (
-        ClosedLoop(
-            law_of(make_policy("backstepping"))[0],
-            torch.tensor(AUTHORITY, dtype=torch.float64),
-            Loss.weighted(effort=0.1, rate=0.01),
-        ),
-        network(0.1),
-    )
+    names, net = ["cruise-storm", "slow-mismatch", "cruise-gauss-markov"], network(0.1)
 
     def loss():
-        vehicles = fleet(names, 12)
-        return unrolled(loop, net, vehicles, vehicles.reset(8))[0]
+        return Setting(names, net, steps=12).run()[0]
 
-    net.zero_grad()
-    loss().backward()
+    loss()
+    gradients = {name: p.grad.clone() for name, p in net.named_parameters()}
     rng = np.random.default_rng(0)
     for name, parameter in net.named_parameters():
         direction = torch.tensor(rng.standard_normal(parameter.shape))
-        slope, step = float((parameter.grad * direction).sum()), 1e-5
+        slope, step = float((gradients[name] * direction).sum()), 1e-5
         with torch.no_grad():
             sides = []
             for sign in (1, -1):
                 parameter.add_(sign * step * direction)
-                sides.append(float(loss()))
+                sides.append(loss())
                 parameter.sub_(sign * step * direction)
         assert slope == pytest.approx((sides[0] - sides[1]) / (2 * step), rel=1e-4, abs=1e-7), name
 
 
 def test_loss_has_no_kink_and_a_slope_everywhere():
     e = torch.tensor([0.0, 1e-3, NEAR - 1e-6, NEAR + 1e-6, 50.0], dtype=torch.float64, requires_grad=True)
-    still = torch.zeros(2, 5, dtype=torch.float64)
-    one = torch.ones(5, dtype=torch.float64)
-    values = Loss.weighted().of(e * e, one, still, still, one)
+    still, one = torch.zeros(2, 5, dtype=torch.float64), torch.ones(5, dtype=torch.float64)
+    values = Loss().of(e * e, one, still, still, one, TENSORS)
     values.sum().backward()
     values = values.detach()
     assert torch.isfinite(e.grad).all()
     assert (e.grad[1:] > 0).all()
     assert float(e.grad[2]) == pytest.approx(float(e.grad[3]), rel=1e-4)
     assert float(values[2]) == pytest.approx(NEAR + CURVE * NEAR**2, rel=1e-4)
-    moved = Loss.weighted(effort=0.5, rate=0.08).of(torch.zeros(5), one, still + 0.1, still, 0.2 * one)
-    assert float(moved[0]) == pytest.approx(1e-3 + 0.5 * 0.02 + 2 * 0.02, rel=1e-4)
+    moved = Loss(effort=0.5, rate=0.08).of(0.0, 1.0, (0.1, 0.1), (0.0, 0.0), 0.2, FLOATS)
+    assert moved == pytest.approx(1e-3 + 0.5 * 0.02 + 2 * 0.02, rel=1e-4)
 
 
 def test_fleet_begins_episodes_between_windows():
     short = replace(PRESETS["slow-calm"], steps=20)
     vehicles = Fleet([short] * 4, 0, 6)
-    carried = vehicles.reset(3)._replace(hidden=torch.ones(4, 3), integrals=torch.ones(4, 4))
-    assert vehicles.simulator.constants.shape == (PARAMETER_ROWS, 4)
+    carried = vehicles.reset(3)
+    assert vehicles.constants.shape == (PARAMETER_ROWS, 4)
     begun = []
     for _ in range(9):
         assert [len(rows) for rows in vehicles.window()] == [6, 6]
-        marked = carried._replace(hidden=torch.ones(4, 3), integrals=torch.ones(4, 4))
-        carried = vehicles.renew(marked, torch.zeros(4))
-        fresh = carried.hidden[:, 0] == 0
+        marked = carried._replace(hidden=np.ones((3, 4)), integrals=np.ones((4, 4)))
+        carried = vehicles.renew(marked, np.zeros(4))
+        fresh = carried.hidden[0] == 0
+        assert fresh.tolist() == vehicles.fresh.tolist()
         assert (carried.integrals[0] == 0).tolist() == fresh.tolist()
-        assert (carried.state[:, fresh] != marked.state[:, fresh]).any(dim=0).all()
+        assert (carried.state[:, fresh] != marked.state[:, fresh]).any(axis=0).all()
         assert (carried.state[:, ~fresh] == marked.state[:, ~fresh]).all()
-        begun.append(fresh.nonzero()[:, 0].tolist())
+        begun.append(fresh.nonzero()[0].tolist())
     # The first episodes are 6, 12, 18 and 6 steps long, all others 18: three windows.
     assert begun == [[0, 3], [1], [2], [0, 3], [1], [2], [0, 3], [1], [2]]
 
@@ -158,13 +234,39 @@ def test_fleet_begins_anew_where_a_vehicle_is_lost():
     vehicles = Fleet([PRESETS["slow-calm"]] * 4, 0, 6)
     carried = vehicles.reset(3)
     vehicles.window()
-    begun = vehicles.renew(carried, torch.tensor([0.0, 0.0, 1e6, torch.nan]))
-    assert (begun.state != carried.state).any(dim=0).tolist() == [True, False, True, True]  # the first was to end here
+    begun = vehicles.renew(carried, np.array([0.0, 0.0, 1e6, np.nan]))
+    assert (begun.state != carried.state).any(axis=0).tolist() == [True, False, True, True]  # the first was to end here
+
+
+def test_windows_and_their_renewal_are_steps_of_the_environment():
+    """What trains in windows is the environment that steps: observations and beginnings agree, previews as well."""
+    scenario = replace(PRESETS["cruise-storm"], steps=8)
+    fleet, env = Fleet([scenario] * 3, 5, 4, (1, 4)), UnderactuatedAUVTrackVectorEnv(3, scenario, preview=(1, 4))
+    fleet._left[:] = 8
+    loop, carried, (observation, _) = (
+        ClosedLoop(law_of(Zero())[0], parts=fleet.parts),
+        fleet.reset(0),
+        env.reset(seed=5),
+    )
+    state, terms, rng = carried.state, carried.observation, np.random.default_rng(0)
+    for ends in (False, True, False, True):
+        for ahead, sample in zip(*fleet.window(), strict=True):
+            columns = preview_columns(ahead, Observation._make(terms), ARRAYS)
+            np.testing.assert_allclose(np.transpose(columns), observation[:, len(TERMS) :], rtol=0, atol=1e-12)
+            actions = rng.uniform(-0.3, 0.3, (3, 2))
+            given = state, actions.T, np.zeros((2, 3)), sample, fleet.constants, AUTHORITY, LOSS
+            moved = loop.move(*given, ARRAYS)
+            state, terms = np.array(moved.state), np.array(moved.observation)
+            observation, _, _, truncated, _ = env.step(actions)
+        assert truncated.tolist() == [ends] * 3
+        carried = fleet.renew(carried._replace(state=state, observation=terms), moved.squared_error)
+        state, terms = carried.state, carried.observation
+        np.testing.assert_allclose(terms.T, observation[:, : len(TERMS)], rtol=0, atol=1e-12)
 
 
 def configuration(**changes):
     scenarios = tuple((replace(PRESETS[name], steps=50), 1.0) for name in ("cruise-current", "cruise-storm"))
-    settings = {"n_envs": 8, "n_steps": 10, "hidden_size": 16, "compiled": False, "learning_rate": 5e-3}
+    settings = {"n_envs": 8, "n_steps": 10, "hidden_size": 16, "learning_rate": 5e-3}
     given = {"authority": (0.5, 0.5), "timesteps": 8 * 10 * 50, "hyperparameters": settings}
     return Config(scenarios=scenarios, **(given | changes))
 
@@ -220,7 +322,8 @@ def test_interrupted_run_gives_the_same_agent(trained, tmp_path):
 def test_best_agent_is_returned(trained):
     run, agent = trained
     best = max(row["score"] for row in rows(run) if "score" in row)
-    assert run.validation.run(agent.policy()).score == best
+    assert run.validation.run(agent.policy(precision=PRECISION)).score == best
+    assert run.validation.run(agent.policy()).score == pytest.approx(best, abs=1e-5)
 
 
 @pytest.mark.parametrize("sizes", [SIZES, Mlp(4, (8, 8))])
@@ -263,7 +366,7 @@ def test_without_a_rate_of_their_own_matrices_follow_adam():
         ({"matrix_learning_rate": -0.1}, "matrix_learning_rate is -0.1"),
         ({"final_share": 1.5}, "final_share is 1.5"),
         ({"hidden_size": 0}, "is 0; it must be an integer"),
-        ({"compiled": "yes"}, "true or false"),
+        ({"compiled": True}, "no entry 'compiled'"),
         ({"preview": [0]}, "preview is"),
         ({"memory": 1}, "memory is 1"),
     ],
@@ -287,42 +390,22 @@ def test_expert_that_looks_ahead_sees_its_own_preview(tmp_path):
     np.testing.assert_array_equal(*actions)
     ahead, _ = trainer.fleet.window()
     mine = trainer._act(trainer.carried.observation, ahead[0], np.ones(8, dtype=bool))
-    np.testing.assert_allclose(mine.numpy().T, actions[0], atol=1e-3)  # the observation is in float32
+    np.testing.assert_allclose(mine.T, actions[0], atol=1e-6)
 
 
 def test_gradients_that_are_not_finite_are_skipped(tmp_path, monkeypatch):
     run = Run(configuration(), tmp_path)
     trainer = Trainer(run)
-    monkeypatch.setattr(
-        Trainer, "_window", lambda self: (sum(p.sum() for p in self.network.parameters()) * torch.nan, 0.0)
-    )
+
+    def diverged(self):
+        for p in self.network.parameters():
+            p.grad = torch.full_like(p, torch.nan)
+        return 0.0, 0.0
+
+    monkeypatch.setattr(Trainer, "_run", diverged)
     before = weights_of(trainer.network)
     trainer.update()
     run.close()
     assert trainer.skipped == 1
     for name, weights in weights_of(trainer.network).items():
         np.testing.assert_array_equal(weights, before[name])
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor")  # torch looks, and hides its own warning
-def test_compiled_step_equals_eager():
-    from baselines.training.apg.trainer import compiled
-
-    loop, net = (
-        ClosedLoop(
-            law_of(make_policy("backstepping"))[0], torch.tensor(AUTHORITY, dtype=torch.float64), Loss.weighted()
-        ),
-        network(),
-    )
-    gradients = []
-    for step in (loop.step, compiled(loop)):
-        vehicles = fleet(["cruise-storm", "slow-current"])
-        carried = Carried(*(x.requires_grad_() for x in vehicles.reset(8)))
-        net.zero_grad()
-        for ahead, sample in zip(*vehicles.window(), strict=True):
-            carried, loss, _ = step(net, carried, ahead, sample, vehicles.simulator.constants)
-        loss.sum().backward()
-        gradients.append([p.grad.clone() for p in net.parameters() if p.grad is not None])
-    for mine, theirs in zip(*gradients, strict=True):
-        torch.testing.assert_close(mine, theirs)

@@ -62,7 +62,9 @@ def test_exported_actor_is_the_models_predict(algo, values):
     agent = exported(model.policy, configuration(algo))
     x = np.random.default_rng(0).uniform(-2, 2, (200, len(FEATURES))).astype(np.float32)
     expected, _ = model.predict(x, deterministic=True)
-    actions, _ = agent.network.forward(agent.weights, x.astype(np.float64), np.zeros((200, 0)))
+    actions = agent.network.forward(agent.network.prepared(agent.weights), x.T.astype(np.float64), np.zeros((0, 200)))[
+        0
+    ].T
     np.testing.assert_allclose(actions, expected, rtol=0, atol=1e-6)
     assert 0.05 < np.abs(expected).mean() < 0.95
     assert (np.abs(expected) == 1).any() == (algo == "ppo")  # clipped, the others bounded by tanh
@@ -80,7 +82,9 @@ def test_random_search_can_be_exported_too(squash):
     model = ARS("MlpPolicy", make_training_env(configuration(), 3), policy_kwargs={"squash_output": squash}, seed=0)
     x = np.random.default_rng(0).uniform(-2, 2, (200, len(FEATURES))).astype(np.float32)
     agent = exported(model.policy, configuration())
-    actions, _ = agent.network.forward(agent.weights, x.astype(np.float64), np.zeros((200, 0)))
+    actions = agent.network.forward(agent.network.prepared(agent.weights), x.T.astype(np.float64), np.zeros((0, 200)))[
+        0
+    ].T
     np.testing.assert_allclose(actions, model.predict(x, deterministic=True)[0], rtol=0, atol=1e-6)
 
 
@@ -214,7 +218,7 @@ def test_validation_is_what_an_evaluation_measures(tmp_path):
 def test_yardsticks_are_kept_and_belong_to_the_episodes(tmp_path, monkeypatch):
     cells = [drawn(STORM, 3, 0)]
     first = Validation(cells, tmp_path)
-    monkeypatch.setattr("baselines.training.validation.rollout", None)
+    monkeypatch.setattr("baselines.evaluation.suites.yardsticks.rollout", None)
     second = Validation(cells, tmp_path)
     assert (first.expert_m, first.oracle_m) == (second.expert_m, second.oracle_m)
     with pytest.raises(TypeError):

@@ -4,6 +4,7 @@ import gzip
 import hashlib
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,8 +21,9 @@ from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Cell, drawn, run_all
 from baselines.evaluation.suites.__main__ import main
 from baselines.evaluation.suites.builder import FAMILIES, SUITES, build
+from baselines.evaluation.suites.yardsticks import FILE, keep, kept
 from baselines.tools.command_line import UsageError
-from baselines.tools.files import versions
+from baselines.tools.files import read_json, versions
 
 NAMES = suites.list_suites()
 
@@ -213,3 +215,17 @@ def test_an_agent_of_one_regime_is_recorded_there(small, tmp_path, monkeypatch):
     assert [(run.policy, run.scenario.name) for run in runs] == [("mine", cell.scenario.name) for cell in cells]
     with pytest.raises(ValueError, match="has no result in slow-"):
         recorded.save(suite, runs, versions(), tmp_path)
+
+
+def test_yardsticks_are_what_expert_and_oracle_do(tmp_path):
+    """One for every cell that validations run; a cell of each regime is measured again, in a file of its own."""
+    suite = suites.load("benchmark-v1-validation")
+    assert all(kept(cell) for cell in suite.cells)
+    few = replace(suite, cells=tuple(c for c in suite.cells if c.scenario.name in ("slow-noise", "cruise-storm")))
+    keep(few, tmp_path / "yardsticks.json")
+    mine, theirs = (read_json(file)[suite.name] for file in (tmp_path / "yardsticks.json", FILE))
+    assert len(mine) == 2
+    for name, record in mine.items():
+        assert record.pop("cell") == theirs[name].pop("cell")
+        assert record == pytest.approx(theirs[name], rel=1e-6), name
+    assert kept(replace(few.cells[0], episodes=few.cells[0].episodes[:3])) is None

@@ -15,10 +15,9 @@ from auv_gym import simulation
 from auv_gym.envs.torch_sim import TorchSimulator, simulate, step_function
 from auv_gym.namespaces import ARRAYS, tensors
 from auv_gym.presets import PRESETS
-from auv_gym.preview import encode_preview
 from auv_gym.rows import filled
 from auv_gym.simulation import PLANT, PLANT_ROWS, SAMPLE_ROWS, Parameters, Parts
-from auv_gym.task import SCALES, SIZE, Observation
+from auv_gym.task import SCALES, SIZE
 from auv_gym.vehicle import PAPER_VEHICLE
 from baselines.control.backstepping import GAINS, tracking_forces
 
@@ -109,29 +108,6 @@ def test_arrays_are_actions_too_and_observations_their_own_memory():
         mine.fill_(1e3)
     mask = {"reset_mask": np.array([True, False, False])}
     assert (sim.reset(options=mask)[0] == twin.reset(options=mask)[0]).all()
-
-
-def test_windows_and_their_renewal_are_steps():
-    """What trains in windows is the simulator that steps: states, observations, previews and beginnings agree."""
-    scenario = {**PRESETS["cruise-storm"].to_dict(), "steps": 8}
-    sim, twin = (TorchSimulator(3, scenario, dtype="float64", compiled=False, preview=(1, 4)) for _ in range(2))
-    observation, _ = sim.reset(seed=5)
-    twin.reset(seed=5)
-    rng = np.random.default_rng(0)
-    for window, ends in ((5, False), (3, True), (4, False)):
-        state, rows, expected = sim.state, observation[:, :SIZE].T, observation
-        for ahead, sample in zip(*sim.window(window), strict=True):
-            columns = encode_preview(ahead.reshape(2, 2, 3), Observation._make(rows.unbind()), tensors())
-            torch.testing.assert_close(columns.T, expected[:, SIZE:], rtol=0, atol=1e-12)
-            actions = torch.tensor(rng.uniform(-0.3, 0.3, (3, 2)))
-            state, rows, *_ = simulate(state, actions.T, sample, sim.constants, sim.parts)
-            expected, _, _, truncated, _ = twin.step(actions)
-        assert truncated.tolist() == [ends] * 3
-        observation = sim.renew(state, rows, np.full(3, ends))
-        torch.testing.assert_close(observation, expected, rtol=0, atol=1e-12)
-        torch.testing.assert_close(sim.state, twin.state, rtol=0, atol=1e-12)
-    actions = torch.zeros(3, 2)
-    torch.testing.assert_close(sim.step(actions)[0], twin.step(actions)[0], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(

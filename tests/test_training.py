@@ -43,7 +43,7 @@ SMALL = replace(PRESETS["cruise-current"], name="small", steps=15)
 OFF_POLICY = {"buffer_size": 2000, "batch_size": 16, "learning_starts": 0, "train_freq": 8, "gradient_steps": 1}
 SMOOTH = {"use_sde": True, "policy_kwargs": {"clip_mean": 0.0}}
 TINY = {
-    "apg": {"n_steps": 5, "hidden_size": 8, "compiled": False},
+    "apg": {"n_steps": 5, "hidden_size": 8},
     "ppo": {"n_steps": 16, "batch_size": 32, "learning_rate": "lin_0.01", "use_sde": True, "sde_sample_freq": 4},
     "sac": OFF_POLICY | SMOOTH | {"callback": [{"baselines.training.sb3.callbacks.ZeroCorrection": {"std": 0.1}}]},
     "td3": OFF_POLICY | {"noise_type": "ornstein-uhlenbeck", "noise_std": 0.1},

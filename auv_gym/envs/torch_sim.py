@@ -175,16 +175,6 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
         return torch.tensor(np.asarray(array), dtype=self.dtype, device=self.device)
 
     @property
-    def parts(self) -> Parts:
-        """What is in use of the simulation."""
-        return self._lanes.parts
-
-    @property
-    def constants(self) -> Tensor:
-        """The rows of `simulation.Parameters` of the running episodes, shape (PARAMETER_ROWS, N)."""
-        return self._constants
-
-    @property
     def state(self) -> Tensor:
         """The rows of the `simulation.Plant`s, shape (PLANT_ROWS, N)."""
         if self._state is None:
@@ -217,34 +207,6 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
         begun = self._tensor(beginning.plant)
         self._state = begun if self._state is None else self._state.index_copy(1, where, begun)
         return observation.index_copy(0, where, self._tensor(host.with_preview(beginning.seen, lanes).T))
-
-    def window(self, steps: int) -> tuple[Tensor, Tensor]:
-        """Return what the next control steps bring, and let their time pass; the vehicles stay for `renew` to place.
-
-        For each step: where the reference will be, displacements x, y in the world [m] as `Preview.ahead` has them,
-        shape (steps, 2 P, N); and the sample at its end, shape (steps, SAMPLE_ROWS, N).
-        """
-        host, ahead, samples = self._lanes, [], []
-        for _ in range(steps):
-            if host.preview.periods:
-                ahead.append(host.preview.ahead(host.all, host.k))
-            samples.append(host.coming().copy())
-            host.advance()
-        shape = steps, host.preview.columns, self.num_envs
-        return self._tensor(np.reshape(ahead, shape)), self._tensor(np.array(samples))
-
-    def renew(self, state: Tensor, terms: Tensor, over: np.typing.NDArray[np.bool_]) -> Tensor:
-        """Place the vehicles where a `window` has brought them, and begin new episodes where `over` (N,) is True.
-
-        `state` and `terms` (SIZE, N) are as `simulate` returns them, without a graph. Returns the observations it goes
-        on from, shape (N, columns); `state` and `constants` of the simulator have changed as well.
-        """
-        lanes = over.nonzero()[0]
-        planned = self._lanes.planned(lanes)
-        self._state, self._observation = state, self._with_preview(terms, self._lanes.all).T
-        if planned:
-            self._observation = self._begin(self._lanes.begin(lanes, planned), self._observation)
-        return self._observation
 
     def _with_preview(self, rows: Tensor, lanes: Indices) -> Tensor:
         """Return the observations (columns, n) of n lanes, whose terms are given, with their previews."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
@@ -17,6 +17,8 @@ LARGEST = 4096
 """Most units of a layer."""
 Weights = Mapping[str, NDArray[Any]]
 Shapes = dict[str, tuple[int, ...]]
+Layers = tuple[tuple[Array, Array], ...]
+"""Linear layers: a matrix, and what is added as a column."""
 
 Function = Callable[[Array], Array]
 ACTIVATIONS: dict[str, Function] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}  # of the layers
@@ -57,15 +59,44 @@ class Gru:
             **_layer("head", self.decoder, ACTIONS),
         }
 
-    def forward(self, w: Weights, x: Array, hidden: Array) -> tuple[Array, Array]:
-        """Return actions in [-1, 1], shape (N, ACTIONS), and the hidden state (N, memory), for inputs (N, inputs)."""
-        x = np.tanh(_linear(w, "encoder", x))
-        i_r, i_z, i_n = np.split(x @ w["gru.weight_ih"].T + w["gru.bias_ih"], 3, axis=1)
-        h_r, h_z, h_n = np.split(hidden @ w["gru.weight_hh"].T + w["gru.bias_hh"], 3, axis=1)
-        r, z = _sigmoid(i_r + h_r), _sigmoid(i_z + h_z)
-        n = np.tanh(i_n + r * h_n)
-        hidden = n + z * (hidden - n)
-        return BOUNDS[self.bound](_linear(w, "head", np.tanh(_linear(w, "decoder", hidden)))), hidden
+    def prepared(self, weights: Weights, precision: str = "float64") -> Layers:
+        """Return weights as `forward` takes them, in a precision; sums are halved where a sigmoid follows.
+
+        The sigmoid of s is (1 + tanh(s / 2)) / 2, and halving is exact.
+        """
+        half = np.repeat((0.5, 1.0), (2 * self.hidden, self.hidden))
+        encoder, decoder, head = _columns(weights, ("encoder", "decoder", "head"), precision)
+        given, own = (
+            _column(half[:, None] * weights[f"gru.weight_{side}"], half * weights[f"gru.bias_{side}"], precision)
+            for side in ("ih", "hh")
+        )
+        return encoder, given, own, decoder, head
+
+    def forward(self, layers: Layers, x: Array, hidden: Array) -> tuple[Array, Array]:
+        """Return actions in [-1, 1], shape (ACTIONS, N), and the hidden state (memory, N).
+
+        Args:
+            layers: what `prepared` gives.
+            x: inputs, shape (inputs, N).
+            hidden: as the last call returned it; zero at an episode's start.
+        """
+        encoder, of_inputs, of_hidden, decoder, head = layers
+        units, split = self.hidden, 2 * self.hidden
+        x = _linear(encoder, x)
+        given, own = _linear(of_inputs, np.tanh(x, x)), _linear(of_hidden, hidden)
+        gates = given[:split]
+        gates += own[:split]
+        np.tanh(gates, gates)
+        gates *= 0.5
+        gates += 0.5
+        n = gates[:units] * own[split:]
+        n += given[split:]
+        np.tanh(n, n)
+        hidden = hidden - n
+        hidden *= gates[units:]
+        hidden += n
+        x = _linear(decoder, hidden)
+        return BOUNDS[self.bound](_linear(head, np.tanh(x, x))), hidden
 
 
 @dataclass(frozen=True)
@@ -98,11 +129,16 @@ class Mlp:
             shapes.update(_layer(f"layers.{i}", a, b))
         return shapes
 
-    def forward(self, w: Weights, x: Array, hidden: Array) -> tuple[Array, Array]:
-        """Return actions in [-1, 1], shape (N, ACTIONS), and `hidden` untouched, for inputs (N, inputs)."""
-        for i in range(len(self.layers)):
-            x = ACTIVATIONS[self.activation](_linear(w, f"layers.{i}", x))
-        return BOUNDS[self.bound](_linear(w, f"layers.{len(self.layers)}", x)), hidden
+    def prepared(self, weights: Weights, precision: str = "float64") -> Layers:
+        """Return weights as `forward` takes them, in a precision."""
+        return _columns(weights, [f"layers.{i}" for i in range(len(self.layers) + 1)], precision)
+
+    def forward(self, layers: Layers, x: Array, hidden: Array) -> tuple[Array, Array]:
+        """Return actions in [-1, 1], shape (ACTIONS, N), and `hidden` untouched, as `Gru.forward`."""
+        *inner, head = layers
+        for layer in inner:
+            x = ACTIVATIONS[self.activation](_linear(layer, x))
+        return BOUNDS[self.bound](_linear(head, x)), hidden
 
 
 Network = Gru | Mlp
@@ -149,12 +185,19 @@ def _layer(name: str, inputs: int, outputs: int) -> Shapes:
     return {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
 
 
-def _linear(w: Weights, name: str, x: Array) -> Array:
-    return np.asarray(x @ w[f"{name}.weight"].T + w[f"{name}.bias"])
+def _columns(weights: Weights, names: Iterable[str], precision: str) -> Layers:
+    return tuple(_column(weights[f"{name}.weight"], weights[f"{name}.bias"], precision) for name in names)
 
 
-def _sigmoid(x: Array) -> Array:
-    return np.asarray(0.5 + 0.5 * np.tanh(0.5 * x))
+def _column(weight: Array, bias: Array, precision: str) -> tuple[Array, Array]:
+    return np.ascontiguousarray(weight, precision), np.ascontiguousarray(bias[:, None], precision)
+
+
+def _linear(layer: tuple[Array, Array], x: Array) -> Array:
+    weight, bias = layer
+    y: Array = np.dot(weight, x)
+    y += bias
+    return y
 
 
 def _check_sizes(**sizes: Any) -> None:

@@ -1,20 +1,74 @@
-"""A trained agent as a policy: an expert's action plus a bounded correction by a network, on NumPy alone."""
+"""A trained agent as a policy: an expert's action plus a bounded correction by a network, without torch."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.namespaces import ARRAYS
-from auv_gym.policy import Policy, corrected, preview_of
+from auv_gym.codegen.graph import SYMBOLS, Symbol, single
+from auv_gym.codegen.kernel import Kernel
+from auv_gym.policy import Forces, Law, Policy, corrected, preview_of, traceable
 from auv_gym.preview import shared_preview
-from auv_gym.task import SIZE
+from auv_gym.task import SIZE, action_of, decode
 from baselines.agents.features import INTEGRALS, STANDARD, Inputs, scaled_errors
-from baselines.agents.networks import Network, Weights
+from baselines.agents.networks import ACTIONS, Network, Weights
 from baselines.policy import Array, Memory, batched, renewed
+
+BLOCK = 128
+"""Most vehicles that go through the network at once: what it computes on the way stays in the processor's cache."""
+Symbols = Sequence[Symbol]
+
+
+@lru_cache(maxsize=64)
+def feature_kernel(inputs: Inputs, forces: Forces | None) -> Kernel:
+    """Return the kernel from an observation, with its preview's columns `ahead`, to the features.
+
+    Its results: terms, the observation's in SI units; errors, see `scaled_errors`; features and integrals, see
+    `Inputs.update`; base, the expert's action.
+
+    Args:
+        inputs: what the network sees.
+        forces: of the expert, if it is a law; None: its action, base, is an argument.
+    """
+
+    def equation(
+        observation: Symbols, ahead: Symbols, correction: Symbols, integrals: Symbols, base: Symbols = ()
+    ) -> Mapping[str, Symbols]:
+        o = decode(observation, SYMBOLS)
+        if forces is not None:
+            base = [single(a) for a in action_of(forces(o, SYMBOLS), o, SYMBOLS)]  # as `Law.predict` gives it
+        features, sums = inputs.update(o, ahead, base, correction, integrals, SYMBOLS)
+        errors = scaled_errors(o, SYMBOLS)
+        return {"terms": o, "errors": errors, "features": features, "integrals": sums, "base": base}
+
+    rows = {"observation": SIZE, "ahead": 2 * len(inputs.preview), "correction": ACTIONS, "integrals": INTEGRALS}
+    return Kernel.traced(equation, rows if forces is not None else rows | {"base": ACTIONS})
+
+
+@lru_cache(maxsize=1)
+def command_kernel() -> Kernel:
+    """Return the kernel of `corrected`, in single precision as every policy's action."""
+
+    def equation(base: Symbols, authority: Symbols, correction: Symbols) -> Mapping[str, Symbols]:
+        rule = zip(base, authority, correction, strict=True)
+        return {"command": [single(corrected(b, a, c, SYMBOLS)) for b, a, c in rule]}
+
+    return Kernel.traced(equation, dict.fromkeys(("base", "authority", "correction"), ACTIONS))
+
+
+class _Desk:
+    """The arrays of n vehicles that the kernels read and write."""
+
+    def __init__(self, n: int, inputs: Inputs, forces: Forces | None) -> None:
+        features, command = feature_kernel(inputs, forces), command_kernel()
+        rows = features.rows | command.rows
+        self.arrays = {name: np.zeros((size, n)) for name, size in rows.items()}
+        self.see = features.bound(**{name: self.arrays[name] for name in features.rows})
+        self.command = command.bound(**{name: self.arrays[name] for name in command.rows})
 
 
 class ResidualPolicy:
@@ -36,12 +90,24 @@ class ResidualPolicy:
         authority: tuple[float, float],
         region: Sequence[float] | None = None,
         inputs: Inputs = STANDARD,
+        precision: str = "float64",
     ) -> None:
-        """Make the policy of checked weights; with a region, see `trust`, corrections fade outside of it."""
+        """Make the policy of checked weights.
+
+        With a region, see `trust`, corrections fade outside of it; the network computes in a precision, "float64" or
+        "float32".
+        """
         self.region, self.inputs = None if region is None else np.array(region), inputs
         self.preview, self._seen, self._seen_by_expert = shared_preview(inputs.preview, preview_of(expert))
         self.expert, self.network, self.authority = expert, network, np.array(authority)
-        self.weights = {name: np.asarray(w, dtype=np.float64) for name, w in weights.items()}
+        self._layers, self.precision = network.prepared(weights, precision), np.dtype(precision)
+        self._law = cast(Law, expert) if traceable(expert) else None
+        self._desk: tuple[int, _Desk] | None = None
+        self._at(1)  # what is to be compiled is compiled before it has to decide
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return everything but the addresses of memory."""
+        return self.__dict__ | {"_desk": None}
 
     def predict(
         self,
@@ -57,21 +123,57 @@ class ResidualPolicy:
         Raises:
             ValueError: the observation has the wrong shape, or `state` is of another number of vehicles.
         """
-        rows, o, extra = batched(observation, self.preview)
+        rows = observation[None] if observation.ndim == 1 else observation
+        if rows.ndim != 2 or rows.shape[1] < SIZE + 2 * len(self.preview):
+            batched(observation, self.preview)  # says what is wrong
         n = len(rows)
-        fresh = np.zeros((n, INTEGRALS)), np.zeros((n, 2)), np.zeros((n, self.network.memory))
-        integrals, correction, hidden = renewed(state and state[: self.OWN], fresh, episode_start)
+        integrals, correction, hidden = self._renewed(state, n, episode_start)
+        desk = self._at(n)
+        arrays = desk.arrays
+        arrays["observation"][:] = rows[:, :SIZE].T
+        if self._seen:
+            arrays["ahead"][:] = rows[:, SIZE:].T[self._seen]
+        arrays["correction"][:], arrays["integrals"][:] = correction.T, integrals.T
         past: Memory | None = state[self.OWN :] if state else ()
-        seen = np.hstack((rows[:, :SIZE], extra[:, self._seen_by_expert]))
-        action, past = self.expert.predict(seen, past or None, episode_start)
-        base = action.astype(np.float64)
-        features, sums = self.inputs.update(o, tuple(extra[:, self._seen].T), base.T, correction.T, integrals.T, ARRAYS)
-        correction, hidden = self.network.forward(self.weights, np.array(features).T, hidden)
+        if self._law is None:
+            seen = np.hstack((rows[:, :SIZE], rows[:, SIZE:][:, self._seen_by_expert]))
+            action, past = self.expert.predict(seen, past or None, episode_start)
+            arrays["base"][:] = action.T
+        desk.see(0, 1)
+        if self._law is not None:
+            terms = arrays["terms"]
+            self._law.check(terms.ravel().tolist() if n == 1 else terms)
+        correction, hidden = self._applied(arrays["features"].astype(self.precision, copy=False), hidden.T)
         if self.region is not None:
-            correction *= trust(np.array(scaled_errors(o, ARRAYS)), self.region)[:, None]
-        action = corrected(base, self.authority, correction, ARRAYS).astype(np.float32)
-        memory = np.array(sums).T, correction, hidden, *(past or ())
-        return (action[0] if observation.ndim == 1 else action), memory
+            correction = correction * trust(arrays["errors"], self.region)
+        arrays["correction"][:], arrays["authority"][:] = correction, self.authority[:, None]
+        desk.command(0, 1)
+        command = arrays["command"].T.astype(np.float32)
+        memory = arrays["integrals"].T.copy(), arrays["correction"].T.copy(), hidden.T, *(past or ())
+        return (command[0] if observation.ndim == 1 else command), memory
+
+    def _applied(self, features: Array, hidden: Array) -> tuple[Array, Array]:
+        """Return correction and hidden state of `Network.forward`, block by block."""
+        n = features.shape[1]
+        if n <= BLOCK:
+            return self.network.forward(self._layers, features, hidden)
+        blocks = [slice(first, first + BLOCK) for first in range(0, n, BLOCK)]
+        parts = [self.network.forward(self._layers, features[:, block], hidden[:, block]) for block in blocks]
+        correction, hidden = (np.concatenate(rows, axis=1) for rows in zip(*parts, strict=True))
+        return correction, hidden
+
+    def _renewed(self, state: Memory | None, n: int, episode_start: NDArray[np.bool_] | None) -> Memory:
+        """Return this policy's own memory of n vehicles."""
+        if state and len(state[0]) == n and (episode_start is None or not np.count_nonzero(episode_start)):
+            return state[: self.OWN]
+        fresh = np.zeros((n, INTEGRALS)), np.zeros((n, ACTIONS)), np.zeros((n, self.network.memory), self.precision)
+        return renewed(state and state[: self.OWN], fresh, episode_start)
+
+    def _at(self, n: int) -> _Desk:
+        """Return the arrays of n vehicles, those of the last call if it was of as many."""
+        if self._desk is None or self._desk[0] != n:
+            self._desk = n, _Desk(n, self.inputs, None if self._law is None else self._law.forces)
+        return self._desk[1]
 
 
 def trust(errors: Array, region: Array) -> Array:

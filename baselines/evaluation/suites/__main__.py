@@ -1,4 +1,4 @@
-"""Build, check, record and verify the frozen suites: `python -m baselines.evaluation.suites --help`."""
+"""Build, check, measure, record and verify the frozen suites: `python -m baselines.evaluation.suites --help`."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from baselines.evaluation.runner import STEP_LIMIT, Cell, Run, runs
 from baselines.evaluation.score import regime_of
 from baselines.evaluation.suites.builder import SUITES, build
 from baselines.evaluation.suites.verify import Verdict, cells_to_run, told
+from baselines.evaluation.suites.yardsticks import keep
 from baselines.tools.command_line import DONE, FAILED, UsageError, parse, run
 from baselines.tools.files import versions
 from baselines.tools.workers import Workers
@@ -30,9 +31,10 @@ class Options:
     Exit status: 0 done, 1 a suite is damaged, episodes or rows differ, or a policy failed, 2 wrong usage.
     """
 
-    action: Annotated[Positional[Literal["build", "check", "record", "verify"]], arg(metavar="ACTION")]
-    """build: replace a suite's file and its hash. check: compare every episode with what it generated. record: keep the
-    policies' results. verify: run what is recorded again and compare every number with the recorded one, to the bit."""
+    action: Annotated[Positional[Literal["build", "check", "yardsticks", "record", "verify"]], arg(metavar="ACTION")]
+    """build: replace a suite's file and its hash. check: compare every episode with what it generated. yardsticks:
+    measure what expert and oracle do, for the scores of validations. record: keep the policies' results. verify: run
+    what is recorded again and compare every number with the recorded one, to the bit."""
     name: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME ...]")] = ()
     """The suites; check and verify take all without any."""
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
@@ -58,13 +60,14 @@ def main(arguments: Sequence[str]) -> int:
     options = parse(Options, arguments, PROGRAM)
     if unknown := [name for name in options.name if name not in SUITES]:
         raise UsageError(f"unknown suite {unknown[0]!r}; allowed are {', '.join(SUITES)}")
-    if not options.name and options.action in ("build", "record"):
+    if not options.name and options.action in ("build", "yardsticks", "record"):
         raise UsageError(f"name the suite to {options.action}: {', '.join(SUITES)}")
     if unknown := [policy for policy in options.policy if policy not in list_policies()]:
         raise UsageError(f"{unknown[0]!r} is not the name of a policy; allowed are {', '.join(list_policies())}")
     if options.episodes is not None and (options.episodes < 1 or options.action != "record"):
         raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more, and is for record")
-    action = {"build": _build, "check": _check, "record": _record, "verify": _verify}[options.action]
+    actions = {"build": _build, "check": _check, "yardsticks": _measure, "record": _record, "verify": _verify}
+    action = actions[options.action]
     try:
         return max([action(name, options) for name in options.name or SUITES])
     except suites.SuiteError as error:
@@ -83,6 +86,11 @@ def _check(name: str, _: Options) -> int:
         suites.check_cell(cell, digests)
     episodes = sum(len(cell.episodes) for cell in suite.cells)
     print(f"{suite.hash}  {suite.name}: {len(suite.cells)} cells, {episodes} episodes, all as they were")
+    return DONE
+
+
+def _measure(name: str, _: Options) -> int:
+    keep(suites.load(name))
     return DONE
 
 

@@ -1,23 +1,21 @@
-"""One control step of expert, network and vehicle together, with its loss: a pure function for torch to compile."""
+"""One control step of expert, features and vehicle, with its loss: equations on components, for every namespace."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
-import torch
-from torch import Tensor, nn
-
-from auv_gym.envs.torch_residual import Law, expert_action
-from auv_gym.envs.torch_sim import PLAIN, TENSORS, simulate
-from auv_gym.namespaces import Namespace
-from auv_gym.policy import Policy, corrected
-from auv_gym.preview import encode_preview
-from auv_gym.simulation import PARAMETERS, PLANT, PLANT_ROWS, Parts
-from auv_gym.task import SIZE, Observation, decode
-from baselines.agents.features import INTEGRALS, STANDARD, Inputs
-from baselines.agents.networks import ACTIONS
+from auv_gym import simulation
+from auv_gym.namespaces import Namespace, Number
+from auv_gym.policy import Forces, Law, Policy, corrected, traceable
+from auv_gym.preview import preview_columns
+from auv_gym.rows import filled, leaves
+from auv_gym.simulation import PLANT, Parameters, Parts
+from auv_gym.task import Observation, action_of, decode, encode
+from baselines.agents.features import STANDARD, Inputs
 from baselines.control.backstepping import Backstepping, tracking_forces
 from baselines.control.ekf_law import EkfLaw
 from baselines.control.open_loop import Zero
@@ -27,118 +25,116 @@ NEAR = 2.0  # error in units of its scale where the loss turns from a parabola i
 CURVE = 0.3  # weight of the squared error, in units of its scale, in the parabola
 TINY = 1e-6  # added to the squared error, in units of the scale's square: the distance has no slope at zero
 
-
-class Carried(NamedTuple):
-    """What goes from one control step to the next: tensors whose last axis counts the N vehicles, but `hidden`'s."""
-
-    state: Tensor  # rows of a `simulation.Plant`, shape (PLANT_ROWS, N)
-    observation: Tensor  # shape (SIZE, N)
-    integrals: Tensor  # of the features, shape (INTEGRALS, N)
-    correction: Tensor  # the last one, shape (ACTIONS, N)
-    hidden: Tensor  # of the network, shape (N, hidden)
-
-    @classmethod
-    def zeros(cls, n: int, hidden: int, dtype: torch.dtype) -> Carried:
-        """Return what n vehicles begin with, but for state and observation."""
-        state, observation, integrals, correction = (
-            torch.zeros(rows, n, dtype=dtype) for rows in (PLANT_ROWS, SIZE, INTEGRALS, ACTIONS)
-        )
-        return cls(state, observation, integrals, correction, torch.zeros(n, hidden, dtype=dtype))
-
-    def detach(self) -> Carried:
-        """Return the same without the graph behind it."""
-        return Carried(*(x.detach() for x in self))
+Rows = Sequence[Number]
+"""Components, each a number of every vehicle."""
 
 
-@dataclass(frozen=True)
-class Loss:
-    """Weights of the loss of a control step: tensors, as a number would be compiled into the step."""
+class Loss(NamedTuple):
+    """Weights of the loss of a control step."""
 
-    effort: Tensor  # of the squared command
-    rate: Tensor  # [s^2] of its squared rate of change
+    effort: Number = 0.003  # of the squared command
+    rate: Number = 0.003  # [s^2] of its squared rate of change
 
-    @classmethod
-    def weighted(cls, effort: float = 0.003, rate: float = 0.003) -> Loss:
-        """Return the loss with these weights."""
-        return cls(torch.tensor(effort), torch.tensor(rate))
-
-    def of(self, squared_error: Tensor, scale: Tensor, command: Tensor, previous: Tensor, dt: Tensor) -> Tensor:
-        """Return the loss of a step, shape (N,).
+    def of(
+        self, squared_error: Number, scale: Number, command: Rows, previous: Rows, dt: Number, ns: Namespace
+    ) -> Number:
+        """Return the loss of a step.
 
         Near the reference it is e + 0.3 e^2 for an error of e scales; far from it, it grows like a logarithm, so that a
         vehicle that is lost neither outweighs all others nor ceases to be pulled back.
 
         Args:
-            squared_error: of the position [m^2], shape (N,).
-            scale: of the error [m], shape (N,).
-            command: in [-1, 1], shape (ACTIONS, N).
-            previous: the one before.
-            dt: control period [s], shape (N,).
+            squared_error: of the position [m^2].
+            scale: of the error [m].
+            command: surge and yaw, in [-1, 1].
+            previous: the ones before.
+            dt: control period [s].
+            ns: the namespace of the numbers.
         """
-        e = torch.sqrt(squared_error / (scale * scale) + TINY)
-        near, far = e.clamp(max=NEAR), e.clamp(min=NEAR)
+        e = ns.sqrt(squared_error / (scale * scale) + TINY)
+        near, far = ns.clip(e, 0.0, NEAR), ns.clip(e, NEAR, math.inf)
         slope = NEAR * (1 + 2 * CURVE * NEAR)
-        error = near + CURVE * near * near + slope * torch.log(far / NEAR)
-        change = (command - previous) / dt
-        return error + self.effort * (command * command).sum(0) + self.rate * (change * change).sum(0)
+        error = near + CURVE * near * near + slope * ns.log(far / NEAR)
+        d_u, d_r = ((now - before) / dt for now, before in zip(command, previous, strict=True))
+        a_u, a_r = command
+        return error + self.effort * (a_u * a_u + a_r * a_r) + self.rate * (d_u * d_u + d_r * d_r)
+
+
+class Moved(NamedTuple):
+    """What a control step makes of the vehicles."""
+
+    state: tuple[Number, ...]  # the rows of a `simulation.Plant`
+    observation: tuple[Number, ...]  # its terms, encoded
+    squared_error: Number  # [m^2] of the position
+    loss: Number
 
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """Expert, network and vehicle; `step` is one control step of N of them."""
+    """Expert, features and vehicle around a network, which is not part of it.
 
-    law: Law
-    authority: Tensor  # shape (2,)
-    loss: Loss
-    parts: Parts = PLAIN  # of the simulation that are in use
+    Between two control instants `move`, at each of them `expert` and then `features`; their numbers are of any kind.
+    """
+
+    law: Forces
     inputs: Inputs = STANDARD  # of the network
+    parts: Parts = Parts()  # noqa: RUF009 - a tuple; of the simulation, what is in use
 
-    def act(
-        self, network: nn.Module, carried: Carried, ahead: Tensor, outside: Tensor | None = None
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return the command, shape (ACTIONS, N), integrals, correction and hidden state; see `step`."""
-        o = Observation._make(decode(carried.observation.unbind(), TENSORS))
-        base = expert_action(self.law, o)
-        if outside is not None:  # the expert's value, the law's slope
-            base = (outside[0] + (base[0] - base[0].detach()), outside[1] + (base[1] - base[1].detach()))
-        seen = encode_preview(ahead.reshape(-1, 2, ahead.shape[-1]), o, TENSORS).unbind() if len(ahead) else ()
-        rows, integrals = self.inputs.update(
-            o, seen, base, carried.correction.unbind(), carried.integrals.unbind(), TENSORS
-        )
-        correction, hidden = network(torch.stack(rows, dim=1), carried.hidden)
-        corrections = correction.unbind(dim=1)
-        rule = zip(base, self.authority.unbind(), corrections, strict=True)
-        command = torch.stack([corrected(b, authority, c, TENSORS) for b, authority, c in rule])
-        return command, torch.stack(integrals), torch.stack(corrections), hidden
+    def expert(self, observation: Rows, ns: Namespace) -> tuple[Number, Number]:
+        """Return the law's action on an observation without its preview."""
+        o = decode(observation, ns)
+        return action_of(self.law(o, ns), o, ns)
 
-    def step(
-        self,
-        network: nn.Module,
-        carried: Carried,
-        ahead: Tensor,
-        sample: Tensor,
-        parameters: Tensor,
-        outside: Tensor | None = None,
-    ) -> tuple[Carried, Tensor, Tensor]:
-        """Return what is carried on, the loss and the squared position error [m^2], shape (N,).
+    def features(
+        self, observation: Rows, ahead: Rows, base: Rows, correction: Rows, integrals: Rows, ns: Namespace
+    ) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
+        """Return what the network sees, and the integrals to hand in at the next control instant.
 
         Args:
-            network: see `TorchGru`.
-            carried: from the step before.
-            ahead: the preview of `inputs` in the world [m], shape (2 P, N), see `TorchSimulator.window`.
-            sample: the rows of a `simulation.Sample`, shape (SAMPLE_ROWS, N).
-            parameters: the rows of `simulation.Parameters`, shape (PARAMETER_ROWS, N).
-            outside: the action of an expert that does not compute on tensors, shape (ACTIONS, N); `law` has its slope.
+            observation: without its preview.
+            ahead: the preview of `inputs` in the world [m], x and y for each of its times.
+            base: the expert's action.
+            correction: the last one.
+            integrals: of the features.
+            ns: the namespace of the numbers.
         """
-        command, integrals, correction, hidden = self.act(network, carried, ahead, outside)
-        t = simulate(carried.state, command, sample, parameters, self.parts)
-        previous, dt = carried.state[PLANT.a_u : PLANT.a_r + 1], self.parts.substeps * parameters[PARAMETERS.h]
-        loss = self.loss.of(t.squared_error, parameters[PARAMETERS.error_scale], command, previous, dt)
-        return Carried(t.state, t.observation, integrals, correction, hidden), loss, t.squared_error
+        o = Observation._make(decode(observation, ns))
+        return self.inputs.update(o, preview_columns(ahead, o, ns), base, correction, integrals, ns)
+
+    def move(
+        self,
+        state: Rows,
+        base: Rows,
+        correction: Rows,
+        sample: Rows,
+        parameters: Rows,
+        authority: Rows,
+        loss: Loss,
+        ns: Namespace,
+    ) -> Moved:
+        """Return what a control step makes of the vehicles.
+
+        Args:
+            state: the rows of a `simulation.Plant`.
+            base: the expert's action.
+            correction: the network's.
+            sample: the rows of a `simulation.Sample`.
+            parameters: the rows of `simulation.Parameters`.
+            authority: largest corrections.
+            loss: of the step.
+            ns: the namespace of the numbers.
+        """
+        p, before = Parameters.of(parameters, self.parts), filled(PLANT, state)
+        rule = zip(base, authority, correction, strict=True)
+        command = [corrected(b, largest, c, ns) for b, largest, c in rule]
+        plant, terms, (_, _, squared_error, _) = simulation.step(before, command, sample, p, ns)
+        previous, dt = (before.a_u, before.a_r), self.parts.substeps * p.h
+        lost = loss.of(squared_error, p.error_scale, command, previous, dt, ns)
+        return Moved(leaves(plant), tuple(encode(terms, ns)), squared_error, lost)
 
 
-def law_of(expert: Policy) -> tuple[Law, bool]:
-    """Return an expert's law on tensors, and whether that is the expert itself.
+def law_of(expert: Policy) -> tuple[Forces, bool]:
+    """Return an expert's law on components, and whether that is the expert itself.
 
     An expert that computes on NumPy alone, with a memory perhaps, has its slope taken from a law near it: the one on an
     extended Kalman filter from the same law on the measurements, every other from the paper's law.
@@ -152,8 +148,7 @@ def law_of(expert: Policy) -> tuple[Law, bool]:
         and isinstance(controller.cruise, EkfLaw)
     ):
         return partial(_by_speed, controller.slow, controller.cruise), False
-    forces: Law | None = getattr(expert, "forces", None)
-    return (forces, True) if forces else (Backstepping().forces, False)
+    return (cast(Law, expert).forces, True) if traceable(expert) else (Backstepping().forces, False)
 
 
 def _by_speed(slow: EkfLaw, cruise: EkfLaw, o: Any, ns: Namespace) -> tuple[Any, Any]:

@@ -3,73 +3,79 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
+from numpy.typing import NDArray
 
-from auv_gym.envs.torch_sim import TorchSimulator
+from auv_gym.envs.lanes import Lanes
 from auv_gym.scenario import Scenario
-from auv_gym.task import SIZE
-from baselines.training.apg.closed_loop import Carried
+from auv_gym.simulation import SAMPLE_ROWS, Parts
+from baselines.agents.features import INTEGRALS
+from baselines.agents.networks import ACTIONS
+from baselines.training.apg.window import Array, Carried
 
 
 class Fleet:
-    """N vehicles of a `TorchSimulator`; vehicle i runs the episodes of an environment of seed + i, one after the other.
+    """N vehicles; vehicle i runs the episodes of an environment of seed + i, one after the other.
 
-    In a window nothing begins or ends, so the graph needs no masks; a vehicle that is lost drifts on to its end. The
-    first episodes are cut short by different amounts, so that not all end at once.
+    In a window nothing begins or ends; a vehicle that is lost drifts on to its end. The first episodes are cut short by
+    different amounts, so that not all end at once.
 
     Attributes:
-        simulator: where the vehicles are; its `constants` are what a control step needs besides a window.
         fresh: whether an episode began at the last renewal, shape (N,).
     """
 
-    def __init__(
-        self,
-        scenarios: Sequence[Scenario],
-        seed: int,
-        window: int,
-        preview: Sequence[int] = (),
-        dtype: torch.dtype = torch.float32,
-    ) -> None:
+    def __init__(self, scenarios: Sequence[Scenario], seed: int, window: int, preview: Sequence[int] = ()) -> None:
         """Make the fleet; `window` control steps are run between beginnings."""
         n = len(scenarios)
-        self.simulator = TorchSimulator(n, scenarios, dtype=dtype, compiled=False, preview=preview)
+        self._lanes = Lanes(n, scenarios, None, None, preview)
         self._seed, self._window = seed, window
         self._steps = np.array([s.steps for s in scenarios])
-        self._lost = torch.tensor([s.lost_distance**2 for s in scenarios], dtype=dtype)
+        self._lost = np.array([s.lost_distance**2 for s in scenarios])
         windows = np.maximum(self._steps // window, 1)
         self._left = window * (1 + np.arange(n) % windows)  # control steps of the running episodes
         self.fresh = np.ones(n, dtype=bool)
 
+    @property
+    def parts(self) -> Parts:
+        """What is in use of the simulation."""
+        return self._lanes.parts
+
+    @property
+    def constants(self) -> Array:
+        """The rows of `simulation.Parameters` of the running episodes, shape (PARAMETER_ROWS, N)."""
+        return self._lanes.constants
+
     def reset(self, hidden: int) -> Carried:
         """Begin an episode everywhere; return what is carried into it, for a network of so many hidden units."""
-        observation, _ = self.simulator.reset(seed=self._seed)
-        nothing = Carried.zeros(len(self.fresh), hidden, observation.dtype)
-        return nothing._replace(state=self.simulator.state, observation=_terms(observation))
+        n, beginning = len(self.fresh), self._lanes.reset(self._seed, None)
+        nothing = (np.zeros((rows, n)) for rows in (INTEGRALS, ACTIONS, hidden))
+        return Carried(beginning.plant, beginning.seen, *nothing)
 
-    def window(self) -> tuple[Tensor, Tensor]:
-        """Return what the next window brings, see `TorchSimulator.window`."""
+    def window(self) -> tuple[Array, Array]:
+        """Return what the next window brings, and let its time pass.
+
+        For each of its T steps: where the reference will be, displacements x, y in the world [m] as `Preview.ahead` has
+        them, shape (T, 2 P, N); and the sample at its end, shape (T, SAMPLE_ROWS, N).
+        """
         self._left -= self._window
-        return self.simulator.window(self._window)
+        lanes, n = self._lanes, len(self.fresh)
+        ahead, samples = (np.empty((self._window, rows, n)) for rows in (lanes.preview.columns, SAMPLE_ROWS))
+        for k in range(self._window):
+            if lanes.preview.periods:
+                ahead[k] = lanes.preview.ahead(lanes.all, lanes.k).reshape(-1, n)
+            samples[k] = lanes.coming()
+            lanes.advance()
+        return ahead, samples
 
-    def renew(self, carried: Carried, squared_error: Tensor) -> Carried:
+    def renew(self, carried: Carried, squared_error: NDArray[Any]) -> Carried:
         """Begin new episodes where they have ended, or would within the next window, or the vehicle is lost."""
-        lost = ~(squared_error <= self._lost).numpy()
-        self.fresh = lost | (self._left < self._window)
+        self.fresh = ~(squared_error <= self._lost) | (self._left < self._window)
         self._left[self.fresh] = self._steps[self.fresh]
-        observation = self.simulator.renew(carried.state, carried.observation, self.fresh)
-        goes_on = torch.as_tensor(~self.fresh)
-        return Carried(
-            self.simulator.state,
-            _terms(observation),
-            torch.where(goes_on, carried.integrals, 0.0),
-            torch.where(goes_on, carried.correction, 0.0),
-            torch.where(goes_on[:, None], carried.hidden, 0.0),
-        )
-
-
-def _terms(observation: Tensor) -> Tensor:
-    """Return observations (N, columns) without previews, (SIZE, N), laid out as a control step leaves them."""
-    return observation[:, :SIZE].T.contiguous()
+        lanes = self.fresh.nonzero()[0]
+        renewed = Carried(*(np.where(self.fresh, 0.0, x) for x in carried))
+        if len(lanes):
+            beginning = self._lanes.begin(lanes, self._lanes.planned(lanes))
+            renewed.state[:, lanes], renewed.observation[:, lanes] = beginning.plant, beginning.seen
+        return renewed

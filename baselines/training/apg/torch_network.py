@@ -1,4 +1,7 @@
-"""The networks of `baselines.agents.networks` on torch, for training; their weights are named alike."""
+"""The networks of `baselines.agents.networks` as torch modules, for training; their weights are named alike.
+
+The modules hold the weights; `passes` has the way through them.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ import itertools
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import nn
 
 from baselines.agents.networks import ACTIONS, Gru, Mlp, Network
 
@@ -35,14 +38,9 @@ class TorchGru(nn.Module):
             times = torch.empty(sizes.hidden).uniform_(1, LONGEST_MEMORY)
             self.gru.bias_hh[sizes.hidden : 2 * sizes.hidden] = times.log()
 
-    def forward(self, x: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor]:
-        """Return actions in [-1, 1], shape (N, ACTIONS), and the hidden state (N, hidden), for inputs (N, inputs)."""
-        hidden = self.gru(torch.tanh(self.encoder(x)), hidden)
-        return torch.tanh(self.head(torch.tanh(self.decoder(hidden)))), hidden
-
 
 class TorchMlp(nn.Module):
-    """Tanh layers and a linear head whose weights begin at zero: a network without memory, called as `TorchGru` is."""
+    """Tanh layers and a linear head whose weights begin at zero: a network without memory."""
 
     def __init__(self, sizes: Mlp) -> None:
         super().__init__()
@@ -52,13 +50,6 @@ class TorchMlp(nn.Module):
         nn.init.zeros_(layers[-1].weight)
         nn.init.zeros_(layers[-1].bias)
         self.layers = nn.ModuleList(layers)
-
-    def forward(self, x: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor]:
-        """Return actions in [-1, 1], shape (N, ACTIONS), and `hidden`, for inputs (N, inputs)."""
-        *inner, head = self.layers
-        for layer in inner:
-            x = torch.tanh(layer(x))
-        return torch.tanh(head(x)), hidden
 
 
 def torch_network(sizes: Network) -> TorchGru | TorchMlp:

@@ -6,19 +6,16 @@ loss is the tracking error itself: no value function, no exploration, no reward.
 
 from __future__ import annotations
 
-import logging
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from auv_gym.envs.torch_sim import CONSTANT_GLOBALS, can_compile
 from auv_gym.intervals import check_number
 from auv_gym.namespaces import ARRAYS
 from auv_gym.policy import preview_of
@@ -29,16 +26,16 @@ from baselines.agents.agent import Agent
 from baselines.agents.features import Inputs
 from baselines.agents.networks import Gru, Mlp, Network
 from baselines.policy import Memory
-from baselines.training.apg.closed_loop import Carried, ClosedLoop, Loss, law_of
+from baselines.training.apg.closed_loop import ClosedLoop, Loss, law_of
 from baselines.training.apg.fleet import Fleet
+from baselines.training.apg.kernels import LoopKernels
 from baselines.training.apg.torch_network import torch_network, weights_of
+from baselines.training.apg.window import Array, Window
 from baselines.training.config import Config
 from baselines.training.run_folder import VALIDATIONS, Run, TrainingError
-
-logger = logging.getLogger(__name__)
+from baselines.training.validation import PRECISION
 
 LOGS = 200  # how often in a run its progress is logged
-Step = Callable[..., tuple[Carried, Tensor, Tensor]]
 
 
 @dataclass(frozen=True)
@@ -59,7 +56,6 @@ class Settings:
     memory: bool = True  # whether the network has recurrent units, else it is of two tanh layers
     integrals: bool = True  # whether it sees the integrals of the position error
     preview: tuple[int, ...] = ()  # where it sees the reference ahead, in control periods
-    compiled: bool = True  # whether torch compiles the step, which takes a minute once
 
     def __post_init__(self) -> None:
         for name, high in (("n_envs", 2**16), ("n_steps", 10**4)):
@@ -72,9 +68,8 @@ class Settings:
             check_number(name, getattr(self, name), 0, 1)
         for name in ("effort_weight", "rate_weight"):
             check_number(name, getattr(self, name), 0, 1e6)
-        for name in ("memory", "compiled"):
-            if not isinstance(getattr(self, name), bool):
-                raise ValueError(f"{name} is {getattr(self, name)!r}; it must be true or false")
+        if not isinstance(self.memory, bool):
+            raise ValueError(f"memory is {self.memory!r}; it must be true or false")
         _ = self.network
 
     @property
@@ -165,9 +160,9 @@ class Trainer:
         else:
             self._restore(state)
         law, self._exact = law_of(self._expert)
-        loss = Loss.weighted(settings.effort_weight, settings.rate_weight)
-        loop = ClosedLoop(law, torch.tensor(config.authority), loss, self.fleet.simulator.parts, settings.inputs)
-        self._step = compiled(loop) if settings.compiled else loop.step
+        kernels = LoopKernels(ClosedLoop(law, settings.inputs, self.fleet.parts), self._exact)
+        self._window = Window(kernels, self.network, settings.n_envs, settings.n_steps)
+        self._loss = Loss(settings.effort_weight, settings.rate_weight)
 
     @property
     def _groups(self) -> list[dict[str, Any]]:
@@ -183,9 +178,7 @@ class Trainer:
         share = self.settings.share_at(self.updates / self.total)
         for group, rate in zip(self._groups, self._rates, strict=True):
             group["lr"] = rate * share
-        loss, error = self._window()
-        self.network.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss, error = self._run()
         norm = float(nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.max_grad_norm))
         if math.isfinite(norm):
             for optimizer in self.optimizers:
@@ -198,7 +191,7 @@ class Trainer:
             self.skipped += 1
         self.updates += 1
         if self._due(LOGS):
-            self.run.log(self.timesteps, loss=float(loss.detach()), window_error_m=error, gradient_norm=norm)
+            self.run.log(self.timesteps, loss=loss, window_error_m=error, gradient_norm=norm)
         if self._due(VALIDATIONS):
             self.validate()
 
@@ -206,33 +199,40 @@ class Trainer:
         """Return whether one of so many moments, spread evenly over the run, has come; the last one is its end."""
         return self.updates * times // self.total > (self.updates - 1) * times // self.total
 
-    def _window(self) -> tuple[Tensor, float]:
+    def _run(self) -> tuple[float, float]:
         """Return the mean loss of a window and its mean position error [m]; begin new episodes behind it."""
-        carried = Carried(*(x.detach().requires_grad_() for x in self.carried))  # as compiled, from the first step on
-        loss, distance = torch.zeros(()), torch.zeros(())
-        fresh, parameters = self.fleet.fresh, self.fleet.simulator.constants
-        for ahead, sample in zip(*self.fleet.window(), strict=True):
-            outside = () if self._exact else (self._act(carried.observation, ahead, fresh),)
-            seen = ahead[self._seen]
-            carried, losses, squared_error = self._step(self.network, carried, seen, sample, parameters, *outside)
-            fresh = np.zeros_like(fresh)
-            loss = loss + losses.mean()
-            distance = distance + squared_error.detach().sqrt().mean()
-        self.carried = self.fleet.renew(carried.detach(), squared_error.detach())
-        return loss / self.settings.n_steps, float(distance) / self.settings.n_steps
+        ahead, samples = self.fleet.window()
+        fresh, nothing = self.fleet.fresh, np.zeros_like(self.fleet.fresh)
 
-    def _act(self, observation: Tensor, ahead: Tensor, fresh: NDArray[np.bool_]) -> Tensor:
+        def act(k: int, observation: Array) -> Array:
+            return self._act(observation, ahead[k], nothing if k else fresh)
+
+        loss, error, carried, squared_error = self._window.run(
+            self.carried,
+            ahead[:, self._seen],
+            samples,
+            self.fleet.constants,
+            self.run.config.authority,
+            self._loss,
+            None if self._exact else act,
+        )
+        self.carried = self.fleet.renew(carried, squared_error)
+        return loss, error
+
+    def _act(self, observation: Array, ahead: Array, fresh: NDArray[np.bool_]) -> Array:
         """Return the action of an expert on NumPy, shape (ACTIONS, N)."""
-        rows = observation.detach().numpy().T.astype(np.float64)
-        ways = ahead[self._seen_by_expert].numpy().astype(np.float64).reshape(-1, 2, len(rows))
-        rows = np.hstack((rows, encode_preview(ways, decode_observation(rows), ARRAYS).T))
+        rows = observation.T.astype(np.float64)
+        if self._seen_by_expert:
+            ways = ahead[self._seen_by_expert].reshape(-1, 2, len(rows))
+            rows = np.hstack((rows, encode_preview(ways, decode_observation(rows), ARRAYS).T))
         action, self._memory = self._expert.predict(rows, self._memory, fresh)
-        return torch.from_numpy(np.ascontiguousarray(action.T))
+        return action.T
 
     def validate(self) -> None:
         """Measure the agent on the validation episodes, keep the best, and save a checkpoint."""
         weights = weights_of(self.averaged.module)
-        score = self.run.validate(self.agent(weights).policy(vehicle=self.run.config.vehicle), self.timesteps)
+        policy = self.agent(weights).policy(vehicle=self.run.config.vehicle, precision=PRECISION)
+        score = self.run.validate(policy, self.timesteps)
         if score > self.score:
             self.score, self.best = score, weights
         self.run.save_checkpoint(self._state())
@@ -265,12 +265,3 @@ class Trainer:
         for optimizer, its in zip(self.optimizers, state["optimizers"], strict=True):
             optimizer.load_state_dict(its)
         self.fleet, self.carried, self._memory = state["fleet"], state["carried"], state["memory"]
-
-
-def compiled(loop: ClosedLoop) -> Step:
-    """Return the step compiled, or as it is where torch cannot compile."""
-    if not can_compile(torch.device("cpu")):
-        return loop.step
-    logger.info("compiling the control step; the first time takes about a minute")
-    step: Step = torch.compile(loop.step, fullgraph=True, dynamic=False, options=CONSTANT_GLOBALS)
-    return step

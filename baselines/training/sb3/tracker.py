@@ -15,6 +15,7 @@ from baselines.agents.agent import Agent
 from baselines.training.run_folder import VALIDATIONS, Run, TrainingError
 from baselines.training.sb3.export import exported
 from baselines.training.sb3.snapshot import restore_exploration, snapshot
+from baselines.training.validation import PRECISION
 
 LARGEST_WEIGHT = 1e6  # beyond that, and where a weight is no number at all, training has diverged
 
@@ -72,7 +73,8 @@ class Tracker(BaseCallback):
             raise TrainingError(f"training diverged after {self.num_timesteps} steps: lower learning_rate")
         self.run.log(self.num_timesteps, **self._learned())
         agent = exported(self.model.policy, self.run.config)
-        score = self.run.validate(agent.policy(vehicle=self.run.config.vehicle), self.num_timesteps)
+        policy = agent.policy(vehicle=self.run.config.vehicle, precision=PRECISION)
+        score = self.run.validate(policy, self.num_timesteps)
         if score > self._best:
             self._best, self._agent = score, agent
         self._validated = self.num_timesteps

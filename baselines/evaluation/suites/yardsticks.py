@@ -1,0 +1,69 @@
+"""What expert and oracle do in the cells of a frozen suite, kept beside it: the ends of a validation's score.
+
+`python -m baselines.evaluation.suites yardsticks NAME` measures and writes them.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from baselines import make_policy
+from baselines.evaluation.metrics import Array
+from baselines.evaluation.rollout import PolicyError, rollout
+from baselines.evaluation.runner import Cell
+from baselines.evaluation.score import EXPERT, ORACLE, capped, regime_of
+from baselines.evaluation.suites import FOLDER, Suite
+from baselines.tools.files import json_text, read_json, write_atomically
+
+FILE = FOLDER / "yardsticks.json"
+
+
+class Yardstick(NamedTuple):
+    """Mean capped tail RMSE in a cell [m]; infinite where the oracle does not know how."""
+
+    expert_m: float
+    oracle_m: float
+
+
+def measured(cell: Cell) -> Yardstick:
+    """Return what expert and oracle do in a cell."""
+    return Yardstick(*(float(np.mean(_capped_tail(name, cell))) for name in (EXPERT, ORACLE)))
+
+
+def kept(cell: Cell) -> Yardstick | None:
+    """Return what expert and oracle do in a cell of a frozen suite, as it was measured; None for another cell."""
+    return _kept(FILE).get(cell.hash)
+
+
+def keep(suite: Suite, file: Path = FILE) -> None:
+    """Measure the cells of a suite and write down what was found, in place of what was known of it.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    found = {cell.scenario.name: {"cell": cell.hash, **measured(cell)._asdict()} for cell in suite.cells}
+    write_atomically(file, json_text((read_json(file) if file.exists() else {}) | {suite.name: found}))
+    _kept.cache_clear()
+
+
+@cache
+def _kept(file: Path) -> dict[str, Yardstick]:
+    """Return a file's yardsticks by the hash of their cell."""
+    cells = [record for suite in read_json(file).values() for record in suite.values()]
+    return {record["cell"]: Yardstick(record["expert_m"], record["oracle_m"]) for record in cells}
+
+
+def _capped_tail(name: str, cell: Cell) -> Array:
+    """Return the capped tails [m] of a policy; infinite where the oracle does not know how."""
+    try:
+        measures = rollout(make_policy(name, cell.scenario.vehicle), cell.scenario, cell.episodes, math.inf).measures
+    except (PolicyError, ValueError):
+        if name == EXPERT:
+            raise
+        return np.full(len(cell.episodes), math.inf)
+    return capped(measures, regime_of(cell.scenario.name))

@@ -1,0 +1,168 @@
+"""The kernels of a window: a control step's two halves around the network, and the adjoint of each.
+
+An adjoint computes its step anew from what went into it, so that nothing inside a step is kept. Its arrays named d_...
+hold the derivatives of the window's loss by what the rest of the name says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+from auv_gym.codegen.derivatives import gradient
+from auv_gym.codegen.graph import SYMBOLS, Symbol
+from auv_gym.codegen.kernel import Equation, Kernel
+from auv_gym.namespaces import Number
+from auv_gym.simulation import PARAMETER_ROWS, PLANT_ROWS, SAMPLE_ROWS
+from auv_gym.task import SIZE
+from baselines.agents.features import INTEGRALS
+from baselines.agents.networks import ACTIONS
+from baselines.training.apg.closed_loop import ClosedLoop, Loss, Moved
+
+Symbols = Sequence[Symbol]
+Results = Mapping[str, Symbols]
+
+
+class Chosen(NamedTuple):
+    """What a run chooses, as rows of a kernel, so that one compiled library serves all runs."""
+
+    authority_u: Number
+    authority_r: Number
+    effort: Number  # see `Loss`
+    rate: Number
+    share: Number  # of a vehicle's control step in the window's loss
+
+
+SEEN = {"observation": SIZE, "correction": ACTIONS, "integrals": INTEGRALS}  # what the features are made of, but ahead
+MOVED = {
+    "state": PLANT_ROWS,
+    "base": ACTIONS,
+    "correction": ACTIONS,
+    "sample": SAMPLE_ROWS,
+    "parameters": PARAMETER_ROWS,
+    "chosen": len(Chosen._fields),
+}
+FIXED = frozenset(
+    ("parameters", "chosen", "d_state", "d_observation", "d_base", "d_correction", "d_features", "d_integrals")
+)
+"""Arrays that have no row for each step."""
+
+
+@dataclass(frozen=True)
+class LoopKernels:
+    """The four kernels of a closed loop.
+
+    Args:
+        loop: the equations.
+        exact: whether `loop.law` is the expert; else its action is given, and the law has its slope alone.
+        precision: "float32" or "float64".
+    """
+
+    loop: ClosedLoop
+    exact: bool
+    precision: str = "float32"
+
+    @cached_property
+    def look(self) -> Kernel:
+        """observation, ahead, correction, integrals (and base, if that is given) -> features, following, base."""
+
+        def equation(
+            observation: Symbols, correction: Symbols, integrals: Symbols, ahead: Symbols, base: Symbols = ()
+        ) -> Results:
+            action = base or self.loop.expert(observation, SYMBOLS)
+            features, following = self.loop.features(observation, ahead, action, correction, integrals, SYMBOLS)
+            return {"features": features, "following": following, **({} if base else {"base": action})}
+
+        return self._traced(equation, self._seen if self.exact else self._seen | {"base": ACTIONS})
+
+    @cached_property
+    def look_back(self) -> Kernel:
+        """d_features, d_base, d_integrals after -> d_observation, d_correction, d_integrals before."""
+
+        def equation(
+            observation: Symbols,
+            correction: Symbols,
+            integrals: Symbols,
+            ahead: Symbols,
+            base: Symbols,
+            d_features: Symbols,
+            d_base: Symbols,
+            d_integrals: Symbols,
+        ) -> Results:
+            features, following = self.loop.features(observation, ahead, base, correction, integrals, SYMBOLS)
+            within = (*observation, *correction, *integrals, *base)
+            shares = _split(
+                gradient((*features, *following), (*d_features, *d_integrals), within),
+                SIZE, ACTIONS, INTEGRALS, ACTIONS,
+            )  # fmt: skip
+            action = self.loop.expert(observation, SYMBOLS)
+            through = gradient(action, _sum(d_base, shares[3]), observation)  # the law's slope, whoever acts
+            return {
+                "d_observation": _sum(shares[0], through),
+                "d_correction": shares[1],
+                "d_integrals": shares[2],
+            }
+
+        after = {"d_features": len(self.loop.inputs.features), "d_base": ACTIONS, "d_integrals": INTEGRALS}
+        return self._traced(equation, self._seen | {"base": ACTIONS} | after)
+
+    @cached_property
+    def move(self) -> Kernel:
+        """state, base, correction, sample -> landed, observation, squared_error."""
+
+        def equation(**arrays: Symbols) -> Results:
+            moved = self._moved(**arrays)
+            return {"landed": moved.state, "observation": moved.observation, "squared_error": (moved.squared_error,)}
+
+        return self._traced(equation, MOVED)
+
+    @cached_property
+    def move_back(self) -> Kernel:
+        """d_state, d_observation, d_correction after -> d_state, d_base, d_correction before."""
+
+        def equation(d_state: Symbols, d_observation: Symbols, d_correction: Symbols, **arrays: Symbols) -> Results:
+            moved = self._moved(**arrays)
+            share = Chosen._make(arrays["chosen"]).share
+            within = (*arrays["state"], *arrays["base"], *arrays["correction"])
+            shares = gradient((*moved.state, *moved.observation, moved.loss), (*d_state, *d_observation, share), within)
+            state, base, correction = _split(shares, PLANT_ROWS, ACTIONS, ACTIONS)
+            return {"d_state": state, "d_base": base, "d_correction": _sum(d_correction, correction)}
+
+        after = {"d_state": PLANT_ROWS, "d_observation": SIZE, "d_correction": ACTIONS}
+        return self._traced(equation, MOVED | after)
+
+    @property
+    def _seen(self) -> dict[str, int]:
+        return SEEN | {"ahead": 2 * len(self.loop.inputs.preview)}
+
+    def _moved(
+        self,
+        state: Symbols,
+        base: Symbols,
+        correction: Symbols,
+        sample: Symbols,
+        parameters: Symbols,
+        chosen: Symbols,
+    ) -> Moved:
+        authority_u, authority_r, effort, rate, _ = chosen
+        authority, loss = (authority_u, authority_r), Loss(effort, rate)
+        return self.loop.move(state, base, correction, sample, parameters, authority, loss, SYMBOLS)
+
+    def _traced(self, equation: Equation, rows: Mapping[str, int]) -> Kernel:
+        arrays = {*rows, "features", "following", "landed", "observation", "squared_error", "base"}
+        over_time = sorted(arrays - FIXED)
+        return Kernel.traced(equation, rows, over_time, precision=self.precision, structural=True)
+
+
+def _sum(a: Symbols, b: Symbols) -> list[Symbol]:
+    return [x + y for x, y in zip(a, b, strict=True)]
+
+
+def _split(symbols: Symbols, *sizes: int) -> list[Symbols]:
+    parts, at = [], 0
+    for size in sizes:
+        parts.append(symbols[at : at + size])
+        at += size
+    return parts

@@ -1,0 +1,217 @@
+"""A network's way through a window, forward and back: matrix products by torch, step after step, written out by hand.
+
+Everything is laid out with the N vehicles last, as the kernels have it. The weights' gradients are one batch of
+products over all steps.
+"""
+
+from __future__ import annotations
+
+import itertools
+from functools import cache
+from typing import NamedTuple, Protocol, cast
+
+import torch
+from torch import Tensor, nn
+
+from auv_gym.codegen.derivatives import gradient
+from auv_gym.codegen.graph import Symbol
+from auv_gym.codegen.kernel import Kernel
+from baselines.training.apg.torch_network import TorchGru, TorchMlp
+
+_tanh_back = torch.ops.aten.tanh_backward.grad_input  # (d_y, y, grad_input=d_x) of y = tanh(x)
+
+
+class Tape(NamedTuple):
+    """What a network reads and writes in a window of T steps."""
+
+    inputs: Tensor  # shape (T, inputs, N)
+    hidden: Tensor  # shape (T + 1, memory, N)
+    corrections: Tensor  # shape (T + 1, ACTIONS, N)
+    d_inputs: Tensor  # derivatives of the loss by the inputs of a step, shape (inputs, N)
+    d_correction: Tensor  # by what it made of them, shape (ACTIONS, N)
+
+
+class Pass(Protocol):
+    """The steps of a window through a network."""
+
+    def begin(self) -> None:
+        """Take up the weights as they are now."""
+
+    def forward(self, k: int) -> None:
+        """Compute correction and hidden state k + 1 from inputs and hidden state k."""
+
+    def backward(self, k: int) -> None:
+        """Compute the derivatives by the inputs of step k; steps are gone through from the last one to the first."""
+
+    def finish(self) -> None:
+        """Set the gradients of the weights, those of the whole window."""
+
+
+def pass_of(network: TorchGru | TorchMlp, tape: Tape) -> Pass:
+    """Return the way through a network, which may change its weights in place between windows."""
+    return GruPass(network, tape) if isinstance(network, TorchGru) else MlpPass(network, tape)
+
+
+@cache
+def gates_back(precision: str) -> Kernel:
+    """Return the adjoint of gated recurrent units, h' = n + z (h - n), on rows of all units of all vehicles.
+
+    `gates` are r, z, n and m: reset and update gate, the candidate n = tanh(i + r m), and m itself; `d_gates` are the
+    derivatives by what goes into the sigmoids of r and z, by i, and by m.
+    """
+
+    def equation(gates: list[Symbol], hidden: list[Symbol], d_hidden: list[Symbol]) -> dict[str, list[Symbol]]:
+        r, z, n, m = gates
+        following = n + z * (hidden[0] - n)
+        d_z, d_n, d_h = gradient([following], d_hidden, (z, n, hidden[0]))
+        d_i = d_n * (1.0 - n * n)
+        return {"d_gates": [d_i * m * (r * (1.0 - r)), d_z * (z * (1.0 - z)), d_i, d_i * r], "d_hidden": [d_h]}
+
+    rows = {"gates": 4, "hidden": 1, "d_hidden": 1}
+    return Kernel.traced(equation, rows, ("gates", "hidden", "d_gates"), precision=precision)
+
+
+class Layer:
+    """A linear layer and its tanh, y = tanh(W x + b), at each step."""
+
+    def __init__(self, layer: nn.Linear, x: Tensor, y: Tensor, d_x: Tensor | None = None) -> None:
+        """Take inputs (T, inputs, N), outputs (T, outputs, N) and where the derivatives by a step's inputs go."""
+        self._layer, self._x, self.d_x = layer, x, torch.empty_like(x[0]) if d_x is None else d_x
+        self.d_y = torch.empty_like(y[0])
+        self.d_sums = torch.empty_like(y)  # derivatives by W x + b
+        self._weight, self._bias = layer.weight.detach(), layer.bias.detach()[:, None]
+        self._turned, self._xs, self._ys, self._ds = self._weight.t(), x.unbind(), y.unbind(), self.d_sums.unbind()
+
+    def forward(self, k: int) -> None:
+        """Compute y of step k."""
+        torch.addmm(self._bias, self._weight, self._xs[k], out=self._ys[k]).tanh_()
+
+    def backward(self, k: int, d_y: Tensor) -> None:
+        """Compute `d_sums` of step k."""
+        _tanh_back(d_y, self._ys[k], grad_input=self._ds[k])
+
+    def through(self, k: int) -> Tensor:
+        """Return `d_x` of step k, after `backward`."""
+        return torch.mm(self._turned, self._ds[k], out=self.d_x)
+
+    def finish(self) -> None:
+        """Set the gradients of W and b."""
+        self._layer.weight.grad = _products(self.d_sums, self._x)
+        self._layer.bias.grad = self.d_sums.sum((0, 2))
+
+
+class GruPass:
+    """A `Pass` through a `TorchGru`."""
+
+    def __init__(self, network: TorchGru, tape: Tape) -> None:
+        (steps, _, n), sizes = tape.inputs.shape, network.sizes
+        encoded, decoded, gates, self._d_gates = (
+            tape.inputs.new_empty(steps, rows, n)
+            for rows in (sizes.encoder, sizes.decoder, 4 * sizes.hidden, 4 * sizes.hidden)
+        )
+        self._gru, self._units, self._encoded, self._hidden = network.gru, sizes.hidden, encoded, tape.hidden
+        self._d_hidden = tape.inputs.new_empty(sizes.hidden, n)
+        self._d_correction = tape.d_correction
+        self._encoder = Layer(network.encoder, tape.inputs, encoded, tape.d_inputs)
+        self._decoder = Layer(network.decoder, tape.hidden[1:], decoded)
+        self._head = Layer(network.head, decoded, tape.corrections[1:])
+        self._forward = [
+            (*rows, *_parts(g)) for *rows, g in zip(encoded, tape.hidden[:-1], tape.hidden[1:], gates, strict=True)
+        ]
+        self._backward = [_parts(g) for g in self._d_gates]
+        self._gates_back = gates_back(str(gates.dtype).removeprefix("torch.")).bound(
+            gates=gates.view(steps, 4, -1).numpy(),
+            hidden=tape.hidden[:-1].view(steps, 1, -1).numpy(),
+            d_gates=self._d_gates.view(steps, 4, -1).numpy(),
+            d_hidden=self._d_hidden.view(1, -1).numpy(),
+        )
+
+    def begin(self) -> None:
+        """See `Pass`."""
+        split = 2 * self._units
+        self._of_inputs, of_hidden = self._gru.weight_ih.detach(), self._gru.weight_hh.detach()
+        self._of_hidden, self._of_memory = of_hidden[:split], of_hidden[split:]
+        bias = self._gru.bias_hh.detach()
+        shared = torch.cat((bias[:split], torch.zeros_like(bias[split:])))
+        self._bias, self._memory_bias = (self._gru.bias_ih.detach() + shared)[:, None], bias[split:, None]
+        self._d_hidden.zero_()
+
+    def forward(self, k: int) -> None:
+        """See `Pass`."""
+        self._encoder.forward(k)
+        x, hidden, following, sums, shared, (r, z, n, m) = self._forward[k]
+        torch.addmm(self._bias, self._of_inputs, x, out=sums)
+        shared.addmm_(self._of_hidden, hidden).sigmoid_()
+        torch.addmm(self._memory_bias, self._of_memory, hidden, out=m)
+        n.addcmul_(r, m).tanh_()
+        torch.lerp(n, hidden, z, out=following)
+        self._decoder.forward(k)
+        self._head.forward(k)
+
+    def backward(self, k: int) -> None:
+        """See `Pass`."""
+        self._head.backward(k, self._d_correction)
+        self._decoder.backward(k, self._head.through(k))
+        self._d_hidden.add_(self._decoder.through(k))
+        self._gates_back(k, 1)
+        d_sums, d_shared, (*_, d_m) = self._backward[k]
+        self._d_hidden.addmm_(self._of_hidden.t(), d_shared).addmm_(self._of_memory.t(), d_m)
+        torch.mm(self._of_inputs.t(), d_sums, out=self._encoder.d_y)
+        self._encoder.backward(k, self._encoder.d_y)
+        self._encoder.through(k)
+
+    def finish(self) -> None:
+        """See `Pass`."""
+        for layer in (self._encoder, self._decoder, self._head):
+            layer.finish()
+        split, before = 3 * self._units, self._hidden[:-1]
+        d_sums, d_m = self._d_gates[:, :split], self._d_gates[:, split:]
+        d_shared = d_sums[:, : 2 * self._units]
+        gru, bias = self._gru, self._d_gates.sum((0, 2))
+        gru.weight_ih.grad = _products(d_sums, self._encoded)
+        gru.weight_hh.grad = torch.cat((_products(d_shared, before), _products(d_m, before)))
+        gru.bias_ih.grad, gru.bias_hh.grad = bias[:split], torch.cat((bias[: 2 * self._units], bias[split:]))
+
+
+class MlpPass:
+    """A `Pass` through a `TorchMlp`."""
+
+    def __init__(self, network: TorchMlp, tape: Tape) -> None:
+        self._d_correction, (steps, _, n) = tape.d_correction, tape.inputs.shape
+        wide = [tape.inputs.new_empty(steps, size, n) for size in network.sizes.layers]
+        values = (tape.inputs, *wide, tape.corrections[1:])
+        self._layers = [
+            Layer(cast(nn.Linear, layer), x, y, None if i else tape.d_inputs)
+            for i, (layer, (x, y)) in enumerate(zip(network.layers, itertools.pairwise(values), strict=True))
+        ]
+
+    def begin(self) -> None:
+        """See `Pass`."""
+
+    def forward(self, k: int) -> None:
+        """See `Pass`."""
+        for layer in self._layers:
+            layer.forward(k)
+
+    def backward(self, k: int) -> None:
+        """See `Pass`."""
+        d_y = self._d_correction
+        for layer in reversed(self._layers):
+            layer.backward(k, d_y)
+            d_y = layer.through(k)
+
+    def finish(self) -> None:
+        """See `Pass`."""
+        for layer in self._layers:
+            layer.finish()
+
+
+def _parts(gates: Tensor) -> tuple[Tensor, Tensor, list[Tensor]]:
+    """Return of the rows of r, z, n and m: the first three, the first two, and each."""
+    *three, last = gates.chunk(4)
+    return gates[: -len(last)], gates[: 2 * len(last)], [*three, last]
+
+
+def _products(d_y: Tensor, x: Tensor) -> Tensor:
+    """Return the sum of d_y x^T over the steps."""
+    return torch.bmm(d_y, x.transpose(1, 2)).sum(0)

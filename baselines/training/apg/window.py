@@ -1,0 +1,164 @@
+"""A window of control steps: forward through vehicles and network, back to the gradient of the network's weights."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from auv_gym.namespaces import ARRAYS
+from auv_gym.simulation import PARAMETERS, PLANT, PLANT_ROWS
+from auv_gym.task import SIZE
+from baselines.agents.features import INTEGRALS
+from baselines.agents.networks import ACTIONS
+from baselines.training.apg.closed_loop import Loss
+from baselines.training.apg.kernels import MOVED, LoopKernels
+from baselines.training.apg.passes import Tape, pass_of
+from baselines.training.apg.torch_network import TorchGru, TorchMlp
+
+Array = NDArray[Any]
+Act = Callable[[int, Array], Array]
+"""What an expert that computes on NumPy does at step k on observations (SIZE, N): actions, shape (ACTIONS, N)."""
+
+
+class Carried(NamedTuple):
+    """What goes from one control instant to the next: arrays whose last axis counts the N vehicles."""
+
+    state: Array  # rows of a `simulation.Plant`, shape (PLANT_ROWS, N)
+    observation: Array  # shape (SIZE, N)
+    integrals: Array  # of the features, shape (INTEGRALS, N)
+    correction: Array  # the last one, shape (ACTIONS, N)
+    hidden: Array  # of the network, shape (memory, N)
+
+
+class Window:
+    """T control steps of N vehicles, run again and again; it computes in the kernels' precision.
+
+    Args:
+        kernels: of the closed loop.
+        network: what corrects the expert; its weights may change in place between windows.
+        n: N, the number of vehicles.
+        steps: T.
+    """
+
+    def __init__(self, kernels: LoopKernels, network: TorchGru | TorchMlp, n: int, steps: int) -> None:
+        self.steps, self._type = steps, np.dtype(kernels.precision)
+        inputs, self._substeps = kernels.loop.inputs, kernels.loop.parts.substeps
+        features, memory = len(inputs.features), network.sizes.memory
+        self._carried = Carried(
+            *(self._zeros(steps + 1, rows, n) for rows in (PLANT_ROWS, SIZE, INTEGRALS, ACTIONS, memory))
+        )
+        self._ahead, self._samples, self._features, self._base, self._squared = (
+            self._zeros(steps, rows, n) for rows in (2 * len(inputs.preview), MOVED["sample"], features, ACTIONS, 1)
+        )
+        self._parameters, self._chosen = self._zeros(MOVED["parameters"], n), self._zeros(MOVED["chosen"], n)
+        self._d = {
+            name: self._zeros(rows, n)
+            for name, rows in (
+                ("d_state", PLANT_ROWS),
+                ("d_observation", SIZE),
+                ("d_integrals", INTEGRALS),
+                ("d_base", ACTIONS),
+                ("d_correction", ACTIONS),
+                ("d_features", features),
+            )
+        }
+        tensors = (self._features, self._carried.hidden, self._carried.correction)
+        derivatives = (self._d["d_features"], self._d["d_correction"])
+        self._pass = pass_of(network, Tape(*map(torch.from_numpy, (*tensors, *derivatives))))
+        self._bind(kernels)
+
+    def _zeros(self, *shape: int) -> Array:
+        return np.zeros(shape, dtype=self._type)
+
+    def _bind(self, kernels: LoopKernels) -> None:
+        """Tell the kernels where their numbers are."""
+        before, after = (Carried(*(x[part] for x in self._carried)) for part in (slice(-1), slice(1, None)))
+        seen = {
+            "observation": before.observation,
+            "correction": before.correction,
+            "integrals": before.integrals,
+            "ahead": self._ahead,
+            "base": self._base,
+        }
+        moved = {
+            "state": before.state,
+            "base": self._base,
+            "correction": after.correction,
+            "sample": self._samples,
+            "parameters": self._parameters,
+            "chosen": self._chosen,
+        }
+        d = self._d
+        self._look = kernels.look.bound(**seen, features=self._features, following=after.integrals)
+        self._move = kernels.move.bound(
+            **moved, landed=after.state, observation=after.observation, squared_error=self._squared
+        )
+        by_look = {name: d[name] for name in d if name != "d_state"}
+        by_move = {name: d[name] for name in ("d_state", "d_observation", "d_correction", "d_base")}
+        self._look_back = kernels.look_back.bound(**seen, **by_look)
+        self._move_back = kernels.move_back.bound(**moved, **by_move)
+
+    def run(
+        self,
+        carried: Carried,
+        ahead: Array,
+        samples: Array,
+        parameters: Array,
+        authority: Sequence[float],
+        loss: Loss,
+        act: Act | None = None,
+    ) -> tuple[float, float, Carried, Array]:
+        """Run the window and set the gradients of the network's weights, those of its mean loss.
+
+        Args:
+            carried: from the window before; nothing is differentiated beyond it.
+            ahead: the preview of the network's inputs in the world [m], shape (T, 2 P, N).
+            samples: the rows of `simulation.Sample`s, shape (T, SAMPLE_ROWS, N).
+            parameters: the rows of `simulation.Parameters`, shape (PARAMETER_ROWS, N).
+            authority: largest corrections of surge and yaw.
+            loss: of a control step.
+            act: the expert, if it does not compute in the kernels.
+
+        Returns:
+            The mean loss, the mean position error [m], what is carried on, which the next run overwrites, and the
+            squared position error [m^2] at the end, shape (N,).
+        """
+        for mine, given in zip(self._carried, carried, strict=True):
+            mine[0] = given
+        self._ahead[:], self._samples[:], self._parameters[:] = ahead, samples, parameters
+        n = self._parameters.shape[-1]
+        self._chosen[:] = np.array((*authority, *loss, 1 / (n * self.steps)))[:, None]  # as in `Chosen`
+        with torch.no_grad():
+            self._forward(act)
+            self._backward()
+        with np.errstate(all="ignore"):  # of vehicles that are lost altogether
+            mean, error = self._mean_loss(loss), float(np.sqrt(self._squared, dtype=np.float64).mean())
+        return mean, error, Carried(*(x[-1] for x in self._carried)), self._squared[-1, 0]
+
+    def _forward(self, act: Act | None) -> None:
+        self._pass.begin()
+        for k in range(self.steps):
+            if act:
+                self._base[k] = act(k, self._carried.observation[k])
+            self._look(k, 1)
+            self._pass.forward(k)
+            self._move(k, 1)
+
+    def _backward(self) -> None:
+        for derivative in self._d.values():
+            derivative.fill(0.0)
+        for k in reversed(range(self.steps)):
+            self._move_back(k, 1)
+            self._pass.backward(k)
+            self._look_back(k, 1)
+        self._pass.finish()
+
+    def _mean_loss(self, loss: Loss) -> float:
+        a_u, a_r = self._carried.state[:, PLANT.a_u], self._carried.state[:, PLANT.a_r]
+        dt, scale = self._substeps * self._parameters[PARAMETERS.h], self._parameters[PARAMETERS.error_scale]
+        of = loss.of(self._squared[:, 0], scale, (a_u[1:], a_r[1:]), (a_u[:-1], a_r[:-1]), dt, ARRAYS)
+        return float(np.mean(of, dtype=np.float64))
