@@ -113,12 +113,13 @@ def exponential(x: Number, precision: str, ns: Namespace) -> Number:
 
 
 def _power_of_two(k: Number, least: int, ns: Namespace) -> Number:
-    """Return 2^k for a whole k from `least` to 1 - `least`, bit by bit: that vectorises everywhere."""
-    half = 2 ** (1 - least).bit_length() // 2
-    left, power = k - float(least), 2.0**least
-    for step in (half, half, *(half >> j for j in range(half.bit_length()))):
-        taken = left >= float(step)
-        left, power = ns.where(taken, left - float(step), left), ns.where(taken, power * 2.0**step, power)
+    """Return 2^k for a whole k from `least` to 1 - `least`, bit by bit: a choice would keep gcc from vectorising."""
+    left, power, bits = k - float(least), 2.0**least, (1 - least).bit_length()
+    for j in range(bits + 1):
+        half = ns.floor(0.5 * left)
+        bit, left = left - 2.0 * half, half
+        for _ in range(1 + (j == bits)):  # twice the largest power that is a number
+            power = power * (1.0 + bit * (2.0 ** 2 ** min(j, bits - 1) - 1.0))
     return power
 
 

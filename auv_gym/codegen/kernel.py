@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.codegen import native
+from auv_gym.codegen.blocks import c_block_function
 from auv_gym.codegen.elementary import lowered
 from auv_gym.codegen.graph import Graph, Symbol
 from auv_gym.codegen.printing import NUMPY, PYTHON, Arrays, Language, c_function, python_function
@@ -41,6 +42,7 @@ class Kernel:
     over_time: frozenset[str]
     precision: str  # "float64" or "float32"
     back: bool  # whether it goes from the last step to the first
+    blocked: bool = False  # whether its C goes through eight vehicles at a time, see `blocks`
 
     @classmethod
     def traced(
@@ -52,6 +54,7 @@ class Kernel:
         precision: str = "float64",
         back: bool = False,
         structural: bool = False,
+        blocked: bool = False,
     ) -> Kernel:
         """Return the kernel of an equation, which is run once, on symbols.
 
@@ -62,11 +65,12 @@ class Kernel:
             precision: of all numbers, "float64" or "float32".
             back: whether to go from the last step to the first.
             structural: see `Graph`.
+            blocked: whether to go through eight vehicles at a time: for equations of more than a hundred rows.
         """
         graph = Graph(structural)
         arguments = {array: [graph.input(f"{array}_{j}") for j in range(n)] for array, n in rows.items()}
         results = {array: [graph.symbol(x) for x in given] for array, given in equation(**arguments).items()}
-        return cls("auv_kernel", graph, arguments, results, frozenset(over_time), precision, back)
+        return cls("auv_kernel", graph, arguments, results, frozenset(over_time), precision, back, blocked)
 
     @property
     def rows(self) -> dict[str, int]:
@@ -81,7 +85,8 @@ class Kernel:
         for array, entries in self.results.items():
             results[array], at = flat[at : at + len(entries)], at + len(entries)
         real = "float" if self.precision == "float32" else "double"
-        body = c_function(self.name, self.graph, self.arguments, results, self.over_time, self.precision, self.back)
+        printed = c_block_function if self.blocked else c_function
+        body = printed(self.name, self.graph, self.arguments, results, self.over_time, self.precision, self.back)
         return f"#include <math.h>\ntypedef {real} real;\n{body}"
 
     @property
@@ -140,7 +145,7 @@ class Kernel:
         """Return the number of vehicles of well-formed arrays."""
         if set(arrays) != set(self.rows):
             raise ValueError(f"the kernel takes arrays {', '.join(self.rows)}; given are {', '.join(arrays)}")
-        n = next(iter(arrays.values())).shape[-1]
+        n: int = next(iter(arrays.values())).shape[-1]
         for name, rows in self.rows.items():
             array, dimensions = arrays[name], 3 if name in self.over_time else 2
             if array.dtype != self.precision or array.ndim != dimensions or array.shape[-2:] != (rows, n):
