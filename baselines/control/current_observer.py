@@ -54,7 +54,7 @@ class CurrentObserver:
         """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
         begun, copy, current, *planned = memory
         (u, v), (V_x, V_y) = self.observe(o, begun, copy, current)
-        motion = reference_motion(o, self.vehicle)
+        motion = reference_motion(o, self.vehicle.coefficients)
         psi = motion.psi + o.psi_e
         plan, R = self.plan.update(tuple(planned), motion, Sea(V_x, V_y), o.dt)
         V_u, V_v = to_body(V_x, V_y, o.cos_psi, o.sin_psi)
