@@ -72,7 +72,7 @@ class Kernel:
         results = {array: [graph.symbol(x) for x in given] for array, given in equation(**arguments).items()}
         return cls("auv_kernel", graph, arguments, results, frozenset(over_time), precision, back, blocked)
 
-    @property
+    @cached_property
     def rows(self) -> dict[str, int]:
         """How many rows each array has, in the order in which the compiled function takes them."""
         return {array: len(entries) for array, entries in {**self.arguments, **self.results}.items()}

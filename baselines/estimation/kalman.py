@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
-from functools import cache
+from functools import cache, lru_cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -68,10 +68,8 @@ class ExtendedKalmanFilter:
         self._known = np.array((*vehicle.coefficients, *astuple(self.tuning)))[:, None]
 
     def start(self, n: int) -> Memory:
-        """Return the memory at the start of n episodes."""
-        rows = np.zeros((BELIEF_ROWS, n))
-        Belief.of(rows).noise[:] = np.square(FIRST_NOISE)[:, None]
-        return (rows.T,)
+        """Return the memory at the start of n episodes, which must not be changed in place."""
+        return (_first_belief(n),)
 
     def update(self, memory: Memory, o: Array) -> tuple[Memory, Array]:
         """Return the memory and the state after one more observation.
@@ -98,6 +96,14 @@ def believed(memory: Memory) -> Belief:
 def repeated(column: Array, n: int) -> Array:
     """Return rows (rows, n) that hold the same for n vehicles, from a column (rows, 1)."""
     return column if n == 1 else np.repeat(column, n, axis=1)
+
+
+@lru_cache(maxsize=4)
+def _first_belief(n: int) -> Array:
+    rows = np.zeros((BELIEF_ROWS, n))
+    Belief.of(rows).noise[:] = np.square(FIRST_NOISE)[:, None]
+    rows.setflags(write=False)
+    return rows.T
 
 
 @cache
