@@ -24,6 +24,7 @@ Equation = Callable[..., Mapping[str, Sequence[Any]]]
 Run = Callable[[int, int], None]
 """Goes through so many steps from a first one on: `run(first, steps)`."""
 
+_REAL = {name: np.dtype(name) for name in ("float32", "float64")}
 _FLOAT_SPACE = {name: getattr(math, name) for name in ("sin", "cos", "exp", "log", "sqrt", "inf", "nan")}
 
 
@@ -141,17 +142,23 @@ class Kernel:
             return run
         return self._interpreted(arrays, n)
 
+    @cached_property
+    def _layout(self) -> list[tuple[str, int, int]]:
+        """Name, rows and dimensions of each array."""
+        return [(name, rows, 3 if name in self.over_time else 2) for name, rows in self.rows.items()]
+
     def _checked(self, arrays: Mapping[str, Array]) -> int:
         """Return the number of vehicles of well-formed arrays."""
-        if set(arrays) != set(self.rows):
+        if arrays.keys() != self.rows.keys():
             raise ValueError(f"the kernel takes arrays {', '.join(self.rows)}; given are {', '.join(arrays)}")
         n: int = next(iter(arrays.values())).shape[-1]
-        for name, rows in self.rows.items():
-            array, dimensions = arrays[name], 3 if name in self.over_time else 2
-            if array.dtype != self.precision or array.ndim != dimensions or array.shape[-2:] != (rows, n):
+        real = _REAL[self.precision]
+        for name, rows, dimensions in self._layout:
+            array = arrays[name]
+            if array.dtype != real or array.ndim != dimensions or array.shape[-2:] != (rows, n):
                 raise ValueError(
                     f"array {name} is of type {array.dtype} and shape {array.shape}; it must be of type "
-                    f"{self.precision} and of shape {'(T, ' if dimensions > 2 else '('}{rows}, {n})"  # noqa: PLR2004
+                    f"{self.precision} and of shape {'(T, ' if dimensions > 2 else '('}{rows}, {n})"
                 )
             if not array.flags.c_contiguous:
                 raise ValueError(f"array {name} must be contiguous")
@@ -186,15 +193,20 @@ class Kernel:
 
     def __call__(self, steps: int = 1, **arguments: Array) -> dict[str, Array]:
         """Return new arrays with the results of the first `steps` steps, for arguments that stay as they are."""
-        given = {name: np.ascontiguousarray(a, dtype=self.precision) for name, a in arguments.items()}
+        real = _REAL[self.precision]
+        given = {name: np.ascontiguousarray(a, dtype=real) for name, a in arguments.items()}
         n = next(iter(given.values())).shape[-1]
         results = {name: given[name].copy() if name in given else self._empty(name, steps, n) for name in self.results}
-        self.bound(**{**given, **results})(0, steps)
+        arrays = {**given, **results}
+        if (function := self._native) is None:
+            self.bound(**arrays)(0, steps)
+        else:  # sooner than by `bound`
+            function(self._checked(arrays), 0, steps, *[arrays[name].ctypes.data for name in self.rows])
         return results
 
     def _empty(self, name: str, steps: int, n: int) -> Array:
         shape = (steps, self.rows[name], n) if name in self.over_time else (self.rows[name], n)
-        return np.empty(shape, dtype=self.precision)
+        return np.empty(shape, dtype=_REAL[self.precision])
 
 
 def _floor(x: float) -> float:
