@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from auv_gym.actuators import Response
+from auv_gym.codegen import native
 from auv_gym.codegen.derivatives import jacobian
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
@@ -24,12 +25,12 @@ from auv_gym.task import Observation, action_of, decode_observation
 from auv_gym.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
 from baselines import make_policy
 from baselines.control.backstepping import Gains, tracking_forces
-from baselines.control.current_observer import OBSERVER_GAINS, CurrentObserver
+from baselines.control.current_observer import sampled_gains
 from baselines.control.ekf_law import EKF_GAINS, make_ekf_law
 from baselines.estimation.filter_equations import corrected, foreseen
 from baselines.estimation.kalman import ExtendedKalmanFilter, believed
 from baselines.estimation.sea_model import SIZE, Estimate, lag_response, measurement, transition, wave_transition
-from baselines.estimation.water_frame import Motion, Sea, WaterPlan, reference_motion, water_errors
+from baselines.estimation.water_frame import Motion, Planned, Sea, planned, reference_motion, water_errors
 from baselines.gains.loading import load_gains
 from baselines.policy import Remembering
 
@@ -253,7 +254,7 @@ def test_filter_finds_the_current_through_noise():
 
 def test_observer_finds_the_current():
     memory, env = belief(CURRENT, make_policy("current-observer"))
-    assert np.hypot(*(memory[2] - env.current).T).max() < 0.02
+    assert np.hypot(*(memory[0][:, 5:] - env.current).T).max() < 0.02
 
 
 def test_filter_finds_lag_and_load():
@@ -290,6 +291,13 @@ def test_filter_finds_lag_and_load():
     np.testing.assert_allclose(z.N + z.N_wave, load[2], atol=2.0)
 
 
+AT_FIRST = Planned(*np.zeros((len(Planned._fields), 1)))
+
+
+def in_water(memory, motion, sea, dt):
+    return planned(memory, motion, sea, dt, PAPER_VEHICLE.coefficients, ARRAYS)
+
+
 @dataclass(frozen=True)
 class Drifting:
     """A path as seen from water that moves with a constant velocity."""
@@ -317,8 +325,7 @@ def test_water_plan_is_the_planners(path):
     V, dt = (0.2, -0.1), 0.1
     times = dt * np.arange(400)
     ground, water = plan(path, PAPER_VEHICLE, times), plan(Drifting(path, V), PAPER_VEHICLE, times)
-    by_steps = WaterPlan(PAPER_VEHICLE)
-    memory, rows = by_steps.start(1), []
+    memory, rows = AT_FIRST, []
     for k in range(len(times)):
         values = dict.fromkeys(Observation._fields, np.zeros(1))
         psi_m = ground.psi[k] + 0.7
@@ -326,10 +333,10 @@ def test_water_plan_is_the_planners(path):
         for name in ("u", "v", "r"):
             values[f"{name}_R"] = getattr(ground, name)[k : k + 1]
         values |= {"F_uR": ground.F_u[k : k + 1], "F_rR": ground.F_r[k : k + 1]}
-        motion = reference_motion(Observation(**values), PAPER_VEHICLE.coefficients)
+        motion = reference_motion(Observation(**values), PAPER_VEHICLE.coefficients, ARRAYS)
         derivatives = path.derivatives(times[k : k + 1])
         np.testing.assert_allclose(np.ravel(motion[1:]), derivatives[1:3].ravel(), atol=1e-4)
-        memory, R = by_steps.update(memory, motion, Sea(np.full(1, V[0]), np.full(1, V[1])), np.full(1, dt))
+        memory, R = in_water(memory, motion, Sea(np.full(1, V[0]), np.full(1, V[1])), np.full(1, dt))
         rows.append(np.concatenate(R))
     psi, *others = np.array(rows).T
     assert abs(wrap_angle(psi - water.psi, ARRAYS))[50:].max() < 2e-4
@@ -341,13 +348,13 @@ def test_water_plan_is_the_planners(path):
 def test_water_plan_under_a_sway_load_is_feasible():
     """The planned motion obeys (2b) with the load."""
     n, dt, w = 1, 0.02, 0.8
-    by_steps, memory, rows = WaterPlan(PAPER_VEHICLE), WaterPlan(PAPER_VEHICLE).start(n), []
+    memory, rows = AT_FIRST, []
     still = np.zeros(n)
     for k in range(600):
         t = dt * k
         motion = Motion(still, np.ones(n), still, still, still)
         Y, Y_rate = 20 * np.sin([w * t]), 20 * w * np.cos([w * t])
-        memory, R = by_steps.update(memory, motion, Sea(still, still, Y=Y, Y_rate=Y_rate), np.full(n, dt))
+        memory, R = in_water(memory, motion, Sea(still, still, Y=Y, Y_rate=Y_rate), np.full(n, dt))
         rows.append((*(x[0] for x in R), Y[0]))
     psi, u, v, r, _, _, Y = np.array(rows).T
     V = PAPER_VEHICLE
@@ -363,18 +370,20 @@ class KnownCurrent:
     """The law in the water frame with the current given to it."""
 
     def __init__(self, V):
-        self.V, self.plan = V, WaterPlan(PAPER_VEHICLE)
+        self.V = V
 
     def start(self, n):
-        return self.plan.start(n)
+        return tuple(np.zeros((len(Planned._fields), n)))
 
     def forces(self, o, memory, extra):
         V_x, V_y = (np.full_like(o.u_R, x) for x in self.V)
-        memory, R = self.plan.update(memory, reference_motion(o, PAPER_VEHICLE.coefficients), Sea(V_x, V_y), o.dt)
+        memory, R = in_water(
+            Planned(*memory), reference_motion(o, PAPER_VEHICLE.coefficients, ARRAYS), Sea(V_x, V_y), o.dt
+        )
         V_u, V_v = to_body(V_x, V_y, o.cos_psi, o.sin_psi)
         psi = np.arctan2(o.sin_psi, o.cos_psi)
         state = (o.e_x, o.e_y, psi, o.u_R + o.u_e - V_u, o.v_R + o.v_e - V_v, o.r_R + o.r_e)
-        return *tracking_forces(water_errors(state, R), PAPER_VEHICLE, FIRM, ARRAYS), memory
+        return *tracking_forces(water_errors(state, R, ARRAYS), PAPER_VEHICLE, FIRM, ARRAYS), memory
 
 
 def test_known_current_leaves_no_error():
@@ -397,6 +406,9 @@ def test_known_current_leaves_no_error():
     assert errors["water"] < 1.5e-4
 
 
+COMPILED = native.compiler() is not None and native.wanted()
+
+
 @pytest.mark.parametrize("name", ["ekf", "current-observer"])
 def test_lanes_do_not_know_each_other(name):
     """A batch is its members one by one, and an episode that begins in one lane begins there anew."""
@@ -414,7 +426,7 @@ def test_lanes_do_not_know_each_other(name):
         for i in range(4):
             one, single[i] = policy.predict(observation[i], single[i], first[i : i + 1])
             alone.append(one)
-        if name == "ekf":
+        if COMPILED:
             np.testing.assert_array_equal(action, alone)
         np.testing.assert_allclose(action, alone, atol=1e-5)
         first = np.zeros(4, dtype=bool)
@@ -442,9 +454,9 @@ def test_without_a_compiler_decisions_are_the_same(monkeypatch):
 
 
 def test_gains_of_the_observer_are_its_poles():
-    gains, dt = dict(load_gains("current-observer", "cruise", OBSERVER_GAINS), fast=1.2, slow=0.4), 0.3
-    copy, follow = CurrentObserver(gains, PAPER_VEHICLE).sampled_gains(np.array([dt]))
-    for axis, drag in enumerate((70 / 215, 100 / 265)):
-        a, l1, l2 = np.exp(-drag * dt), copy[axis, 0], follow[axis, 0]
+    dt = 0.3
+    for drag in (70 / 215, 100 / 265):
+        l1, l2 = sampled_gains(drag, (1.2, 0.4), dt, FLOATS)
+        a = np.exp(-drag * dt)
         errors = np.array([[a * (1 - l1), -l1], [-a * l2, 1 - l2]])  # of velocity and current, from step to step
         np.testing.assert_allclose(np.sort(np.linalg.eigvals(errors)), np.exp([-1.2 * dt, -0.4 * dt]))

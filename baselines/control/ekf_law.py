@@ -68,12 +68,18 @@ def law_kernel() -> Kernel:
     ) -> Mapping[str, Sequence[Any]]:
         coefficients = Coefficients(*known[:VEHICLE_ROWS])
         *gains, lead = known[VEHICLE_ROWS:]
-        law = cast(Gains, SimpleNamespace(k1=0.0, ku=0.0, kc=0.0, **dict(zip(UNDAMPED_GAINS, gains, strict=True))))
+        law = undamped_symbols(gains)
         after, force = law_forces(Observation(*o), Estimate(*z), Planned(*plan), coefficients, law, lead, SYMBOLS)
         return {"plan": after, "force": force}
 
     rows = {"o": len(Observation._fields), "known": VEHICLE_ROWS + len(LAW_GAINS), "z": SIZE}
     return Kernel.traced(equation, {**rows, "plan": len(Planned._fields)}, structural=True, blocked=True)
+
+
+def undamped_symbols(gains: Sequence[Symbol]) -> Gains:
+    """Return what `backstepping.undamped` does for the gains `UNDAMPED_GAINS` as symbols."""
+    named = dict(zip(UNDAMPED_GAINS, gains, strict=True))
+    return cast(Gains, SimpleNamespace(k1=0.0, ku=0.0, kc=0.0, **named))
 
 
 def law_forces(

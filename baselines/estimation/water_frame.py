@@ -10,10 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
-
-import numpy as np
 
 from auv_gym.dynamics import rates
 from auv_gym.errors import to_world
@@ -28,8 +26,7 @@ from auv_gym.planner import (
     steady_sideslip,
 )
 from auv_gym.task import Observation
-from auv_gym.vehicle import Coefficients, Vehicle
-from baselines.policy import Array, Memory
+from auv_gym.vehicle import Coefficients
 
 LARGEST_CURRENT = 0.85
 """Largest current that is planned for, as a share of the reference's speed: forward motion needs one below 1."""
@@ -71,7 +68,7 @@ class WaterReference(NamedTuple):
     F_rR: Number  # [N m] (16b)
 
 
-def reference_motion(o: Observation, coefficients: Coefficients, ns: Namespace = ARRAYS) -> Motion:
+def reference_motion(o: Observation, coefficients: Coefficients, ns: Namespace) -> Motion:
     """Return how the reference moves at this instant; the coefficients are those of the vehicle it was planned for.
 
     The measured heading less the heading error is the reference's heading, free of noise but for a low-pass. The
@@ -152,31 +149,12 @@ def _sideslip(
     return ns.where(fresh, first, w), ns.where(fresh, rest_of(first), rest)
 
 
-@dataclass(frozen=True)
-class WaterPlan:
-    """The planner of section III in the water frame, one control period at a time, for N vehicles.
-
-    Its memory is one array, the rows of `Planned`, shape (N, 7).
-    """
-
-    vehicle: Vehicle
-
-    def start(self, n: int) -> Memory:
-        """Return the memory at the start of n episodes."""
-        return (np.zeros((len(Planned._fields), n)).T,)
-
-    def update(self, memory: Memory, motion: Motion, sea: Sea, dt: Array) -> tuple[Memory, WaterReference]:
-        """Return the memory one period later and the reference at this instant, see `planned`; rows of shape (N,)."""
-        after, reference = planned(Planned(*memory[0].T), motion, sea, dt, self.vehicle.coefficients, ARRAYS)
-        return (np.array(after).T,), reference
-
-
 def braked(along: PathRates, hardest: Number, ns: Namespace = ARRAYS) -> PathRates:
     """Return the rates along a path through the water with a braking -v_p'/v_p [1/s] of at most `hardest`."""
     return replace(along, v_p_dot=ns.clip(along.v_p_dot, -hardest * along.v_p, math.inf))
 
 
-def water_errors(state: Sequence[Number], reference: WaterReference, ns: Namespace = ARRAYS) -> tuple[Number, ...]:
+def water_errors(state: Sequence[Number], reference: WaterReference, ns: Namespace) -> tuple[Number, ...]:
     """Return the first eleven terms of an `Observation` as the water's frame has them, for the tracking law.
 
     Args:
