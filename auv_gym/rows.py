@@ -39,8 +39,13 @@ def numbered(cls: type[T]) -> T:
 
 def leaves(tree: Any) -> tuple[Any, ...]:
     """Return the numbers of a nested NamedTuple in a row."""
-    own = tree[: len(tree) - len(tree._field_defaults)]
-    return tuple(leaf for value in own for leaf in (leaves(value) if isinstance(value, tuple) else (value,)))
+    found: list[Any] = []
+    for value in tree[: len(tree) - len(tree._field_defaults)]:
+        if isinstance(value, tuple):
+            found += leaves(value)
+        else:
+            found.append(value)
+    return tuple(found)
 
 
 def filled(places: T, rows: Sequence[Any]) -> T:

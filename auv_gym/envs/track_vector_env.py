@@ -18,7 +18,7 @@ from auv_gym.kernels import Vehicles
 from auv_gym.namespaces import ARRAYS
 from auv_gym.policy import Forces, Law
 from auv_gym.preview import observation_bounds
-from auv_gym.simulation import CURRENT, REFERENCE, current_at, ground_state
+from auv_gym.simulation import CURRENT, PLANT, REFERENCE, current_at, ground_state
 from auv_gym.task import SIZE, decode
 from auv_gym.vehicle import Vehicle
 
@@ -174,6 +174,11 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
         """x, y [m], psi [rad], u, v [m/s] over ground, r [rad/s]; shape (N, 6)."""
         lanes = self._lanes
         return np.stack(ground_state(self._running.plant, lanes.sample[CURRENT], lanes.parameters, ARRAYS), axis=1)
+
+    @property
+    def position(self) -> Array:
+        """x, y [m], as in `state` but sooner; shape (N, 2)."""
+        return self._running.now.plant[[PLANT.x, PLANT.y]].T
 
     @property
     def reference(self) -> ReferencePoint:

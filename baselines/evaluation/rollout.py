@@ -239,7 +239,7 @@ def make_env(scenario: Scenario) -> gym.Env[Any, Any]:
 
 def _row(env: Any) -> Array:
     """Return x, y, x_R, y_R [m] and V_x, V_y [m/s] at this time, of the first vehicle."""
-    first = (env.state.T[:2], env.reference[:2], env.current.T)
+    first = (env.position.T, env.reference[:2], env.current.T)
     return np.concatenate([np.reshape([np.ravel(value)[0] for value in part], -1) for part in first])
 
 
