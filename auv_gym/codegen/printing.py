@@ -162,10 +162,7 @@ def c_function(
         back: whether it goes through the steps from the last one to the first.
     """
     rows = {array: len(entries) for array, entries in {**arguments, **results}.items()}
-    place = {
-        array: f"{array}[{f'(k * {count} + {{}})' if array in over_time else '{}'} * n + i]"
-        for array, count in rows.items()
-    }
+    place = {array: f"{array}[{f'(k * {count} + {{}})' if array in over_time else '{}'} * n + i]" for array, count in rows.items()}
     wanted = [s for entries in results.values() for s in entries]
     read = {graph.nodes[i][1] for i in graph.needed(s.index for s in wanted) if graph.nodes[i][0] == "input"}
     given = {s.node[1]: place[array].format(j) for array, own in arguments.items() for j, s in enumerate(own)}
