@@ -71,8 +71,10 @@ class Gust(NamedTuple):
     s_y: Number
 
 
-WEATHER, GUST = numbered(Weather), numbered(Gust)  # the places of their numbers in the rows of them
-WEATHER_ROWS, GUST_ROWS = len(leaves(WEATHER)), len(GUST)  # how many numbers they have
+WEATHER = numbered(Weather)  # the place of every number of a `Weather` in the row of them
+GUST = numbered(Gust)  # the place of every number of a `Gust` in the row of them
+WEATHER_ROWS = len(leaves(WEATHER))  # how many numbers a `Weather` has
+GUST_ROWS = len(GUST)  # how many numbers a `Gust` has
 WAVE_ROWS = 7
 """Numbers of a wave component: its angle in a control step [rad], and for each axis what multiplies the sine and the
 cosine of the angle so far [N], [N], [N m]."""

@@ -25,7 +25,7 @@ from benchmarks.page import page
 from benchmarks.timing import Run, interleaved, typical
 
 PROGRAM = "python -m benchmarks"
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[1] / "docs"  # where the documentation keeps page and picture
 CASES: tuple[Case, ...] = (
     environments.first_cases,
     environments.scalar_cases,

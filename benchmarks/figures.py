@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 SCENARIO = "cruise-storm"  # every disturbance at once
-UNITS = (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9))
+UNITS = (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9))  # of times, and how many of each make a second
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from auv_gym.simulation import PARAMETER_ROWS, PLANT, PLANT_ROWS, SAMPLE_ROWS, P
 from benchmarks.figures import SCENARIO, Figure, faster, takes
 from benchmarks.timing import cpu_time, interleaved, timed, typical
 
-PARTS = PRESETS[SCENARIO].parts
+PARTS = PRESETS[SCENARIO].parts  # what is in use of the simulation
 MANY = 1024  # vehicles side by side
 
 

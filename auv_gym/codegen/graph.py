@@ -48,6 +48,7 @@ EXACT: dict[str, Callable[..., Any]] = {
 TRUTHS = frozenset(("lt", "le", "and", "or", "not"))
 """Operations that give a truth value."""
 COMMUTATIVE = frozenset(("add", "mul", "and", "or"))
+"""Operations whose arguments may change places."""
 
 
 @dataclass

@@ -21,7 +21,7 @@ SWITCH = "AUV_GYM_NATIVE"
 """Environment variable that turns compiled code off where it is 0."""
 CACHE = "AUV_GYM_CACHE"
 """Environment variable that names another folder for compiled code than that of the user's caches."""
-COMPILERS = ("gcc", "clang", "cc")
+COMPILERS = ("gcc", "clang", "cc")  # looked for in this order, behind that of the environment variable CC
 FLAGS = ("-O3", "-std=c99", "-fPIC", "-shared", "-fopenmp-simd")
 """What every compiler that is used here knows."""
 EXACT = ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros")

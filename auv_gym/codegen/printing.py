@@ -30,7 +30,7 @@ def _python_number(value: float | bool) -> str:
     return "nan" if math.isnan(value) else "inf" if value > 0 else "(-inf)"
 
 
-ARITHMETIC = {
+ARITHMETIC = {  # what every language writes alike
     "add": "({0} + {1})",
     "sub": "({0} - {1})",
     "mul": "({0} * {1})",
@@ -39,7 +39,7 @@ ARITHMETIC = {
     "lt": "({0} < {1})",
     "le": "({0} <= {1})",
 }
-FUNCTIONS = ("sin", "cos", "exp", "log", "sqrt", "floor", "single", "abs")
+FUNCTIONS = ("sin", "cos", "exp", "log", "sqrt", "floor", "single", "abs")  # called by their names
 PYTHON = Language(
     {
         **ARITHMETIC,
