@@ -114,8 +114,8 @@ class Vehicles:
 
     Attributes:
         action: what they do in the next step, shape (ACTIONS, N); commands, or corrections to a law.
-        now: the plants, shape (PLANT_ROWS, N), what is `seen` of them, shape (columns, N), and the `outcome` of the step
-            that led here, the rows of an `Outcome`.
+        now: the plants, shape (PLANT_ROWS, N), what is `seen` of them, shape (columns, N), and the `outcome` of the
+            step that led here, the rows of an `Outcome`.
     """
 
     def __init__(
@@ -188,4 +188,4 @@ class Vehicles:
     @property
     def plant(self) -> Plant:
         """What is now: rows of shape (N,)."""
-        return filled(PLANT, self.now.plant)
+        return filled(PLANT, tuple(self.now.plant))

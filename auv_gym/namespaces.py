@@ -48,6 +48,9 @@ class Namespace:
     scaled: Callable[[Any, Constants], Any]  # rows, or components in a sequence, times a constant each: rows
     bounded: Callable[[Any, Constants], Any]  # rows within +- a constant each
     stack: Callable[..., Any]  # a sequence of rows as one array; the axis that counts them, the first by default
+    hypot: Callable[[Number, Number], Number]
+    arctan2: Callable[[Number, Number], Number]
+    arcsin: Callable[[Number], Number]
 
 
 def _clip(value: float, low: float, high: float) -> float:
@@ -86,12 +89,13 @@ def _bounded_arrays(rows: Any, bounds: Constants) -> Any:
 
 _floor = (1.0).__rfloordiv__  # as math.floor, but of whatever is no number any more, too
 FLOATS = Namespace(
-    math.sin, math.cos, math.sqrt, math.exp, math.log, _floor, _clip, _where, _scaled_floats, _bounded_floats, np.array
+    *(math.sin, math.cos, math.sqrt, math.exp, math.log, _floor, _clip, _where),
+    *(_scaled_floats, _bounded_floats, np.array, math.hypot, math.atan2, math.asin),
 )
 """The namespace of Python floats."""
 ARRAYS = Namespace(
     *(np.sin, np.cos, np.sqrt, np.exp, np.log, np.floor, _clip_array, np.where),
-    *(_scaled_arrays, _bounded_arrays, np.stack),
+    *(_scaled_arrays, _bounded_arrays, np.stack, np.hypot, np.arctan2, np.arcsin),
 )
 """The namespace of NumPy arrays, one row for each component."""
 
@@ -109,7 +113,7 @@ def tensors() -> Namespace:
 
     return Namespace(
         *(torch.sin, torch.cos, torch.sqrt, torch.exp, torch.log, torch.floor, torch.clamp, torch.where),
-        *(scaled, bounded, torch.stack),
+        *(scaled, bounded, torch.stack, torch.hypot, torch.arctan2, torch.arcsin),
     )
 
 

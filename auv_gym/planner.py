@@ -26,9 +26,9 @@ from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.dynamics import rates
 from auv_gym.feasibility import check, check_forces, check_rates
-from auv_gym.namespaces import Number
+from auv_gym.namespaces import ARRAYS, Namespace, Number
 from auv_gym.paths import Path, evaluate
-from auv_gym.vehicle import Vehicle
+from auv_gym.vehicle import Coefficients, Vehicle
 
 Array = NDArray[np.float64]
 
@@ -67,26 +67,26 @@ class Reference:
 
 @dataclass(frozen=True, eq=False)
 class PathRates:
-    """Speed, direction and their rates along a path, arrays of one shape."""
+    """Speed, direction and their rates along a path, arrays of one shape or other numbers."""
 
-    v_p: Array  # [m/s] (3)
-    beta: Array  # [rad] (4), by atan2
-    omega: Array  # [rad/s] (5)
-    v_p_dot: Array  # [m/s^2] (6)
-    omega_dot: Array  # [rad/s^2]
-    v_p_ddot: Array  # [m/s^3]
+    v_p: Number  # [m/s] (3)
+    beta: Number  # [rad] (4), by atan2
+    omega: Number  # [rad/s] (5)
+    v_p_dot: Number  # [m/s^2] (6)
+    omega_dot: Number  # [rad/s^2]
+    v_p_ddot: Number  # [m/s^3]
 
 
-def path_rates(derivatives: Array) -> PathRates:
+def path_rates(derivatives: Any, ns: Namespace = ARRAYS) -> PathRates:
     """Return speed, direction and their rates from position and three time derivatives, shape (4, 2, ...)."""
     (x1, y1), (x2, y2), (x3, y3) = derivatives[1:]
-    v_p = np.hypot(x1, y1)
+    v_p = ns.hypot(x1, y1)
     with np.errstate(divide="ignore", invalid="ignore"):  # a standstill is reported by `plan`, with its place
         omega = (x1 * y2 - y1 * x2) / v_p**2
         v_p_dot = (x1 * x2 + y1 * y2) / v_p
         omega_dot = (x1 * y3 - y1 * x3) / v_p**2 - 2 * omega * v_p_dot / v_p
         v_p_ddot = (x1 * x3 + y1 * y3) / v_p + v_p * omega**2
-    return PathRates(v_p, np.arctan2(y1, x1), omega, v_p_dot, omega_dot, v_p_ddot)
+    return PathRates(v_p, ns.arctan2(y1, x1), omega, v_p_dot, omega_dot, v_p_ddot)
 
 
 def plan(
@@ -168,7 +168,8 @@ def _look_along(path: Path | Sequence[Path], vehicle: Vehicle, times: Array, sub
     fine = times[0] + h * np.arange(-lead, (len(times) - 1) * substeps + 1)
     fine[-1] = times[-1]  # not an ulp past the path's end
     derivatives = evaluate(path, fine) if isinstance(path, Sequence) else path.derivatives(fine)
-    along = path_rates(derivatives)
+    rows = _along_kernel()(derivatives=derivatives.reshape(2 * len(derivatives), -1))["along"]
+    along = PathRates(*rows.reshape(-1, *derivatives.shape[2:]))
     check_rates(along.v_p, along.beta, along.v_p_dot, vehicle, fine, derivatives[0])
     return _Fine(fine, derivatives[0], along, h, lead, slice(lead, None, substeps))
 
@@ -216,7 +217,9 @@ def _sine_of_sideslip(along: PathRates, vehicle: Vehicle, h: float) -> Array:
     lanes = np.ones(inputs.shape[2])
     start = np.tile(slow_sideslip(along, vehicle).ravel(), (ORDER, 1))
     weights = [math.exp(-k * z) for k in range(1, ORDER)] + [g for k in range(1, ORDER) for g in _weights(z, 0, k)]
-    opening = _opening()(FIXED_POINT, u=start, inputs=inputs[:ORDER].reshape(-1, len(lanes)), weights=np.outer(weights, lanes))
+    opening = _opening()(
+        FIXED_POINT, u=start, inputs=inputs[:ORDER].reshape(-1, len(lanes)), weights=np.outer(weights, lanes)
+    )
     rates = np.outer((math.exp(-z), *_weights(z, 1 - ORDER, 1)), lanes)
     u = np.empty((len(inputs), 1, len(lanes)))
     u[:ORDER, 0] = opening["u"]
@@ -237,7 +240,8 @@ def _opening() -> Kernel:
     """
 
     def equation(u: Any, inputs: Any, weights: Any) -> dict[str, Any]:
-        F = [sideslip_rest(*inputs[3 * k : 3 * k + 3], u[k], SYMBOLS.sqrt) for k in range(ORDER)]
+        terms = (inputs[j : j + 3] for j in range(0, 3 * ORDER, 3))
+        F = [sideslip_rest(a, q, b, w, SYMBOLS.sqrt) for (a, q, b), w in zip(terms, u, strict=True)]
         decays, rows = weights[: ORDER - 1], [weights[j : j + ORDER] for j in range(ORDER - 1, len(weights), ORDER)]
         after = [_plus(decay * u[0], row, F) for decay, row in zip(decays, rows, strict=True)]
         return {"u": (u[0], *after), "rest": F}
@@ -250,8 +254,8 @@ def _recursion() -> Kernel:
     """Return one step of the formula; `history` is u_n, F_(n-1), F_(n-2), F_(n-3), `weights` decay and g_3 ... g_0."""
 
     def equation(history: Any, weights: Any, inputs: Any) -> dict[str, Any]:
-        u_n, *past = history
-        F = [sideslip_rest(*inputs, u_n, SYMBOLS.sqrt), *past]
+        (u_n, *past), (a, q, b) = history, inputs
+        F = [sideslip_rest(a, q, b, u_n, SYMBOLS.sqrt), *past]
         decay, *g = weights
         u = _plus(decay * u_n, g[::-1], F)
         return {"history": (u, *F[:-1]), "u": (u,)}
@@ -265,7 +269,7 @@ def _plus(total: Any, weights: Sequence[Any], F: Sequence[Any]) -> Any:
     return total
 
 
-def sideslip_terms(along: PathRates, vehicle: Vehicle) -> tuple[Array, Array, Array]:
+def sideslip_terms(along: PathRates, vehicle: Vehicle | Coefficients) -> tuple[Number, Number, Number]:
     """Return what multiplies w, |w| w and sqrt(1 - w^2) in the bracket of the module's docstring."""
     return vehicle.m22 * along.v_p_dot / along.v_p, vehicle.Y_vv * along.v_p, vehicle.m11 * along.omega
 
@@ -276,20 +280,26 @@ def sideslip_rest(slope: Number, square: Number, turn: Number, w: Number, sqrt: 
 
 
 def slow_sideslip(along: PathRates, vehicle: Vehicle) -> Any:
-    """Return w at the first sample free of the fast transient: two passes of m11 omega + D tan(gamma) = -Dm gamma'."""
-    a = along.v_p_dot[0] / along.v_p[0]
-    linear, turn = vehicle.d22 + vehicle.m22 * a, vehicle.m11 * along.omega[0]
-    slope = np.sqrt(linear**2 + 4 * vehicle.Y_vv * along.v_p[0] * abs(turn))  # of D tan(gamma) by tan(gamma)
+    """Return the `steady_sideslip` of the first sample."""
+    first = PathRates(*(getattr(along, field.name)[0] for field in fields(PathRates)))
+    return np.asarray(steady_sideslip(first, vehicle, ARRAYS))
+
+
+def steady_sideslip(along: PathRates, vehicle: Vehicle | Coefficients, ns: Namespace) -> Number:
+    """Return w free of the fast transient: two passes of m11 omega + D tan(gamma) = -Dm gamma'."""
+    a = along.v_p_dot / along.v_p
+    linear, turn = vehicle.d22 + vehicle.m22 * a, vehicle.m11 * along.omega
+    slope = ns.sqrt(linear**2 + 4 * vehicle.Y_vv * along.v_p * abs(turn))  # of D tan(gamma) by tan(gamma)
     tan = -2 * turn / (linear + slope)
-    D_dot = vehicle.m22 * (along.v_p_ddot[0] / along.v_p[0] - a * a)
-    gamma_dot = -(vehicle.m11 * along.omega_dot[0] + D_dot * tan) / (slope * (1 + tan * tan))
-    tan -= (vehicle.m22 - vehicle.m11) * gamma_dot / slope
-    return np.asarray(tan / np.sqrt(1 + tan * tan))
+    D_dot = vehicle.m22 * (along.v_p_ddot / along.v_p - a * a)
+    gamma_dot = -(vehicle.m11 * along.omega_dot + D_dot * tan) / (slope * (1 + tan * tan))
+    tan = tan - (vehicle.m22 - vehicle.m11) * gamma_dot / slope
+    return tan / ns.sqrt(1 + tan * tan)
 
 
 def sideslip_step(
-    w: Array, rest: Array, rest_at: Callable[[Array], Array], z: Array | float, largest: float
-) -> tuple[Array, Array]:
+    w: Number, rest: Number, rest_at: Callable[[Number], Number], z: Number, largest: float, ns: Namespace = ARRAYS
+) -> tuple[Number, Number]:
     """Return w, cut off at +-`largest`, and the rest of its equation one step of z memories later.
 
     By the exponential Runge-Kutta formula of second order (Cox and Matthews 2002, eq. 22): less exact than `plan`, but
@@ -301,11 +311,12 @@ def sideslip_step(
         rest_at: the same as a function of w behind the step.
         z: the step in memories Dm/d22.
         largest: cut-off of w.
+        ns: the namespace of the numbers.
     """
-    decay = np.exp(-z)
+    decay = ns.exp(-z)
     guess = decay * w + (1 - decay) / z * rest
-    correction = rest_at(np.clip(guess, -largest, largest)) - rest
-    new = np.clip(guess + (z - 1 + decay) / (z * z) * correction, -largest, largest)
+    correction = rest_at(ns.clip(guess, -largest, largest)) - rest
+    new = ns.clip(guess + (z - 1 + decay) / (z * z) * correction, -largest, largest)
     return new, rest_at(new)
 
 
@@ -337,23 +348,82 @@ def assemble(
         vehicle: whose plan it is.
         sway_load: external force Y on the hull along its sway axis [N], in (2b), and its rate [N/s].
     """
-    m11, m22, m33, _, d22, *_, Y_vv, _ = vehicle.coefficients
+    rows = np.array([getattr(along, field.name) for field in fields(PathRates)])
+    rows[BETA] = _continuous(rows[BETA])
+    arrays = {"along": rows.reshape(len(rows), -1), "w": w.reshape(1, -1)}
+    several = np.ndim(vehicle.m11) > 0
+    arrays["coefficients"] = _spread(vehicle.coefficients, w) if several else np.array(vehicle.coefficients)
+    if loaded := any(np.any(load) for load in sway_load):
+        arrays["load"] = _spread(sway_load, w)
+    motion = _motion_kernel(loaded, several)(**arrays)["motion"].reshape(-1, *w.shape)
+    psi, u, v, r, F_u, F_r, gamma = motion
+    return Reference(times, position[0], position[1], psi, u, v, r, F_u, F_r, gamma, along.v_p, along.omega)
+
+
+def _spread(numbers: Sequence[Number], w: Array) -> Array:
+    """Return a row for each of some numbers, one entry for each of w."""
+    return np.array([np.broadcast_to(number, w.shape) for number in numbers]).reshape(len(numbers), -1)
+
+
+def _continuous(angle: Array) -> Array:
+    """Return angles [rad] without jumps by full turns along axis 0."""
+    turns = np.round(np.diff(angle, axis=0) / (2 * math.pi))
+    if turns.any():
+        angle = angle.copy()
+        angle[1:] -= 2 * math.pi * np.cumsum(turns, axis=0)
+    return angle
+
+
+BETA = [field.name for field in fields(PathRates)].index("beta")
+"""The place of the path's direction among its rates."""
+
+
+@cache
+def _along_kernel() -> Kernel:
+    """Return `path_rates` as a kernel."""
+
+    def equation(derivatives: Any) -> dict[str, Any]:
+        pairs = list(zip(derivatives[::2], derivatives[1::2], strict=True))
+        along = path_rates(pairs, SYMBOLS)
+        return {"along": [getattr(along, field.name) for field in fields(PathRates)]}
+
+    return Kernel.traced(equation, {"derivatives": 8})
+
+
+@cache
+def _motion_kernel(loaded: bool, several: bool) -> Kernel:
+    """Return `in_sideslip` as a kernel, with a sway load or without, for several vehicles or one."""
+
+    def equation(along: Any, w: Any, coefficients: Any, load: Any = (0.0, 0.0)) -> dict[str, Any]:
+        vehicle, (Y, Y_rate) = Coefficients(*coefficients), load
+        return {"motion": in_sideslip(PathRates(*along), w[0], vehicle, (Y, Y_rate), SYMBOLS)}
+
+    rows = {"along": len(fields(PathRates)), "w": 1, "coefficients": len(Coefficients._fields)}
+    shared = [] if several else ["coefficients"]
+    return Kernel.traced(equation, {**rows, "load": 2} if loaded else rows, shared=shared)
+
+
+def in_sideslip(
+    along: PathRates, w: Number, coefficients: Coefficients, sway_load: tuple[Number, Number], ns: Namespace
+) -> tuple[Number, ...]:
+    """Return psi [rad], u, v [m/s], r [rad/s], F_u [N], F_r [N m] and gamma of motion along a path, see `assemble`."""
+    m11, m22, m33, _, d22, *_, Y_vv, _ = coefficients
     v_p, beta, om, v_p_dot, om_dot, v_p_ddot = (getattr(along, field.name) for field in fields(PathRates))
-    c = np.sqrt(1 - w * w)
-    tan, gamma, a = w / c, np.arcsin(w), v_p_dot / v_p
+    c = ns.sqrt(1 - w * w)
+    tan, gamma, a = w / c, ns.arcsin(w), v_p_dot / v_p
     u, v = v_p * c, v_p * w  # (7), (8)
-    D = d22 + Y_vv * np.abs(v) + m22 * a
+    D = d22 + Y_vv * abs(v) + m22 * a
     push = sway_load[0] / u
     gamma_dot = -(m11 * om + D * tan - push) / (m22 - m11)
     u_dot, v_dot = v_p_dot * c - v * gamma_dot, v_p_dot * w + u * gamma_dot  # (12)
-    D_dot = Y_vv * np.sign(v) * v_dot + m22 * (v_p_ddot / v_p - a * a)
+    side = ns.where(v < 0, -1.0, ns.where(v > 0, 1.0, 0.0))
+    D_dot = Y_vv * side * v_dot + m22 * (v_p_ddot / v_p - a * a)
     push_dot = sway_load[1] / u + push * (tan * gamma_dot - a)
     gamma_ddot = -(m11 * om_dot + D_dot * tan + D * gamma_dot / c**2 - push_dot) / (m22 - m11)
-    psi = np.unwrap(beta, axis=0) - gamma  # (10) with the signed sideslip
+    psi = beta - gamma  # (10) with the signed sideslip
     r, r_dot = om - gamma_dot, om_dot - gamma_ddot  # (14)
-    _, _, u_free, _, r_free = rates(psi, u, v, r, (0.0, 0.0, 0.0), vehicle.coefficients, np)
-    F_u, F_r = m11 * (u_dot - u_free), m33 * (r_dot - r_free)  # (16)
-    return Reference(times, position[0], position[1], psi, u, v, r, F_u, F_r, gamma, v_p, om)
+    _, _, u_free, _, r_free = rates(psi, u, v, r, (0.0, 0.0, 0.0), coefficients, ns)
+    return psi, u, v, r, m11 * (u_dot - u_free), m33 * (r_dot - r_free), gamma  # (16)
 
 
 def printed_surge_rate(u_R: float, v_p: float, v_p_dot: float, omega: float, vehicle: Vehicle) -> float:

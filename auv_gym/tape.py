@@ -7,27 +7,134 @@ generator, and the numbers do not depend on how its tape is cut into blocks.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
+from auv_gym.codegen.graph import SYMBOLS
+from auv_gym.codegen.kernel import Kernel
 from auv_gym.disturbances import Current, Waves
 from auv_gym.episode import Episode
 from auv_gym.errors import to_world
-from auv_gym.namespaces import ARRAYS
+from auv_gym.namespaces import Namespace, Number
+from auv_gym.rows import filled, leaves, numbered
 from auv_gym.scenario import Scenario
-from auv_gym.simulation import CURRENT, LOAD, NOISE, REFERENCE, SAMPLE, SAMPLE_ROWS
+from auv_gym.simulation import REFERENCE, SAMPLE, SAMPLE_ROWS
 
 Array = NDArray[np.float64]
 Lanes = NDArray[np.int64]
 
-GROUP = 128  # lanes read together: few enough for the cache, many enough for NumPy
+GROUP = 64  # lanes read together: few enough for the cache, many enough to pay for a call
 TILE = 8  # lanes transposed together: one cache line of the result
 NORMALS = 8  # standard normals of a control step
 MEASURED = slice(0, 6)  # those of the normals that become errors of the six measurements
 GUSTS = slice(6, 8)  # those of the normals that drive the gusts
+SEA = slice(REFERENCE.stop, SAMPLE_ROWS)  # the part of a sample that is no reference
+
+
+class Errors(NamedTuple):
+    """A number for each measurement: floats, or rows of shape (N,)."""
+
+    x: Number  # [m]
+    y: Number  # [m]
+    psi: Number  # [rad]
+    u: Number  # [m/s]
+    v: Number  # [m/s]
+    r: Number  # [rad/s]
+
+
+class Weather(NamedTuple):
+    """What an episode's samples depend on besides chance, plan and waves: floats, or rows of shape (N,)."""
+
+    V_x: Number  # [m/s] mean current
+    V_y: Number  # [m/s]
+    turn: Number  # [rad] by which it turns in a control step
+    sigma: Number  # [m/s] of the gusts
+    cap: Number  # [m/s] largest speed of the current
+    a: Number  # what is left of the process behind the gusts after a control step
+    excitation: Number  # what a standard normal adds to it, sqrt(1 - a^2)
+    b: Number  # what is left of the filter behind it
+    noise: Errors  # standard deviations of the measurements
+    bias: Errors  # of the measurements
+
+
+class Gust(NamedTuple):
+    """Where the gusts are, in units of sigma: floats, or rows of shape (N,)."""
+
+    k: Number  # control instants so far
+    n_x: Number  # the process
+    n_y: Number
+    s_x: Number  # the filter behind it
+    s_y: Number
+
+
+WEATHER, GUST = numbered(Weather), numbered(Gust)  # the places of their numbers in the rows of them
+WEATHER_ROWS, GUST_ROWS = len(leaves(WEATHER)), len(GUST)  # how many numbers they have
+WAVE_ROWS = 7
+"""Numbers of a wave component: its angle in a control step [rad], and for each axis what multiplies the sine and the
+cosine of the angle so far [N], [N], [N m]."""
+
+
+def current_gust(
+    gust: Gust, normals: Sequence[Number], w: Weather, ns: Namespace
+) -> tuple[Gust, tuple[Number, Number]]:
+    """Return the gusts' state at the next control instant and the current [m/s] at this one.
+
+    The gust on each axis is an Ornstein-Uhlenbeck process n behind a first-order filter s, see `disturbances.Current`:
+    n_k = a n_(k-1) + sqrt(1 - a^2) w_k,  s_k = b s_(k-1) + (1 - b) n_k,  starting from n_0 = s_0 = w_0. Mean and gust
+    together are cut off at the cap.
+
+    Args:
+        gust: the state.
+        normals: w_k of both axes.
+        w: the constants.
+        ns: the namespace of the numbers.
+    """
+    k, *last = gust
+    first = k < 0.5
+    n_x, n_y = (ns.where(first, new, w.a * n + w.excitation * new) for n, new in zip(last[:2], normals, strict=True))
+    s_x, s_y = (
+        ns.where(first, new, w.b * s + (1.0 - w.b) * n) for s, n, new in zip(last[2:], (n_x, n_y), normals, strict=True)
+    )
+    angle = w.turn * k
+    V_x, V_y = to_world(w.V_x, w.V_y, ns.cos(angle), ns.sin(angle))
+    V_x, V_y = V_x + w.sigma * s_x, V_y + w.sigma * s_y
+    speed = ns.sqrt(V_x * V_x + V_y * V_y)
+    share = ns.where(speed > w.cap, w.cap / speed, 1.0)
+    return Gust(k + 1.0, n_x, n_y, s_x, s_y), (share * V_x, share * V_y)
+
+
+def wave_load(k: Number, components: Sequence[Sequence[Number]], ns: Namespace) -> tuple[Number, Number, Number]:
+    """Return the first-order wave forces X, Y [N] and N [N m] at control instant k, see `disturbances.Waves`.
+
+    The addition theorem makes one sine and one cosine of each component serve all axes; `components` has `WAVE_ROWS`
+    numbers of each.
+    """
+    load: list[Number] = [0.0, 0.0, 0.0]
+    for angle, *parts in components:
+        s, c = ns.sin(angle * k), ns.cos(angle * k)
+        load = [total + (p * s + q * c) for total, p, q in zip(load, parts[::2], parts[1::2], strict=True)]
+    X, Y, N = load
+    return X, Y, N
+
+
+@cache
+def sea_kernel(components: int) -> Kernel:
+    """Return the kernel of all that is no reference in a sample, for up to so many wave components."""
+
+    def equation(gust: Any, normals: Any, weather: Any, waves: Any) -> Mapping[str, Sequence[Any]]:
+        w = filled(WEATHER, weather)
+        after, current = current_gust(Gust(*gust), normals[GUSTS], w, SYMBOLS)
+        parts = [waves[i : i + WAVE_ROWS] for i in range(0, len(waves), WAVE_ROWS)]
+        load = wave_load(gust[GUST.k], parts, SYMBOLS)
+        measured = [s * n + b for s, n, b in zip(w.noise, normals[MEASURED], w.bias, strict=True)]
+        return {"gust": after, "sea": (*current, *load, *measured, 1.0)}
+
+    rows = {"gust": GUST_ROWS, "normals": NORMALS, "weather": WEATHER_ROWS, "waves": WAVE_ROWS * components}
+    return Kernel.traced(equation, rows, ["normals", "sea"])
 
 
 class Tape:
@@ -38,17 +145,15 @@ class Tape:
         self._tables: list[Array] = [np.empty((0, 8))] * lanes
         self._drawn: list[tuple[np.random.Generator, int, int] | None] = [None] * lanes
         self._next = np.zeros(lanes, dtype=np.int64)
-        self._noise, self._bias = np.zeros((lanes, 6)), np.zeros((lanes, 6))
         self._fixes: dict[int, Array] = {}  # of the lanes that lack some
-        self._gusts = _Gusts(lanes)
-        self._waves = _Waves(lanes, block)
+        self._gust, self._weather = np.zeros((GUST_ROWS, lanes)), np.zeros((WEATHER_ROWS, lanes))
+        self._waves = np.zeros((0, lanes))
 
     def load(self, lane: int, scenario: Scenario, episode: Episode, table: Array) -> None:
         """Wind a new episode into a lane; `table` is its `Reference.table`, one row per control instant."""
         self._tables[lane] = table
         self._next[lane] = 0
         noise, gusty = scenario.sensors.noise, episode.current.gust > 0
-        self._noise[lane], self._bias[lane] = noise, episode.bias
         first = MEASURED.start if any(noise) else GUSTS.start
         end = GUSTS.stop if gusty else MEASURED.stop
         self._drawn[lane] = None
@@ -57,8 +162,14 @@ class Tape:
         self._fixes.pop(lane, None)
         if episode.outages:
             self._fixes[lane] = _fixes(episode.outages, scenario.control_dt, len(table))
-        self._gusts.load(lane, episode.current, scenario.control_dt, table)
-        self._waves.load(lane, episode.waves, scenario.control_dt)
+        self._gust[:, lane] = 0.0
+        weather = _weather(episode.current, scenario.control_dt, table, Errors(*noise), Errors(*episode.bias))
+        self._weather[:, lane] = leaves(weather)
+        components = _components(episode.waves, scenario.control_dt)
+        if (more := len(components) - len(self._waves)) > 0:
+            self._waves = np.pad(self._waves, ((0, more), (0, 0)))  # what is not used has no amplitude
+        self._waves[:, lane] = 0.0
+        self._waves[: len(components), lane] = components
 
     def read(self, lanes: Sequence[int] | Lanes, n: int, out: Array | None = None) -> Array:
         """Return the next n <= block samples of these lanes, shape (n, SAMPLE_ROWS, len(lanes)), and wind on.
@@ -74,17 +185,10 @@ class Tape:
     def _read(self, lanes: Lanes, out: Array) -> None:
         first = self._next[lanes]
         _transpose(self._references(lanes, len(out)), out[:, REFERENCE])
-        normals = self._normals(lanes, len(out))
-        self._gusts.read(lanes, normals, first, out[:, CURRENT])
-        self._waves.read(lanes, first, out[:, LOAD])
-        bias = self._bias[lanes].T
-        if normals is None:
-            out[:, NOISE] = bias
-        else:
-            _transpose(normals[:, :, MEASURED], out[:, NOISE])
-            out[:, NOISE] *= self._noise[lanes].T
-            out[:, NOISE] += bias
-        out[:, SAMPLE.fix] = 1.0
+        gust, weather, waves = (rows.take(lanes, axis=1) for rows in (self._gust, self._weather, self._waves))
+        kernel, normals = sea_kernel(len(waves) // WAVE_ROWS), self._normals(lanes, len(out))
+        kernel.bound(gust=gust, normals=normals, weather=weather, waves=waves, sea=out[:, SEA])(0, len(out))
+        self._gust[:, lanes] = gust
         if self._fixes:
             for i, lane in enumerate(lanes.tolist()):
                 if lane in self._fixes:
@@ -105,18 +209,19 @@ class Tape:
                 row[max(have, 0) :] = table[-1]
         return rows
 
-    def _normals(self, lanes: Lanes, n: int) -> Array | None:
-        """Return standard normals, shape (lanes, n, NORMALS), zero where a lane uses none; None if no lane does."""
-        random = [(i, *drawn) for i, lane in enumerate(lanes.tolist()) if (drawn := self._drawn[lane])]
-        if not random:
-            return None
+    def _normals(self, lanes: Lanes, n: int) -> Array:
+        """Return standard normals, shape (n, NORMALS, lanes), zero where a lane uses none."""
+        out = np.zeros((n, NORMALS, len(lanes)))
         normals = np.zeros((len(lanes), n, NORMALS))
-        for i, generator, a, b in random:
-            if b - a == NORMALS:
-                generator.standard_normal(out=normals[i])
-            else:
-                normals[i, :, a:b] = generator.standard_normal((n, b - a))
-        return normals
+        for i, lane in enumerate(lanes.tolist()):
+            if drawn := self._drawn[lane]:
+                generator, a, b = drawn
+                if b - a == NORMALS:
+                    generator.standard_normal(out=normals[i])
+                else:
+                    normals[i, :, a:b] = generator.standard_normal((n, b - a))
+        _transpose(normals, out)
+        return out
 
 
 def _transpose(rows: Array, out: Array) -> None:
@@ -135,110 +240,24 @@ def _fixes(outages: Sequence[tuple[float, float]], dt: float, instants: int) -> 
     return fixes
 
 
-class _Gusts:
-    """Mean current plus smoothed Ornstein-Uhlenbeck gusts, see `disturbances.Current`.
-
-    Process n and smoothing filter s in one second-order filter, driven by white noise w:
-    n_k = a n_(k-1) + sqrt(1 - a^2) sigma w_k,  s_k = b s_(k-1) + (1 - b) n_k,  starting from n_0 = s_0 = sigma w_0.
-    """
-
-    def __init__(self, lanes: int) -> None:
-        self._mean, self._turn = np.zeros((lanes, 2)), np.zeros(lanes)  # [rad] per control step
-        self._sigma, self._cap = np.zeros(lanes), np.full(lanes, np.inf)
-        self._decay = np.zeros((lanes, 2))  # a and b
-        self._state = np.zeros((lanes, 2, 2))  # of the filter, (order, axis)
-
-    def load(self, lane: int, current: Current, dt: float, table: Array) -> None:
-        self._mean[lane] = current.V_x, current.V_y
-        self._turn[lane] = current.turn * dt
-        self._sigma[lane] = current.gust
-        smoothing = math.exp(-dt / current.smoothing) if current.smoothing > 0 else 0.0
-        self._decay[lane] = math.exp(-dt / current.gust_time), smoothing
+def _weather(current: Current, dt: float, table: Array, noise: Errors, bias: Errors) -> Weather:
+    """Return the constants of an episode's tape; the cap is a share of the least speed in its reference table."""
+    a = math.exp(-dt / current.gust_time)
+    b = math.exp(-dt / current.smoothing) if current.smoothing > 0 else 0.0
+    cap = current.cap
+    if math.isfinite(cap):
         u_R, v_R = table[:, SAMPLE.u_R], table[:, SAMPLE.v_R]
-        self._cap[lane] = current.cap * (math.sqrt((u_R**2 + v_R**2).min()) if math.isfinite(current.cap) else 1.0)
-
-    def read(self, lanes: Lanes, normals: Array | None, first: Lanes, out: Array) -> None:
-        """Write the current from step `first` of each lane on, shape (n, 2, lanes).
-
-        It is driven by the `GUSTS` of standard normals (lanes, n, NORMALS).
-        """
-        fresh = first == 0
-        out[:] = self._mean[lanes].T
-        if self._turn[lanes].any():
-            angle = self._turn[lanes] * (first + np.arange(len(out))[:, None])
-            out[:] = np.stack(to_world(out[:, 0], out[:, 1], np.cos(angle), np.sin(angle)), axis=1)
-        windy = self._sigma[lanes].nonzero()[0]
-        if normals is not None and len(windy):
-            decay = self._decay[lanes[windy]]
-            for a, b in set(map(tuple, decay.tolist())):  # lanes that share their time constants
-                group = windy[(decay == (a, b)).all(axis=1)]
-                part = _range(group)
-                gusts = self._filtered(lanes[group], normals[part, :, GUSTS], fresh[group], a, b)
-                out[:, :, part] += self._sigma[lanes[group]] * gusts.transpose(1, 2, 0)
-        cap = self._cap[lanes]
-        if np.isfinite(cap).any():
-            V_x, V_y = out[:, 0], out[:, 1]
-            speed = np.sqrt(V_x * V_x + V_y * V_y)  # a sixth of np.hypot's cost
-            out *= np.minimum(1.0, cap / np.maximum(speed, 1e-300))[:, None]
-
-    def _filtered(self, lanes: Lanes, normals: Array, fresh: NDArray[np.bool_], a: float, b: float) -> Array:
-        """Return s / sigma for standard normals, both of shape (lanes, n, 2)."""
-        gain = (1 - b) * math.sqrt(1 - a * a)
-        if fresh.any():  # `lfilter` adds its first state to gain w_0, which gives s_0 = w_0, and its second to s_1
-            first = normals[fresh, 0]
-            self._state[lanes[fresh]] = np.stack(((1 - gain) * first, -a * b * first), axis=1)
-        smooth, self._state[lanes] = lfilter([gain], [1.0, -a - b, a * b], normals, axis=1, zi=self._state[lanes])
-        return np.asarray(smooth)
+        cap *= math.sqrt((u_R**2 + v_R**2).min())
+    turn = current.turn * dt
+    return Weather(current.V_x, current.V_y, turn, current.gust, cap, a, math.sqrt(1 - a * a), b, noise, bias)
 
 
-def _range(index: Lanes) -> Lanes | slice:
-    """Return increasing indices as a slice where they have no gaps: NumPy copies those several times faster."""
-    first, last = int(index[0]), int(index[-1])
-    return slice(first, last + 1) if last - first + 1 == len(index) else index
-
-
-class _Waves:
-    """Sums of sines, see `disturbances.Waves`.
-
-    Within a block sin(w (t0 + t) + phi) is split by the addition theorem into a basis in t that an episode computes
-    once and coefficients that a block computes once, so that a sample costs a small matrix product and no sine.
-    """
-
-    def __init__(self, lanes: int, block: int) -> None:
-        self._steps = np.arange(block)
-        self._wavy = np.zeros(lanes, dtype=bool)
-        self._angle = np.zeros((lanes, 0))  # [rad] per control step, shape (lanes, components)
-        self._phase, self._amplitude = np.zeros((lanes, 3, 0)), np.zeros((lanes, 3, 0))
-        self._basis = np.zeros((lanes, 2, 0, block))  # cosine and sine
-
-    def _grow(self, more: int) -> None:
-        """Make room for episodes of more components than any before; what is not used has amplitude zero."""
-        if more <= 0:
-            return
-        pad = (0, more)
-        self._angle = np.pad(self._angle, ((0, 0), pad))
-        self._phase, self._amplitude = (np.pad(x, ((0, 0), (0, 0), pad)) for x in (self._phase, self._amplitude))
-        self._basis = np.pad(self._basis, ((0, 0), (0, 0), pad, (0, 0)))
-
-    def load(self, lane: int, waves: Waves | None, dt: float) -> None:
-        self._wavy[lane] = waves is not None
-        self._amplitude[lane] = 0.0
-        if waves is None:
-            return
-        n = len(waves.frequencies)
-        self._grow(n - self._angle.shape[1])
-        self._angle[lane, :n] = np.array(waves.frequencies) * dt
-        self._phase[lane, :, :n] = waves.phases
-        self._amplitude[lane, :, :n] = math.sqrt(2 / n) * np.array([[waves.surge], [waves.sway], [waves.yaw]])
-        angles = self._angle[lane, :, None] * self._steps
-        self._basis[lane] = np.cos(angles), np.sin(angles)
-
-    def read(self, lanes: Lanes, first: Lanes, out: Array) -> None:
-        """Write the forces, shape (n, 3, lanes), from step `first` of each lane on."""
-        if not self._wavy[lanes].any():
-            out[:] = 0.0
-            return
-        angle = (self._angle[lanes] * first[:, None])[:, None] + self._phase[lanes]
-        amplitude, basis = self._amplitude[lanes], self._basis[lanes, :, :, : len(out)]
-        total = (amplitude * ARRAYS.sin(angle)) @ basis[:, 0] + (amplitude * ARRAYS.cos(angle)) @ basis[:, 1]
-        out[:] = total.transpose(2, 1, 0)
+def _components(waves: Waves | None, dt: float) -> Array:
+    """Return the `WAVE_ROWS` numbers of each component in a row."""
+    if waves is None:
+        return np.zeros(0)
+    amplitudes = math.sqrt(2 / len(waves.frequencies)) * np.array([[waves.surge], [waves.sway], [waves.yaw]])
+    sines, cosines = amplitudes * np.cos(waves.phases), amplitudes * np.sin(waves.phases)
+    rows = np.empty((len(waves.frequencies), WAVE_ROWS))
+    rows[:, 0], rows[:, 1::2], rows[:, 2::2] = np.array(waves.frequencies) * dt, sines.T, cosines.T
+    return rows.ravel()

@@ -36,31 +36,32 @@ needs_compiler = pytest.mark.skipif(
 )
 
 
+OPERATIONS = (
+    lambda x, y, z, ns: x + y,
+    lambda x, y, z, ns: x - y,
+    lambda x, y, z, ns: wrap_angle(x * y, ns),
+    lambda x, y, z, ns: x / (1.5 + y * y),
+    lambda x, y, z, ns: -x,
+    lambda x, y, z, ns: abs(x),
+    lambda x, y, z, ns: ns.sin(x),
+    lambda x, y, z, ns: ns.cos(x),
+    lambda x, y, z, ns: ns.sqrt(0.1 + abs(x)),
+    lambda x, y, z, ns: 0.01 * ns.floor(x),
+    lambda x, y, z, ns: ns.clip(x, -3.0, 3.0),
+    lambda x, y, z, ns: ns.clip(x, -abs(y), abs(y) + 1.0),
+    lambda x, y, z, ns: ns.where(x < y, y, z),
+    lambda x, y, z, ns: ns.where((x <= y) | (y > z), z, ns.exp(-abs(x))),
+    lambda x, y, z, ns: ns.where((x < y) & ((y >= z) ^ True), x * 0.3, z),
+    lambda x, y, z, ns: x * 1.0 - 0.0,
+)
+
+
 def computed(program, inputs, ns, number=float):
     """Run a random program of operations on numbers or symbols; everything stays finite."""
     values = [*inputs, *map(number, (0.5, -2.0, 1.0, 0.0))]
-    for operation, i, j, k in program:
-        x, y, z = (values[n % len(values)] for n in (i, j, k))
-        values.append(
-            (
-                lambda: x + y,
-                lambda: x - y,
-                lambda: wrap_angle(x * y, ns),
-                lambda: x / (1.5 + y * y),
-                lambda: -x,
-                lambda: abs(x),
-                lambda: ns.sin(x),
-                lambda: ns.cos(x),
-                lambda: ns.sqrt(0.1 + abs(x)),
-                lambda: 0.01 * ns.floor(x),
-                lambda: ns.clip(x, -3.0, 3.0),
-                lambda: ns.clip(x, -abs(y), abs(y) + 1.0),
-                lambda: ns.where(x < y, y, z),
-                lambda: ns.where((x <= y) | (y > z), z, ns.exp(-abs(x))),
-                lambda: ns.where((x < y) & ((y >= z) ^ True), x * 0.3, z),
-                lambda: x * 1.0 - 0.0,
-            )[operation]()
-        )
+    for operation, *places in program:
+        x, y, z = (values[n % len(values)] for n in places)
+        values.append(OPERATIONS[operation](x, y, z, ns))
     return values[-3:]
 
 
@@ -101,8 +102,8 @@ def test_compiled_code_is_the_printed_one_bit_for_bit():
         lambda x: sine_cosine(x, "float64", SYMBOLS)[1],
         *(getattr(SYMBOLS, name) for name in SYMBOLS.__slots__[2:]),
     )
-    for program in random_programs(rng, 12, 40):
-        program = [p for p in program if p[0] != 13] or program  # exp is the C library's
+    for drawn in random_programs(rng, 12, 40):
+        program = [step for step in drawn if step[0] != 13]  # exp is the C library's
         kernel = Kernel.traced(lambda given, p=program: {"out": computed(p, given, ns)}, {"given": 3})
         given = rng.uniform(-9, 9, (3, 37))
         out = kernel(given=given)["out"]
@@ -161,10 +162,14 @@ def test_constants_are_folded_and_equal_expressions_merged():
     x, y = graph.input("x"), graph.input("y")
     assert (x + y).index == (y + x).index
     assert (x * 1.0).index == x.index
-    assert ((-(-x)) - 0.0).index == x.index
+    negative = -x
+    assert (-negative - 0.0).index == x.index
     assert graph.symbol(SYMBOLS.sqrt(SYMBOLS.sqrt(16.0)) + 1).value == 3.0
     assert SYMBOLS.where(graph.symbol(True), x, y).index == x.index
-    assert (graph.constant(True).index, graph.constant(0.0).index) != (graph.constant(1.0).index, graph.constant(-0.0).index)
+    assert (graph.constant(True).index, graph.constant(0.0).index) != (
+        graph.constant(1.0).index,
+        graph.constant(-0.0).index,
+    )
     assert ((x < y) | True).value is True
     assert (x * 0.0).value is None, "an infinite x would give no number"
     sparse = Graph(structural=True)
@@ -205,9 +210,9 @@ def test_kernels_carry_rows_from_step_to_step(n, back):
     rng = np.random.default_rng(3)
     z, h, push = rng.normal(size=(2, n)), rng.uniform(0, 0.1, (1, n)), rng.normal(size=(9, 1, n))
     kernel = oscillator(back)
-    for run_of in (kernel.bound, lambda **arrays: kernel._interpreted(arrays, n)):
+    for run_of in (kernel.bound, kernel._on_one if n == 1 else kernel._on_several):
         arrays = {"z": z.copy(), "h": h, "push": push, "passed": np.zeros((9, 2, n)), "end": np.zeros((1, n))}
-        run_of(**arrays)(2, 5)
+        (run_of(**arrays) if run_of == kernel.bound else run_of(arrays))(2, 5)
         x, v = z
         passed = np.zeros((9, 2, n))
         for k in (6, 5, 4, 3, 2) if back else (2, 3, 4, 5, 6):
@@ -216,6 +221,21 @@ def test_kernels_carry_rows_from_step_to_step(n, back):
         np.testing.assert_array_equal(arrays["z"], (x, v))
         np.testing.assert_array_equal(arrays["passed"], passed)
         np.testing.assert_allclose(arrays["end"], end[None], rtol=1e-15)
+
+
+def test_arrays_may_be_parts_of_larger_ones():
+    rng, kernel = np.random.default_rng(4), oscillator(False)
+    z, push, passed = rng.normal(size=(4, 9)), rng.normal(size=(7, 3, 9)), np.zeros((7, 5, 9))
+    h, end = np.full((1, 9), 0.1), np.zeros((1, 9))
+    part = slice(3, 6)
+    arrays = {"z": z[1:3, part], "h": h[:, part], "push": push[:, 2:, part], "passed": passed[:, 1:3, part]}
+    plain = {name: np.ascontiguousarray(a) for name, a in {**arrays, "end": end[:, part]}.items()}
+    kernel.bound(**arrays, end=end[:, part])(0, 7)
+    kernel.bound(**plain)(0, 7)
+    for name, a in arrays.items():
+        np.testing.assert_array_equal(a, plain[name])
+    assert not passed[:, 0].any()
+    assert not passed[:, :, :3].any()
 
 
 def test_what_is_no_number_stays_none():
@@ -236,7 +256,7 @@ def test_wrong_arrays_are_refused():
     for z, says in (
         (np.zeros((3, 4)), "shape"),
         (np.zeros((2, 4), dtype=np.float32), "float32"),
-        (np.zeros((4, 2)).T, "contiguous"),
+        (np.zeros((4, 2)).T, "side by side"),
     ):
         with pytest.raises(ValueError, match=says):
             kernel.bound(z=z, **rest)

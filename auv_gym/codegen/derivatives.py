@@ -11,7 +11,7 @@ Pulled = tuple[Any, ...]
 """What each argument of an operation contributes to: its adjoint's share, None where there is none."""
 
 
-def _clip(_: Symbol, a: Sequence[Symbol], g: Symbol) -> Pulled:
+def _clip(_y: Symbol, a: Sequence[Symbol], g: Symbol) -> Pulled:
     x, low, high = a
     inside = SYMBOLS.where(x < low, 0.0, SYMBOLS.where(x > high, 0.0, g))
     below = None if low.value is not None else SYMBOLS.where(x < low, g, 0.0)
@@ -20,21 +20,25 @@ def _clip(_: Symbol, a: Sequence[Symbol], g: Symbol) -> Pulled:
 
 
 PULLS: dict[str, Callable[[Symbol, Sequence[Symbol], Symbol], Pulled]] = {
-    "add": lambda _, a, g: (g, g),
-    "sub": lambda _, a, g: (g, -g),
-    "mul": lambda _, a, g: (g * a[1], g * a[0]),
+    "add": lambda _y, _a, g: (g, g),
+    "sub": lambda _y, _a, g: (g, -g),
+    "mul": lambda _y, a, g: (g * a[1], g * a[0]),
     "div": lambda y, a, g: (g / a[1], -(g * y) / a[1]),
-    "neg": lambda _, a, g: (-g,),
-    "abs": lambda _, a, g: (SYMBOLS.where(a[0] < 0.0, -g, SYMBOLS.where(a[0] > 0.0, g, 0.0)),),
-    "sin": lambda _, a, g: (g * SYMBOLS.cos(a[0]),),
-    "cos": lambda _, a, g: (-(g * SYMBOLS.sin(a[0])),),
-    "exp": lambda y, a, g: (g * y,),
-    "log": lambda _, a, g: (g / a[0],),
-    "sqrt": lambda y, a, g: (0.5 * g / y,),
-    "floor": lambda _, a, g: (None,),
-    "single": lambda _, a, g: (g,),
+    "neg": lambda _y, _a, g: (-g,),
+    "abs": lambda _y, a, g: (SYMBOLS.where(a[0] < 0.0, -g, SYMBOLS.where(a[0] > 0.0, g, 0.0)),),
+    "sin": lambda _y, a, g: (g * SYMBOLS.cos(a[0]),),
+    "cos": lambda _y, a, g: (-(g * SYMBOLS.sin(a[0])),),
+    "exp": lambda y, _a, g: (g * y,),
+    "log": lambda _y, a, g: (g / a[0],),
+    "sqrt": lambda y, _a, g: (0.5 * g / y,),
+    "arctan2": lambda _y, a, g: (
+        g * a[1] / (a[0] * a[0] + a[1] * a[1]),
+        -(g * a[0]) / (a[0] * a[0] + a[1] * a[1]),
+    ),
+    "floor": lambda _y, _a, _g: (None,),
+    "single": lambda _y, _a, g: (g,),
     "clip": _clip,
-    "where": lambda _, a, g: (None, SYMBOLS.where(a[0], g, 0.0), SYMBOLS.where(a[0], 0.0, g)),
+    "where": lambda _y, a, g: (None, SYMBOLS.where(a[0], g, 0.0), SYMBOLS.where(a[0], 0.0, g)),
 }
 """For each operation y = f(a) and an adjoint g of y: g times the derivatives of f, in the order of the arguments.
 

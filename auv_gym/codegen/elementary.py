@@ -1,9 +1,10 @@
-"""Sine and cosine made of additions and products: the same bits on every machine, for one vehicle or thousands.
+"""Elementary functions made of additions and products: the same bits on every machine, for one vehicle or thousands.
 
 The C library's differ from machine to machine and keep a compiler from computing several vehicles at once. An angle is
 brought into [-pi/4, pi/4] by the multiple of pi/2 in three parts (W. J. Cody and W. Waite, Software Manual for the
 Elementary Functions, 1980) and the polynomials of fdlibm (Sun Microsystems, 1993) take it from there. In double
-precision they are within 1e-15 of the exact ones for angles up to 10,000 rad.
+precision they are within 1e-15 of the exact ones for angles up to 10,000 rad. The exponential function is fdlibm's, and
+the arctangent that of Cephes (S. L. Moshier, Methods and Programs for Mathematical Functions, 1989).
 """
 
 from __future__ import annotations
@@ -36,6 +37,36 @@ COSINE = (
     -1.13596475577881948265e-11,
 )
 
+LN_2 = {
+    "float64": (6.93147180369123816490e-01, 1.90821492927058770002e-10),
+    "float32": (0.693359375, -2.12194440e-4),
+}
+"""ln(2) in two parts, by precision."""
+EXPONENTIAL = (
+    1.66666666666666019037e-01,
+    -2.77777777770155933842e-03,
+    6.61375632143793436117e-05,
+    -1.65339022054652515390e-06,
+    4.13813679705723846039e-08,
+)
+LEAST_POWER = {"float64": -1022, "float32": -126}
+"""Exponent of the least normal number, by precision; that of the largest one is 1 more than its magnitude."""
+ARCTANGENT = (
+    -6.485021904942025371773e01,
+    -1.228866684490136173410e02,
+    -7.500855792314704667340e01,
+    -1.615753718733365076637e01,
+    -8.750608600031904122785e-01,
+)
+ARCTANGENT_BELOW = (
+    1.945506571482613964425e02,
+    4.853903996359136964868e02,
+    4.328810604912902668951e02,
+    1.650270098316988542046e02,
+    2.485846490142306297962e01,
+    1.0,
+)
+
 
 def _polynomial(z: Number, coefficients: Sequence[float]) -> Number:
     total: Number = coefficients[-1]
@@ -66,14 +97,59 @@ def sine_cosine(angle: Number, precision: str, ns: Namespace) -> tuple[Number, N
     return ns.where(turned, -s, s), ns.where(turned, -c, c)
 
 
+def exponential(x: Number, precision: str, ns: Namespace) -> Number:
+    """Return exp(x), zero or infinite beyond the normal numbers; arguments are those of `sine_cosine`."""
+    least = LEAST_POWER[precision]
+    low, high = (least - 0.5) * math.log(2), (0.5 - least) * math.log(2)
+    first, second = LN_2[precision]
+    bounded = ns.clip(x, low, high)
+    k = ns.floor(bounded * (1 / math.log(2)) + 0.5)
+    above, below = bounded - k * first, k * second
+    r = above - below
+    z = r * r
+    c = r - z * _polynomial(z, EXPONENTIAL)
+    y = 1.0 - ((below - (r * c) / (2.0 - c)) - above)
+    return ns.where(x < low, 0.0, ns.where(x > high, math.inf, y * _power_of_two(k, least, ns)))
+
+
+def _power_of_two(k: Number, least: int, ns: Namespace) -> Number:
+    """Return 2^k for a whole k from `least` to 1 - `least`, bit by bit: that vectorises everywhere."""
+    half = 2 ** (1 - least).bit_length() // 2
+    left, power = k - float(least), 2.0**least
+    for step in (half, half, *(half >> j for j in range(half.bit_length()))):
+        taken = left >= float(step)
+        left, power = ns.where(taken, left - float(step), left), ns.where(taken, power * 2.0**step, power)
+    return power
+
+
+def arctangent(y: Number, x: Number, ns: Namespace) -> Number:
+    """Return the angle [rad] of (x, y) in (-pi, pi], zero for no direction at all; the sign of a zero is ignored."""
+    a, b = abs(y), abs(x)
+    steep = a > b
+    small, large = ns.where(steep, b, a), ns.where(steep, a, b)
+    diagonal = small > 0.66 * large
+    above, below = ns.where(diagonal, small - large, small), ns.where(diagonal, small + large, large)
+    t = above / ns.where(below > 0.0, below, ns.where(below <= 0.0, 1.0, below))  # no number stays none
+    z = t * t
+    angle = t + t * (z * _polynomial(z, ARCTANGENT) / _polynomial(z, ARCTANGENT_BELOW))
+    angle = ns.where(diagonal, angle + 0.25 * math.pi, angle)
+    angle = ns.where(steep, 0.5 * math.pi - angle, angle)
+    angle = ns.where(x < 0.0, math.pi - angle, angle)
+    return ns.where(y < 0.0, -angle, angle)
+
+
 def lowered(graph: Graph, outputs: Sequence[Symbol], precision: str) -> list[Symbol]:
-    """Return the outputs with every sine and cosine made of `sine_cosine`, in the same graph."""
+    """Return the outputs with every function of this module written out, in the same graph."""
     new: dict[int, Symbol] = {}
     for i in graph.needed(s.index for s in outputs):
         old = Symbol(graph, i)
         arguments = [new[a.index] for a in old.arguments]
         if old.node[0] in ("sin", "cos"):
             new[i] = sine_cosine(arguments[0], precision, SYMBOLS)[old.node[0] == "cos"]
+        elif old.node[0] == "exp":
+            new[i] = exponential(arguments[0], precision, SYMBOLS)
+        elif old.node[0] == "arctan2":
+            new[i] = arctangent(arguments[0], arguments[1], SYMBOLS)
         else:
             new[i] = graph.apply(old.node[0], *arguments) if arguments else old
     return [new[s.index] for s in outputs]

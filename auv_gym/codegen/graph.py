@@ -33,6 +33,7 @@ EXACT: dict[str, Callable[..., Any]] = {
     "exp": math.exp,
     "log": math.log,
     "sqrt": math.sqrt,
+    "arctan2": math.atan2,
     "floor": FLOATS.floor,
     "single": lambda a: float(np.float32(a)),
     "clip": FLOATS.clip,
@@ -143,6 +144,8 @@ def _simplified(operation: str, symbols: Sequence[Symbol], known: Sequence[Any])
         other = symbols[1] if known[0] is not None else symbols[0]
         decided = (operation == "or") == next(k for k in known if k is not None)
         return symbols[0].graph.constant(operation == "or") if decided else other
+    if operation == "clip" and known[1] == -math.inf and known[2] == math.inf:
+        return symbols[0]
     if operation == "where" and known[0] is not None:
         return symbols[1] if known[0] else symbols[2]
     if operation == "where" and symbols[1].index == symbols[2].index:
@@ -210,7 +213,7 @@ class Symbol:
         return self.graph.apply("div", other, self)
 
     def __pow__(self, power: int) -> Symbol:
-        if power != 2:  # noqa: PLR2004 - the one power that Python, NumPy and C agree on to the bit
+        if power != 2:  # the one power that Python, NumPy and C agree on to the bit
             raise ValueError(f"a symbol to the power {power!r}: only squares are taken")
         return self * self
 
@@ -273,8 +276,15 @@ def _bounded(rows: Any, bounds: Constants) -> list[Any]:
     return [SYMBOLS.clip(row, -bound, bound) for row, bound in zip(rows, bounds.numbers, strict=True)]
 
 
-SYMBOLS = Namespace(
-    *(_applied("sin"), _applied("cos"), _applied("sqrt"), _applied("exp"), _applied("log"), _applied("floor")),
-    *(_applied("clip"), _applied("where"), _scaled, _bounded, list),
-)
+def _hypot(x: Any, y: Any) -> Any:
+    return SYMBOLS.sqrt(x * x + y * y)
+
+
+def _arcsin(x: Any) -> Any:
+    return SYMBOLS.arctan2(x, SYMBOLS.sqrt((1.0 - x) * (1.0 + x)))
+
+
+_ELEMENTARY = map(_applied, ("sin", "cos", "sqrt", "exp", "log", "floor", "clip", "where"))
+_FUNCTIONS: list[Callable[..., Any]] = [*_ELEMENTARY, _scaled, _bounded, list, _hypot, _applied("arctan2"), _arcsin]
+SYMBOLS = Namespace(*_FUNCTIONS)
 """The namespace of symbols."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from auv_gym.codegen import native
 from auv_gym.codegen.elementary import lowered
 from auv_gym.codegen.graph import Graph, Symbol
-from auv_gym.codegen.printing import NUMPY, PYTHON, Arrays, Language, c_function, python_function
+from auv_gym.codegen.printing import NUMPY, PYTHON, Arrays, Language, Layout, c_function, python_function
 from auv_gym.namespaces import ARRAYS
 
 Array: TypeAlias = NDArray[Any]
@@ -31,7 +31,8 @@ _FLOAT_SPACE = {name: getattr(math, name) for name in ("sin", "cos", "exp", "log
 class Kernel:
     """An equation on rows of n vehicles, which may go through several steps at once.
 
-    Arrays are of shape (rows, n), or (T, rows, n) where they hold something else at each step. An array that is among
+    Arrays are of shape (rows, n), (T, rows, n) where they hold something else at each step, or (rows,) where they hold
+    the same for all vehicles. An array that is among
     arguments and results is carried from step to step; another result is that of the last step, unless it is over time.
     """
 
@@ -39,9 +40,7 @@ class Kernel:
     graph: Graph
     arguments: Arrays
     results: Arrays
-    over_time: frozenset[str]
-    precision: str  # "float64" or "float32"
-    back: bool  # whether it goes from the last step to the first
+    layout: Layout
 
     @classmethod
     def traced(
@@ -50,6 +49,7 @@ class Kernel:
         rows: Mapping[str, int],
         over_time: Sequence[str] = (),
         *,
+        shared: Sequence[str] = (),
         precision: str = "float64",
         back: bool = False,
         structural: bool = False,
@@ -60,6 +60,7 @@ class Kernel:
             equation: see `Equation`; it must compute with `graph.SYMBOLS`.
             rows: how many rows each of its arguments has.
             over_time: names of the arrays, arguments or results, that hold something else at each step.
+            shared: names of the arguments that hold the same for all vehicles.
             precision: of all numbers, "float64" or "float32".
             back: whether to go from the last step to the first.
             structural: see `Graph`.
@@ -67,7 +68,9 @@ class Kernel:
         graph = Graph(structural)
         arguments = {array: [graph.input(f"{array}_{j}") for j in range(n)] for array, n in rows.items()}
         results = {array: [graph.symbol(x) for x in given] for array, given in equation(**arguments).items()}
-        return cls("auv_kernel", graph, arguments, results, frozenset(over_time), precision, back)
+        return cls(
+            "auv_kernel", graph, arguments, results, Layout(frozenset(over_time), frozenset(shared), precision, back)
+        )
 
     @cached_property
     def rows(self) -> dict[str, int]:
@@ -77,12 +80,12 @@ class Kernel:
     @cached_property
     def source(self) -> str:
         """The kernel in C."""
-        flat = lowered(self.graph, self._wanted, self.precision)
+        flat = lowered(self.graph, self._wanted, self.layout.precision)
         results, at = {}, 0
         for array, entries in self.results.items():
             results[array], at = flat[at : at + len(entries)], at + len(entries)
-        real = "float" if self.precision == "float32" else "double"
-        body = c_function(self.name, self.graph, self.arguments, results, self.over_time, self.precision, self.back)
+        real = "float" if self.layout.precision == "float32" else "double"
+        body = c_function(self.name, self.graph, self.arguments, results, self.layout)
         return f"#include <math.h>\n#include <stdint.h>\ntypedef {real} real;\n{body}"
 
     @property
@@ -101,18 +104,18 @@ class Kernel:
 
     @cached_property
     def _on_floats(self) -> Callable[..., tuple[Any, ...]]:
-        space = {**_FLOAT_SPACE, "floor": _floor, "single": _single_float}
+        space = {**_FLOAT_SPACE, "arctan2": math.atan2, "floor": _floor, "single": _single_float}
         return self._python(PYTHON, space)
 
     @cached_property
     def _on_rows(self) -> Callable[..., tuple[Any, ...]]:
         space = {"exp": np.exp, "log": np.log, "inf": math.inf, "nan": math.nan, "single": _single_rows}
-        plain = {name: getattr(ARRAYS, name) for name in ("sin", "cos", "sqrt", "floor", "clip", "where")}
+        plain = {name: getattr(ARRAYS, name) for name in ("sin", "cos", "sqrt", "arctan2", "floor", "clip", "where")}
         return self._python(NUMPY, {**space, **plain})
 
     def _python(self, language: Language, space: dict[str, Any]) -> Callable[..., tuple[Any, ...]]:
         source = python_function(self.name, self.graph, self.arguments, self._wanted, language)
-        exec(compile(source, f"<{self.name}>", "exec"), space)  # noqa: S102 - our own text
+        exec(compile(source, f"<{self.name}>", "exec"), space)
         function: Callable[..., tuple[Any, ...]] = space[self.name]
         return function
 
@@ -120,72 +123,122 @@ class Kernel:
         """Return the function that reads these arrays and writes to them; they must live as long as it does.
 
         Raises:
-            ValueError: an array is missing, unknown, of another shape or type, or not contiguous.
+            ValueError: an array is missing, unknown, of another shape or type, or its last axis is not contiguous.
         """
         n = self._checked(arrays)
-        ordered = [arrays[name] for name in self.rows]
-        if (function := self._native) is not None:
-            table = (ctypes.c_int64 * (1 + len(ordered)))(n, *map(_address, ordered))
-            at = ctypes.c_void_p(ctypes.addressof(table))
+        if (function := self._native) is None:
+            return self._on_one(arrays) if n == 1 else self._on_several(arrays)
+        table = self._table(arrays, n)
+        at = ctypes.c_void_p(ctypes.addressof(table))
 
-            def run(first: int = 0, steps: int = 1) -> None:
-                function(at, first, steps)
+        def run(first: int = 0, steps: int = 1) -> None:
+            function(at, first, steps)
 
-            run.__dict__["kept"] = table, ordered  # alive as long as their addresses are used
-            return run
-        return self._interpreted(arrays, n)
+        run.__dict__["kept"] = table, arrays  # alive as long as their addresses are used
+        return run
+
+    def _table(self, arrays: Mapping[str, Array], n: int) -> Any:
+        """Return what the compiled function finds `at` its first argument, see `c_function`."""
+        entries = [n]
+        for name in self.rows:
+            about = arrays[name].__array_interface__  # half the cost of `array.ctypes`
+            entries.append(about["data"][0])
+            if name not in self.layout.shared:
+                entries += [stride // arrays[name].itemsize for stride in arrays[name].strides[:-1]]
+        return (ctypes.c_int64 * len(entries))(*entries)
 
     def _checked(self, arrays: Mapping[str, Array]) -> int:
         """Return the number of vehicles of well-formed arrays."""
         if set(arrays) != set(self.rows):
             raise ValueError(f"the kernel takes arrays {', '.join(self.rows)}; given are {', '.join(arrays)}")
-        n = next(iter(arrays.values())).shape[-1]
+        n: int = next(a.shape[-1] for name, a in arrays.items() if name not in self.layout.shared)
         for name, rows in self.rows.items():
-            array, dimensions = arrays[name], 3 if name in self.over_time else 2
-            if array.dtype != self.precision or array.ndim != dimensions or array.shape[-2:] != (rows, n):
+            array, shape = arrays[name], ("T", rows, n)[3 - (axes := self.layout.axes(name)) :]
+            if name in self.layout.shared:
+                shape = (rows,)
+            known = array.shape[1:] == shape[1:] if axes > 2 else array.shape == shape
+            if array.dtype != self.layout.precision or array.ndim != axes or not known:
                 raise ValueError(
                     f"array {name} is of type {array.dtype} and shape {array.shape}; it must be of type "
-                    f"{self.precision} and of shape {'(T, ' if dimensions > 2 else '('}{rows}, {n})"  # noqa: PLR2004
+                    f"{self.layout.precision} and of shape ({', '.join(map(str, shape))}{',' * (axes == 1)})"
                 )
-            if not array.flags.c_contiguous:
-                raise ValueError(f"array {name} must be contiguous")
+            if array.size and array.shape[-1] > 1 and array.strides[-1] != array.itemsize:
+                raise ValueError(f"array {name} must hold the vehicles of a row side by side in memory")
         return n
 
-    def _interpreted(self, arrays: Mapping[str, Array], n: int) -> Run:
-        """Return what `bound` does, on floats for one vehicle and on rows for several."""
-        function = self._on_floats if n == 1 else self._on_rows
-        sizes = [(name, len(entries)) for name, entries in self.results.items()]
+    def _steps(self, first: int, steps: int) -> Iterable[int]:
+        return range(first + steps - 1, first - 1, -1) if self.layout.back else range(first, first + steps)
+
+    def _split(self, values: tuple[Any, ...]) -> Iterator[tuple[str, tuple[Any, ...]]]:
+        at = 0
+        for name, entries in self.results.items():
+            yield name, values[at : at + len(entries)]
+            at += len(entries)
+
+    def _on_one(self, arrays: Mapping[str, Array]) -> Run:
+        """Return what `bound` does for one vehicle, on floats."""
+        function = self._on_floats
 
         def run(first: int = 0, steps: int = 1) -> None:
-            order = range(first, first + steps)
-            for k in reversed(order) if self.back else order:
-                at = 0
-                rows = [arrays[name][k] if name in self.over_time else arrays[name] for name in self.arguments]
-                with np.errstate(all="ignore"):
-                    values = function(*([row.ravel().tolist() for row in rows] if n == 1 else map(np.array, rows)))
-                for name, size in sizes:
-                    target = arrays[name][k] if name in self.over_time else arrays[name]
-                    for j in range(size):
-                        target[j] = values[at + j]
-                    at += size
+            time = slice(first, first + steps)
+            rows = {name: self._one(name, array, time).tolist() for name, array in arrays.items()}
+            for k in self._steps(0, steps):
+                given = [rows[n][k] if n in self.layout.over_time else rows[n] for n in self.arguments]
+                try:
+                    values = function(*given)
+                except (ArithmeticError, ValueError):  # NumPy divides by zero as C does
+                    values = self._beyond(given)
+                for name, own in self._split(values):
+                    if name in self.layout.over_time:
+                        rows[name][k] = own
+                    else:
+                        rows[name] = own
+            for name in self.results if steps else ():
+                self._one(name, arrays[name], time)[:] = rows[name]
 
         return run
 
-    def __call__(self, steps: int = 1, **arguments: Array) -> dict[str, Array]:
+    def _one(self, name: str, array: Array, time: slice) -> Array:
+        """Return what an array holds of the one vehicle."""
+        if name in self.layout.shared:
+            return array
+        part: Array = array[time, :, 0] if name in self.layout.over_time else array[:, 0]
+        return part
+
+    def _beyond(self, given: Iterable[Any]) -> tuple[Any, ...]:
+        with np.errstate(all="ignore"):
+            return tuple(map(float, self._on_rows(*map(np.array, given))))
+
+    def _on_several(self, arrays: Mapping[str, Array]) -> Run:
+        """Return what `bound` does for several vehicles, on rows."""
+        function = self._on_rows
+
+        def run(first: int = 0, steps: int = 1) -> None:
+            for k in self._steps(first, steps):
+                at = {name: a[k] if name in self.layout.over_time else a for name, a in arrays.items()}
+                with np.errstate(all="ignore"):
+                    values = function(
+                        *(at[name].copy() if name in self.results else at[name] for name in self.arguments)
+                    )
+                for name, own in self._split(values):
+                    for row, value in zip(at[name], own, strict=True):
+                        row[:] = value
+
+        return run
+
+    def __call__(self, steps: int = 1, /, **arguments: Array) -> dict[str, Array]:
         """Return new arrays with the results of the first `steps` steps, for arguments that stay as they are."""
-        given = {name: np.ascontiguousarray(a, dtype=self.precision) for name, a in arguments.items()}
-        n = next(iter(given.values())).shape[-1]
-        results = {name: given[name].copy() if name in given else self._empty(name, steps, n) for name in self.results}
+        given = {name: np.ascontiguousarray(a, dtype=self.layout.precision) for name, a in arguments.items()}
+        n = next(a.shape[-1] for name, a in given.items() if name not in self.layout.shared)
+        results = {
+            name: np.array(given[name]) if name in given else self._empty(name, steps, n) for name in self.results
+        }
         self.bound(**{**given, **results})(0, steps)
         return results
 
     def _empty(self, name: str, steps: int, n: int) -> Array:
-        shape = (steps, self.rows[name], n) if name in self.over_time else (self.rows[name], n)
-        return np.empty(shape, dtype=self.precision)
-
-
-def _address(array: Array) -> int:
-    return int(array.__array_interface__["data"][0])  # half the cost of `array.ctypes.data`
+        shape = (steps, self.rows[name], n) if name in self.layout.over_time else (self.rows[name], n)
+        return np.empty(shape, dtype=self.layout.precision)
 
 
 def _floor(x: float) -> float:

@@ -47,7 +47,9 @@ def compiler() -> tuple[str, str] | None:
             except (OSError, subprocess.SubprocessError):
                 continue
             return path, done.stdout.decode(errors="replace")
-    logger.info("no C compiler works here, so equations run as Python; gcc or clang would make them several times faster")
+    logger.info(
+        "no C compiler works here, so equations run as Python; gcc or clang would make them several times faster"
+    )
     return None
 
 
@@ -60,13 +62,23 @@ def library(source: str) -> ctypes.CDLL | None:
     key = "\0".join((source, path, version, *FLAGS, *EXACT, *TUNED, platform.machine(), sys.platform, _processor()))
     name = f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
     for folder in _folders():
+        if (made := _loaded(path, source, folder / name)) is not None:
+            return made
+    return None
+
+
+def _loaded(path: str, source: str, file: Path) -> ctypes.CDLL | None:
+    """Return the library that a file holds or shall hold; None, which is logged, where that cannot be."""
+    try:
         try:
-            return ctypes.CDLL(str(_built(path, source, folder / name)))
-        except subprocess.SubprocessError as error:
-            logger.info("%s cannot compile the equations, so they run as Python: %s", path, _reason(error))
-            return None
-        except OSError as error:
-            logger.info("compiled code cannot be kept in %s: %s", folder, error)
+            return ctypes.CDLL(str(_built(path, source, file)))
+        except OSError:
+            file.unlink()  # damaged, else this is the error to report
+            return ctypes.CDLL(str(_built(path, source, file)))
+    except subprocess.SubprocessError as error:
+        logger.info("%s cannot compile the equations, so they run as Python: %s", path, _reason(error))
+    except OSError as error:
+        logger.info("compiled code cannot be kept in %s: %s", file.parent, error)
     return None
 
 

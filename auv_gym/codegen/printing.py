@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from auv_gym.codegen.graph import TRUTHS, Graph, Symbol, arguments_of
@@ -27,7 +27,7 @@ class Language:
 def _python_number(value: float | bool) -> str:
     if isinstance(value, bool) or math.isfinite(value):
         return f"({value!r})"
-    return "nan" if value != value else "inf" if value > 0 else "(-inf)"
+    return "nan" if math.isnan(value) else "inf" if value > 0 else "(-inf)"
 
 
 ARITHMETIC = {
@@ -44,6 +44,7 @@ PYTHON = Language(
     {
         **ARITHMETIC,
         **{name: f"{name}({{0}})" for name in FUNCTIONS},
+        "arctan2": "arctan2({0}, {1})",
         "clip": "({1} if {0} < {1} else {2} if {0} > {2} else {0})",
         "where": "({1} if {0} else {2})",
         "and": "({0} and {1})",
@@ -77,12 +78,13 @@ def c_language(precision: str) -> Language:
         if isinstance(value, bool):
             return str(int(value))
         if not math.isfinite(value):
-            return "NAN" if value != value else "INFINITY" if value > 0 else "(-INFINITY)"
+            return "NAN" if math.isnan(value) else "INFINITY" if value > 0 else "(-INFINITY)"
         return f"({float(value).hex()}{suffix})"
 
     forms = {
         **ARITHMETIC,
         **{name: f"{name}{suffix}({{0}})" for name in ("sin", "cos", "exp", "log", "sqrt", "floor")},
+        "arctan2": f"atan2{suffix}({{0}}, {{1}})",
         "abs": f"fabs{suffix}({{0}})",
         "single": "((real)(float){0})",
         "clip": "({0} < {1} ? {1} : {0} > {2} ? {2} : {0})",
@@ -140,39 +142,61 @@ def python_function(name: str, graph: Graph, arguments: Arrays, results: Sequenc
     return "\n".join((*lines, f"    return ({''.join(f'{output}, ' for output in outputs)})")) + "\n"
 
 
-def c_function(
-    name: str, graph: Graph, arguments: Arrays, results: Arrays, over_time: Collection[str], precision: str, back: bool
-) -> str:
+@dataclass(frozen=True)
+class Layout:
+    """How the arrays of a kernel lie in memory, and in which order its steps are taken."""
+
+    over_time: frozenset[str]  # names of arrays that have rows for each step
+    shared: frozenset[str]  # names of arrays that hold one number a row for all vehicles
+    precision: str  # of all numbers, "float64" or "float32"
+    back: bool  # whether the steps are taken from the last one to the first
+
+    def axes(self, array: str) -> int:
+        """Return how many axes an array has: (rows, n), (T, rows, n) if over time, (rows,) if shared."""
+        return 2 + (array in self.over_time) - (array in self.shared)
+
+    def entry(self, array: str, row: int) -> str:
+        """Return a row of an array in C, for vehicle i at step k."""
+        if array in self.shared:
+            return f"{array}[{row}]"
+        time = f"k * {array}_time + " if array in self.over_time else ""
+        return f"{array}[{time}{row} * {array}_row + i]"
+
+
+def c_function(name: str, graph: Graph, arguments: Arrays, results: Arrays, layout: Layout) -> str:
     """Return the source of a C function for n vehicles and some steps, one after the other, from step `first` on.
 
         void NAME(const int64_t *at, int first, int steps)
 
-    `at` holds n and then the address of each array, arguments first, those of results that are no arguments behind:
-    few and plain arguments, since a call from Python costs more for each of them than a step of a vehicle. An array has shape (rows, n), or (T, rows, n) if it is one of `over_time`. One that is argument and result at once
-    is carried from step to step. Truth values become 0 and 1.
+    `at` holds n and then, of each array, the address and the strides of all axes but the last, in numbers; arguments
+    come first, results that are no arguments behind. A call from Python with so few and plain arguments costs less than
+    a step of a vehicle. An array that is argument and result at once is carried from step to step. Truth values become
+    0 and 1.
 
     Args:
         name: of the function.
         graph: what the results are nodes of.
         arguments: the arrays that it reads.
         results: the arrays that it writes.
-        over_time: names of arrays that have a row for each step.
-        precision: of all numbers, "float64" or "float32".
-        back: whether it goes through the steps from the last one to the first.
+        layout: of the arrays.
     """
-    rows = {array: len(entries) for array, entries in {**arguments, **results}.items()}
-    place = {array: f"{array}[{f'(k * {count} + {{}})' if array in over_time else '{}'} * n + i]" for array, count in rows.items()}
+    kinds = {array: f"{'' if array in results else 'const '}real *restrict" for array in {**arguments, **results}}
+    heads, at = [], 1
+    for array, kind in kinds.items():
+        heads += [f"{kind} {array} = ({kind})at[{at}];"]
+        strides = (f"{array}_time", f"{array}_row")[3 - layout.axes(array) :]
+        heads += [f"const long {stride} = (long)at[{at + 1 + j}];" for j, stride in enumerate(strides)]
+        at += 1 + len(strides)
     wanted = [s for entries in results.values() for s in entries]
     read = {graph.nodes[i][1] for i in graph.needed(s.index for s in wanted) if graph.nodes[i][0] == "input"}
-    given = {s.node[1]: place[array].format(j) for array, own in arguments.items() for j, s in enumerate(own)}
-    statements, texts = written(graph, wanted, c_language(precision), {entry: entry for entry in read})
-    pointers = [f"{'' if a in results else 'const '}real *restrict" for a in rows]
-    step = "first + steps - 1 - j" if back else "first + j"
+    given = {s.node[1]: layout.entry(array, j) for array, own in arguments.items() for j, s in enumerate(own)}
+    statements, texts = written(graph, wanted, c_language(layout.precision), {entry: entry for entry in read})
+    step = "first + steps - 1 - j" if layout.back else "first + j"
     lines = [
         f"void {name}(const int64_t *at, int first, int steps)",
         "{",
         "const long n = (long)at[0];",
-        *(f"{kind} {a} = ({kind})at[{j}];" for j, (a, kind) in enumerate(zip(rows, pointers, strict=True), 1)),
+        *heads,
         "for (long j = 0; j < steps; j++) {",
         f"const long k = {step};",
         "#pragma omp simd",
@@ -183,7 +207,7 @@ def c_function(
     values = iter(texts)
     for array, entries in results.items():
         for j, entry in enumerate(entries):
-            target, value = place[array].format(j), next(values)
+            target, value = layout.entry(array, j), next(values)
             if given.get(value) != target:  # what stays as it is need not be written
                 truth = graph.nodes[entry.index][0] in TRUTHS
                 lines.append(f"{target} = {f'({value} ? (real)1 : (real)0)' if truth else value};")  # vectorises

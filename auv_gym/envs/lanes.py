@@ -31,7 +31,7 @@ ScenarioLike = Scenario | str | Mapping[str, Any]
 
 LARGEST_BLOCK = 64  # most control steps of tape that are read at once
 BLOCK_SAMPLES = 2**18  # most vehicles times control steps that are read at once: it bounds the memory
-PLANNED_AT_ONCE = 256  # most references planned in one batch: it bounds the memory
+PLANNED_AT_ONCE = 64  # most references planned in one batch, so that they stay in the processor's cache
 
 
 class Planned(NamedTuple):
@@ -244,7 +244,7 @@ class Lanes:
     def _tables(self, lanes: Indices, episodes: Sequence[Episode]) -> list[Any]:
         """Return the reference table of each episode, None where it cannot be followed.
 
-        Those of one clock and vehicle are planned together.
+        Those of one clock and vehicle are planned together, paths of one family side by side.
         """
         tables: list[Any] = [None] * len(episodes)
         groups: dict[Any, list[int]] = {}
@@ -258,6 +258,7 @@ class Lanes:
             else:
                 groups.setdefault(plan_of, []).append(j)
         for plan_of, members in groups.items():
+            members.sort(key=lambda j: type(episodes[j].path).__name__)
             for first in range(0, len(members), PLANNED_AT_ONCE):
                 batch = members[first : first + PLANNED_AT_ONCE]
                 with suppress(ValueError):  # about one of them: all are planned alone then

@@ -11,7 +11,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from auv_gym.envs.lanes import checked_actions, replaced
-from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv, checked_action
+from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv, checked_action, with_action
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.namespaces import ARRAYS, FLOATS
 from auv_gym.policy import Policy, checked_authority, corrected, traceable
@@ -147,9 +147,3 @@ class VectorResidualAction(
         """Return the expert's actions and memory for the n observations of the lanes where the mask is True."""
         memory = None if self._memory is None else tuple(m[mask] for m in self._memory)
         return self.expert.predict(observation, memory, np.full(len(observation), fresh))
-
-
-def with_action(space: Any) -> Any:
-    """Return the space of observations that an action is appended to."""
-    bounds = np.append(space.high, np.ones(2, dtype=space.dtype))
-    return gym.spaces.Box(-bounds, bounds, dtype=space.dtype)

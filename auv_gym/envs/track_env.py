@@ -22,8 +22,8 @@ from auv_gym.policy import Law
 from auv_gym.presets import as_scenario
 from auv_gym.preview import Preview, encode_preview, observation_bounds
 from auv_gym.rendering import Renderer, View
-from auv_gym.scenario import Scenario
 from auv_gym.rows import filled, leaves
+from auv_gym.scenario import Scenario
 from auv_gym.simulation import (
     CURRENT,
     PARAMETER_ROWS,
@@ -228,8 +228,8 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
 
         It is what `ResidualAction` does, in the compiled step; a new episode must begin.
         """
-        self._law = law
-        parts = self.scenario.parts
+        self._law, parts = law, self.scenario.parts
+        self.observation_space = with_action(self.observation_space)
         self._vehicle = Vehicles(parts, self._samples, self._constants, law.forces, authority)
         self._k, self._over = self._steps, True
 
@@ -253,6 +253,12 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     def _sample(self) -> list[float]:
         numbers: list[float] = self._samples[self._row].ravel().tolist()
         return numbers
+
+    @property
+    def _V(self) -> tuple[float, float]:
+        """The current of the sample, without its shear."""
+        V_x, V_y = self._sample[CURRENT]
+        return V_x, V_y
 
     @property
     def _parameters(self) -> Parameters:
@@ -293,7 +299,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     @property
     def state(self) -> Array:
         """x, y [m], psi [rad], u, v [m/s] over ground, r [rad/s]; shape (6,)."""
-        return np.array(ground_state(self._plant, tuple(self._sample[CURRENT]), self._parameters, FLOATS))
+        return np.array(ground_state(self._plant, self._V, self._parameters, FLOATS))
 
     @property
     def reference(self) -> ReferencePoint:
@@ -309,8 +315,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     def current(self) -> Array:
         """V_x, V_y [m/s] of the water in the world, where the vehicle is; shape (2,)."""
         plant = self._plant
-        V_x, V_y = self._sample[CURRENT]
-        return np.array(current_at(plant.x, plant.y, (V_x, V_y), self._parameters, FLOATS))
+        return np.array(current_at(plant.x, plant.y, self._V, self._parameters, FLOATS))
 
     @property
     def time(self) -> float:
@@ -360,3 +365,9 @@ def checked_action(action: Any) -> list[float]:
         if math.isfinite(command[0]) and math.isfinite(command[1]):
             return command
     raise ValueError(f"action is {action!r}; it must be two finite numbers in [-1, 1], shape (2,)")
+
+
+def with_action(space: Any) -> Any:
+    """Return the space of observations that an action is appended to."""
+    bounds = np.append(space.high, np.ones(2, dtype=space.dtype))
+    return gym.spaces.Box(-bounds, bounds, dtype=space.dtype)

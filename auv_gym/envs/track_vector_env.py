@@ -12,8 +12,8 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from auv_gym.envs.lanes import Beginning, Lanes, ScenarioLike, checked_actions, replaced
-from auv_gym.envs.track_env import ReferencePoint
+from auv_gym.envs.lanes import Beginning, Lanes, ScenarioLike, checked_actions
+from auv_gym.envs.track_env import ReferencePoint, with_action
 from auv_gym.kernels import Vehicles
 from auv_gym.namespaces import ARRAYS
 from auv_gym.policy import Forces, Law
@@ -111,6 +111,8 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
         self._vehicles = self._made(law.forces, authority)
         self._observation = np.zeros((self.num_envs, len(self._vehicles.now.seen)))
         self._lanes.begun = False
+        self.single_observation_space = with_action(self.single_observation_space)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
     def _begin(self, beginning: Beginning) -> Array:
         """Put vehicles at the start of their episodes; return their observations, shape (n, columns)."""

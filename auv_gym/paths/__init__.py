@@ -75,8 +75,9 @@ def evaluate(paths: Sequence[Path], t: Array) -> Array:
         members.setdefault(type(path), []).append(column)
     out = np.empty((4, 2, len(t), len(paths)))
     for family, columns in members.items():
+        side_by_side = slice(columns[0], columns[-1] + 1) if columns[-1] - columns[0] < len(columns) else columns
         if family in _ELEMENTWISE:
-            out[..., columns] = stack([paths[k] for k in columns]).derivatives(t[:, None])
+            out[..., side_by_side] = stack([paths[k] for k in columns]).derivatives(t[:, None])
         else:
             for k in columns:
                 out[..., k] = paths[k].derivatives(t)
