@@ -42,15 +42,15 @@ class Namespace:
     sqrt: Callable[[Number], Number]
     exp: Callable[[Number], Number]
     log: Callable[[Number], Number]
+    hypot: Callable[[Number, Number], Number]
+    arctan2: Callable[[Number, Number], Number]
+    arcsin: Callable[[Number], Number]
     floor: Callable[[Number], Number]
     clip: Callable[[Number, Number, Number], Number]
     where: Callable[[Number, Number, Number], Number]
     scaled: Callable[[Any, Constants], Any]  # rows, or components in a sequence, times a constant each: rows
     bounded: Callable[[Any, Constants], Any]  # rows within +- a constant each
     stack: Callable[..., Any]  # a sequence of rows as one array; the axis that counts them, the first by default
-    hypot: Callable[[Number, Number], Number]
-    arctan2: Callable[[Number, Number], Number]
-    arcsin: Callable[[Number], Number]
 
 
 def _clip(value: float, low: float, high: float) -> float:
@@ -89,13 +89,37 @@ def _bounded_arrays(rows: Any, bounds: Constants) -> Any:
 
 _floor = (1.0).__rfloordiv__  # as math.floor, but of whatever is no number any more, too
 FLOATS = Namespace(
-    *(math.sin, math.cos, math.sqrt, math.exp, math.log, _floor, _clip, _where),
-    *(_scaled_floats, _bounded_floats, np.array, math.hypot, math.atan2, math.asin),
+    sin=math.sin,
+    cos=math.cos,
+    sqrt=math.sqrt,
+    exp=math.exp,
+    log=math.log,
+    hypot=math.hypot,
+    arctan2=math.atan2,
+    arcsin=math.asin,
+    floor=_floor,
+    clip=_clip,
+    where=_where,
+    scaled=_scaled_floats,
+    bounded=_bounded_floats,
+    stack=np.array,
 )
 """The namespace of Python floats."""
 ARRAYS = Namespace(
-    *(np.sin, np.cos, np.sqrt, np.exp, np.log, np.floor, _clip_array, np.where),
-    *(_scaled_arrays, _bounded_arrays, np.stack, np.hypot, np.arctan2, np.arcsin),
+    sin=np.sin,
+    cos=np.cos,
+    sqrt=np.sqrt,
+    exp=np.exp,
+    log=np.log,
+    hypot=np.hypot,
+    arctan2=np.arctan2,
+    arcsin=np.arcsin,
+    floor=np.floor,
+    clip=_clip_array,
+    where=np.where,
+    scaled=_scaled_arrays,
+    bounded=_bounded_arrays,
+    stack=np.stack,
 )
 """The namespace of NumPy arrays, one row for each component."""
 
@@ -112,8 +136,20 @@ def tensors() -> Namespace:
         return [torch.clamp(x, -b, b) for x, b in zip(rows, bounds.numbers, strict=True)]
 
     return Namespace(
-        *(torch.sin, torch.cos, torch.sqrt, torch.exp, torch.log, torch.floor, torch.clamp, torch.where),
-        *(scaled, bounded, torch.stack, torch.hypot, torch.arctan2, torch.arcsin),
+        sin=torch.sin,
+        cos=torch.cos,
+        sqrt=torch.sqrt,
+        exp=torch.exp,
+        log=torch.log,
+        hypot=torch.hypot,
+        arctan2=torch.arctan2,
+        arcsin=torch.arcsin,
+        floor=torch.floor,
+        clip=torch.clamp,
+        where=torch.where,
+        scaled=scaled,
+        bounded=bounded,
+        stack=torch.stack,
     )
 
 

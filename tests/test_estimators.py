@@ -1,38 +1,36 @@
 """Filter and observer against derivatives, true disturbances and statistics; the water's frame against the planner."""
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from auv_gym.actuators import Response
+from auv_gym.codegen import native
+from auv_gym.codegen.derivatives import jacobian
+from auv_gym.codegen.graph import SYMBOLS
+from auv_gym.codegen.kernel import Kernel
+from auv_gym.codegen.matrices import symmetric, triangle
 from auv_gym.disturbances import RandomCurrent
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.errors import to_body
-from auv_gym.namespaces import ARRAYS, wrap_angle
+from auv_gym.namespaces import ARRAYS, FLOATS, wrap_angle
 from auv_gym.paths import Circle, FigureEight, Sine
 from auv_gym.planner import plan
 from auv_gym.presets import CASES, PRESETS
 from auv_gym.scenario import RandomPath, Scenario, Start
 from auv_gym.simulation import PARAMETER_ROWS, Parameters, Parts, start, step
-from auv_gym.task import Observation
+from auv_gym.task import Observation, action_of, decode_observation
 from auv_gym.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
 from baselines import make_policy
 from baselines.control.backstepping import Gains, tracking_forces
-from baselines.control.current_observer import OBSERVER_GAINS, CurrentObserver
+from baselines.control.current_observer import sampled_gains
 from baselines.control.ekf_law import EKF_GAINS, make_ekf_law
-from baselines.estimation.kalman import ExtendedKalmanFilter
-from baselines.estimation.sea_model import (
-    SIZE,
-    Estimate,
-    lag_response,
-    measurement,
-    measurement_jacobian,
-    transition,
-    transition_jacobian,
-    wave_transition,
-)
-from baselines.estimation.water_frame import Motion, Sea, WaterPlan, reference_motion, water_errors
+from baselines.estimation.filter_equations import corrected, foreseen
+from baselines.estimation.kalman import ExtendedKalmanFilter, believed
+from baselines.estimation.sea_model import SIZE, Estimate, lag_response, measurement, transition, wave_transition
+from baselines.estimation.water_frame import Motion, Planned, Sea, planned, reference_motion, water_errors
 from baselines.gains.loading import load_gains
 from baselines.policy import Remembering
 
@@ -47,51 +45,142 @@ def random_state(rng, n):
     return z
 
 
+TRIANGLE = np.tril_indices(SIZE)
+
+
+def random_covariance(rng, n):
+    """Return well-conditioned covariances in the units of a state, shape (n, SIZE, SIZE)."""
+    root = rng.normal(size=(n, SIZE, SIZE)) + 3 * np.eye(SIZE)
+    size = np.abs(random_state(rng, 1))[:, 0] + 0.1
+    return root @ root.transpose(0, 2, 1) * size[:, None] * size / 30
+
+
+def full(rows):
+    """Return the matrices (n, SIZE, SIZE) of lower triangles (SIZE (SIZE + 1) / 2, n)."""
+    P = np.zeros((rows.shape[1], SIZE, SIZE))
+    P[:, TRIANGLE[0], TRIANGLE[1]] = rows.T
+    P[:, TRIANGLE[1], TRIANGLE[0]] = rows.T
+    return P
+
+
+def observed(rng, n):
+    """Return terms of an observation that the model's transition depends on, shape (18, n)."""
+    values = dict.fromkeys(Observation._fields, np.zeros(n))
+    values |= {"a_u": rng.uniform(-0.5, 0.5, n), "a_r": rng.uniform(-0.5, 0.5, n), "dt": np.linspace(0.05, 0.3, n)}
+    return np.array(Observation(**values | {"F_u_max": np.full(n, 400.0), "F_r_max": np.full(n, 200.0)}))
+
+
+def kernel_jacobians(z, o, vehicle):
+    """Return what the graph has for the derivatives of `transition` and of `measurement`, (n, ..., SIZE)."""
+
+    def equation(z, o):
+        z, o = Estimate(*z), Observation(*o)
+        command = o.a_u * o.F_u_max, o.a_r * o.F_r_max
+        after = transition(z, command, (0.1, 0.05), o.dt, vehicle.coefficients, SYMBOLS)
+        entries = [x for outputs in (after, measurement(z, SYMBOLS)) for row in jacobian(outputs, z) for x in row]
+        return {"entries": entries}
+
+    entries = Kernel.traced(equation, {"z": SIZE, "o": len(o)}, structural=True, blocked=True)(z=z, o=o)["entries"]
+    entries = entries.T.reshape(z.shape[1], -1, SIZE)
+    return entries[:, :SIZE], entries[:, SIZE:]
+
+
+def moved(z, o, vehicle):
+    o = Observation(*o)
+    command = o.a_u * o.F_u_max, o.a_r * o.F_r_max
+    return np.array(transition(Estimate(*z), command, (0.1, 0.05), o.dt, vehicle.coefficients, ARRAYS))
+
+
 @pytest.mark.parametrize("lag", [None, 2e-3])
 def test_jacobians_are_complex_step_derivatives(lag):
     rng = np.random.default_rng(0)
-    z = random_state(rng, 5)
+    z, o = random_state(rng, 5), observed(rng, 5)
     if lag is not None:
         z[15] = lag
-    command, moved, dt = (rng.normal(0, 90, 5), rng.normal(0, 40, 5)), (0.1, 0.05), np.linspace(0.05, 0.3, 5)
-    A = wave_transition(dt)
-    F, H = transition_jacobian(Estimate(*z), command, dt, A, PAPER_VEHICLE), measurement_jacobian(Estimate(*z))
+    F, H = kernel_jacobians(z, o, PAPER_VEHICLE)
     for j in range(SIZE):
         shifted = z.astype(complex)
         shifted[j] += 1e-30j
-        exact = np.array(transition(Estimate(*shifted), command, moved, dt, A, PAPER_VEHICLE)).imag / 1e-30
-        np.testing.assert_allclose(F[:, :, j].T, exact, rtol=1e-5, atol=1e-7)
-        np.testing.assert_allclose(H[:, :, j].T, measurement(Estimate(*shifted)).imag / 1e-30, atol=1e-12)
+        np.testing.assert_allclose(F[:, :, j].T, moved(shifted, o, PAPER_VEHICLE).imag / 1e-30, rtol=1e-10, atol=1e-12)
+        exact = np.array(measurement(Estimate(*shifted), ARRAYS)).imag / 1e-30
+        np.testing.assert_allclose(H[:, :, j].T, exact, atol=1e-12)
 
 
-def test_quadratic_drag_is_in_the_jacobian():
-    z, dt = random_state(np.random.default_rng(1), 4), np.full(4, 0.1)
-    command = np.zeros(4), np.zeros(4)
-    A = wave_transition(dt)
-    F = transition_jacobian(Estimate(*z), command, dt, A, DRAGGY)
-    for j in (3, 4, 5):
-        ends = []
-        for sign in (1, -1):
-            shifted = z.copy()
-            shifted[j] += sign * 1e-5
-            ends.append(np.array(transition(Estimate(*shifted), command, (0.0, 0.0), dt, A, DRAGGY)))
-        np.testing.assert_allclose(F[:, :, j].T, (ends[0] - ends[1]) / 2e-5, atol=1e-6)
+@pytest.mark.parametrize("vehicle", [PAPER_VEHICLE, DRAGGY])
+def test_jacobians_are_central_differences(vehicle):
+    rng = np.random.default_rng(1)
+    z, o = random_state(rng, 4), observed(rng, 4)
+    F, _ = kernel_jacobians(z, o, vehicle)
+    for j in range(SIZE):
+        shift = 1e-5 * np.eye(SIZE)[j][:, None]
+        ends = [moved(shifted, o, vehicle) for shifted in (z + shift, z - shift)]
+        np.testing.assert_allclose(F[:, :, j].T, (ends[0] - ends[1]) / 2e-5, rtol=1e-5, atol=1e-6)
+
+
+def test_jacobian_is_that_of_casadi():
+    casadi = pytest.importorskip("casadi")
+    rng = np.random.default_rng(2)
+    z, o = random_state(rng, 3), observed(rng, 3)
+    x, terms = casadi.SX.sym("x", SIZE), casadi.SX.sym("o", len(o))
+    own, observation = Estimate(*casadi.vertsplit(x)), Observation(*casadi.vertsplit(terms))
+    ns = SimpleNamespace(sin=casadi.sin, cos=casadi.cos, exp=casadi.exp, clip=lambda x, low, high: x)
+    command = observation.a_u * observation.F_u_max, observation.a_r * observation.F_r_max
+    after = casadi.vertcat(*transition(own, command, (0.1, 0.05), observation.dt, DRAGGY.coefficients, ns))
+    slopes = casadi.Function("slopes", [x, terms], [casadi.jacobian(after, x)])
+    F, _ = kernel_jacobians(z, o, DRAGGY)
+    for i in range(3):
+        np.testing.assert_allclose(F[i], np.array(slopes(z[:, i], o[:, i])), rtol=1e-10, atol=1e-12)
+
+
+def test_covariance_is_foreseen_by_the_jacobian():
+    rng = np.random.default_rng(3)
+    z, o, P = random_state(rng, 3), observed(rng, 3), random_covariance(rng, 3)
+
+    def equation(z, o, P):
+        z, P = foreseen(Estimate(*z), symmetric(P), (0.1, 0.05), Observation(*o), Coefficients(*DRAGGY.coefficients))
+        return {"z": z, "P": triangle(P)}
+
+    rows = {"z": SIZE, "o": len(o), "P": len(TRIANGLE[0])}
+    after = Kernel.traced(equation, rows, structural=True, blocked=True)(z=z, o=o, P=P[:, TRIANGLE[0], TRIANGLE[1]].T)
+    F, _ = kernel_jacobians(z, o, DRAGGY)
+    np.testing.assert_allclose(full(after["P"]), F @ P @ F.transpose(0, 2, 1), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(after["z"], moved(z, o, DRAGGY), rtol=1e-12, atol=1e-12)
+
+
+def test_measurements_one_by_one_are_all_at_once():
+    rng = np.random.default_rng(4)
+    z, P = random_state(rng, 3), random_covariance(rng, 3)
+    innovation, noise = rng.normal(0, 0.1, (6, 3)), rng.uniform(1e-4, 1e-1, (6, 3))
+
+    def equation(z, P, innovation, noise):
+        z, P = corrected(Estimate(*z), symmetric(P), innovation, noise)
+        return {"z": z, "P": triangle(P)}
+
+    rows = {"z": SIZE, "P": len(TRIANGLE[0]), "innovation": 6, "noise": 6}
+    kernel = Kernel.traced(equation, rows, structural=True, blocked=True)
+    after = kernel(z=z, P=P[:, TRIANGLE[0], TRIANGLE[1]].T, innovation=innovation, noise=noise)
+    _, H = kernel_jacobians(z, observed(rng, 3), PAPER_VEHICLE)
+    gain = P @ H.transpose(0, 2, 1) @ np.linalg.inv(H @ P @ H.transpose(0, 2, 1) + noise.T[:, :, None] * np.eye(6))
+    expected = z + np.einsum("nij,jn->in", gain, innovation)
+    expected[15] = np.clip(expected[15], 1e-3, 2.0)
+    np.testing.assert_allclose(after["z"], expected, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(full(after["P"]), P - gain @ H @ P, rtol=1e-6, atol=1e-8)
 
 
 def test_rows_of_lags_respond_as_one():
     lags, dt = np.array([1e-3, 0.1, 0.6]), np.array([0.1, 0.1, 0.2])
-    rows = lag_response(lags, dt)
+    rows = lag_response(lags, dt, ARRAYS)
     for i in range(3):
         one = Response.of(lags[i], np.inf, np.inf, dt[i])
         assert (rows.gain[i], rows.mean[i]) == pytest.approx((one.gain, one.mean))
 
 
 def test_wave_oscillator():
-    A, twice = wave_transition(np.array([0.3])), wave_transition(np.array([0.6]))
-    np.testing.assert_allclose(A[:, :, 0] @ A[:, :, 0], twice[:, :, 0], atol=1e-14)
+    A, twice = (np.array(wave_transition(dt, FLOATS)) for dt in (0.3, 0.6))
+    np.testing.assert_allclose(A @ A, twice, atol=1e-14)
     covariance = np.zeros((2, 2))
     for _ in range(400):
-        covariance = A[:, :, 0] @ covariance @ A[:, :, 0].T + np.eye(2) - A[:, :, 0] @ A[:, :, 0].T
+        covariance = A @ covariance @ A.T + np.eye(2) - A @ A.T
     np.testing.assert_allclose(covariance, np.eye(2), atol=1e-6)
 
 
@@ -103,7 +192,7 @@ def every_preset(lanes_each):
 
 
 def test_filter_over_long_runs():
-    """Its covariance stays symmetric and positive, and where sensors are noisy it is as wide as what it is wrong by."""
+    """Its covariance stays positive, and where sensors are noisy it is as wide as what it is wrong by."""
     env, names = every_preset(4)
     policy, memory = make_policy("ekf"), None
     observation, _ = env.reset(seed=20_000_000)
@@ -111,23 +200,22 @@ def test_filter_over_long_runs():
     for k in range(600):
         action, memory = policy.predict(observation, memory, first)
         if k >= 200 and k % 5 == 0:
-            _, z, P, *_ = memory
-            position = (env.state[:, :2] - np.stack((env.reference.x, env.reference.y), axis=1)) - z[:, :2]
-            heading = wrap_angle(env.state[:, 2:3] - z[:, 2:3], ARRAYS)
+            _, z, P, *_ = believed(memory)
+            position = (env.state[:, :2] - np.stack((env.reference.x, env.reference.y), axis=1)) - np.array(z[:2]).T
+            heading = wrap_angle(env.state[:, 2:3] - z.psi[:, None], ARRAYS)
             off = np.concatenate((position, heading), axis=1)
             judged.append(np.einsum("ni,ni->n", off, np.linalg.solve(P[:, :3, :3], off[..., None])[..., 0]))
         observation, *_ = env.step(action)
         first = np.zeros_like(first)
         if k % 25 == 0:
-            P = memory[2]
-            assert np.array_equal(P, P.transpose(0, 2, 1))
+            P = believed(memory).covariance
             deviation = np.sqrt(np.einsum("nii->ni", P))
             least = min(least, np.linalg.eigvalsh(P / deviation[:, :, None] / deviation[:, None, :]).min())
     assert least > 1e-12
     mean = np.mean(judged, axis=0)
     assert 2 < mean[names == "cruise-noise"].mean() < 4
     assert 2 < mean[names == "cruise-storm"].mean() < 4.5
-    noise = np.sqrt(memory[5])
+    noise = np.sqrt(believed(memory).noise.T)
     assert noise[names == "cruise-noise"].mean(axis=0) == pytest.approx([0.05, 0.05, 0.015, 0.02, 0.02, 0.005], rel=0.2)
     assert noise[names == "slow-storm"].mean(axis=0)[:3] == pytest.approx([0.03, 0.03, 0.015], rel=0.2)
     assert (noise[names == "cruise-calm"] < 0.002).all()
@@ -155,7 +243,7 @@ def test_filter_finds_the_current_through_noise():
     calm = dict.fromkeys(("surge_bias", "sway_bias", "yaw_bias", "surge_waves", "sway_waves", "yaw_waves"), 0.01)
     gains = {**load_gains("ekf", "cruise", EKF_GAINS), "current": 0.01, "gust": 0.001, **calm}
     memory, env = belief(replace(CURRENT, sensors=PRESETS["cruise-noise"].sensors), make_ekf_law(gains))
-    z = Estimate(*memory[1].T)
+    z = believed(memory).state
     off = np.hypot(z.V_x - env.current[:, 0], z.V_y - env.current[:, 1])
     assert np.hypot(*env.current.T).mean() > 0.2
     assert off.mean() < 0.06
@@ -166,7 +254,7 @@ def test_filter_finds_the_current_through_noise():
 
 def test_observer_finds_the_current():
     memory, env = belief(CURRENT, make_policy("current-observer"))
-    assert np.hypot(*(memory[2] - env.current).T).max() < 0.02
+    assert np.hypot(*(memory[0][:, 5:] - env.current).T).max() < 0.02
 
 
 def test_filter_finds_lag_and_load():
@@ -188,18 +276,26 @@ def test_filter_finds_lag_and_load():
     plant, terms = start(tuple(np.zeros((6, n)) + np.array([0, 0, 0, 1.0, 0, 0])[:, None]), sample[0], p, ARRAYS)
     estimator = ExtendedKalmanFilter()
     o = Observation(*terms)
-    memory, z = estimator.update(estimator.start(n), o, reference_motion(o, PAPER_VEHICLE))
+    memory, _ = estimator.update(estimator.start(n), np.array(o))
     rng = np.random.default_rng(0)
     for k in range(1, steps + 1):
         F_u, F_r = tracking_forces(o, PAPER_VEHICLE, FIRM, ARRAYS)
         action = F_u / 400 + rng.normal(0, 0.1, n), F_r / 200 + rng.normal(0, 0.1, n)
         plant, terms, _ = step(plant, action, sample[k], p, ARRAYS)
         o = Observation(*terms)
-        memory, z = estimator.update(memory, o, reference_motion(o, PAPER_VEHICLE))
+        memory, z = estimator.update(memory, np.array(o))
+    z = Estimate(*z)
     np.testing.assert_allclose(z.lag, lags, rtol=0.1)
     np.testing.assert_allclose(z.F_u, plant[6], atol=3.0)
     np.testing.assert_allclose(z.X + z.X_wave, load[0], atol=3.0)
     np.testing.assert_allclose(z.N + z.N_wave, load[2], atol=2.0)
+
+
+AT_FIRST = Planned(*np.zeros((len(Planned._fields), 1)))
+
+
+def in_water(memory, motion, sea, dt):
+    return planned(memory, motion, sea, dt, PAPER_VEHICLE.coefficients, ARRAYS)
 
 
 @dataclass(frozen=True)
@@ -229,8 +325,7 @@ def test_water_plan_is_the_planners(path):
     V, dt = (0.2, -0.1), 0.1
     times = dt * np.arange(400)
     ground, water = plan(path, PAPER_VEHICLE, times), plan(Drifting(path, V), PAPER_VEHICLE, times)
-    by_steps = WaterPlan(PAPER_VEHICLE)
-    memory, rows = by_steps.start(1), []
+    memory, rows = AT_FIRST, []
     for k in range(len(times)):
         values = dict.fromkeys(Observation._fields, np.zeros(1))
         psi_m = ground.psi[k] + 0.7
@@ -238,10 +333,10 @@ def test_water_plan_is_the_planners(path):
         for name in ("u", "v", "r"):
             values[f"{name}_R"] = getattr(ground, name)[k : k + 1]
         values |= {"F_uR": ground.F_u[k : k + 1], "F_rR": ground.F_r[k : k + 1]}
-        motion = reference_motion(Observation(**values), PAPER_VEHICLE)
+        motion = reference_motion(Observation(**values), PAPER_VEHICLE.coefficients, ARRAYS)
         derivatives = path.derivatives(times[k : k + 1])
         np.testing.assert_allclose(np.ravel(motion[1:]), derivatives[1:3].ravel(), atol=1e-4)
-        memory, R = by_steps.update(memory, motion, Sea(np.full(1, V[0]), np.full(1, V[1])), np.full(1, dt))
+        memory, R = in_water(memory, motion, Sea(np.full(1, V[0]), np.full(1, V[1])), np.full(1, dt))
         rows.append(np.concatenate(R))
     psi, *others = np.array(rows).T
     assert abs(wrap_angle(psi - water.psi, ARRAYS))[50:].max() < 2e-4
@@ -253,13 +348,13 @@ def test_water_plan_is_the_planners(path):
 def test_water_plan_under_a_sway_load_is_feasible():
     """The planned motion obeys (2b) with the load."""
     n, dt, w = 1, 0.02, 0.8
-    by_steps, memory, rows = WaterPlan(PAPER_VEHICLE), WaterPlan(PAPER_VEHICLE).start(n), []
+    memory, rows = AT_FIRST, []
     still = np.zeros(n)
     for k in range(600):
         t = dt * k
         motion = Motion(still, np.ones(n), still, still, still)
         Y, Y_rate = 20 * np.sin([w * t]), 20 * w * np.cos([w * t])
-        memory, R = by_steps.update(memory, motion, Sea(still, still, Y=Y, Y_rate=Y_rate), np.full(n, dt))
+        memory, R = in_water(memory, motion, Sea(still, still, Y=Y, Y_rate=Y_rate), np.full(n, dt))
         rows.append((*(x[0] for x in R), Y[0]))
     psi, u, v, r, _, _, Y = np.array(rows).T
     V = PAPER_VEHICLE
@@ -275,18 +370,20 @@ class KnownCurrent:
     """The law in the water frame with the current given to it."""
 
     def __init__(self, V):
-        self.V, self.plan = V, WaterPlan(PAPER_VEHICLE)
+        self.V = V
 
     def start(self, n):
-        return self.plan.start(n)
+        return tuple(np.zeros((len(Planned._fields), n)))
 
     def forces(self, o, memory, extra):
         V_x, V_y = (np.full_like(o.u_R, x) for x in self.V)
-        memory, R = self.plan.update(memory, reference_motion(o, PAPER_VEHICLE), Sea(V_x, V_y), o.dt)
+        memory, R = in_water(
+            Planned(*memory), reference_motion(o, PAPER_VEHICLE.coefficients, ARRAYS), Sea(V_x, V_y), o.dt
+        )
         V_u, V_v = to_body(V_x, V_y, o.cos_psi, o.sin_psi)
         psi = np.arctan2(o.sin_psi, o.cos_psi)
         state = (o.e_x, o.e_y, psi, o.u_R + o.u_e - V_u, o.v_R + o.v_e - V_v, o.r_R + o.r_e)
-        return *tracking_forces(water_errors(state, R), PAPER_VEHICLE, FIRM, ARRAYS), memory
+        return *tracking_forces(water_errors(state, R, ARRAYS), PAPER_VEHICLE, FIRM, ARRAYS), memory
 
 
 def test_known_current_leaves_no_error():
@@ -309,6 +406,9 @@ def test_known_current_leaves_no_error():
     assert errors["water"] < 1.5e-4
 
 
+COMPILED = native.compiler() is not None and native.wanted()
+
+
 @pytest.mark.parametrize("name", ["ekf", "current-observer"])
 def test_lanes_do_not_know_each_other(name):
     """A batch is its members one by one, and an episode that begins in one lane begins there anew."""
@@ -326,15 +426,37 @@ def test_lanes_do_not_know_each_other(name):
         for i in range(4):
             one, single[i] = policy.predict(observation[i], single[i], first[i : i + 1])
             alone.append(one)
+        if COMPILED:
+            np.testing.assert_array_equal(action, alone)
         np.testing.assert_allclose(action, alone, atol=1e-5)
         first = np.zeros(4, dtype=bool)
         observation = np.concatenate([env.step(action[i : i + 1])[0] for i, env in enumerate(envs)])
 
 
+def test_without_a_compiler_decisions_are_the_same(monkeypatch):
+    """The printed Python, for several vehicles and for one, on what the compiled law sees over an episode."""
+    env = UnderactuatedAUVTrackVectorEnv(3, ["cruise-storm", "slow-storm", "cruise-actuator"])
+    controller = make_policy("ekf").controller.cruise
+    observation, _ = env.reset(seed=5)
+    memory, seen, decided = controller.start(3), [], []
+    for _ in range(120):
+        o = decode_observation(observation)
+        F_u, F_r, memory = controller.forces(o, memory, np.zeros((3, 0)))
+        seen.append(o)
+        decided.append((F_u, F_r))
+        observation, *_ = env.step(np.stack(action_of((F_u, F_r), o, ARRAYS), axis=1))
+    monkeypatch.setattr(Kernel, "_native", property(lambda _: None))
+    for lanes in (slice(0, 3), slice(1, 2)):
+        memory = controller.start(len(range(3)[lanes]))
+        for o, forces in zip(seen, decided, strict=True):
+            *found, memory = controller.forces(Observation(*(row[lanes] for row in o)), memory, np.zeros((3, 0)))
+            np.testing.assert_allclose(found, np.array(forces)[:, lanes], rtol=1e-9, atol=1e-6)
+
+
 def test_gains_of_the_observer_are_its_poles():
-    gains, dt = dict(load_gains("current-observer", "cruise", OBSERVER_GAINS), fast=1.2, slow=0.4), 0.3
-    copy, follow = CurrentObserver(gains, PAPER_VEHICLE).sampled_gains(np.array([dt]))
-    for axis, drag in enumerate((70 / 215, 100 / 265)):
-        a, l1, l2 = np.exp(-drag * dt), copy[axis, 0], follow[axis, 0]
+    dt = 0.3
+    for drag in (70 / 215, 100 / 265):
+        l1, l2 = sampled_gains(drag, (1.2, 0.4), dt, FLOATS)
+        a = np.exp(-drag * dt)
         errors = np.array([[a * (1 - l1), -l1], [-a * l2, 1 - l2]])  # of velocity and current, from step to step
         np.testing.assert_allclose(np.sort(np.linalg.eigvals(errors)), np.exp([-1.2 * dt, -0.4 * dt]))

@@ -2,6 +2,7 @@
 
 import sys
 
+import casadi
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -9,16 +10,26 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 import baselines
+from auv_gym.codegen.kernel import Kernel
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.namespaces import ARRAYS
 from auv_gym.paths import Circle
 from auv_gym.scenario import Scenario, Start
-from auv_gym.task import SIZE
+from auv_gym.task import SIZE, Observation, action_of, decode_observation
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 from baselines.control.nmpc.casadi_solver import CasadiSolver
 from baselines.control.nmpc.controller import NMPC_GAINS, PREVIEW, one_period_on
-from baselines.control.nmpc.gauss_newton import bounded_minimum, descent, improved, solved, state_derivatives
-from baselines.control.nmpc.problem import COMMANDS, STATES, CostWeights, Horizon, OptimalControl, stage
+from baselines.control.nmpc.gauss_newton import bounded_minimum, descent, improved, solved, stage_jacobian
+from baselines.control.nmpc.problem import (
+    COMMANDS,
+    KNOWN,
+    STATES,
+    CostWeights,
+    Horizon,
+    OptimalControl,
+    Stage,
+    stage,
+)
 from baselines.gains.loading import load_gains
 
 DRAGGY = Vehicle(m11=215.0, m22=265.0, m33=80.0, d11=70.0, d22=100.0, d33=50.0, X_uu=30.0, Y_vv=80.0, N_rr=20.0)
@@ -35,36 +46,98 @@ def random_problem(rng, n, limits=(250.0, 100.0)):
     aim = dt.cumsum(axis=0)[:, None] * np.stack((np.cos(angle), np.sin(angle)), axis=1)
     lag = rng.uniform(0.05, 0.6, n)
     gain = 1 - np.exp(-dt / lag)
-    return start, Horizon(
-        dt=dt,
-        aim=aim,
-        current=np.broadcast_to(rng.normal(0, 0.1, (2, n)), (STAGES, 2, n)),
-        load=rng.normal(0, 5, (STAGES, 3, n)),
-        gain=gain,
-        share=1 - lag / dt * gain,
-        limits=np.tile(np.array(limits)[:, None], n),
+    current, load = rng.normal(0, 0.1, (2, n)), rng.normal(0, 5, (STAGES, 3, n))
+    last = np.tile((np.arange(STAGES) == STAGES - 1.0)[:, None], n)
+    rows = Stage(
+        dt,
+        *aim.transpose(1, 0, 2),
+        *(np.tile(V, (STAGES, 1)) for V in current),
+        *load.transpose(1, 0, 2),
+        gain,
+        1 - lag / dt * gain,
+        last,
     )
+    return start, Horizon(np.stack(rows, axis=1), np.tile(np.array(limits)[:, None], n))
 
 
 # The solver.
+
+
+def stage_slopes(vehicle, state, command, known):
+    """Return what the graph has for the derivatives of a stage, shape (N, STATES, STATES + COMMANDS)."""
+
+    def equation(state, command, known):
+        rows = stage_jacobian(state, command, Stage(*known), vehicle.coefficients)
+        return {"slopes": [x for row in rows for x in row]}
+
+    rows = {"state": STATES, "command": COMMANDS, "known": KNOWN}
+    slopes = Kernel.traced(equation, rows, structural=True, blocked=True)(state=state, command=command, known=known)
+    return slopes["slopes"].T.reshape(-1, STATES, STATES + COMMANDS)
 
 
 @pytest.mark.parametrize("vehicle", [PAPER_VEHICLE, DRAGGY])
 def test_derivatives_are_difference_quotients_of_the_stage(vehicle):
     rng = np.random.default_rng(0)
     start, ahead = random_problem(rng, 5)
-    problem = OptimalControl(vehicle, WEIGHTS)
-    plan = problem.planned(start, rng.normal(0, 40, (STAGES, COMMANDS, 5)), ahead)
-    AB = state_derivatives(problem, plan, ahead)
-    for k in (0, STAGES - 1):
-        known = [rows[k] for rows in ahead[:-1]]
-        both = np.concatenate((plan.states[k], plan.commands[k]))
-        for j in range(STATES + COMMANDS):
-            shift = 1e-4 * np.eye(STATES + COMMANDS)[j][:, None]
-            ends = [
-                np.array(stage(x[:STATES], x[STATES:], known, vehicle, ARRAYS)) for x in (both + shift, both - shift)
-            ]
-            np.testing.assert_allclose(AB[k, :, :, j].T, (ends[0] - ends[1]) / 2e-4, rtol=1e-5, atol=2e-6)
+    both, known = np.concatenate((start, rng.normal(0, 40, (COMMANDS, 5)))), ahead.known[3]
+    AB = stage_slopes(vehicle, both[:STATES], both[STATES:], known)
+    for j in range(STATES + COMMANDS):
+        shift = 1e-4 * np.eye(STATES + COMMANDS)[j][:, None]
+        ends = [
+            np.array(stage(x[:STATES], x[STATES:], Stage(*known), vehicle.coefficients, ARRAYS))
+            for x in (both + shift, both - shift)
+        ]
+        np.testing.assert_allclose(AB[:, :, j].T, (ends[0] - ends[1]) / 2e-4, rtol=1e-7, atol=1e-8)
+
+
+def test_derivatives_are_those_of_casadi():
+    rng = np.random.default_rng(0)
+    start, ahead = random_problem(rng, 3)
+    commands, known = rng.normal(0, 40, (COMMANDS, 3)), ahead.known[3]
+    both, stages = casadi.SX.sym("both", STATES + COMMANDS), casadi.SX.sym("stage", KNOWN)
+    state, command = casadi.vertsplit(both)[:STATES], casadi.vertsplit(both)[STATES:]
+    after = casadi.vertcat(*stage(state, command, Stage(*casadi.vertsplit(stages)), DRAGGY.coefficients, casadi))
+    slopes = casadi.Function("slopes", [both, stages], [casadi.jacobian(after, both)])
+    ours = stage_slopes(DRAGGY, start, commands, known)
+    for i in range(3):
+        expected = slopes(np.append(start[:, i], commands[:, i]), known[:, i])
+        np.testing.assert_allclose(ours[i], np.array(expected), rtol=1e-10, atol=1e-12)
+
+
+def test_descent_is_that_of_a_quadratic_program():
+    """Where no limit is met, step and promise are the least squares of the linearised stages."""
+    rng = np.random.default_rng(3)
+    start, ahead = random_problem(rng, 1, limits=(1e5, 1e5))
+    problem = OptimalControl(DRAGGY, WEIGHTS)
+    plan = problem.planned(start, rng.normal(0, 40, (STAGES, COMMANDS, 1)), ahead)
+    way = descent(problem, plan, ahead)
+    size = STAGES * COMMANDS
+    by_commands, residuals, rows = np.zeros((STATES, size)), [], []
+    for k in range(STAGES):
+        known = Stage(*ahead.known[k, :, 0])
+        choose = np.eye(size)[COMMANDS * k : COMMANDS * (k + 1)]
+        root = np.sqrt(known.dt)
+        missing = plan.commands[k, :, 0] - plan.states[k, 6:, 0]
+        effort = root * np.diag((WEIGHTS.surge, WEIGHTS.yaw))
+        residuals += list(effort @ missing)
+        rows += list(effort @ (choose - by_commands[6:]))
+        f = stage_slopes(DRAGGY, plan.states[k], plan.commands[k], ahead.known[k])[0]
+        by_commands = f[:, :STATES] @ by_commands + f[:, STATES:] @ choose
+        x, y, *_, v, _, _, _ = plan.states[k + 1, :, 0]
+        e = np.array((x - known.aim_x, y - known.aim_y))
+        touching = np.sqrt((known.dt + known.last * WEIGHTS.terminal) / np.sqrt(1 + e @ e / WEIGHTS.huber**2))
+        residuals += [*(touching * e), root * WEIGHTS.sway * v]
+        rows += [*(touching * by_commands[:2]), root * WEIGHTS.sway * by_commands[4]]
+    A, b = np.array(rows), np.array(residuals)
+    best, *_ = np.linalg.lstsq(A, -b, rcond=None)
+    changed = np.zeros(STATES)
+    for k in range(STAGES):  # the recursion's step is for the state that the changes before it lead to
+        feedback = way.feedback[k, :, 0].reshape(COMMANDS, STATES)
+        change = way.step[k, :, 0] + feedback @ changed
+        np.testing.assert_allclose(change, best[COMMANDS * k : COMMANDS * (k + 1)], rtol=1e-6, atol=1e-6)
+        f = stage_slopes(DRAGGY, plan.states[k], plan.commands[k], ahead.known[k])[0]
+        changed = f[:, :STATES] @ changed + f[:, STATES:] @ change
+    np.testing.assert_allclose(way.promise[0], b @ b - np.sum((A @ best + b) ** 2), rtol=1e-8)
 
 
 @given(seed=st.integers(0, 2**31 - 1))
@@ -74,7 +147,8 @@ def test_minimum_within_bounds_is_that_of_scipy(seed):
     root = rng.normal(size=(4, 2, 2)) + 2 * np.eye(2)
     H, g = root.transpose(0, 2, 1) @ root, rng.normal(0, 3, (4, 2))
     low, high = -rng.uniform(0.1, 2, (4, 2)), rng.uniform(0.1, 2, (4, 2))
-    c, free = bounded_minimum(H, g, low, high)
+    c, free = bounded_minimum((H[:, 0, 0], H[:, 0, 1], H[:, 1, 1]), g.T, low.T, high.T, ARRAYS)
+    c, free = np.array(c).T, np.array(free).T
     for i in range(4):
         expected = lsq_linear(root[i], -np.linalg.solve(root[i].T, g[i]), (low[i], high[i]), tol=1e-14).x
         np.testing.assert_allclose(c[i], expected, atol=1e-6)
@@ -219,6 +293,27 @@ def test_a_spin_beyond_prediction_is_left_to_the_law():
     rows[0, 3:6] = np.array((16.0, 16.0, 8.0)) * (2, 2, 8)
     action, _ = policy.predict(rows)
     np.testing.assert_array_equal(action[0], law.predict(rows[0])[0])
+
+
+def test_without_a_compiler_decisions_are_the_same(monkeypatch):
+    """The printed Python, for several vehicles and for one, on what the compiled one sees."""
+    env = UnderactuatedAUVTrackVectorEnv(2, ["cruise-storm", "slow-storm"], preview=PREVIEW)
+    controller = baselines.make_policy("nmpc").controller.cruise
+    observation, _ = env.reset(seed=5)
+    memory, seen, decided = controller.start(2), [], []
+    for _ in range(25):
+        o = decode_observation(observation)
+        F_u, F_r, memory = controller.forces(o, memory, observation[:, SIZE:])
+        seen.append((o, observation[:, SIZE:]))
+        decided.append((F_u, F_r))
+        observation, *_ = env.step(np.stack(action_of((F_u, F_r), o, ARRAYS), axis=1))
+    monkeypatch.setattr(Kernel, "_native", property(lambda _: None))
+    for lanes in (slice(0, 2), slice(1, 2)):
+        memory = controller.start(len(range(2)[lanes]))
+        for (o, extra), forces in zip(seen, decided, strict=True):
+            own = Observation(*(row[lanes] for row in o))
+            *found, memory = controller.forces(own, memory, extra[lanes])
+            np.testing.assert_allclose(found, np.array(forces)[:, lanes], rtol=1e-9, atol=1e-6)
 
 
 def test_casadi_steers_alike():

@@ -49,6 +49,7 @@ EXPONENTIAL = (
     -1.65339022054652515390e-06,
     4.13813679705723846039e-08,
 )
+"""Coefficients of r coth(r/2) - 2 in r^2, from the first power on."""
 LEAST_POWER = {"float64": -1022, "float32": -126}
 """Exponent of the least normal number, by precision; that of the largest one is 1 more than its magnitude."""
 ARCTANGENT = (
@@ -58,6 +59,7 @@ ARCTANGENT = (
     -1.615753718733365076637e01,
     -8.750608600031904122785e-01,
 )
+"""Coefficients of a numerator in t^2; over `ARCTANGENT_BELOW` it is (arctan(t)/t - 1)/t^2 up to t = 0.66."""
 ARCTANGENT_BELOW = (
     1.945506571482613964425e02,
     4.853903996359136964868e02,
@@ -66,6 +68,7 @@ ARCTANGENT_BELOW = (
     2.485846490142306297962e01,
     1.0,
 )
+"""Coefficients of the denominator."""
 
 
 def _polynomial(z: Number, coefficients: Sequence[float]) -> Number:
@@ -113,12 +116,13 @@ def exponential(x: Number, precision: str, ns: Namespace) -> Number:
 
 
 def _power_of_two(k: Number, least: int, ns: Namespace) -> Number:
-    """Return 2^k for a whole k from `least` to 1 - `least`, bit by bit: that vectorises everywhere."""
-    half = 2 ** (1 - least).bit_length() // 2
-    left, power = k - float(least), 2.0**least
-    for step in (half, half, *(half >> j for j in range(half.bit_length()))):
-        taken = left >= float(step)
-        left, power = ns.where(taken, left - float(step), left), ns.where(taken, power * 2.0**step, power)
+    """Return 2^k for a whole k from `least` to 1 - `least`, bit by bit: a choice would keep gcc from vectorising."""
+    left, power, bits = k - float(least), 2.0**least, (1 - least).bit_length()
+    for j in range(bits + 1):
+        half = ns.floor(0.5 * left)
+        bit, left = left - 2.0 * half, half
+        for _ in range(1 + (j == bits)):  # twice the largest power that is a number
+            power = power * (1.0 + bit * (2.0**2 ** min(j, bits - 1) - 1.0))
     return power
 
 

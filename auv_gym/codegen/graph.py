@@ -284,7 +284,20 @@ def _arcsin(x: Any) -> Any:
     return SYMBOLS.arctan2(x, SYMBOLS.sqrt((1.0 - x) * (1.0 + x)))
 
 
-_ELEMENTARY = map(_applied, ("sin", "cos", "sqrt", "exp", "log", "floor", "clip", "where"))
-_FUNCTIONS: list[Callable[..., Any]] = [*_ELEMENTARY, _scaled, _bounded, list, _hypot, _applied("arctan2"), _arcsin]
-SYMBOLS = Namespace(*_FUNCTIONS)
+SYMBOLS = Namespace(
+    sin=_applied("sin"),
+    cos=_applied("cos"),
+    sqrt=_applied("sqrt"),
+    exp=_applied("exp"),
+    log=_applied("log"),
+    hypot=_hypot,
+    arctan2=_applied("arctan2"),
+    arcsin=_arcsin,
+    floor=_applied("floor"),
+    clip=_applied("clip"),
+    where=_applied("where"),
+    scaled=_scaled,
+    bounded=_bounded,
+    stack=list,
+)
 """The namespace of symbols."""

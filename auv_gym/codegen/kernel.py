@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.codegen import native
+from auv_gym.codegen.blocks import c_block_function
 from auv_gym.codegen.elementary import lowered
 from auv_gym.codegen.graph import Graph, Symbol
 from auv_gym.codegen.printing import NUMPY, PYTHON, Arrays, Language, Layout, c_function, python_function
@@ -24,6 +25,7 @@ Equation = Callable[..., Mapping[str, Sequence[Any]]]
 Run = Callable[[int, int], None]
 """Goes through so many steps from a first one on: `run(first, steps)`."""
 
+_REAL = {name: np.dtype(name) for name in ("float32", "float64")}
 _FLOAT_SPACE = {name: getattr(math, name) for name in ("sin", "cos", "exp", "log", "sqrt", "inf", "nan")}
 
 
@@ -53,6 +55,7 @@ class Kernel:
         precision: str = "float64",
         back: bool = False,
         structural: bool = False,
+        blocked: bool = False,
     ) -> Kernel:
         """Return the kernel of an equation, which is run once, on symbols.
 
@@ -64,13 +67,13 @@ class Kernel:
             precision: of all numbers, "float64" or "float32".
             back: whether to go from the last step to the first.
             structural: see `Graph`.
+            blocked: whether to go through eight vehicles at a time: for equations of more than a hundred rows.
         """
         graph = Graph(structural)
         arguments = {array: [graph.input(f"{array}_{j}") for j in range(n)] for array, n in rows.items()}
         results = {array: [graph.symbol(x) for x in given] for array, given in equation(**arguments).items()}
-        return cls(
-            "auv_kernel", graph, arguments, results, Layout(frozenset(over_time), frozenset(shared), precision, back)
-        )
+        layout = Layout(frozenset(over_time), frozenset(shared), precision, back, blocked)
+        return cls("auv_kernel", graph, arguments, results, layout)
 
     @cached_property
     def rows(self) -> dict[str, int]:
@@ -85,7 +88,8 @@ class Kernel:
         for array, entries in self.results.items():
             results[array], at = flat[at : at + len(entries)], at + len(entries)
         real = "float" if self.layout.precision == "float32" else "double"
-        body = c_function(self.name, self.graph, self.arguments, results, self.layout)
+        printed = c_block_function if self.layout.blocked else c_function
+        body = printed(self.name, self.graph, self.arguments, results, self.layout)
         return f"#include <math.h>\n#include <stdint.h>\ntypedef {real} real;\n{body}"
 
     @property
@@ -147,17 +151,20 @@ class Kernel:
                 entries += [stride // arrays[name].itemsize for stride in arrays[name].strides[:-1]]
         return (ctypes.c_int64 * len(entries))(*entries)
 
+    @cached_property
+    def _axes(self) -> list[tuple[str, int, int]]:
+        """Name, rows and number of axes of each array."""
+        return [(name, rows, self.layout.axes(name)) for name, rows in self.rows.items()]
+
     def _checked(self, arrays: Mapping[str, Array]) -> int:
         """Return the number of vehicles of well-formed arrays."""
-        if set(arrays) != set(self.rows):
+        if arrays.keys() != self.rows.keys():
             raise ValueError(f"the kernel takes arrays {', '.join(self.rows)}; given are {', '.join(arrays)}")
         n: int = next(a.shape[-1] for name, a in arrays.items() if name not in self.layout.shared)
-        for name, rows in self.rows.items():
-            array, shape = arrays[name], ("T", rows, n)[3 - (axes := self.layout.axes(name)) :]
-            if name in self.layout.shared:
-                shape = (rows,)
-            known = array.shape[1:] == shape[1:] if axes > 2 else array.shape == shape
-            if array.dtype != self.layout.precision or array.ndim != axes or not known:
+        real = _REAL[self.layout.precision]
+        for name, rows, axes in self._axes:
+            array, shape = arrays[name], ("T", rows, n)[3 - axes :] if axes > 1 else (rows,)
+            if array.dtype != real or array.ndim != axes or array.shape[-2:] != shape[-2:]:
                 raise ValueError(
                     f"array {name} is of type {array.dtype} and shape {array.shape}; it must be of type "
                     f"{self.layout.precision} and of shape ({', '.join(map(str, shape))}{',' * (axes == 1)})"
@@ -228,17 +235,21 @@ class Kernel:
 
     def __call__(self, steps: int = 1, /, **arguments: Array) -> dict[str, Array]:
         """Return new arrays with the results of the first `steps` steps, for arguments that stay as they are."""
-        given = {name: np.ascontiguousarray(a, dtype=self.layout.precision) for name, a in arguments.items()}
+        real = _REAL[self.layout.precision]
+        given = {name: np.ascontiguousarray(a, dtype=real) for name, a in arguments.items()}
         n = next(a.shape[-1] for name, a in given.items() if name not in self.layout.shared)
-        results = {
-            name: np.array(given[name]) if name in given else self._empty(name, steps, n) for name in self.results
-        }
-        self.bound(**{**given, **results})(0, steps)
+        results = {name: given[name].copy() if name in given else self._empty(name, steps, n) for name in self.results}
+        arrays = {**given, **results}
+        if (function := self._native) is None:
+            self.bound(**arrays)(0, steps)
+        else:  # sooner than by `bound`
+            table = self._table(arrays, self._checked(arrays))
+            function(ctypes.c_void_p(ctypes.addressof(table)), 0, steps)
         return results
 
     def _empty(self, name: str, steps: int, n: int) -> Array:
         shape = (steps, self.rows[name], n) if name in self.layout.over_time else (self.rows[name], n)
-        return np.empty(shape, dtype=self.layout.precision)
+        return np.empty(shape, dtype=_REAL[self.layout.precision])
 
 
 def _floor(x: float) -> float:

@@ -150,17 +150,30 @@ class Layout:
     shared: frozenset[str]  # names of arrays that hold one number a row for all vehicles
     precision: str  # of all numbers, "float64" or "float32"
     back: bool  # whether the steps are taken from the last one to the first
+    blocked: bool = False  # whether the C goes through eight vehicles at a time, see `blocks`
 
     def axes(self, array: str) -> int:
         """Return how many axes an array has: (rows, n), (T, rows, n) if over time, (rows,) if shared."""
         return 2 + (array in self.over_time) - (array in self.shared)
 
-    def entry(self, array: str, row: int) -> str:
+    def entry(self, array: str, row: int | str) -> str:
         """Return a row of an array in C, for vehicle i at step k."""
         if array in self.shared:
             return f"{array}[{row}]"
         time = f"k * {array}_time + " if array in self.over_time else ""
         return f"{array}[{time}{row} * {array}_row + i]"
+
+
+def c_opening(name: str, arguments: Arrays, results: Arrays, layout: Layout) -> list[str]:
+    """Return the first lines of a C function, see `c_function`: where each array is, and its strides."""
+    lines, at = [f"void {name}(const int64_t *at, int first, int steps)", "{", "const long n = (long)at[0];"], 1
+    for array in {**arguments, **results}:
+        kind = f"{'' if array in results else 'const '}real *restrict"
+        lines.append(f"{kind} {array} = ({kind})at[{at}];")
+        strides = (f"{array}_time", f"{array}_row")[3 - layout.axes(array) :]
+        lines += [f"const long {stride} = (long)at[{at + 1 + j}];" for j, stride in enumerate(strides)]
+        at += 1 + len(strides)
+    return lines
 
 
 def c_function(name: str, graph: Graph, arguments: Arrays, results: Arrays, layout: Layout) -> str:
@@ -180,25 +193,14 @@ def c_function(name: str, graph: Graph, arguments: Arrays, results: Arrays, layo
         results: the arrays that it writes.
         layout: of the arrays.
     """
-    kinds = {array: f"{'' if array in results else 'const '}real *restrict" for array in {**arguments, **results}}
-    heads, at = [], 1
-    for array, kind in kinds.items():
-        heads += [f"{kind} {array} = ({kind})at[{at}];"]
-        strides = (f"{array}_time", f"{array}_row")[3 - layout.axes(array) :]
-        heads += [f"const long {stride} = (long)at[{at + 1 + j}];" for j, stride in enumerate(strides)]
-        at += 1 + len(strides)
     wanted = [s for entries in results.values() for s in entries]
     read = {graph.nodes[i][1] for i in graph.needed(s.index for s in wanted) if graph.nodes[i][0] == "input"}
     given = {s.node[1]: layout.entry(array, j) for array, own in arguments.items() for j, s in enumerate(own)}
     statements, texts = written(graph, wanted, c_language(layout.precision), {entry: entry for entry in read})
-    step = "first + steps - 1 - j" if layout.back else "first + j"
     lines = [
-        f"void {name}(const int64_t *at, int first, int steps)",
-        "{",
-        "const long n = (long)at[0];",
-        *heads,
+        *c_opening(name, arguments, results, layout),
         "for (long j = 0; j < steps; j++) {",
-        f"const long k = {step};",
+        f"const long k = {'first + steps - 1 - j' if layout.back else 'first + j'};",
         "#pragma omp simd",
         "for (long i = 0; i < n; i++) {",
     ]

@@ -13,18 +13,23 @@ mistaken for current.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from functools import partial
+from collections.abc import Mapping, Sequence
+from functools import cache, partial
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from auv_gym.codegen.graph import SYMBOLS, Symbol
+from auv_gym.codegen.kernel import Kernel
 from auv_gym.dynamics import rk4_step
 from auv_gym.errors import to_body, to_world
-from auv_gym.namespaces import ARRAYS
+from auv_gym.namespaces import Namespace, Number
 from auv_gym.task import Observation, V
-from auv_gym.vehicle import Vehicle
-from baselines.control.backstepping import UNDAMPED_GAINS, tracking_forces, undamped
-from baselines.estimation.water_frame import Sea, WaterPlan, reference_motion, water_errors
+from auv_gym.vehicle import Coefficients, Vehicle
+from baselines.control.backstepping import UNDAMPED_GAINS, Gains, tracking_forces
+from baselines.control.ekf_law import undamped_symbols
+from baselines.estimation.kalman import VEHICLE_ROWS, repeated
+from baselines.estimation.water_frame import Planned, Sea, planned, reference_motion, water_errors
 from baselines.gains.loading import tuned_policy
 from baselines.policy import Array, Memory
 
@@ -32,65 +37,121 @@ OBSERVER_GAINS = (*UNDAMPED_GAINS, "fast", "slow")
 """Names of the gains: the law's, see `backstepping.undamped`, and the observer's poles [1/s]."""
 
 
+class Observed(NamedTuple):
+    """What the observer remembers."""
+
+    begun: Number  # 1 once it has run, 0 before
+    u: Number  # [m/s] of the copy, relative to the water
+    v: Number  # [m/s]
+    psi: Number  # [rad] measured
+    r: Number  # [rad/s] measured
+    V_x: Number  # [m/s] the current c in the world
+    V_y: Number  # [m/s]
+
+
 class CurrentObserver:
     """The law with its observer, a `Controller`.
 
-    Its memory: whether it has run, (N,); the copy's u, v and the measured psi, r, (N, 4); the current c in the world,
-    (N, 2); then the memory of its `WaterPlan`.
+    Its memory: the rows of an `Observed`, shape (N, 7); those of the planner, a `water_frame.Planned`, shape (N, 7).
     """
 
     def __init__(self, gains: Mapping[str, float], vehicle: Vehicle) -> None:
         """Make the controller; its gains are named in `OBSERVER_GAINS`."""
-        self.gains = undamped(gains)
-        self.vehicle, self.plan = vehicle, WaterPlan(vehicle)
-        self._poles = gains["fast"], gains["slow"]
-        self._drag = np.array((vehicle.d11 / vehicle.m11, vehicle.d22 / vehicle.m22))[:, None]
+        self._known = np.array((*vehicle.coefficients, *(gains[name] for name in OBSERVER_GAINS)))[:, None]
 
     def start(self, n: int) -> Memory:
         """Return the memory at the start of n episodes."""
-        return np.zeros(n), np.zeros((n, 4)), np.zeros((n, 2)), *self.plan.start(n)
+        return np.zeros((len(Observed._fields), n)).T, np.zeros((len(Planned._fields), n)).T
 
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
         """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
-        begun, copy, current, *planned = memory
-        (u, v), (V_x, V_y) = self.observe(o, begun, copy, current)
-        motion = reference_motion(o, self.vehicle)
-        psi = motion.psi + o.psi_e
-        plan, R = self.plan.update(tuple(planned), motion, Sea(V_x, V_y), o.dt)
-        V_u, V_v = to_body(V_x, V_y, o.cos_psi, o.sin_psi)
-        u_ground, v_ground = o.u_R + o.u_e, o.v_R + o.v_e
-        errors = water_errors((o.e_x, o.e_y, psi, u_ground - V_u, v_ground - V_v, o.r_R + o.r_e), R)
-        F_u, F_r = tracking_forces(errors, self.vehicle, self.gains, ARRAYS)
-        copy = np.stack((u, v, psi, o.r_R + o.r_e), axis=1)
-        return F_u, F_r, (np.ones_like(u), copy, np.stack((V_x, V_y), axis=1), *plan)
+        seen, plan = memory
+        terms = np.array(o)
+        known = repeated(self._known, terms.shape[1])
+        found = observer_kernel()(o=terms, known=known, seen=seen.T, plan=plan.T)
+        F_u, F_r = found["force"]
+        return F_u, F_r, (found["seen"].T, found["plan"].T)
 
-    def observe(self, o: Observation, begun: Array, copy: Array, current: Array) -> tuple[Array, Array]:
-        """Return the copy's u, v and the current V_x, V_y [m/s] after one more observation, each of shape (2, N).
 
-        Args:
-            o: the observation.
-            begun: whether the observer has run, shape (N,).
-            copy: the copy's u, v [m/s] and the measured psi [rad], r [rad/s], shape (N, 4).
-            current: V_x, V_y [m/s] as observed so far, shape (N, 2).
-        """
-        copy_gain, follow = self.sampled_gains(o.dt)
-        u, v, psi, r = copy.T
-        load = (o.a_u * o.F_u_max, 0.0, o.a_r * o.F_r_max)
-        still = np.zeros_like(u)
-        _, _, _, u, v, _ = rk4_step((still, still, psi, u, v, r), load, self.vehicle.coefficients, o.dt, ns=np)
-        measured = np.array((o.u_R + o.u_e, o.v_R + o.v_e))
-        model = np.where(begun, np.array((u, v)), measured)
-        V_x, V_y = current.T
-        nu = measured - model - np.array(to_body(V_x, V_y, o.cos_psi, o.sin_psi))
-        pull_u, pull_v = follow * nu
-        c = current.T + np.array(to_world(pull_u, pull_v, o.cos_psi, o.sin_psi))
-        return np.clip(model + copy_gain * nu, -V, V), np.clip(c, -V, V)  # finite even where the vehicle spins
+@cache
+def observer_kernel() -> Kernel:
+    """Return the kernel of observer and law, which takes observation, vehicle and gains, and what is remembered."""
 
-    def sampled_gains(self, dt: Array) -> tuple[Array, Array]:
-        """Return what nu adds to the copy's u, v and to the current in a period of dt [s], each of shape (2, N)."""
-        a, fast, slow = np.exp(-self._drag * dt), *(np.exp(-pole * dt) for pole in self._poles)
-        follow = (1 - fast) * (1 - slow) / (1 - a)
-        return 1 - fast * slow / a - follow, follow
+    def equation(
+        o: Sequence[Symbol], known: Sequence[Symbol], seen: Sequence[Symbol], plan: Sequence[Symbol]
+    ) -> Mapping[str, Sequence[Any]]:
+        coefficients, (*gains, fast, slow) = Coefficients(*known[:VEHICLE_ROWS]), known[VEHICLE_ROWS:]
+        terms, ns = Observation(*o), SYMBOLS
+        after = observed(terms, Observed(*seen), (fast, slow), coefficients, ns)
+        following, force = law_forces(terms, after, Planned(*plan), coefficients, undamped_symbols(gains), ns)
+        return {"seen": after, "plan": following, "force": force}
+
+    rows = {"o": len(Observation._fields), "known": VEHICLE_ROWS + len(OBSERVER_GAINS)}
+    rows |= {"seen": len(Observed._fields), "plan": len(Planned._fields)}
+    return Kernel.traced(equation, rows, structural=True, blocked=True)
+
+
+def law_forces(
+    o: Observation, seen: Observed, plan: Planned, coefficients: Coefficients, gains: Gains, ns: Namespace
+) -> tuple[Planned, tuple[Number, Number]]:
+    """Return what the planner remembers, and F_u [N], F_r [N m].
+
+    Args:
+        o: the observation in SI units.
+        seen: the observer with it.
+        plan: what the planner remembers.
+        coefficients: of the vehicle.
+        gains: of the law.
+        ns: the namespace of the numbers.
+    """
+    motion, sea = reference_motion(o, coefficients, ns), Sea(seen.V_x, seen.V_y)
+    plan, R = planned(plan, motion, sea, o.dt, coefficients, ns)
+    V_u, V_v = to_body(seen.V_x, seen.V_y, o.cos_psi, o.sin_psi)
+    errors = water_errors((o.e_x, o.e_y, seen.psi, o.u_R + o.u_e - V_u, o.v_R + o.v_e - V_v, seen.r), R, ns)
+    return plan, tracking_forces(errors, cast(Vehicle, coefficients), gains, ns)
+
+
+def observed(
+    o: Observation, before: Observed, poles: tuple[Number, Number], coefficients: Coefficients, ns: Namespace
+) -> Observed:
+    """Return the observer after one more observation.
+
+    Args:
+        o: the observation in SI units.
+        before: zeros at the start of an episode, or as the last call returned it.
+        poles: fast and slow [1/s].
+        coefficients: of the vehicle.
+        ns: the namespace of the numbers.
+    """
+    c = coefficients
+    load = (o.a_u * o.F_u_max, 0.0, o.a_r * o.F_r_max)
+    hull = (0.0, 0.0, before.psi, before.u, before.v, before.r)
+    _, _, _, u, v, _ = rk4_step(hull, load, c, o.dt, ns=ns)
+    measured_u, measured_v = o.u_R + o.u_e, o.v_R + o.v_e
+    u, v = (ns.where(before.begun > 0.0, a, b) for a, b in ((u, measured_u), (v, measured_v)))
+    V_u, V_v = to_body(before.V_x, before.V_y, o.cos_psi, o.sin_psi)
+    nu_u, nu_v = measured_u - u - V_u, measured_v - v - V_v
+    copy_u, follow_u = sampled_gains(c.d11 / c.m11, poles, o.dt, ns)
+    copy_v, follow_v = sampled_gains(c.d22 / c.m22, poles, o.dt, ns)
+    x, y = to_world(follow_u * nu_u, follow_v * nu_v, o.cos_psi, o.sin_psi)
+    found = u + copy_u * nu_u, v + copy_v * nu_v, before.V_x + x, before.V_y + y
+    u, v, V_x, V_y = (ns.clip(velocity, -V, V) for velocity in found)  # finite even where the vehicle spins
+    psi = ns.arctan2(o.sin_psi, o.cos_psi)
+    return Observed(ns.where(before.begun > 0.0, before.begun, 1.0), u, v, psi, o.r_R + o.r_e, V_x, V_y)
+
+
+def sampled_gains(drag: Number, poles: tuple[Number, Number], dt: Number, ns: Namespace) -> tuple[Number, Number]:
+    """Return what nu adds on an axis to the copy's velocity and to the current in a period.
+
+    Args:
+        drag: over the inertia [1/s].
+        poles: fast and slow [1/s].
+        dt: control period [s].
+        ns: the namespace of the numbers.
+    """
+    a, (fast, slow) = ns.exp(-drag * dt), (ns.exp(-pole * dt) for pole in poles)
+    follow = (1 - fast) * (1 - slow) / (1 - a)
+    return 1 - fast * slow / a - follow, follow
 
 
 make_current_observer = partial(tuned_policy, "current-observer", OBSERVER_GAINS, CurrentObserver)

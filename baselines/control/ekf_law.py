@@ -6,61 +6,115 @@ runs ahead of the actuators by what they are behind, as far as their lag is know
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import fields
-from functools import partial
+from collections.abc import Mapping, Sequence
+from functools import cache, partial
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 
+from auv_gym.codegen.graph import SYMBOLS, Symbol
+from auv_gym.codegen.kernel import Kernel
 from auv_gym.errors import to_body
-from auv_gym.namespaces import ARRAYS
+from auv_gym.namespaces import Namespace, Number
 from auv_gym.task import Observation
-from auv_gym.vehicle import Vehicle
-from baselines.control.backstepping import UNDAMPED_GAINS, tracking_forces, undamped
-from baselines.estimation.kalman import ExtendedKalmanFilter, Tuning
-from baselines.estimation.sea_model import WAVE_FREQUENCY, Estimate, wave_transition, waves_after
-from baselines.estimation.water_frame import Sea, WaterPlan, reference_motion, water_errors
+from auv_gym.vehicle import Coefficients, Vehicle
+from baselines.control.backstepping import UNDAMPED_GAINS, Gains, tracking_forces, undamped
+from baselines.estimation.kalman import TUNING, VEHICLE_ROWS, ExtendedKalmanFilter, Tuning, repeated
+from baselines.estimation.sea_model import SIZE, WAVE_FREQUENCY, Estimate, wave_transition, waves_after
+from baselines.estimation.water_frame import Planned, Sea, planned, reference_motion, water_errors
 from baselines.gains.loading import tuned_policy
 from baselines.policy import Array, Memory
 
-FILTER_GAINS = tuple(field.name for field in fields(Tuning))  # names of the filter's gains
-EKF_GAINS = (*UNDAMPED_GAINS, "lead", *FILTER_GAINS)
+LAW_GAINS = (*UNDAMPED_GAINS, "lead")  # names of the law's own gains
+EKF_GAINS = (*LAW_GAINS, *TUNING)
 """Names of the gains: the law's, see `backstepping.undamped`; `lead` [1/s], how fast the actuators' force is to
 approach what the law asks for; and the filter's `Tuning`."""
 
 
 class EkfLaw:
-    """The law with its filter, a `Controller`; its memory is that of the filter, then that of its `WaterPlan`."""
+    """The law with its filter, a `Controller`.
+
+    Its memory is that of the filter, then that of the planner in the water frame, the rows of a `water_frame.Planned`,
+    shape (N, 7).
+    """
 
     def __init__(self, gains: Mapping[str, float], vehicle: Vehicle) -> None:
         """Make the controller; its gains are named in `EKF_GAINS`."""
-        self.vehicle, self.lead = vehicle, gains["lead"]
-        self.gains = undamped(gains)
-        self.filter = ExtendedKalmanFilter(vehicle, Tuning(**{name: gains[name] for name in FILTER_GAINS}))
-        self.plan = WaterPlan(vehicle)
+        self.vehicle, self.gains = vehicle, undamped(gains)
+        self.filter = ExtendedKalmanFilter(vehicle, Tuning(**{name: gains[name] for name in TUNING}))
+        self._known = np.array((*vehicle.coefficients, *(gains[name] for name in LAW_GAINS)))[:, None]
 
     def start(self, n: int) -> Memory:
         """Return the memory at the start of n episodes."""
-        return self.filter.start(n) + self.plan.start(n)
+        return *self.filter.start(n), np.zeros((len(Planned._fields), n)).T
 
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
         """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
-        split = self.filter.MEMORY
-        motion = reference_motion(o, self.vehicle)
-        believed, z = self.filter.update(memory[:split], o, motion)
-        X, N, sea = foreseen_sea(z, o.dt)
-        plan, R = self.plan.update(memory[split:], motion, sea, o.dt)
-        e_x, e_y = to_body(z.x_e, z.y_e, np.cos(z.psi), np.sin(z.psi))
-        errors = water_errors((e_x, e_y, z.psi, z.u, z.v, z.r), R)
-        F_u, F_r = tracking_forces(errors, self.vehicle, self.gains, ARRAYS)
-        F_u, F_r = F_u - X, F_r - N
-        ahead = self.lead * z.lag
-        return F_u + ahead * (F_u - z.F_u), F_r + ahead * (F_r - z.F_r), believed + plan
+        *believed, plan = memory
+        terms = np.array(o)
+        after, z = self.filter.update(tuple(believed), terms)
+        found = law_kernel()(o=terms, known=repeated(self._known, terms.shape[1]), z=z, plan=plan.T)
+        F_u, F_r = found["force"]
+        return F_u, F_r, (*after, found["plan"].T)
 
 
-def foreseen_sea(z: Estimate, dt: Array) -> tuple[Array, Array, Sea]:
+@cache
+def law_kernel() -> Kernel:
+    """Return the kernel of the law, which takes observation, vehicle and gains, the filter's state and the plan."""
+
+    def equation(
+        o: Sequence[Symbol], known: Sequence[Symbol], z: Sequence[Symbol], plan: Sequence[Symbol]
+    ) -> Mapping[str, Sequence[Any]]:
+        coefficients = Coefficients(*known[:VEHICLE_ROWS])
+        *gains, lead = known[VEHICLE_ROWS:]
+        law = undamped_symbols(gains)
+        after, force = law_forces(Observation(*o), Estimate(*z), Planned(*plan), coefficients, law, lead, SYMBOLS)
+        return {"plan": after, "force": force}
+
+    rows = {"o": len(Observation._fields), "known": VEHICLE_ROWS + len(LAW_GAINS), "z": SIZE}
+    return Kernel.traced(equation, {**rows, "plan": len(Planned._fields)}, structural=True, blocked=True)
+
+
+def undamped_symbols(gains: Sequence[Symbol]) -> Gains:
+    """Return what `backstepping.undamped` does for the gains `UNDAMPED_GAINS` as symbols."""
+    named = dict(zip(UNDAMPED_GAINS, gains, strict=True))
+    return cast(Gains, SimpleNamespace(k1=0.0, ku=0.0, kc=0.0, **named))
+
+
+def law_forces(
+    o: Observation,
+    z: Estimate,
+    plan: Planned,
+    coefficients: Coefficients,
+    gains: Gains,
+    lead: Number,
+    ns: Namespace,
+) -> tuple[Planned, tuple[Number, Number]]:
+    """Return what the planner remembers, and F_u [N], F_r [N m].
+
+    Args:
+        o: the observation in SI units.
+        z: what the filter believes with it.
+        plan: what the planner remembers.
+        coefficients: of the vehicle.
+        gains: of the law.
+        lead: [1/s], see `EKF_GAINS`.
+        ns: the namespace of the numbers.
+    """
+    X, N, sea = foreseen_sea(z, o.dt, ns)
+    plan, R = planned(plan, reference_motion(o, coefficients, ns), sea, o.dt, coefficients, ns)
+    e_x, e_y = to_body(z.x_e, z.y_e, ns.cos(z.psi), ns.sin(z.psi))
+    errors = water_errors((e_x, e_y, z.psi, z.u, z.v, z.r), R, ns)
+    F_u, F_r = tracking_forces(errors, cast(Vehicle, coefficients), gains, ns)
+    F_u, F_r = F_u - X, F_r - N
+    ahead = lead * z.lag
+    return plan, (F_u + ahead * (F_u - z.F_u), F_r + ahead * (F_r - z.F_r))
+
+
+def foreseen_sea(z: Estimate, dt: Number, ns: Namespace) -> tuple[Number, Number, Sea]:
     """Return surge load X [N] and yaw load N [N m] in the middle of the coming period, and what to plan for."""
-    X_wave, _, Y_wave, Y_swing, N_wave, _ = waves_after(z, wave_transition(0.5 * dt))
+    X_wave, _, Y_wave, Y_swing, N_wave, _ = waves_after(z, wave_transition(0.5 * dt, ns))
     Y_rate = WAVE_FREQUENCY * Y_swing
     return z.X + X_wave, z.N + N_wave, Sea(z.V_x, z.V_y, z.V_x_rate, z.V_y_rate, z.Y + Y_wave, Y_rate)
 

@@ -258,4 +258,4 @@ def _sine_of_sideslip(along: PathRates, vehicle: Vehicle, Y: Array, h: float) ->
     rest = rest_of(w[0], 0)
     for j in range(1, len(w)):
         w[j], rest = sideslip_step(w[j - 1], rest, partial(rest_of, j=j), vehicle.d22 / Dm * h, LARGEST_SINE)
-    return w
+    return np.asarray(w)

@@ -10,19 +10,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 from auv_gym.dynamics import rates
 from auv_gym.errors import to_world
-from auv_gym.namespaces import ARRAYS, wrap_angle
-from auv_gym.planner import PathRates, assemble, path_rates, sideslip_rest, sideslip_step, sideslip_terms, slow_sideslip
+from auv_gym.namespaces import ARRAYS, Namespace, Number, wrap_angle
+from auv_gym.planner import (
+    PathRates,
+    in_sideslip,
+    path_rates,
+    sideslip_rest,
+    sideslip_step,
+    sideslip_terms,
+    steady_sideslip,
+)
 from auv_gym.task import Observation
-from auv_gym.vehicle import Vehicle
-from baselines.policy import Array, Memory
+from auv_gym.vehicle import Coefficients
 
 LARGEST_CURRENT = 0.85
 """Largest current that is planned for, as a share of the reference's speed: forward motion needs one below 1."""
@@ -33,130 +37,131 @@ LARGEST_SINE = math.sin(1.2)
 
 
 class Motion(NamedTuple):
-    """How the reference moves over ground, in the world: rows of shape (N,)."""
+    """How the reference moves over ground, in the world."""
 
-    psi: Array  # [rad]
-    v_x: Array  # [m/s]
-    v_y: Array  # [m/s]
-    a_x: Array  # [m/s^2]
-    a_y: Array  # [m/s^2]
+    psi: Number  # [rad]
+    v_x: Number  # [m/s]
+    v_y: Number  # [m/s]
+    a_x: Number  # [m/s^2]
+    a_y: Number  # [m/s^2]
 
 
 class Sea(NamedTuple):
-    """What acts on the vehicle, as it is believed to be: rows of shape (N,)."""
+    """What acts on the vehicle, as it is believed to be."""
 
-    V_x: Array  # [m/s] current, in the world
-    V_y: Array  # [m/s]
-    V_x_rate: Array | float = 0.0  # [m/s^2]
-    V_y_rate: Array | float = 0.0
-    Y: Array | float = 0.0  # [N] sway force on the hull
-    Y_rate: Array | float = 0.0  # [N/s]
+    V_x: Number  # [m/s] current, in the world
+    V_y: Number  # [m/s]
+    V_x_rate: Number = 0.0  # [m/s^2]
+    V_y_rate: Number = 0.0
+    Y: Number = 0.0  # [N] sway force on the hull
+    Y_rate: Number = 0.0  # [N/s]
 
 
 class WaterReference(NamedTuple):
-    """The reference relative to the water, the fields of an `Observation`: rows of shape (N,)."""
+    """The reference relative to the water, the fields of an `Observation`."""
 
-    psi: Array  # [rad]
-    u_R: Array  # [m/s]
-    v_R: Array  # [m/s]
-    r_R: Array  # [rad/s]
-    F_uR: Array  # [N] (16a)
-    F_rR: Array  # [N m] (16b)
+    psi: Number  # [rad]
+    u_R: Number  # [m/s]
+    v_R: Number  # [m/s]
+    r_R: Number  # [rad/s]
+    F_uR: Number  # [N] (16a)
+    F_rR: Number  # [N m] (16b)
 
 
-def reference_motion(o: Observation, vehicle: Vehicle) -> Motion:
-    """Return how the reference moves at this instant; `vehicle` is the one that it was planned for.
+def reference_motion(o: Observation, coefficients: Coefficients, ns: Namespace) -> Motion:
+    """Return how the reference moves at this instant; the coefficients are those of the vehicle it was planned for.
 
     The measured heading less the heading error is the reference's heading, free of noise but for a low-pass. The
     accelerations are those of (2) under the reference's forces.
     """
-    psi = np.arctan2(o.sin_psi, o.cos_psi) - o.psi_e
-    v_x, v_y, u_dot, v_dot, _ = rates(psi, o.u_R, o.v_R, o.r_R, (o.F_uR, 0.0, o.F_rR), vehicle.coefficients, np)
-    a_x, a_y = to_world(u_dot - o.v_R * o.r_R, v_dot + o.u_R * o.r_R, np.cos(psi), np.sin(psi))
+    psi = ns.arctan2(o.sin_psi, o.cos_psi) - o.psi_e
+    v_x, v_y, u_dot, v_dot, _ = rates(psi, o.u_R, o.v_R, o.r_R, (o.F_uR, 0.0, o.F_rR), coefficients, ns)
+    a_x, a_y = to_world(u_dot - o.v_R * o.r_R, v_dot + o.u_R * o.r_R, ns.cos(psi), ns.sin(psi))
     return Motion(psi, v_x, v_y, a_x, a_y)
 
 
-@dataclass(frozen=True)
-class WaterPlan:
-    """The planner of section III in the water frame, one control period at a time.
+class Planned(NamedTuple):
+    """What the planner remembers."""
 
-    Its memory: the number of periods so far, (N,); the two last accelerations of the reference, (N, 2, 2); the sine of
-    the sideslip and the rest of its equation, see `planner.sideslip_rest`, (N, 2).
+    count: Number  # of the periods so far
+    a_x: Number  # [m/s^2] last acceleration of the reference, in the world
+    a_y: Number
+    before_x: Number  # [m/s^2] the one before
+    before_y: Number
+    w: Number  # sine of the sideslip
+    rest: Number  # the rest of its equation, see `planner.sideslip_rest`, times the period
+
+
+def planned(
+    memory: Planned, motion: Motion, sea: Sea, dt: Number, coefficients: Coefficients, ns: Namespace
+) -> tuple[Planned, WaterReference]:
+    """Return the memory one control period later and the reference in the water frame at this instant.
+
+    Args:
+        memory: zeros at the start of an episode, or as the last call returned it.
+        motion: of the reference over ground.
+        sea: what acts on the vehicle; the current's rate is taken to remain as it is.
+        dt: control period [s].
+        coefficients: of the vehicle.
+        ns: the namespace of the numbers.
     """
-
-    vehicle: Vehicle
-
-    def start(self, n: int) -> Memory:
-        """Return the memory at the start of n episodes."""
-        return np.zeros(n), np.zeros((n, 2, 2)), np.zeros((n, 2))
-
-    def update(self, memory: Memory, motion: Motion, sea: Sea, dt: Array) -> tuple[Memory, WaterReference]:
-        """Return the memory one period later and the reference at this instant.
-
-        Args:
-            memory: as `start` or the last call returned it.
-            motion: of the reference over ground.
-            sea: what acts on the vehicle; the current's rate is taken to remain as it is.
-            dt: control period [s], shape (N,).
-        """
-        count, past, sideslip = memory
-        fresh = count == 0
-        acceleration = np.stack((motion.a_x, motion.a_y), axis=1)
-        past = np.where(fresh[:, None, None], acceleration[:, None], past)
-        along = self._along(motion, _jerk(acceleration, past, dt), sea)
-        w, rest = self._step(along, sea.Y, sideslip, fresh, dt)
-        plan = assemble(np.zeros(1), np.zeros((2, 1, 1)), along, w[None], self.vehicle, (sea.Y, sea.Y_rate))
-        reference = WaterReference(*(row[0] for row in (plan.psi, plan.u, plan.v, plan.r, plan.F_u, plan.F_r)))
-        past = np.stack((acceleration, past[:, 0]), axis=1)
-        return (count + 1, past, np.stack((w, rest), axis=1)), reference
-
-    def _along(self, motion: Motion, jerk: Array, sea: Sea) -> PathRates:
-        """Return speed, direction and their rates through the water, shape (1, N): a time axis of one instant."""
-        speed, strength = np.hypot(motion.v_x, motion.v_y), np.hypot(sea.V_x, sea.V_y)
-        share = np.minimum(1.0, LARGEST_CURRENT * speed / np.maximum(strength, 1e-9))
-        velocity = motion.v_x - share * sea.V_x, motion.v_y - share * sea.V_y
-        acceleration = motion.a_x - sea.V_x_rate, motion.a_y - sea.V_y_rate
-        position = np.zeros((2, len(speed)))
-        along = path_rates(np.array((position, velocity, acceleration, jerk.T))[:, :, None])
-        return braked(along, HARDEST_BRAKING * self.vehicle.d22 / self.vehicle.m22)
-
-    def _step(
-        self, along: PathRates, Y: Array | float, sideslip: Array, fresh: NDArray[np.bool_], dt: Array
-    ) -> tuple[Array, Array]:
-        """Return w = sin(gamma), one period later, and the rest of its equation."""
-        Dm = self.vehicle.m22 - self.vehicle.m11
-        slope, square, turn = (dt / Dm * term[0] for term in sideslip_terms(along, self.vehicle))
-        push = dt / Dm * Y / along.v_p[0]
-
-        def rest_of(w: Array) -> Array:
-            return np.asarray(push + sideslip_rest(slope, square, turn, w, np.sqrt))
-
-        last_w, last_rest = sideslip.T
-        w, rest = sideslip_step(last_w, last_rest, rest_of, self.vehicle.d22 / Dm * dt, LARGEST_SINE)
-        if fresh.any():
-            w = np.where(fresh, np.clip(slow_sideslip(along, self.vehicle), -LARGEST_SINE, LARGEST_SINE), w)
-            rest = rest_of(w)
-        return w, rest
+    fresh = memory.count <= 0.0
+    x_1, x_2 = (ns.where(fresh, motion.a_x, a_x) for a_x in (memory.a_x, memory.before_x))
+    y_1, y_2 = (ns.where(fresh, motion.a_y, a_y) for a_y in (memory.a_y, memory.before_y))
+    # The rate of the acceleration, by the backward difference of second order.
+    jerk = (1.5 * motion.a_x - 2 * x_1 + 0.5 * x_2) / dt, (1.5 * motion.a_y - 2 * y_1 + 0.5 * y_2) / dt
+    along = _along(motion, jerk, sea, coefficients, ns)
+    w, rest = _sideslip(memory, along, sea.Y, fresh, dt, coefficients, ns)
+    psi, u, v, r, F_u, F_r, _ = in_sideslip(along, w, coefficients, (sea.Y, sea.Y_rate), ns)
+    after = Planned(memory.count + 1.0, motion.a_x, motion.a_y, x_1, y_1, w, rest)
+    return after, WaterReference(psi, u, v, r, F_u, F_r)
 
 
-def braked(along: PathRates, hardest: float) -> PathRates:
+def _along(motion: Motion, jerk: Sequence[Number], sea: Sea, coefficients: Coefficients, ns: Namespace) -> PathRates:
+    """Return speed, direction and their rates through the water."""
+    speed, strength = ns.hypot(motion.v_x, motion.v_y), ns.hypot(sea.V_x, sea.V_y)
+    share = ns.clip(LARGEST_CURRENT * speed / ns.clip(strength, 1e-9, math.inf), -math.inf, 1.0)
+    velocity = motion.v_x - share * sea.V_x, motion.v_y - share * sea.V_y
+    acceleration = motion.a_x - sea.V_x_rate, motion.a_y - sea.V_y_rate
+    along = path_rates(((0.0, 0.0), velocity, acceleration, jerk), ns)
+    return braked(along, HARDEST_BRAKING * coefficients.d22 / coefficients.m22, ns)
+
+
+def _sideslip(
+    memory: Planned,
+    along: PathRates,
+    Y: Number,
+    fresh: Number,
+    dt: Number,
+    coefficients: Coefficients,
+    ns: Namespace,
+) -> tuple[Number, Number]:
+    """Return w = sin(gamma), one period later, and the rest of its equation."""
+    Dm = coefficients.m22 - coefficients.m11
+    slope, square, turn = (dt / Dm * term for term in sideslip_terms(along, coefficients))
+    push = dt / Dm * Y / along.v_p
+
+    def rest_of(w: Number) -> Number:
+        return push + sideslip_rest(slope, square, turn, w, ns.sqrt)
+
+    w, rest = sideslip_step(memory.w, memory.rest, rest_of, coefficients.d22 / Dm * dt, LARGEST_SINE, ns)
+    first = ns.clip(steady_sideslip(along, coefficients, ns), -LARGEST_SINE, LARGEST_SINE)
+    return ns.where(fresh, first, w), ns.where(fresh, rest_of(first), rest)
+
+
+def braked(along: PathRates, hardest: Number, ns: Namespace = ARRAYS) -> PathRates:
     """Return the rates along a path through the water with a braking -v_p'/v_p [1/s] of at most `hardest`."""
-    return replace(along, v_p_dot=np.maximum(along.v_p_dot, -hardest * along.v_p))
+    return replace(along, v_p_dot=ns.clip(along.v_p_dot, -hardest * along.v_p, math.inf))
 
 
-def _jerk(acceleration: Array, past: Array, dt: Array) -> Array:
-    """Return the rate of the acceleration, shape (N, 2), by the backward difference of second order."""
-    last, second = past.transpose(1, 0, 2)
-    return np.asarray((1.5 * acceleration - 2 * last + 0.5 * second) / dt[:, None])
-
-
-def water_errors(state: Sequence[Array], reference: WaterReference) -> tuple[Array, ...]:
+def water_errors(state: Sequence[Number], reference: WaterReference, ns: Namespace) -> tuple[Number, ...]:
     """Return the first eleven terms of an `Observation` as the water's frame has them, for the tracking law.
 
     Args:
         state: position error e_x, e_y [m] in the body frame, psi [rad], u, v [m/s] relative to the water, r [rad/s].
         reference: what the vehicle should do there.
+        ns: the namespace of the numbers.
     """
     e_x, e_y, psi, u, v, r = state
     psi_R, u_R, v_R, r_R, *forces = reference
-    return e_x, e_y, wrap_angle(psi - psi_R, ARRAYS), u - u_R, v - v_R, r - r_R, u_R, v_R, r_R, *forces
+    return e_x, e_y, wrap_angle(psi - psi_R, ns), u - u_R, v - v_R, r - r_R, u_R, v_R, r_R, *forces

@@ -10,11 +10,19 @@ from typing import Any
 
 import numpy as np
 
-from baselines.control.nmpc.problem import COMMANDS, STATES, Horizon, Integers, OptimalControl, Plan, stage, stage_cost
+from baselines.control.nmpc.problem import (
+    COMMANDS,
+    KNOWN,
+    STATES,
+    Horizon,
+    Integers,
+    OptimalControl,
+    Plan,
+    Stage,
+    stage,
+    stage_costs,
+)
 from baselines.policy import Array
-
-AHEAD = 10
-"""Numbers that a stage is known by: the components of a `Horizon` but for the limits."""
 
 
 class CasadiSolver:
@@ -41,13 +49,12 @@ class CasadiSolver:
     def __call__(self, plan: Plan, ahead: Horizon, steps: Integers) -> Plan:
         """Return optimal plans, or the given ones where none was found; the number of steps is the solver's own."""
         commands = plan.commands.copy()
-        stages = np.concatenate([np.reshape(a, (len(a), -1, a.shape[-1])) for a in ahead[:-1]], axis=1)
         for i in range(len(plan.cost)):
             if not np.isfinite(plan.cost[i]):
                 continue
             limits = ahead.limits[:, i]
             guess = np.concatenate((plan.states[:-1, :, i], plan.commands[..., i] / limits), axis=1)
-            given = np.concatenate((plan.states[0, :, i], limits, stages[..., i].ravel()))
+            given = np.concatenate((plan.states[0, :, i], limits, ahead.known[..., i].ravel()))
             found = self._solve(x0=np.append(guess, plan.states[-1, :, i]), p=given, **self._bounds)
             x = np.asarray(found["x"]).ravel()[:-STATES].reshape(len(commands), -1)
             commands[..., i] = np.clip(x[:, STATES:], -1, 1) * limits
@@ -58,18 +65,16 @@ class CasadiSolver:
 def _compiled(casadi: Any, problem: OptimalControl, stages: int, method: str) -> Any:
     """Return the solver; its unknowns are, stage by stage, the state and the commands as shares of their limits."""
     start, limits = casadi.SX.sym("start", STATES), casadi.SX.sym("limits", COMMANDS)
-    known = [casadi.SX.sym(f"ahead{k}", AHEAD) for k in range(stages)]
+    known = [casadi.SX.sym(f"ahead{k}", KNOWN) for k in range(stages)]
     states = [casadi.SX.sym(f"x{k}", STATES) for k in range(stages + 1)]
     shares = [casadi.SX.sym(f"c{k}", COMMANDS) for k in range(stages)]
-    cost, end, constraints = 0.0, 0.0, []
+    cost, constraints = 0.0, []
     for k in range(stages):
-        duration, aim_x, aim_y, V_x, V_y, X, Y, N, gain, share = casadi.vertsplit(known[k])
-        ahead = duration, (aim_x, aim_y), (V_x, V_y), (X, Y, N), gain, share
+        ahead = Stage(*casadi.vertsplit(known[k]))
         command = casadi.vertsplit(shares[k] * limits)
         before, after = casadi.vertsplit(states[k]), casadi.vertsplit(states[k + 1])
-        reached = stage(before, command, ahead, problem.vehicle, casadi)
-        each, end = stage_cost(before, command, after, (aim_x, aim_y), problem.weights, casadi)
-        cost += duration * each
+        reached = stage(before, command, ahead, problem.vehicle.coefficients, casadi)
+        cost += sum(stage_costs(before, command, after, ahead, problem.weights, casadi))
         constraints.append(states[k + 1] - casadi.vertcat(*reached))
         if k == 0:
             constraints.append(states[0] - start)
@@ -77,7 +82,7 @@ def _compiled(casadi: Any, problem: OptimalControl, stages: int, method: str) ->
     nlp = {
         "x": casadi.vertcat(*(v for pair in zip(states, shares, strict=False) for v in pair), states[-1]),
         "p": casadi.vertcat(start, limits, *known),
-        "f": cost + problem.weights.terminal * end,
+        "f": cost,
         "g": casadi.vertcat(*constraints),
     }
     return casadi.nlpsol("solver", method, nlp, _options(stages, method))

@@ -7,19 +7,20 @@ in a current and in waves heading and velocities follow from them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.codegen.graph import SYMBOLS
+from auv_gym.codegen.kernel import Kernel
 from auv_gym.errors import to_world
-from auv_gym.namespaces import ARRAYS
+from auv_gym.namespaces import ARRAYS, Namespace, Number
 from auv_gym.task import Observation
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 from baselines.control.backstepping import GAINS, tracking_forces
-from baselines.control.ekf_law import FILTER_GAINS
 from baselines.control.nmpc.gauss_newton import solved
 from baselines.control.nmpc.problem import (
     COMMANDS,
@@ -29,12 +30,13 @@ from baselines.control.nmpc.problem import (
     Integers,
     OptimalControl,
     Plan,
+    Stage,
     replaced,
     taken,
 )
-from baselines.estimation.kalman import ExtendedKalmanFilter, Tuning
-from baselines.estimation.sea_model import Estimate, current_transition, lag_response, wave_transition, waves_after
-from baselines.estimation.water_frame import reference_motion
+from baselines.estimation.filter_equations import Belief
+from baselines.estimation.kalman import TUNING, ExtendedKalmanFilter, Tuning
+from baselines.estimation.sea_model import SIZE, Estimate, current_after, lag_response, wave_transition, waves_after
 from baselines.gains.loading import tuned_policy
 from baselines.policy import Array, Memory, Remembering
 
@@ -43,7 +45,7 @@ PREVIEW = (1, 2, 4, 6, 8, 11, 14, 17, 20, 24, 28, 32, 36, 40, 45, 50)
 STEPS = 6  # most Gauss-Newton steps at an instant
 FIRST_STEPS = 12  # most Gauss-Newton steps at the first instant of an episode
 COST_GAINS = ("huber", "surge", "yaw", "sway", "terminal")  # names of the gains that are fields of `CostWeights`
-NMPC_GAINS = (*COST_GAINS, *FILTER_GAINS)
+NMPC_GAINS = (*COST_GAINS, *TUNING)
 """Names of the gains: those of `CostWeights`, with `surge` and `yaw` for 100 N and 100 N m; and the filter's
 `Tuning`."""
 
@@ -68,14 +70,12 @@ class PredictiveControl:
             solver: one of `SOLVERS`.
         """
         self.vehicle = vehicle
-        self.filter = ExtendedKalmanFilter(vehicle, Tuning(**{name: gains[name] for name in FILTER_GAINS}))
+        self.filter = ExtendedKalmanFilter(vehicle, Tuning(**{name: gains[name] for name in TUNING}))
         scale = {"surge": 0.01, "yaw": 0.01}
         weights = CostWeights(**{name: scale.get(name, 1.0) * gains[name] for name in COST_GAINS})
         self.problem = OptimalControl(vehicle, weights)
         self._solve = SOLVERS[solver](self.problem)
-        self._ends = np.array(PREVIEW, dtype=np.float64)
-        self._lengths = np.diff(self._ends, prepend=0.0)
-        self._next = one_period_on(self._ends)
+        self._next = one_period_on(np.array(PREVIEW, dtype=np.float64))
 
     def start(self, n: int) -> Memory:
         """Return the memory at the start of n episodes."""
@@ -84,9 +84,9 @@ class PredictiveControl:
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
         """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
         *believed, planned = memory
-        fresh = believed[self.filter.COUNT] == 0
-        after, z = self.filter.update(tuple(believed), o, reference_motion(o, self.vehicle))
-        ahead = self._horizon(z, o, extra)
+        fresh = Belief.of(believed[0].T).count[0] == 0
+        after, z = self.filter.update(tuple(believed), terms := np.array(o))
+        ahead = horizon(terms, z, extra)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             guess = self._guess(z, o, np.einsum("jk,nki->jin", self._next, planned), fresh, ahead)
             plan = self._solve(guess, ahead, np.where(fresh, FIRST_STEPS, STEPS))
@@ -96,35 +96,71 @@ class PredictiveControl:
         F_u, F_r = commands[0]
         return F_u, F_r, (*after, np.ascontiguousarray(commands.transpose(2, 0, 1)))
 
-    def _guess(self, z: Estimate, o: Observation, warm: Array, fresh: NDArray[np.bool_], ahead: Horizon) -> Plan:
+    def _guess(self, z: Array, o: Observation, warm: Array, fresh: NDArray[np.bool_], ahead: Horizon) -> Plan:
         """Return the better of two plans to begin with: what was planned, and what the reference takes as it is now."""
-        limits, state = ahead.limits, np.array(z[:STATES])
-        steady = np.clip(np.array((o.F_uR - z.X, o.F_rR - z.N)), -limits, limits)
-        plan = self.problem.planned(state, np.broadcast_to(steady, warm.shape), ahead)
-        last = self.problem.planned(state, np.clip(warm, -limits, limits), ahead)
+        limits, load = ahead.limits, Estimate(*z)
+        steady = np.clip(np.array((o.F_uR - load.X, o.F_rR - load.N)), -limits, limits)
+        plan = self.problem.planned(z[:STATES], np.broadcast_to(steady, warm.shape), ahead)
+        last = self.problem.planned(z[:STATES], np.clip(warm, -limits, limits), ahead)
         few = (~fresh & (last.cost <= plan.cost)).nonzero()[0]
         return replaced(plan, few, taken(last, few))
 
-    def _horizon(self, z: Estimate, o: Observation, extra: Array) -> Horizon:
-        """Return the stages ahead, the sea as it is foreseen in the middle of each.
 
-        Waves swing on and the current goes the way that the filter believes; but the slowly varying load stays as it
-        is: most of it is what makes the model wrong, and that lasts.
-        """
-        dt, middle = self._lengths[:, None] * o.dt, (self._ends - 0.5 * self._lengths)[:, None] * o.dt
-        x, y = extra[:, : 2 * len(PREVIEW)].reshape(-1, len(PREVIEW), 2).T
-        kept, _, time = current_transition(middle)
-        X, _, Y, _, N, _ = waves_after(z, wave_transition(middle))
-        response = lag_response(z.lag, dt)
-        return Horizon(
-            dt,
-            np.stack(to_world(x, y, o.cos_psi, o.sin_psi), axis=1),
-            np.stack((kept * z.V_x + time * z.V_x_rate, kept * z.V_y + time * z.V_y_rate), axis=1),
-            np.stack((z.X + X, z.Y + Y, z.N + N), axis=1),
-            response.gain,
-            response.gain * response.mean,
-            np.array((o.F_u_max, o.F_r_max)),
-        )
+def horizon(o: Array, z: Array, extra: Array) -> Horizon:
+    """Return the stages ahead.
+
+    Args:
+        o: the rows of an `Observation`, shape (SIZE, N).
+        z: the rows of an `Estimate`, shape (22, N).
+        extra: the preview, from the vehicle's own place in the body frame, shape (N, 2 K) or wider.
+    """
+    stages, n = len(PREVIEW), o.shape[1]
+    ends = np.array(PREVIEW, dtype=np.float64)
+    lengths = np.diff(ends, prepend=0.0)
+    periods = np.array((lengths, ends - 0.5 * lengths, np.arange(stages) == stages - 1)).T[:, :, None]
+    aim = extra[:, : 2 * stages].reshape(n, stages, 2).transpose(1, 2, 0)
+    known = horizon_kernel()(stages, o=o, z=z, aim=aim, periods=np.broadcast_to(periods, (stages, 3, n)))["known"]
+    first = Observation._fields.index("F_u_max")
+    return Horizon(known, o[first : first + COMMANDS])
+
+
+@cache
+def horizon_kernel() -> Kernel:
+    """Return the kernel of `foreseen_stage`; `periods` are its length, middle and whether it is the last one."""
+
+    def equation(
+        o: Sequence[Any], z: Sequence[Any], aim: Sequence[Any], periods: Sequence[Any]
+    ) -> Mapping[str, Sequence[Any]]:
+        length, middle, last = periods
+        return {
+            "known": foreseen_stage(Observation(*o), Estimate(*z), aim, length, middle, SYMBOLS)._replace(last=last)
+        }
+
+    rows = {"o": len(Observation._fields), "z": SIZE, "aim": 2, "periods": 3}
+    return Kernel.traced(equation, rows, ("aim", "periods", "known"), blocked=True)
+
+
+def foreseen_stage(
+    o: Observation, z: Estimate, aim: Sequence[Number], length: Number, middle: Number, ns: Namespace
+) -> Stage:
+    """Return a stage with the sea as it is foreseen in its middle.
+
+    Waves swing on and the current goes the way that the filter believes; but the slowly varying load stays as it is:
+    most of it is what makes the model wrong, and that lasts.
+
+    Args:
+        o: the observation in SI units.
+        z: what the filter believes with it.
+        aim: where the reference will be at the stage's end, from the vehicle, in the body frame [m].
+        length: of the stage in control periods.
+        middle: of the stage, in control periods from now.
+        ns: the namespace of the numbers.
+    """
+    dt, ahead = length * o.dt, middle * o.dt
+    X, _, Y, _, N, _ = waves_after(z, wave_transition(ahead, ns))
+    response = lag_response(z.lag, dt, ns)
+    place, current = to_world(aim[0], aim[1], o.cos_psi, o.sin_psi), current_after(z, ahead, ns)
+    return Stage(dt, *place, *current, z.X + X, z.Y + Y, z.N + N, response.gain, response.gain * response.mean, 0.0)
 
 
 def one_period_on(ends: Array) -> Array:

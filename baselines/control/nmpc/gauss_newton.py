@@ -1,4 +1,4 @@
-"""Gauss-Newton steps for the optimal control of many vehicles at once, by a Riccati recursion on arrays.
+"""Gauss-Newton steps for the optimal control of many vehicles at once, by a Riccati recursion.
 
 The method is the control-limited differential dynamic programming of Y. Tassa, N. Mansard and E. Todorov (IEEE ICRA
 2014, pp. 1168-1175) with the Gauss-Newton Hessian: backward through the horizon to a policy, then forward with the
@@ -8,12 +8,23 @@ H. G. Bock and J. P. Schloeder (SIAM J. Control Optim. 43(5):1714-1736, 2005).
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+import math
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import Any
 
+import numpy as np
+
+from auv_gym.codegen.derivatives import gradient, jacobian
+from auv_gym.codegen.graph import SYMBOLS
+from auv_gym.codegen.kernel import Kernel
+from auv_gym.codegen.matrices import Matrix, congruence, dot, product, symmetric, triangle
+from auv_gym.namespaces import Namespace, Number
+from auv_gym.vehicle import Coefficients
 from baselines.control.nmpc.problem import (
     COMMANDS,
-    POSITION,
+    CONSTANTS,
+    KNOWN,
     STATES,
     CostWeights,
     Descent,
@@ -21,10 +32,16 @@ from baselines.control.nmpc.problem import (
     Integers,
     OptimalControl,
     Plan,
+    Stage,
+    actuated,
+    constants,
+    counted,
     replaced,
+    stage,
+    stage_costs,
     taken,
 )
-from baselines.estimation.sea_model import AT, FORCE, HULL, MOTION, hull_jacobian
+from baselines.estimation.sea_model import AT, HULL
 from baselines.policy import Array
 
 LENGTHS = (1.0, 0.3, 0.05)
@@ -63,118 +80,181 @@ def improved(problem: OptimalControl, plan: Plan, ahead: Horizon) -> tuple[Plan,
 
 
 def descent(problem: OptimalControl, plan: Plan, ahead: Horizon) -> Descent:
-    """Return the Gauss-Newton step at a plan, with commands within their limits.
+    """Return the Gauss-Newton step at a plan, with commands within their limits, see `descended`."""
+    steps, _, n = plan.commands.shape
+    step, feedback, promise = np.empty_like(plan.commands), np.empty((steps, COMMANDS * STATES, n)), np.zeros((1, n))
+    descent_kernel().bound(
+        slope=np.zeros((STATES, n)),
+        curvature=np.zeros((STATES * (STATES + 1) // 2, n)),
+        promise=promise,
+        state=plan.states[:-1],
+        command=plan.commands,
+        after=plan.states[1:],
+        known=ahead.known,
+        constant=problem.constant(n),
+        limits=ahead.limits,
+        step=step,
+        feedback=feedback,
+    )(0, steps)
+    return Descent(step, feedback, promise[0])
+
+
+@cache
+def descent_kernel() -> Kernel:
+    """Return the kernel of `descended`, which goes from the last stage to the first."""
+
+    def equation(
+        slope: Any, curvature: Any, promise: Any, known: Any, constant: Any, limits: Any, **plan: Any
+    ) -> Mapping[str, Sequence[Any]]:
+        coefficients, weights = constants(constant)
+        ahead = Stage(*known)
+        slope, V_xx, step, feedback, gained = descended(
+            slope,
+            symmetric(curvature),
+            plan["state"],
+            plan["command"],
+            plan["after"],
+            ahead,
+            coefficients,
+            weights,
+            limits,
+        )
+        return {
+            "slope": slope,
+            "curvature": triangle(V_xx),
+            "promise": [promise[0] + gained],
+            "step": step,
+            "feedback": [x for row in feedback for x in row],
+        }
+
+    rows = {"slope": STATES, "curvature": STATES * (STATES + 1) // 2, "promise": 1, "state": STATES}
+    rows |= {"command": COMMANDS, "after": STATES, "known": KNOWN, "constant": CONSTANTS, "limits": COMMANDS}
+    over_time = ("state", "command", "after", "known", "step", "feedback")
+    return Kernel.traced(equation, rows, over_time, back=True, structural=True, blocked=True)
+
+
+def descended(
+    V_x: Sequence[Any],
+    V_xx: Matrix,
+    state: Sequence[Any],
+    command: Sequence[Any],
+    after: Sequence[Any],
+    known: Stage,
+    coefficients: Coefficients,
+    weights: CostWeights,
+    limits: Sequence[Any],
+) -> tuple[list[Any], Matrix, Sequence[Any], Matrix, Any]:
+    """Return V_x and V_xx one stage earlier, step and feedback of the command, and what they promise; on symbols.
 
     Names and recursion are those of section II of Tassa et al., backward from the last stage. With f the derivative of
     a stage, Q_1 = l_1 + f^T V_x and Q_2 = l_2 + f^T V_xx f are those of the cost to go by state x and command u; k is
     the step within the limits, K = -Q_uu^-1 Q_ux the feedback of the commands that they leave free; and
     V_x = Q_x + Q_xu k, V_xx = Q_xx + Q_xu K are the derivatives by the state alone, one stage earlier.
     """
-    f = state_derivatives(problem, plan, ahead)
-    curvature, slope = _errors(problem, plan, ahead)
-    effort = _effort(problem.weights)
-    both = np.concatenate((plan.states[:-1], plan.commands), axis=1).transpose(0, 2, 1)
-    duration = ahead.dt[:, :, None, None]
-    n, x, u = len(plan.cost), slice(STATES), slice(STATES, None)
-    step, feedback = np.empty_like(plan.commands), np.empty((len(f), COMMANDS, *plan.states.shape[1:]))
-    V_xx, V_x = np.zeros((n, STATES, STATES)), np.zeros((n, STATES))
-    side, promise = 2 * problem.weights.sway**2 * ahead.dt, np.zeros(n)
-    for i in reversed(range(len(f))):
-        for axis in (AT.x_e, AT.y_e):
-            V_xx[:, axis, axis] += curvature[i]
-        V_xx[:, AT.v, AT.v] += side[i]
-        V_x[:, POSITION] += slope[i]
-        V_x[:, AT.v] += side[i] * plan.states[i + 1, AT.v]
-        transposed = f[i].transpose(0, 2, 1)
-        Q_2 = transposed @ (V_xx @ f[i]) + duration[i] * effort
-        Q_1 = (transposed @ V_x[:, :, None])[:, :, 0] + ahead.dt[i][:, None] * (both[i] @ effort)
-        low, high = (-ahead.limits - plan.commands[i]).T, (ahead.limits - plan.commands[i]).T
-        k, free = bounded_minimum(Q_2[:, u, u], Q_1[:, u], low, high)
-        K = _feedback(Q_2[:, u], free)
-        Q_xu = Q_2[:, x, u]
-        V_xx = Q_2[:, x, x] + Q_xu @ K
-        V_xx = 0.5 * (V_xx + V_xx.transpose(0, 2, 1))
-        V_x = Q_1[:, x] + (Q_xu @ k[:, :, None])[:, :, 0]
-        step[i], feedback[i] = k.T, K.transpose(1, 2, 0)
-        promise -= ((Q_1[:, u] + 0.5 * (Q_2[:, u, u] @ k[:, :, None])[:, :, 0]) * k).sum(axis=1)
-    return Descent(step, feedback, promise)
+    both = [*state, *command]
+    error, sway, effort = stage_costs(state, command, after, known, weights, SYMBOLS)
+    V_x = _sum(V_x, gradient([error, sway], [1.0, 1.0], after))
+    V_xx = [_sum(*rows) for rows in zip(V_xx, _hessian(sway, after), strict=True)]
+    touching = _error_curvature(after, known, weights)
+    for axis in (AT.x_e, AT.y_e):
+        V_xx[axis][axis] = V_xx[axis][axis] + touching
+    columns = list(zip(*stage_jacobian(state, command, known, coefficients), strict=True))
+    Q_1 = _sum([dot(column, V_x) for column in columns], gradient([effort], [1.0], both))
+    Q_2 = [_sum(*rows) for rows in zip(congruence(columns, V_xx), _hessian(effort, both), strict=True)]
+    Q_u, Q_uu, Q_ux = Q_1[STATES:], [row[STATES:] for row in Q_2[STATES:]], [row[:STATES] for row in Q_2[STATES:]]
+    low, high = [-limit - c for limit, c in zip(limits, command, strict=True)], _sum(limits, [-c for c in command])
+    k, free = bounded_minimum((Q_uu[0][0], Q_uu[0][1], Q_uu[1][1]), Q_u, low, high, SYMBOLS)
+    K = feedback_of(Q_uu, Q_ux, free)
+    gained = -dot(_sum(Q_u, [0.5 * dot(row, k) for row in Q_uu]), k)
+    Q_xu, followed = list(zip(*Q_ux, strict=True)), list(zip(*K, strict=True))
+    V_x = [q + dot(row, k) for q, row in zip(Q_1[:STATES], Q_xu, strict=True)]
+    V_xx = symmetric([Q_2[i][j] + dot(Q_xu[i], followed[j]) for i in range(STATES) for j in range(i + 1)])
+    return V_x, V_xx, k, K, gained
 
 
-def _errors(problem: OptimalControl, plan: Plan, ahead: Horizon) -> tuple[Array, Array]:
-    """Return curvature, shape (K, N), and slope, (K, N, 2), of the position errors' cost.
+def stage_jacobian(state: Sequence[Any], command: Sequence[Any], known: Stage, coefficients: Coefficients) -> Matrix:
+    """Return the derivative of `stage` by state and command, `STATES` rows; on symbols.
 
-    The curvature is that of the parabola that touches the pseudo-Huber function from above: it is never too small.
+    The hull's motion depends on state and command by way of the mean loads.
     """
-    e = plan.states[1:, POSITION] - ahead.aim
-    duration = ahead.dt.copy()
-    duration[-1] += problem.weights.terminal
-    curvature = 2 * duration / np.sqrt(1 + (e * e).sum(axis=1) / problem.weights.huber**2)
-    return curvature, (curvature[:, None] * e).transpose(0, 2, 1)
+    both, after = [*state, *command], stage(state, command, known, coefficients, SYMBOLS)
+    X, N, *_ = actuated(state, command, known)
+    acting = [*state[HULL], X, N]
+    hull = product(jacobian(after[HULL], acting), jacobian(acting, both))
+    return [*hull, *jacobian(after[HULL.stop :], both)]
 
 
-def state_derivatives(problem: OptimalControl, plan: Plan, ahead: Horizon) -> Array:
-    """Return those of the states by the state and the command before, shape (K, N, STATES, STATES + COMMANDS)."""
-    before, share, still = plan.states[:-1].transpose(1, 0, 2), ahead.share, 1 - ahead.share
-    mean_u, mean_r = still * before[FORCE] + share * plan.commands.transpose(1, 0, 2)
-    X, Y, N = ahead.load.transpose(1, 0, 2)
-    rows = np.array((*before[MOTION], X + mean_u, Y, N + mean_r))
-    flat = hull_jacobian(rows.reshape(len(rows), -1), ahead.dt.ravel(), problem.vehicle)
-    by_motion, by_load = (a.reshape(*a.shape[:2], *share.shape) for a in flat)
-    AB = np.zeros((STATES, STATES + COMMANDS, *share.shape))
-    AB[AT.x_e, AT.x_e] = AB[AT.y_e, AT.y_e] = 1.0
-    AB[HULL, MOTION] = by_motion
-    commands = range(STATES, STATES + COMMANDS)
-    for F, command, by_force in zip((AT.F_u, AT.F_r), commands, (by_load[:, 0], by_load[:, 2]), strict=True):
-        AB[HULL, F], AB[HULL, command] = still * by_force, share * by_force
-        AB[F, F], AB[F, command] = 1 - ahead.gain, ahead.gain
-    return np.ascontiguousarray(AB.transpose(2, 3, 0, 1))
+def _error_curvature(after: Sequence[Any], known: Stage, weights: CostWeights) -> Any:
+    """Return the curvature of the parabola that touches the position error's cost from above: never too small."""
+    x_e, y_e = after[AT.x_e] - known.aim_x, after[AT.y_e] - known.aim_y
+    return 2 * counted(known, weights) / SYMBOLS.sqrt(1 + (x_e * x_e + y_e * y_e) / (weights.huber * weights.huber))
 
 
-def _effort(weights: CostWeights) -> Array:
-    """Return the second derivative of the commands' cost by state and command, for each second."""
-    missing = np.zeros((COMMANDS, STATES + COMMANDS))
-    missing[:, FORCE], missing[:, STATES:] = -np.eye(2), np.eye(2)
-    missing *= np.array(((weights.surge,), (weights.yaw,)))
-    return np.asarray(2 * missing.T @ missing)
+def _hessian(cost: Any, by: Sequence[Any]) -> Sequence[Sequence[Any]]:
+    return jacobian(gradient([cost], [1.0], by), by)
 
 
-def bounded_minimum(H: Array, g: Array, low: Array, high: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _sum(a: Sequence[Any], b: Sequence[Any]) -> list[Any]:
+    return [x + y for x, y in zip(a, b, strict=True)]
+
+
+def bounded_minimum(
+    H: tuple[Number, Number, Number],
+    g: Sequence[Number],
+    low: Sequence[Number],
+    high: Sequence[Number],
+    ns: Namespace,
+) -> tuple[tuple[Number, Number], tuple[Any, Any]]:
     """Return the minimum of c^T H c / 2 + g^T c with low <= c <= high, and which of its entries are free.
 
     Args:
-        H: positive definite, shape (N, 2, 2).
-        g: shape (N, 2), as the bounds and the result.
+        H: the entries (0, 0), (0, 1) and (1, 1) of a positive definite matrix.
+        g: two numbers, as the bounds and the result.
         low: least entries.
         high: largest entries.
+        ns: the namespace of the numbers.
     """
-    (a, b), (_, d) = H.transpose(1, 2, 0)
-    g_u, g_r = g.T
-    c = np.stack((b * g_r - d * g_u, b * g_u - a * g_r), axis=1) / (a * d - b * b)[:, None]  # Cramer's rule
-    if (outside := ((c < low) | (c > high)).any(axis=1)).any():
-        c[outside] = _on_the_edge(H[outside], g[outside], low[outside], high[outside])
-    return c, (c > low) & (c < high)
+    a, b, d = H
+    det = a * d - b * b
+    c = (b * g[1] - d * g[0]) / det, (b * g[0] - a * g[1]) / det  # Cramer's rule
+    outside = (c[0] < low[0]) | (c[0] > high[0]) | (c[1] < low[1]) | (c[1] > high[1])
+    edge = _on_the_edge(H, g, low, high, ns)
+    c = ns.where(outside, edge[0], c[0]), ns.where(outside, edge[1], c[1])
+    return c, ((c[0] > low[0]) & (c[0] < high[0]), (c[1] > low[1]) & (c[1] < high[1]))
 
 
-def _on_the_edge(H: Array, g: Array, low: Array, high: Array) -> Array:
+def _on_the_edge(
+    H: tuple[Number, Number, Number],
+    g: Sequence[Number],
+    low: Sequence[Number],
+    high: Sequence[Number],
+    ns: Namespace,
+) -> tuple[Number, Number]:
     """Return the least of the minima on the four edges."""
-    best, least = low, np.full(len(g), np.inf)
-    for i, j in ((0, 1), (1, 0)):
-        for bound in (low[:, i], high[:, i]):
-            c = np.empty_like(g)
-            c[:, i] = bound
-            c[:, j] = np.clip(-(g[:, j] + H[:, 0, 1] * bound) / H[:, j, j], low[:, j], high[:, j])
-            value = ((0.5 * (H @ c[:, :, None])[:, :, 0] + g) * c).sum(axis=1)
-            best, least = np.where((value < least)[:, None], c, best), np.minimum(value, least)
-    return best
+    a, b, d = H
+    best_u, best_r, least = low[0], low[1], math.inf
+    for i in range(2):
+        for bound in (low[i], high[i]):
+            if i == 0:
+                c_u, c_r = bound, ns.clip(-(g[1] + b * bound) / d, low[1], high[1])
+            else:
+                c_u, c_r = ns.clip(-(g[0] + b * bound) / a, low[0], high[0]), bound
+            value = (0.5 * (a * c_u + b * c_r) + g[0]) * c_u + (0.5 * (b * c_u + d * c_r) + g[1]) * c_r
+            better = value < least
+            best_u, best_r = ns.where(better, c_u, best_u), ns.where(better, c_r, best_r)
+            least = ns.where(better, value, least)
+    return best_u, best_r
 
 
-def _feedback(Q: Array, free: NDArray[np.bool_]) -> Array:
-    """Return how the free commands follow the state, shape (N, COMMANDS, STATES), for rows of the second derivative."""
-    Q_ux, Q_uu = Q[:, :, :STATES], Q[:, :, STATES:]
-    free_u, free_r = free.T
-    first, second = (Q_ux * free[:, :, None]).transpose(1, 0, 2)
-    a = Q_uu[:, 0, 0] * free_u + (1.0 - free_u)  # of a fixed command there remains c = 0
-    d = Q_uu[:, 1, 1] * free_r + (1.0 - free_r)
-    b = Q_uu[:, 0, 1] * free_u * free_r
-    a, b, d = (x[:, None] / (a * d - b * b)[:, None] for x in (a, b, d))  # Cramer's rule
-    return np.stack((b * second - d * first, b * first - a * second), axis=1)
+def feedback_of(Q_uu: Matrix, Q_ux: Matrix, free: tuple[Any, Any]) -> list[list[Any]]:
+    """Return how the free commands follow the state, `COMMANDS` rows of `STATES`; on symbols."""
+    where, (free_u, free_r) = SYMBOLS.where, free
+    first, second = [where(free_u, q, 0.0) for q in Q_ux[0]], [where(free_r, q, 0.0) for q in Q_ux[1]]
+    a, d = where(free_u, Q_uu[0][0], 1.0), where(free_r, Q_uu[1][1], 1.0)  # of a fixed command there remains c = 0
+    b = where(free_u & free_r, Q_uu[0][1], 0.0)
+    share = 1.0 / (a * d - b * b)
+    a, b, d = a * share, b * share, d * share  # Cramer's rule
+    return [
+        [b * y - d * x for x, y in zip(first, second, strict=True)],
+        [b * x - a * y for x, y in zip(first, second, strict=True)],
+    ]

@@ -1,21 +1,26 @@
 """An optimal control problem for many vehicles at once: what is known, what is predicted, and what it costs.
 
-`gauss_newton` solves it on arrays, `casadi_solver` with CasADi.
+`gauss_newton` solves it by kernels, `casadi_solver` with CasADi.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple, dataclass, fields
+from functools import cache
+from types import SimpleNamespace
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.codegen.graph import SYMBOLS
+from auv_gym.codegen.kernel import Kernel
 from auv_gym.dynamics import rk4_step
 from auv_gym.intervals import check_number
-from auv_gym.namespaces import ARRAYS, Number
-from auv_gym.vehicle import Vehicle
+from auv_gym.namespaces import Number
+from auv_gym.vehicle import Coefficients, Vehicle
+from baselines.estimation.kalman import VEHICLE_ROWS, repeated
 from baselines.estimation.sea_model import AT
 from baselines.policy import Array
 
@@ -24,7 +29,6 @@ Integers = NDArray[np.int64]
 STATES = AT.V_x
 """Size of the state: x, y [m], psi [rad] in the world, u, v [m/s] relative to the water, r [rad/s], what the actuators
 apply, F_u [N], F_r [N m]: the rows of an `Estimate` in front of the current, in its order."""
-POSITION = slice(AT.x_e, AT.psi)  # where x, y stand in the state
 COMMANDS = 2  # how many values a command has: F_u [N], F_r [N m]
 
 
@@ -49,15 +53,33 @@ class CostWeights:
             check_number(f"weight {field.name}", getattr(self, field.name), least, 1e6)
 
 
-class Horizon(NamedTuple):
-    """K stages ahead of N vehicles, as they are known."""
+WEIGHTS = tuple(field.name for field in fields(CostWeights))
+"""Names of the fields of `CostWeights`."""
 
-    dt: Array  # [s] how long they last, shape (K, N)
-    aim: Array  # [m] where the vehicle should be at their ends, in the world, shape (K, 2, N)
-    current: Array  # [m/s] V_x, V_y, shape (K, 2, N)
-    load: Array  # X [N], Y [N], N [N m] on the hull, shape (K, 3, N)
-    gain: Array  # share of the way to the command that the actuators' force has made at their ends, shape (K, N)
-    share: Array  # the same of its mean, shape (K, N)
+
+class Stage(NamedTuple):
+    """One stage ahead, as it is known."""
+
+    dt: Number  # [s] how long it lasts
+    aim_x: Number  # [m] where the vehicle should be at its end, in the world
+    aim_y: Number  # [m]
+    V_x: Number  # [m/s] current
+    V_y: Number  # [m/s]
+    X: Number  # [N] load on the hull
+    Y: Number  # [N]
+    N: Number  # [N m]
+    gain: Number  # share of the way to the command that the actuators' force has made at its end
+    share: Number  # the same of its mean
+    last: Number  # 1 for the last stage of a horizon, 0 for the others
+
+
+KNOWN = len(Stage._fields)  # how many numbers a stage is known by
+
+
+class Horizon(NamedTuple):
+    """K stages ahead of N vehicles."""
+
+    known: Array  # the rows of a `Stage`, shape (K, KNOWN, N)
     limits: Array  # [N], [N m] of the commands, shape (2, N)
 
 
@@ -73,7 +95,7 @@ class Descent(NamedTuple):
     """How commands should change: by `step` + `feedback` (state - state of the plan)."""
 
     step: Array  # shape (K, COMMANDS, N)
-    feedback: Array  # shape (K, COMMANDS, STATES, N)
+    feedback: Array  # the rows of K matrices (COMMANDS, STATES) one after the other, shape (K, COMMANDS * STATES, N)
     promise: Array  # [m^2 s] how much lower the cost would be if all were linear, shape (N,)
 
 
@@ -81,50 +103,100 @@ Rows = TypeVar("Rows", Horizon, Plan, Descent)
 
 
 def taken(rows: Rows, few: Integers) -> Rows:
-    """Return what belongs to a few of the vehicles."""
-    return type(rows)(*(a[..., few] for a in rows))
+    """Return what belongs to a few of the vehicles; the arrays may be the given ones where that is all of them."""
+    if len(few) == rows[0].shape[-1]:
+        return rows
+    return type(rows)(*(np.take(a, few, axis=-1) for a in rows))
 
 
 def replaced(rows: Rows, few: Integers, others: Rows) -> Rows:
     """Return a copy in which what belongs to a few of the vehicles is replaced."""
+    if len(few) == rows[0].shape[-1]:
+        return others
     copies = [a.copy() for a in rows]
     for a, b in zip(copies, others, strict=True):
         a[..., few] = b
     return type(rows)(*copies)
 
 
+def actuated(state: Sequence[Number], command: Sequence[Number], known: Stage) -> tuple[Number, Number, Number, Number]:
+    """Return the mean loads X [N], N [N m] on the hull over a stage, and the actuators' F_u, F_r at its end."""
+    *_, F_u, F_r = state
+    missing_u, missing_r = command[0] - F_u, command[1] - F_r
+    mean_u, mean_r = F_u + known.share * missing_u, F_r + known.share * missing_r
+    return mean_u + known.X, mean_r + known.N, F_u + known.gain * missing_u, F_r + known.gain * missing_r
+
+
 def stage(
-    state: Sequence[Number], command: Sequence[Number], known: Sequence[Any], vehicle: Vehicle, ns: Any
+    state: Sequence[Number], command: Sequence[Number], known: Stage, coefficients: Coefficients, ns: Any
 ) -> list[Number]:
-    """Return the `STATES` components of the state at a stage's end; `known` are its rows of a `Horizon` but limits."""
-    dt, _, (V_x, V_y), (X, Y, N), gain, share = known
-    x, y, psi, u, v, r, F_u, F_r = state
-    command_u, command_r = command
-    missing_u, missing_r = command_u - F_u, command_r - F_r
-    load = F_u + share * missing_u + X, Y, F_r + share * missing_r + N
-    hull = rk4_step((x, y, psi, u, v, r), load, vehicle.coefficients, dt, (V_x, V_y), ns)
-    return [*hull, F_u + gain * missing_u, F_r + gain * missing_r]
+    """Return the `STATES` components of the state at a stage's end."""
+    x, y, psi, u, v, r, *_ = state
+    X, N, *force = actuated(state, command, known)
+    load, current = (X, known.Y, N), (known.V_x, known.V_y)
+    return [*rk4_step((x, y, psi, u, v, r), load, coefficients, known.dt, current, ns), *force]
 
 
-def stage_cost(
+def stage_costs(
     state: Sequence[Number],
     command: Sequence[Number],
     after: Sequence[Number],
-    aim: Sequence[Number],
+    known: Stage,
     weights: CostWeights,
     ns: Any,
-) -> tuple[Number, Number]:
-    """Return the cost [m^2] of each second of a stage, and that of the position error alone at its end."""
+) -> tuple[Number, Number, Number]:
+    """Return the costs [m^2 s] of a stage: of the position error and the sway at its end, and of the commands."""
     *_, F_u, F_r = state
     x, y, _, _, v, *_ = after
-    command_u, command_r = command
-    aim_x, aim_y = aim
-    x_e, y_e = x - aim_x, y - aim_y
-    missing_u, missing_r = command_u - F_u, command_r - F_r
+    x_e, y_e = x - known.aim_x, y - known.aim_y
+    missing_u, missing_r = command[0] - F_u, command[1] - F_r
     square = weights.huber * weights.huber
     error = 2 * square * (ns.sqrt(1 + (x_e * x_e + y_e * y_e) / square) - 1)
     effort = (weights.surge * missing_u) ** 2 + (weights.yaw * missing_r) ** 2
-    return error + effort + (weights.sway * v) ** 2, error
+    return counted(known, weights) * error, known.dt * (weights.sway * v) ** 2, known.dt * effort
+
+
+def counted(known: Stage, weights: CostWeights) -> Number:
+    """Return the time [s] that the position error at a stage's end counts for."""
+    return known.dt + known.last * weights.terminal
+
+
+CONSTANTS = VEHICLE_ROWS + len(WEIGHTS)
+"""How many rows tell a kernel of the problem: vehicle, then weights."""
+
+
+def constants(rows: Sequence[Any]) -> tuple[Coefficients, Any]:
+    """Return coefficients and weights from the `CONSTANTS` rows of a kernel."""
+    weights = SimpleNamespace(**dict(zip(WEIGHTS, rows[VEHICLE_ROWS:], strict=True)))
+    return Coefficients(*rows[:VEHICLE_ROWS]), weights
+
+
+@cache
+def prediction_kernel(feedback: bool) -> Kernel:
+    """Return the kernel that predicts, stage by stage, what comes of commands.
+
+    Args:
+        feedback: whether to add what a descent wants for states that are not those of its plan, within the limits.
+    """
+
+    def equation(state: Any, cost: Any, known: Any, constant: Any, commands: Any, **descent: Any) -> Mapping[str, Any]:
+        ahead, (coefficients, weights) = Stage(*known), constants(constant)
+        command = [*commands]
+        for i in range(COMMANDS if feedback else 0):
+            limit, gains = descent["limits"][i], descent["gains"][i * STATES : (i + 1) * STATES]
+            for gain, a, b in zip(gains, state, descent["planned"], strict=True):
+                command[i] = command[i] + gain * (a - b)
+            command[i] = SYMBOLS.clip(command[i], -limit, limit)
+        after = stage(state, command, ahead, coefficients, SYMBOLS)
+        costs = stage_costs(state, command, after, ahead, weights, SYMBOLS)
+        applied = {"applied": command} if feedback else {}
+        return {"state": after, "cost": [cost[0] + costs[0] + costs[1] + costs[2]], "states": after, **applied}
+
+    rows = {"state": STATES, "cost": 1, "known": KNOWN, "constant": CONSTANTS, "commands": COMMANDS}
+    if feedback:
+        rows |= {"limits": COMMANDS, "planned": STATES, "gains": COMMANDS * STATES}
+    over_time = ("known", "commands", "states", "applied", "planned", "gains")
+    return Kernel.traced(equation, rows, over_time, structural=True, blocked=True)
 
 
 @dataclass(frozen=True)
@@ -134,6 +206,10 @@ class OptimalControl:
     vehicle: Vehicle
     weights: CostWeights
 
+    def constant(self, n: int) -> Array:
+        """Return the `CONSTANTS` of n vehicles."""
+        return repeated(np.array((*self.vehicle.coefficients, *astuple(self.weights)))[:, None], n)
+
     def planned(
         self, start: Array, commands: Array, ahead: Horizon, plan: Plan | None = None, descent: Descent | None = None
     ) -> Plan:
@@ -142,16 +218,15 @@ class OptimalControl:
         With a plan and a descent from it, whose step the commands hold already, its feedback is added to the commands,
         and they are kept within the limits.
         """
-        states, applied = np.empty((len(commands) + 1, *start.shape)), commands.copy()
-        states[0], cost = start, np.zeros(start.shape[1])
-        for k, known in enumerate(zip(*ahead[:-1], strict=True)):
-            duration, aim, *_ = known
-            if plan is not None and descent is not None:
-                off = states[k] - plan.states[k]
-                wanted = commands[k] + (descent.feedback[k] * off).sum(axis=1)
-                applied[k] = np.minimum(np.maximum(wanted, -ahead.limits), ahead.limits)
-            states[k + 1] = stage(states[k], applied[k], known, self.vehicle, ARRAYS)
-            each, end = stage_cost(states[k], applied[k], states[k + 1], aim, self.weights, ARRAYS)
-            cost += duration * each
-        cost += self.weights.terminal * end
-        return Plan(applied, states, np.where(np.isfinite(cost), cost, np.inf))
+        steps, _, n = commands.shape
+        states, cost = np.empty((steps + 1, STATES, n)), np.zeros((1, n))
+        states[0], commands = start, np.ascontiguousarray(commands)
+        arrays = {"state": states[0].copy(), "cost": cost, "known": ahead.known, "constant": self.constant(n)}
+        arrays |= {"commands": commands, "states": states[1:]}
+        if plan is not None and descent is not None:
+            following = {"limits": ahead.limits, "planned": plan.states[:-1], "gains": descent.feedback}
+            prediction_kernel(True).bound(**arrays, **following, applied=(applied := np.empty_like(commands)))(0, steps)
+        else:
+            prediction_kernel(False).bound(**arrays)(0, steps)
+            applied = commands
+        return Plan(applied, states, np.where(np.isfinite(cost[0]), cost[0], np.inf))

@@ -1,0 +1,141 @@
+"""A graph as C for eight vehicles at a time, for equations of hundreds of rows.
+
+Where each row of an array begins is known beforehand in a block of eight, so that a compiler need not keep an address
+for each, and long equations are cut into parts: it is done many times sooner, and so is what it makes. What is carried
+from step to step stays in the block. A block that is not full is filled up with its last vehicle, so that one is
+computed as many are, bit for bit.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from auv_gym.codegen.graph import TRUTHS, Graph
+from auv_gym.codegen.printing import Arrays, Layout, c_language, c_opening, written
+
+LANES = 8
+"""Vehicles in a block: as many numbers of double precision as the widest registers hold."""
+LONGEST_PART = 5_000
+"""Characters of a part; a compiler's time grows faster than in proportion to them."""
+_NAME = re.compile(r"[A-Za-z_]\w*")
+
+
+class _Statement(NamedTuple):
+    target: str  # a name, or the place of a result
+    text: str
+    truth: bool  # whether it is a truth value
+    named: bool  # whether others may use it
+
+
+def c_block_function(name: str, graph: Graph, arguments: Arrays, results: Arrays, layout: Layout) -> str:
+    """Return the source of a C function that does the same as that of `printing.c_function`, block by block."""
+    parts, kept = _parts(graph, arguments, results, layout.precision)
+    rows = {array: len(entries) for array, entries in {**arguments, **results}.items()}
+    blocks = {f"block_{a}": len(own) for a, own in arguments.items()}
+    blocks |= {f"after_{a}": len(own) for a, own in results.items()} | {"kept": max(kept, 1)}
+    taken = ", ".join(f"real (*restrict {block})[{LANES}]" for block in blocks)
+    lines = [
+        *(line for i, part in enumerate(parts) for line in _function(f"{name}_{i}", taken, part)),
+        *c_opening(name, arguments, results, layout),
+        *(f"real {block}[{count}][{LANES}] __attribute__((aligned(64)));" for block, count in blocks.items()),
+        f"for (long b = 0; steps > 0 && b < n; b += {LANES}) {{",
+        f"const long full = n - b < {LANES} ? n - b : {LANES};",
+        *(_read(a, rows[a], layout) for a in arguments if a not in layout.over_time),
+        "for (long j = 0; j < steps; j++) {",
+        f"const long k = {'first + steps - 1 - j' if layout.back else 'first + j'};",
+        *(_read(a, rows[a], layout) for a in arguments if a in layout.over_time),
+        *(f"{name}_{i}({', '.join(blocks)});" for i in range(len(parts))),
+        *(f"memcpy(block_{a}, after_{a}, sizeof block_{a});" for a in results if a in arguments),
+        *(_write(a, rows[a], layout) for a in results if a in layout.over_time),
+        "}",
+        *(_write(a, rows[a], layout) for a in results if a not in layout.over_time),
+        "}",
+        "}",
+    ]
+    return "#include <string.h>\n" + "\n".join(lines) + "\n"
+
+
+def _parts(graph: Graph, arguments: Arrays, results: Arrays, precision: str) -> tuple[list[list[str]], int]:
+    """Return the statements for one lane, part by part, and how many values are kept from one part for another."""
+    wanted = [s for entries in results.values() for s in entries]
+    given = {s.node[1]: f"block_{a}[{j}][i]" for a, own in arguments.items() for j, s in enumerate(own)}
+    statements, texts = written(graph, wanted, c_language(precision), {entry: entry for entry in given})
+    whole = [_Statement(target, text, truth, True) for target, text, truth in statements]
+    places = (f"after_{a}[{j}][i]" for a, own in results.items() for j in range(len(own)))
+    for place, text, entry in zip(places, texts, wanted, strict=True):
+        truth = graph.nodes[entry.index][0] in TRUTHS
+        whole.append(_Statement(place, f"({text} ? (real)1 : (real)0)" if truth else text, False, False))
+    cut = _cut(whole)
+    home = {s.target: (i, s.truth) for i, part in enumerate(cut) for s in part if s.named}
+    kept: dict[str, int] = {}
+    for i, part in enumerate(cut):
+        for used in _used(part):
+            if used in home and home[used][0] < i:
+                kept.setdefault(used, len(kept))
+    return [_completed(i, part, given, home, kept) for i, part in enumerate(cut)], len(kept)
+
+
+def _cut(statements: list[_Statement]) -> list[list[_Statement]]:
+    """Return statements in parts that are not too long."""
+    parts: list[list[_Statement]] = [[]]
+    length = 0
+    for statement in statements:
+        length += len(statement.text)
+        if length > LONGEST_PART and parts[-1]:
+            parts.append([])
+            length = len(statement.text)
+        parts[-1].append(statement)
+    return parts
+
+
+def _used(part: list[_Statement]) -> list[str]:
+    """Return the names that a part uses, each once."""
+    return sorted({name for statement in part for name in _NAME.findall(statement.text)})
+
+
+def _completed(
+    i: int,
+    part: list[_Statement],
+    given: Mapping[str, str],
+    home: Mapping[str, tuple[int, bool]],
+    kept: Mapping[str, int],
+) -> list[str]:
+    """Return part i as lines, with what it reads before its statements and what others need behind them."""
+    lines = []
+    for name in _used(part):
+        if name in given:
+            lines.append(f"const real {name} = {given[name]};")
+        elif name in home and home[name][0] < i:
+            place, truth = f"kept[{kept[name]}][i]", home[name][1]
+            lines.append(f"const int {name} = {place} > (real)0;" if truth else f"const real {name} = {place};")
+    for target, text, truth, named in part:
+        kind = ("const int " if truth else "const real ") if named else ""
+        lines.append(f"{kind}{target} = {text};")
+        if target in kept:
+            lines.append(f"kept[{kept[target]}][i] = {f'({target} ? (real)1 : (real)0)' if truth else target};")
+    return lines
+
+
+def _function(name: str, taken: str, lines: list[str]) -> list[str]:
+    """Return the function that computes one part for one block."""
+    head = [f"static __attribute__((noinline)) void {name}({taken})", "{", "#pragma omp simd"]
+    return [*head, f"for (int i = 0; i < {LANES}; i++) {{", *lines, "}", "}"]
+
+
+def _read(array: str, rows: int, layout: Layout) -> str:
+    """Return the loops that fill a block from an array; behind the last vehicle it is repeated."""
+    loops = f"for (long r = 0; r < {rows}; r++) for (int i = 0; i < {LANES}; i++)"
+    target, entry = f"block_{array}[r][i]", layout.entry(array, "r")
+    if array in layout.shared:
+        return f"{loops} {target} = {entry};"
+    whole, part = (entry.replace("+ i]", f"+ b + {i}]") for i in ("i", "(i < full ? i : full - 1)"))
+    return f"if (full == {LANES}) {loops} {target} = {whole}; else {loops} {target} = {part};"
+
+
+def _write(array: str, rows: int, layout: Layout) -> str:
+    """Return the loops that bring a block back to an array."""
+    copy = f"{layout.entry(array, 'r').replace('+ i]', '+ b + i]')} = after_{array}[r][i];"
+    whole, part = (f"for (long r = 0; r < {rows}; r++) for (int i = 0; i < {end}; i++)" for end in (LANES, "full"))
+    return f"if (full == {LANES}) {whole} {copy} else {part} {copy}"
