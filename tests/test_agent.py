@@ -1,6 +1,8 @@
 """Agents as artefacts: networks against torch, round trips, refusals, and a zero correction."""
 
+import copy
 import json
+import pickle
 import shutil
 
 import numpy as np
@@ -15,6 +17,9 @@ import baselines
 import evaluate
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.namespaces import ARRAYS
+from auv_gym.policy import corrected
+from auv_gym.task import SIZE, decoded_terms
 from baselines import list_policies, make_policy
 from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES, Inputs
@@ -240,6 +245,44 @@ def test_zero_head_reproduces_the_expert(expert):
         assert action.dtype == np.float32
         observation, *_ = env.step(action)
         first = np.array([k == 7, False, False])
+
+
+@pytest.mark.parametrize("inputs", [Inputs(), Inputs((2, 9), integrals=False)], ids=["plain", "preview"])
+@pytest.mark.parametrize("expert", ["backstepping", "current-observer"])
+@pytest.mark.parametrize("n", [1, 5, 300])
+def test_decides_as_its_equations_say(n, expert, inputs):
+    """Expert, features, network and command one after the other; one vehicle, several, and more than one block."""
+    network = Gru(len(inputs.features), encoder=12, hidden=10, decoder=8)
+    policy, law = agent(network, expert, inputs=inputs).policy(), make_policy(expert)
+    layers, authority = network.prepared(weights_of(network)), np.array([[0.3], [0.5]])
+    env = UnderactuatedAUVTrackVectorEnv(n, "cruise-storm", preview=inputs.preview)
+    observation, _ = env.reset(seed=0)
+    sums, correction, hidden, memory, its = np.zeros((4, n)), np.zeros((2, n)), np.zeros((10, n)), None, None
+    for _ in range(4):
+        action, memory = policy.predict(observation[0] if n == 1 else observation, memory)
+        base, its = law.predict(observation, its)
+        o, ahead = decoded_terms(observation), tuple(observation[:, SIZE:].T)
+        features, sums = inputs.update(o, ahead, base.T.astype(float), correction, sums, ARRAYS)
+        correction, hidden = network.forward(layers, np.array(features), hidden)
+        command = corrected(base.T.astype(float), authority, correction, ARRAYS)
+        np.testing.assert_allclose(np.reshape(action, (n, 2)), command.T, rtol=0, atol=1e-7)
+        np.testing.assert_allclose(memory[0], np.transpose(sums), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(memory[2], hidden.T, rtol=0, atol=1e-9)
+        observation, *_ = env.step(np.reshape(action, (n, 2)))
+
+
+def test_decides_alike_in_single_precision_and_as_a_copy():
+    env = UnderactuatedAUVTrackVectorEnv(3, "cruise-storm")
+    observation, _ = env.reset(seed=0)
+    exact, single = (agent().policy(precision=precision) for precision in ("float64", "float32"))
+    twin, memories = pickle.loads(pickle.dumps(copy.deepcopy(exact))), [None] * 3
+    for _ in range(20):
+        results = [p.predict(observation, m) for p, m in zip((exact, twin, single), memories, strict=True)]
+        (action, _), (same, _), (near, _) = results
+        memories = [memory for _, memory in results]
+        np.testing.assert_array_equal(same, action)
+        np.testing.assert_allclose(near, action, rtol=0, atol=1e-5)
+        observation, *_ = env.step(action)
 
 
 def test_memory_is_each_vehicles_own():

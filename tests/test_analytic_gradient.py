@@ -34,6 +34,13 @@ SIZES = Gru(len(FEATURES), 8, 8, 8)
 AUTHORITY = (0.3, 0.6)
 INPUTS = [Inputs(), Inputs((3, 20)), Inputs((40,), integrals=False)]
 LOSS = Loss(effort=0.1, rate=0.01)
+CASES = [  # expert, whether the network has a memory, and what it sees
+    ("backstepping", True, INPUTS[0]),
+    ("backstepping", False, INPUTS[1]),
+    ("none", True, INPUTS[2]),
+    ("ekf", True, INPUTS[1]),
+    ("current-observer", False, INPUTS[0]),
+]
 
 
 @pytest.fixture(autouse=True)
@@ -119,16 +126,7 @@ def native(request, monkeypatch):
 
 
 @pytest.mark.usefixtures("native")
-@pytest.mark.parametrize(
-    ("expert", "memory", "inputs"),
-    [
-        ("backstepping", True, INPUTS[0]),
-        ("backstepping", False, INPUTS[1]),
-        ("none", True, INPUTS[2]),
-        ("ekf", True, INPUTS[1]),
-        ("current-observer", False, INPUTS[0]),
-    ],
-)
+@pytest.mark.parametrize(("expert", "memory", "inputs"), CASES)
 def test_gradient_equals_that_of_torch(expert, memory, inputs):
     n = len(inputs.features)
     sizes = Gru(n, 8, 6, 7) if memory else Mlp(n, (8, 6), bound="tanh")
@@ -153,9 +151,7 @@ def test_begins_as_its_expert():
         assert [bool(p.any()) for name, p in last if name.startswith(("head", "layers.2"))] == [False, False]
 
 
-@pytest.mark.parametrize("inputs", INPUTS, ids=["plain", "preview", "no-integrals"])
-@pytest.mark.parametrize("memory", [True, False], ids=["gru", "mlp"])
-@pytest.mark.parametrize("expert", ["backstepping", "none", "ekf", "current-observer"])
+@pytest.mark.parametrize(("expert", "memory", "inputs"), CASES)
 def test_equals_the_policy_in_the_environment(expert, memory, inputs):
     """Expert, features, network and vehicle in one window do what the policy does in the environment."""
     n = len(inputs.features)

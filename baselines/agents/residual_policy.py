@@ -76,7 +76,7 @@ class ResidualPolicy:
 
     Its memory: the integrals of the features, (N, INTEGRALS); the last correction, (N, 2); the network's hidden state,
     (N, hidden); and behind them whatever the expert remembers. A network that gives zero leaves the expert's actions as
-    they are, bit for bit.
+    they are, bit for bit. It is for one thread at a time.
     """
 
     OWN = 3

@@ -20,7 +20,7 @@ from baselines.evaluation.score import EXPERT, ORACLE, capped, regime_of
 from baselines.evaluation.suites import FOLDER, Suite
 from baselines.tools.files import json_text, read_json, write_atomically
 
-FILE = FOLDER / "yardsticks.json"
+FILE = FOLDER / "yardsticks.json"  # of all suites that have been measured
 
 
 class Yardstick(NamedTuple):

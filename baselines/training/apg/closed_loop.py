@@ -18,7 +18,6 @@ from auv_gym.task import Observation, action_of, decode, encode
 from baselines.agents.features import STANDARD, Inputs
 from baselines.control.backstepping import Backstepping, tracking_forces
 from baselines.control.ekf_law import EkfLaw
-from baselines.control.open_loop import Zero
 from baselines.policy import U_R, V_R, BySpeed, is_fast
 
 NEAR = 2.0  # error in units of its scale where the loss turns from a parabola into a logarithm
@@ -139,8 +138,8 @@ def law_of(expert: Policy) -> tuple[Forces, bool]:
     An expert that computes on NumPy alone, with a memory perhaps, has its slope taken from a law near it: the one on an
     extended Kalman filter from the same law on the measurements, every other from the paper's law.
     """
-    if isinstance(expert, Zero):
-        return lambda o, _: (0.0 * o[0], 0.0 * o[0]), True
+    if traceable(expert):
+        return cast(Law, expert).forces, True
     controller = getattr(expert, "controller", None)
     if (
         isinstance(controller, BySpeed)
@@ -148,7 +147,7 @@ def law_of(expert: Policy) -> tuple[Forces, bool]:
         and isinstance(controller.cruise, EkfLaw)
     ):
         return partial(_by_speed, controller.slow, controller.cruise), False
-    return (cast(Law, expert).forces, True) if traceable(expert) else (Backstepping().forces, False)
+    return Backstepping().forces, False
 
 
 def _by_speed(slow: EkfLaw, cruise: EkfLaw, o: Any, ns: Namespace) -> tuple[Any, Any]:

@@ -35,7 +35,8 @@ class Chosen(NamedTuple):
     share: Number  # of a vehicle's control step in the window's loss
 
 
-SEEN = {"observation": SIZE, "correction": ACTIONS, "integrals": INTEGRALS}  # what the features are made of, but ahead
+SEEN = {"observation": SIZE, "correction": ACTIONS, "integrals": INTEGRALS}
+"""What the features are made of, rows by array, but for `ahead` and the expert's action."""
 MOVED = {
     "state": PLANT_ROWS,
     "base": ACTIONS,
@@ -44,6 +45,7 @@ MOVED = {
     "parameters": PARAMETER_ROWS,
     "chosen": len(Chosen._fields),
 }
+"""What a control step is made of, rows by array."""
 FIXED = frozenset(
     ("parameters", "chosen", "d_state", "d_observation", "d_base", "d_correction", "d_features", "d_integrals")
 )
