@@ -14,7 +14,8 @@ from scipy.special import fresnel
 
 from auv_gym.feasibility import InfeasibleReferenceError
 from auv_gym.paths import PAPER_CIRCLE, Circle, Ellipse, FigureEight, Lawnmower, Line, Path, RandomSmooth, Sine, Spline
-from auv_gym.planner import MAX_SIDESLIP, Reference, path_rates, plan, printed_surge_rate
+from auv_gym.planner import MAX_SIDESLIP, Reference, plan, printed_surge_rate
+from auv_gym.sideslip import path_rates
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 
 ROUGH = Vehicle(215.0, 265.0, 80.0, 70.0, 100.0, 50.0, X_uu=40.0, Y_vv=150.0, N_rr=60.0)

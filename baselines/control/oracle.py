@@ -26,8 +26,9 @@ from auv_gym.episode import Episode
 from auv_gym.errors import to_body, tracking_errors
 from auv_gym.namespaces import ARRAYS
 from auv_gym.paths import evaluate
-from auv_gym.planner import PathRates, assemble, path_rates, sideslip_rest, sideslip_step, sideslip_terms, slow_sideslip
+from auv_gym.planner import assemble
 from auv_gym.scenario import Scenario
+from auv_gym.sideslip import PathRates, path_rates, sideslip_rest, sideslip_step, sideslip_terms, slow_sideslip
 from auv_gym.simulation import start, step
 from auv_gym.vehicle import Coefficients, Vehicle
 from baselines.control.linearisation import error_dynamics

@@ -16,7 +16,7 @@ from typing import NamedTuple
 from auv_gym.dynamics import rates
 from auv_gym.errors import to_world
 from auv_gym.namespaces import ARRAYS, Namespace, Number, wrap_angle
-from auv_gym.planner import (
+from auv_gym.sideslip import (
     PathRates,
     in_sideslip,
     path_rates,
@@ -89,7 +89,7 @@ class Planned(NamedTuple):
     before_x: Number  # [m/s^2] the one before
     before_y: Number
     w: Number  # sine of the sideslip
-    rest: Number  # the rest of its equation, see `planner.sideslip_rest`, times the period
+    rest: Number  # the rest of its equation, see `sideslip.sideslip_rest`, times the period
 
 
 def planned(

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from auv_gym.paths import PAPER_CIRCLE, Circle
-from auv_gym.planner import path_rates, plan, printed_surge_rate
+from auv_gym.planner import plan, printed_surge_rate
+from auv_gym.sideslip import path_rates
 from auv_gym.vehicle import PAPER_VEHICLE
 from baselines.control.backstepping import GAINS
 from baselines.evaluation.paper.noise_study import POSITION_NOISE, NoiseRun, noise_study

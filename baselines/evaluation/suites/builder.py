@@ -14,9 +14,10 @@ from auv_gym.episode import Episode
 from auv_gym.feasibility import InfeasibleReferenceError
 from auv_gym.intervals import Interval
 from auv_gym.paths import Path, Spline
-from auv_gym.planner import path_rates, plan
+from auv_gym.planner import plan
 from auv_gym.presets import CASES, PRESETS, REGIMES
 from auv_gym.scenario import RandomPath, Scenario
+from auv_gym.sideslip import path_rates
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.suites import rounded
 
