@@ -38,6 +38,7 @@ CASES: tuple[Case, ...] = (
     learning.torch_cases,
     learning.gradient_cases,
     learning.sb3_cases,
+    learning.window_cases,
     learning.training_cases,
 )
 """What `make bench` runs, in this order."""

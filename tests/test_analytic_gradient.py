@@ -16,24 +16,21 @@ from auv_gym.simulation import PARAMETER_ROWS
 from auv_gym.task import TERMS, Observation
 from baselines import make_policy
 from baselines.agents.agent import Agent
-from baselines.agents.features import FEATURES, STANDARD, Inputs
+from baselines.agents.features import FEATURES, Inputs
 from baselines.agents.networks import Gru, Mlp
 from baselines.control.open_loop import Zero
 from baselines.training.apg.closed_loop import CURVE, NEAR, ClosedLoop, Loss, law_of
 from baselines.training.apg.fleet import Fleet
-from baselines.training.apg.kernels import LoopKernels
 from baselines.training.apg.passes import gates_back
 from baselines.training.apg.torch_network import torch_network, weights_of
 from baselines.training.apg.trainer import Settings, Trainer, check, train
-from baselines.training.apg.window import Carried, Window
 from baselines.training.config import Config
 from baselines.training.run_folder import Run
 from baselines.training.validation import PRECISION
+from benchmarks.eager import AUTHORITY, LOSS, Setting
 
 SIZES = Gru(len(FEATURES), 8, 8, 8)
-AUTHORITY = (0.3, 0.6)
 INPUTS = [Inputs(), Inputs((3, 20)), Inputs((40,), integrals=False)]
-LOSS = Loss(effort=0.1, rate=0.01)
 CASES = [  # expert, whether the network has a memory, and what it sees
     ("backstepping", True, INPUTS[0]),
     ("backstepping", False, INPUTS[1]),
@@ -53,60 +50,6 @@ def network(head=0.5, sizes=SIZES, dtype=torch.float64):
     made = torch_network(sizes).to(dtype)
     torch.nn.init.normal_((made.head if isinstance(sizes, Gru) else made.layers[-1]).weight, std=head)
     return made
-
-
-class Setting:
-    """Vehicles, and a window that they run through with a network."""
-
-    def __init__(self, names, net, expert="backstepping", inputs=STANDARD, steps=5, precision="float64"):
-        self.expert = Zero() if expert == "none" else make_policy(expert)
-        law, self.exact = law_of(self.expert)
-        self.fleet = Fleet([PRESETS[name] for name in names], 7, steps, inputs.preview)
-        self.loop = ClosedLoop(law, inputs, self.fleet.parts)
-        kernels = LoopKernels(self.loop, self.exact, precision)
-        self.net, self.window = net, Window(kernels, net, len(names), steps)
-        self.carried, self.memory = self.fleet.reset(net.sizes.memory), None
-
-    def act(self, observation):
-        action, self.memory = self.expert.predict(np.asarray(observation).T.astype(float), self.memory)
-        return action.T
-
-    def run(self):
-        """Return the mean loss and the squared error at the end of the next window; the gradient is the network's."""
-        act = None if self.exact else lambda _, observation: self.act(observation)
-        given = (*self.fleet.window(), self.fleet.constants, AUTHORITY, LOSS, act)
-        loss, _, carried, squared_error = self.window.run(self.carried, *given)
-        self.carried = Carried(*(x.copy() for x in carried))
-        return loss, squared_error
-
-    def by_torch(self):
-        """Return the same loss as a tensor: the same equations on tensors, torch's layers and autograd."""
-        carried = [torch.tensor(x, dtype=next(self.net.parameters()).dtype) for x in self.carried]
-        state, observation, integrals, correction, hidden = (list(x.unbind()) for x in carried)
-        hidden, total = carried[-1].T, torch.zeros(())
-        as_rows = lambda x: torch.tensor(x, dtype=carried[0].dtype).unbind()  # noqa: E731
-        for ahead, sample in zip(*self.fleet.window(), strict=True):
-            base = self.loop.expert(observation, TENSORS)
-            if not self.exact:  # the expert's value, the law's slope
-                value = as_rows(self.act(torch.stack(observation).detach()))
-                base = [v + (b - b.detach()) for v, b in zip(value, base, strict=True)]
-            features, integrals = self.loop.features(observation, as_rows(ahead), base, correction, integrals, TENSORS)
-            output, hidden = applied(self.net, torch.stack(features, dim=1), hidden)
-            correction = output.unbind(dim=1)
-            rows = as_rows(sample), as_rows(self.fleet.constants), AUTHORITY, LOSS
-            state, observation, _, loss = self.loop.move(state, base, correction, *rows, TENSORS)
-            total = total + loss.mean() / self.window.steps
-        return total
-
-
-def applied(net, x, hidden):
-    """Return what a network makes of inputs (N, inputs) and its hidden state, by torch's own layers."""
-    if isinstance(net.sizes, Mlp):
-        for layer in net.layers:
-            x = torch.tanh(layer(x))
-        return x, hidden
-    hidden = net.gru(torch.tanh(net.encoder(x)), hidden)
-    return torch.tanh(net.head(torch.tanh(net.decoder(hidden)))), hidden
 
 
 def gradient_of(net):

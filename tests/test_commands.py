@@ -138,10 +138,19 @@ def test_demo_recomputes_the_paper_and_runs_every_preset(copy):
 
 def test_bench_measures_in_a_quick_form(copy):
     text = made(copy, "bench")
-    for case in ("scalar residual", "residual, zero action", "end one after the other", "gradient through", "PPO"):
+    for case in ("scalar residual", "end one after the other", "CasADi", "decision of one vehicle: nmpc", "memory"):
         assert case in text
-    assert (copy / "bench" / "bench.json").exists()
-    assert (copy / "bench" / "bench.png").exists()
+    for case in (
+        "a vehicle step: ekf",
+        "python evaluate.py",
+        "gradient through",
+        "in PPO",
+        "window",
+        "python train.py",
+    ):
+        assert case in text
+    for file in ("bench.json", "bench.png", "speed.md"):
+        assert (copy / "bench" / file).exists()
 
 
 def test_train_makes_an_agent(copy):
