@@ -282,24 +282,6 @@ def reference_tables(
     return list(np.ascontiguousarray(reference.transpose(2, 0, 1)))
 
 
-def checked_actions(actions: Any, num_envs: int) -> Array:
-    """Return actions of shape (N, 2) as float64.
-
-    Raises:
-        ValueError: they are no numbers of that shape, or not finite; the first bad sub-environment is named.
-    """
-    array = np.asarray(actions)
-    if array.dtype.kind not in "fiu" or array.shape != (num_envs, 2):
-        raise ValueError(
-            f"actions have shape {array.shape} and type {array.dtype}; they must be numbers of shape ({num_envs}, 2)"
-        )
-    finite = np.isfinite(array)
-    if not finite.all():
-        i = int(np.argmin(finite.all(axis=1)))
-        raise ValueError(f"action of sub-environment {i} is {array[i]}; it must be two finite numbers in [-1, 1]")
-    return array.astype(np.float64)
-
-
 def replaced(old: NDArray[Any], where: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:
     """Return a copy of an array with new values at the indices, or where the mask is True."""
     result = old.copy()

@@ -10,8 +10,9 @@ import numpy as np
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from auv_gym.envs.lanes import checked_actions, replaced
-from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv, checked_action, with_action
+from auv_gym.envs.lanes import replaced
+from auv_gym.envs.spaces import checked_action, checked_actions, with_action
+from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.namespaces import ARRAYS, FLOATS
 from auv_gym.policy import Policy, checked_authority, corrected, traceable

@@ -10,8 +10,8 @@ import torch
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
+from auv_gym.envs.spaces import with_action
 from auv_gym.envs.torch_sim import TENSORS, TorchSimulator
-from auv_gym.envs.track_env import with_action
 from auv_gym.namespaces import Namespace
 from auv_gym.policy import checked_authority, corrected
 from auv_gym.task import SIZE, Observation, action_of, decode

@@ -1,11 +1,11 @@
-"""The scalar environment: one vehicle, stepped on plain Python floats."""
+"""The scalar environment: one vehicle."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -13,6 +13,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
+from auv_gym.envs.spaces import ReferencePoint, checked_action, with_action
 from auv_gym.episode import checked_options, with_options
 from auv_gym.kernels import STATES, Vehicles, begun
 from auv_gym.namespaces import ARRAYS, FLOATS
@@ -43,19 +44,6 @@ Array = NDArray[np.float64]
 
 BLOCK = 128  # control steps of tape read at once
 TRAIL = 1000  # past positions drawn at most
-
-
-class ReferencePoint(NamedTuple):
-    """The reference at one time."""
-
-    x: float  # [m]
-    y: float  # [m]
-    psi: float  # [rad]
-    u: float  # [m/s]
-    v: float  # [m/s]
-    r: float  # [rad/s]
-    F_u: float  # [N]
-    F_r: float  # [N m]
 
 
 class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]):
@@ -351,23 +339,3 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
-
-
-def checked_action(action: Any) -> list[float]:
-    """Return an action as two Python floats.
-
-    Raises:
-        ValueError: it is not a numeric array or sequence of shape (2,), or not finite.
-    """
-    array = action if isinstance(action, np.ndarray) else np.asarray(action)
-    if array.dtype.kind in "fiu" and array.shape == (2,):
-        command: list[float] = array.tolist()
-        if math.isfinite(command[0]) and math.isfinite(command[1]):
-            return command
-    raise ValueError(f"action is {action!r}; it must be two finite numbers in [-1, 1], shape (2,)")
-
-
-def with_action(space: Any) -> Any:
-    """Return the space of observations that an action is appended to."""
-    bounds = np.append(space.high, np.ones(2, dtype=space.dtype))
-    return gym.spaces.Box(-bounds, bounds, dtype=space.dtype)

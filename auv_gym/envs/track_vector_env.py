@@ -12,8 +12,8 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from auv_gym.envs.lanes import Beginning, Lanes, ScenarioLike, checked_actions
-from auv_gym.envs.track_env import ReferencePoint, with_action
+from auv_gym.envs.lanes import Beginning, Lanes, ScenarioLike
+from auv_gym.envs.spaces import ReferencePoint, checked_actions, with_action
 from auv_gym.kernels import Vehicles
 from auv_gym.namespaces import ARRAYS
 from auv_gym.policy import Forces, Law

@@ -1,0 +1,63 @@
+"""What goes into environments and comes out of them: checked actions, observations with actions, references."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class ReferencePoint(NamedTuple):
+    """The reference at one time."""
+
+    x: float  # [m]
+    y: float  # [m]
+    psi: float  # [rad]
+    u: float  # [m/s]
+    v: float  # [m/s]
+    r: float  # [rad/s]
+    F_u: float  # [N]
+    F_r: float  # [N m]
+
+
+def checked_action(action: Any) -> list[float]:
+    """Return an action as two Python floats.
+
+    Raises:
+        ValueError: it is not a numeric array or sequence of shape (2,), or not finite.
+    """
+    array = action if isinstance(action, np.ndarray) else np.asarray(action)
+    if array.dtype.kind in "fiu" and array.shape == (2,):
+        command: list[float] = array.tolist()
+        if math.isfinite(command[0]) and math.isfinite(command[1]):
+            return command
+    raise ValueError(f"action is {action!r}; it must be two finite numbers in [-1, 1], shape (2,)")
+
+
+def checked_actions(actions: Any, num_envs: int) -> Array:
+    """Return actions of shape (N, 2) as float64.
+
+    Raises:
+        ValueError: they are no numbers of that shape, or not finite; the first bad sub-environment is named.
+    """
+    array = np.asarray(actions)
+    if array.dtype.kind not in "fiu" or array.shape != (num_envs, 2):
+        raise ValueError(
+            f"actions have shape {array.shape} and type {array.dtype}; they must be numbers of shape ({num_envs}, 2)"
+        )
+    finite = np.isfinite(array)
+    if not finite.all():
+        i = int(np.argmin(finite.all(axis=1)))
+        raise ValueError(f"action of sub-environment {i} is {array[i]}; it must be two finite numbers in [-1, 1]")
+    return array.astype(np.float64)
+
+
+def with_action(space: Any) -> Any:
+    """Return the space of observations that an action is appended to."""
+    bounds = np.append(space.high, np.ones(2, dtype=space.dtype))
+    return gym.spaces.Box(-bounds, bounds, dtype=space.dtype)
