@@ -180,10 +180,10 @@ frozen benchmark, in which the shipped agent's tail error is smaller than that o
 in most episodes, whatever its mean: so do the agents without a preview in storms."""
 UNMODELLED = f"""## Where all is not as told
 
-`unmodelled-v1`, in the same columns. Mind the episodes: `{RIVAL}` has run the first of each case only, so leads are of
-fewer episodes than scores. `apg-adverse-*` were trained on these kinds of trouble, all at once and in slightly wider
-ranges, and on the sheared current of `ood-v1`: for them this is no test of the unforeseen. The others had met none of
-it. What robustness costs where nothing is wrong is the distance between `apg-adverse-*` and `apg-*` above."""
+`unmodelled-v1`, in the same columns. Its intervals are wide, since a few episodes that go badly wrong weigh much.
+`apg-adverse-*` were trained on these kinds of trouble, all at once and in slightly wider ranges, and on the sheared
+current of `ood-v1`: for them this is no test of the unforeseen. The others had met none of it. What robustness costs
+where nothing is wrong is the distance between `apg-adverse-*` and `apg-*` above."""
 RESIDUAL = f"""## What the expert is for
 
 The expert does not make the final score better: `apg-scratch-*`, networks that command alone, end level with the
