@@ -176,13 +176,10 @@ class Vehicles:
     def step(self, row: int) -> None:
         """Go on by a control step, with `action` and a row of the samples."""
         self._run(row, 1)
-        self._turn()
+        self.now, self._other, self._run, self._run_back = self._other, self.now, self._run_back, self._run
 
     def undo(self) -> None:
         """Take the last step back."""
-        self._turn()
-
-    def _turn(self) -> None:
         self.now, self._other, self._run, self._run_back = self._other, self.now, self._run_back, self._run
 
     @property

@@ -6,6 +6,7 @@ import types
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
+from functools import cache
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -56,6 +57,7 @@ def from_record(cls: type[T], record: Any, where: str, special: Mapping[str, Cal
         raise ValueError(f"{where}: {error}") from error
 
 
+@cache
 def _nested(cls: Any) -> dict[str, type]:
     """Return the fields that hold another dataclass, perhaps optionally."""
     found = {}

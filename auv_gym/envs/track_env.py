@@ -42,7 +42,7 @@ from auv_gym.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
-BLOCK = 128  # control steps of tape read at once
+BLOCK = 256  # control steps of tape read at once
 TRAIL = 1000  # past positions drawn at most
 
 

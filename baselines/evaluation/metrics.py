@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,6 +139,7 @@ def distribution(values: Array, interval: bool = True) -> Spread:
     return Spread(float(np.mean(values)), ends, float(np.quantile(values, 0.95)), cvar(values))
 
 
+@lru_cache
 def most_lost(lost: int, episodes: int) -> float:
     """Return the upper end of a share's one-sided 95 % interval (Clopper and Pearson): for none about 3 / episodes."""
     return float(stats.binomtest(lost, episodes, alternative="less").proportion_ci(0.95).high)

@@ -178,7 +178,7 @@ CASES = f"""### Where an agent leads, and where it trails
 A score is made of means. Episode by episode the picture is another one: the share of the episodes of each case, on the
 frozen benchmark, in which the shipped agent's tail error is smaller than that of `{RIVAL}`. Below 50 % the agent trails
 in most episodes, whatever its mean: so do the agents without a preview in storms."""
-UNMODELLED = f"""## Where all is not as told
+UNMODELLED = """## Where all is not as told
 
 `unmodelled-v1`, in the same columns. Its intervals are wide, since a few episodes that go badly wrong weigh much.
 `apg-adverse-*` were trained on these kinds of trouble, all at once and in slightly wider ranges, and on the sheared
