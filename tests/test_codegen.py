@@ -184,16 +184,6 @@ def test_constants_are_folded_and_equal_expressions_merged():
         bool(x < y)
 
 
-def test_what_depends_on_what():
-    graph = Graph()
-    a, b, c = (graph.input(name) for name in "abc")
-    constant, varying = a * b, SYMBOLS.where(c < a, a * b, b)
-    order = graph.needed([varying.index])
-    found = graph.depending_on([c.index], order)
-    assert varying.index in found
-    assert constant.index not in found
-
-
 @functools.cache
 def oscillator(back):
     """A chain of steps, x' = x + h v, v' = v - h x + push, with what it passes through."""
@@ -267,6 +257,8 @@ def test_wrong_arrays_are_refused():
             kernel.bound(z=z, **rest)
     with pytest.raises(ValueError, match="kernel takes arrays z, h, push"):
         kernel.bound(z=good)
+    with pytest.raises(ValueError, match="push has 3 steps; it must have at least 4"):
+        kernel(4, z=good, h=rest["h"], push=rest["push"])
 
 
 @pytest.fixture

@@ -114,17 +114,6 @@ class Graph:
                 stack += arguments_of(self.nodes[i])
         return sorted(wanted)
 
-    def depending_on(self, varying: Iterable[int], among: Iterable[int]) -> set[int]:
-        """Return those of some nodes, given in the order in which they compute, that depend on one of `varying`.
-
-        Truth values count: what is chosen by one depends on what that one depends on.
-        """
-        found = set(varying)
-        for i in among:
-            if any(a in found for a in arguments_of(self.nodes[i])):
-                found.add(i)
-        return found
-
 
 def arguments_of(node: Key) -> tuple[int, ...]:
     """Return the indices of a node's arguments."""

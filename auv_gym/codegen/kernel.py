@@ -34,8 +34,8 @@ class Kernel:
     """An equation on rows of n vehicles, which may go through several steps at once.
 
     Arrays are of shape (rows, n), (T, rows, n) where they hold something else at each step, or (rows,) where they hold
-    the same for all vehicles. An array that is among
-    arguments and results is carried from step to step; another result is that of the last step, unless it is over time.
+    the same for all vehicles. An array that is among arguments and results is carried from step to step; another result
+    is that of the last step, unless it is over time.
     """
 
     name: str
@@ -124,7 +124,9 @@ class Kernel:
         return function
 
     def bound(self, **arrays: Array) -> Run:
-        """Return the function that reads these arrays and writes to them; they must live as long as it does.
+        """Return the function that reads these arrays and writes to them.
+
+        It is made for speed: that the steps which it is asked for are within the arrays is for the caller to see to.
 
         Raises:
             ValueError: an array is missing, unknown, of another shape or type, or its last axis is not contiguous.
@@ -234,9 +236,15 @@ class Kernel:
         return run
 
     def __call__(self, steps: int = 1, /, **arguments: Array) -> dict[str, Array]:
-        """Return new arrays with the results of the first `steps` steps, for arguments that stay as they are."""
+        """Return new arrays with the results of the first `steps` steps, for arguments that stay as they are.
+
+        Raises:
+            ValueError: an array is missing, unknown, of another shape, or of fewer steps.
+        """
         real = _REAL[self.layout.precision]
         given = {name: np.ascontiguousarray(a, dtype=real) for name, a in arguments.items()}
+        if short := [name for name in given if name in self.layout.over_time and len(given[name]) < steps]:
+            raise ValueError(f"array {short[0]} has {len(given[short[0]])} steps; it must have at least {steps}")
         n = next(a.shape[-1] for name, a in given.items() if name not in self.layout.shared)
         results = {name: given[name].copy() if name in given else self._empty(name, steps, n) for name in self.results}
         arrays = {**given, **results}

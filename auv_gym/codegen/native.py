@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -96,8 +97,11 @@ def _folders() -> Iterator[Path]:
     """Return where compiled code may be kept: the cache, else a folder that ends with the process."""
     if CACHE in os.environ:
         yield Path(os.environ[CACHE])
+    elif "XDG_CACHE_HOME" in os.environ:
+        yield Path(os.environ["XDG_CACHE_HOME"]) / "auv_gym"
     else:
-        yield Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()) / "auv_gym"
+        with suppress(RuntimeError):  # there is no home
+            yield Path.home() / ".cache" / "auv_gym"
     yield _temporary()
 
 
