@@ -42,7 +42,8 @@ def from_record(cls: type[T], record: Any, where: str, special: Mapping[str, Cal
     required = [n for n, f in known.items() if f.default is MISSING and f.default_factory is MISSING]
     if missing := [name for name in required if name not in record]:
         raise ValueError(f"{where} lacks the entry {missing[0]!r}; required are {', '.join(required)}")
-    nested = _nested(cls)
+    hashable: Any = cls
+    nested = _nested(hashable)
     values = {}
     for name, value in record.items():
         if special and name in special:
