@@ -13,7 +13,8 @@ INTRODUCTION = """# Speed
 
 How fast it is, measured by `make bench`: processor time on one thread, medians of rounds in which what is compared
 takes turns, so that a busy machine slows all of it alike. Ratios say how many times faster ours is than what it stands
-against. Where there is a goal, the last column says whether it is met. The scenario is `{scenario}`, every disturbance
+against. Times are of one run on a shared machine: another run may give twice as much, or half. Where there is a goal,
+the last column says whether it is met. The scenario is `{scenario}`, every disturbance
 at once; [From equation to code](codegen.md) says where the speed comes from."""
 
 
