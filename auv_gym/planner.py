@@ -20,7 +20,7 @@ from auv_gym.codegen.kernel import Kernel
 from auv_gym.feasibility import check, check_forces, check_rates
 from auv_gym.namespaces import Number
 from auv_gym.paths import Path, evaluate
-from auv_gym.sideslip import ORDER, PathRates, in_sideslip, rates_along, sine_of_sideslip
+from auv_gym.sideslip import ORDER, RATES, PathRates, in_sideslip, rates_along, sine_of_sideslip
 from auv_gym.vehicle import Coefficients, Vehicle
 
 Array = NDArray[np.float64]
@@ -95,7 +95,7 @@ def plan(
         fine = _look_along(path, vehicle, times, substeps * refinement, run_in)
     w = sine_of_sideslip(fine.along, vehicle, fine.h)
     _check_sideslip(w, fine)
-    kept = PathRates(*(getattr(fine.along, field.name)[fine.rows] for field in fields(PathRates)))
+    kept = PathRates(*(getattr(fine.along, name)[fine.rows] for name in RATES))
     reference = assemble(times, fine.position[:, fine.rows], kept, w[fine.rows], vehicle)
     if force_limits is not None:
         check_forces(reference.F_u, reference.F_r, force_limits, times, fine.position[:, fine.rows])
@@ -188,7 +188,7 @@ def assemble(
         vehicle: whose plan it is.
         sway_load: external force Y on the hull along its sway axis [N], in (2b), and its rate [N/s].
     """
-    rows = np.array([getattr(along, field.name) for field in fields(PathRates)])
+    rows = np.array([getattr(along, name) for name in RATES])
     rows[BETA] = _continuous(rows[BETA])
     arrays = {"along": rows.reshape(len(rows), -1), "w": w.reshape(1, -1)}
     several = np.ndim(vehicle.m11) > 0
@@ -214,7 +214,7 @@ def _continuous(angle: Array) -> Array:
     return angle
 
 
-BETA = [field.name for field in fields(PathRates)].index("beta")
+BETA = RATES.index("beta")
 """The place of the path's direction among its rates."""
 
 
@@ -226,7 +226,7 @@ def _motion_kernel(loaded: bool, several: bool) -> Kernel:
         vehicle, (Y, Y_rate) = Coefficients(*coefficients), load
         return {"motion": in_sideslip(PathRates(*along), w[0], vehicle, (Y, Y_rate), SYMBOLS)}
 
-    rows = {"along": len(fields(PathRates)), "w": 1, "coefficients": len(Coefficients._fields)}
+    rows = {"along": len(RATES), "w": 1, "coefficients": len(Coefficients._fields)}
     shared = [] if several else ["coefficients"]
     return Kernel.traced(equation, {**rows, "load": 2} if loaded else rows, shared=shared)
 

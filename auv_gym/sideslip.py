@@ -45,6 +45,9 @@ class PathRates:
     v_p_ddot: Number  # [m/s^3]
 
 
+RATES = tuple(field.name for field in fields(PathRates))  # the names of what `PathRates` holds
+
+
 def path_rates(derivatives: Any, ns: Namespace = ARRAYS) -> PathRates:
     """Return speed, direction and their rates from position and three time derivatives, shape (4, 2, ...)."""
     (x1, y1), (x2, y2), (x3, y3) = derivatives[1:]
@@ -70,7 +73,7 @@ def _along_kernel() -> Kernel:
     def equation(derivatives: Any) -> dict[str, Any]:
         pairs = list(zip(derivatives[::2], derivatives[1::2], strict=True))
         along = path_rates(pairs, SYMBOLS)
-        return {"along": [getattr(along, field.name) for field in fields(PathRates)]}
+        return {"along": [getattr(along, name) for name in RATES]}
 
     return Kernel.traced(equation, {"derivatives": 8})
 
@@ -150,7 +153,7 @@ def sideslip_rest(slope: Number, square: Number, turn: Number, w: Number, sqrt: 
 
 def slow_sideslip(along: PathRates, vehicle: Vehicle) -> Any:
     """Return the `steady_sideslip` of the first sample."""
-    first = PathRates(*(getattr(along, field.name)[0] for field in fields(PathRates)))
+    first = PathRates(*(getattr(along, name)[0] for name in RATES))
     return np.asarray(steady_sideslip(first, vehicle, ARRAYS))
 
 
@@ -204,7 +207,7 @@ def in_sideslip(
 ) -> tuple[Number, ...]:
     """Return psi [rad], u, v [m/s], r [rad/s], F_u [N], F_r [N m] and gamma of motion along a path, see `assemble`."""
     m11, m22, m33, _, d22, *_, Y_vv, _ = coefficients
-    v_p, beta, om, v_p_dot, om_dot, v_p_ddot = (getattr(along, field.name) for field in fields(PathRates))
+    v_p, beta, om, v_p_dot, om_dot, v_p_ddot = (getattr(along, name) for name in RATES)
     c = ns.sqrt(1 - w * w)
     tan, gamma, a = w / c, ns.arcsin(w), v_p_dot / v_p
     u, v = v_p * c, v_p * w  # (7), (8)

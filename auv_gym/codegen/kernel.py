@@ -145,12 +145,14 @@ class Kernel:
 
     def _table(self, arrays: Mapping[str, Array], n: int) -> Any:
         """Return what the compiled function finds `at` its first argument, see `c_function`."""
-        entries = [n]
-        for name in self.rows:
-            about = arrays[name].__array_interface__  # half the cost of `array.ctypes`
-            entries.append(about["data"][0])
-            if name not in self.layout.shared:
-                entries += [stride // arrays[name].itemsize for stride in arrays[name].strides[:-1]]
+        entries, size = [n], _REAL[self.layout.precision].itemsize
+        for name, _, axes in self._axes:
+            array = arrays[name]
+            entries.append(array.__array_interface__["data"][0])  # half the cost of `array.ctypes`
+            if axes == 2:  # most are
+                entries.append(array.strides[0] // size)
+            elif axes > 2:
+                entries += [array.strides[0] // size, array.strides[1] // size]
         return (ctypes.c_int64 * len(entries))(*entries)
 
     @cached_property

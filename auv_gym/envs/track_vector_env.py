@@ -95,7 +95,8 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
         self._observation[beginning.lanes] = self._begin(beginning)
         errors = np.zeros(self.num_envs)
         errors[beginning.lanes] = beginning.errors
-        begun = np.isin(self._lanes.all, beginning.lanes)
+        begun = ~self._everywhere
+        begun[beginning.lanes] = True
         return self._observation.copy(), self._info(errors, ~self._everywhere, begun)
 
     def _made(self, forces: Forces | None = None, authority: tuple[float, float] = (0.0, 0.0)) -> Vehicles:
