@@ -222,9 +222,9 @@ class Lanes:
         )
 
     def with_preview(self, rows: Array, lanes: Indices) -> Array:
-        """Return the observations of n lanes with their previews, shape (columns, n), for those without (SIZE, n)."""
+        """Return a copy of the observations of n lanes, (SIZE, n), with their previews behind them, (columns, n)."""
         if not self.preview.periods:
-            return rows
+            return rows.copy()
         o = Observation._make(decode(rows, ARRAYS))
         return np.vstack((rows, encode_preview(self.preview.ahead(lanes, self.k[lanes]), o, ARRAYS)))
 
