@@ -6,6 +6,7 @@ import sys
 import time
 import types
 
+import browser as browser_of_tests
 import pytest
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -29,3 +30,10 @@ def ray(monkeypatch):
     for part in (module, util, pool):
         monkeypatch.setitem(sys.modules, part.__name__, part)
     return module
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """A headless browser, started once a worker; `browser.opened` opens a page in it."""
+    with browser_of_tests.browser() as started:
+        yield started

@@ -1,0 +1,48 @@
+"""A headless browser for the tests of pages: Chromium or Chrome as installed, driven by Playwright.
+
+No page may use the network: whatever asks for it fails its test, and so does an error on the page's console.
+"""
+
+import contextlib
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+QUIET = ("--disable-gpu", "--disable-dev-shm-usage", "--disable-background-networking", "--disable-component-update")
+
+
+@contextlib.contextmanager
+def browser() -> Iterator:
+    """Start the browser of this machine; skip the test where there is none, but on CI, where it must be."""
+    from playwright.sync_api import sync_playwright
+
+    program = next(filter(None, map(shutil.which, NAMES)), None)
+    if program is None:
+        (pytest.fail if os.environ.get("CI") else pytest.skip)(f"no browser is installed: one of {', '.join(NAMES)}")
+    with sync_playwright() as play:
+        # Without its sandbox, since containers and continuous integration run as root; it sees our own files alone.
+        started = play.chromium.launch(executable_path=program, chromium_sandbox=False, args=list(QUIET))
+        yield started
+        started.close()
+
+
+@contextlib.contextmanager
+def opened(started, file: Path, width: int = 1200, height: int = 900, *, mobile: bool = False) -> Iterator:
+    """Open a page of files; afterwards nothing may have asked for the network or written an error."""
+    faults = []
+    context = started.new_context(viewport={"width": width, "height": height}, is_mobile=mobile, has_touch=mobile)
+    page = context.new_page()
+    page.on("pageerror", lambda error: faults.append(f"error on the page: {error}"))
+    page.on("console", lambda message: message.type == "error" and faults.append(f"console: {message.text}"))
+    page.on(
+        "request",
+        lambda request: request.url.startswith(("http", "ws")) and faults.append(f"asked for {request.url}"),
+    )
+    page.goto(file.resolve().as_uri())
+    yield page
+    context.close()
+    assert not faults, faults
