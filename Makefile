@@ -48,7 +48,7 @@ format: $(VENV)/dev.stamp ## mend the style and the format
 	$(BIN)/python -m ruff format
 
 bench: $(VENV)/dev.stamp ## measure the speed of the environments
-	$(BIN)/python -m benchmarks $(ARGS)
+	$(BIN)/python -m baselines.benchmarks $(ARGS)
 
 results: $(VENV)/eval.stamp ## write docs/results.md and its figures from the recorded rows
 	$(BIN)/python -m baselines.evaluation.results $(ARGS)

@@ -1,34 +1,19 @@
-"""Score controllers and agents: `python evaluate.py --help`."""
+"""Score controllers and agents: `python evaluate.py --help`. Installed as a package: `auv-gym evaluate`."""
 
-from __future__ import annotations
-
-import shlex
 import sys
 from collections.abc import Sequence
 
-from baselines.evaluation.options import Options
-from baselines.tools.command_line import parse, run
+from baselines.__main__ import call
 
 PROGRAM = "evaluate.py"
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Evaluate as the arguments say and return the exit status.
+    """Evaluate as the arguments say and return the exit status; see `baselines.evaluation.entry.main`."""
+    from baselines.evaluation import entry
 
-    Raises:
-        UsageError: the arguments do not make sense.
-    """
-    options, command = parse(Options, arguments, PROGRAM), f"python {PROGRAM} {shlex.join(arguments)}".rstrip()
-    from baselines.evaluation.command import evaluate
-    from baselines.evaluation.request import Request, checked_folder, checked_policies
-    from baselines.evaluation.score import EXPERT
-
-    if options.stability:
-        from baselines.evaluation.stability.report import report
-
-        return report(checked_policies(options.policy or (EXPERT,)), checked_folder(options.out), command)
-    return evaluate(Request.of(options, command))
+    return entry.main(arguments)
 
 
 if __name__ == "__main__":
-    sys.exit(run(main, PROGRAM))
+    sys.exit(call("evaluate", sys.argv[1:], PROGRAM))

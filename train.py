@@ -1,31 +1,19 @@
-"""Train agents: `python train.py --help`."""
+"""Train agents: `python train.py --help`. Installed as a package: `auv-gym train`."""
 
-from __future__ import annotations
-
-import shlex
 import sys
 from collections.abc import Sequence
 
-from baselines.tools.command_line import UsageError, parse, run
-from baselines.training.options import PROGRAM, Options
+from baselines.__main__ import call
+
+PROGRAM = "train.py"
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Train as the arguments say and return the exit status.
+    """Train as the arguments say and return the exit status; see `baselines.training.entry.main`."""
+    from baselines.training import entry
 
-    Raises:
-        UsageError: the arguments do not make sense, or what training needs is not installed.
-    """
-    options = parse(Options, arguments, PROGRAM)
-    try:
-        from baselines.training.command import train
-        from baselines.training.request import Request
-
-        request = Request.of(options, f"python {PROGRAM} {shlex.join(arguments)}")
-    except ImportError as error:
-        raise UsageError(f"{error}; training needs more packages: pip install 'auv-gym[train]'") from error
-    return train(request)
+    return entry.main(arguments)
 
 
 if __name__ == "__main__":
-    sys.exit(run(main, PROGRAM))
+    sys.exit(call("train", sys.argv[1:], PROGRAM))

@@ -40,7 +40,11 @@ def _register() -> None:
             "auv_gym.envs.track_env:UnderactuatedAUVTrackEnv",
             "auv_gym.envs:make_track_vector_env",
         ),
-        ("UnderactuatedAUVTrackResidual-v0", "baselines:make_residual_env", "baselines:make_residual_vector_env"),
+        (
+            "UnderactuatedAUVTrackResidual-v0",
+            "auv_gym.envs.residual_entry:make_residual_env",
+            "auv_gym.envs.residual_entry:make_residual_vector_env",
+        ),
     ):
         if name not in gym.registry:
             # The environment itself refuses bad actions and steps without reset, so no wrapper need watch it.

@@ -18,6 +18,7 @@ from baselines import make_policy
 from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES, Inputs
 from baselines.agents.networks import Gru, Mlp
+from baselines.benchmarks.eager import AUTHORITY, LOSS, Setting
 from baselines.control.open_loop import Zero
 from baselines.training.apg.closed_loop import CURVE, NEAR, ClosedLoop, Loss, law_of
 from baselines.training.apg.fleet import Fleet
@@ -27,7 +28,6 @@ from baselines.training.apg.trainer import Settings, Trainer, check, train
 from baselines.training.config import Config
 from baselines.training.run_folder import Run
 from baselines.training.validation import PRECISION
-from benchmarks.eager import AUTHORITY, LOSS, Setting
 
 SIZES = Gru(len(FEATURES), 8, 8, 8)
 INPUTS = [Inputs(), Inputs((3, 20)), Inputs((40,), integrals=False)]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-FILES = sorted(p for room in ("auv_gym", "baselines", "benchmarks") for p in (ROOT / room).rglob("*.py"))
+FILES = sorted(p for room in ("auv_gym", "baselines") for p in (ROOT / room).rglob("*.py"))
 LEANING = re.compile(
     r"\blikewise\b|\bthe same as above\b|\bsee above\b|\bas above\b|, as the (next|previous|former|last)\b"
     r"|\bas the (next|previous|last) (one|two|three|four|five|six)\b|^As `?\w+`?\.$|^See the (next|previous)",

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 
+from auv_gym.installation import install
+
 if TYPE_CHECKING:
     from auv_gym.envs.lanes import ScenarioLike
     from auv_gym.vehicle import Vehicle
@@ -52,7 +54,7 @@ def make_track_vector_env(
     if render_mode is not None:
         raise ValueError(f"render_mode is {render_mode!r}; the vector environments do not draw, the scalar one does")
     if find_spec("torch") is None:
-        raise ImportError("backend 'torch' needs torch: pip install 'auv-gym[train]', or choose backend='numpy'")
+        raise ImportError(f"backend 'torch' needs torch: {install('train')}, or choose backend='numpy'")
     from auv_gym.envs.torch_sim import TorchSimulator
 
     return TorchSimulator(num_envs, scenario, vehicle, control_dt, device or "cpu", dtype or "float32", preview=preview)

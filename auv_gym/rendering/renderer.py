@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
+from auv_gym.installation import install
 from auv_gym.rendering.camera import Camera, Progress, View, elapsed_between
 from auv_gym.rendering.canvas import Canvas
 from auv_gym.rendering.drawing import draw_overlay, draw_world
@@ -97,6 +98,6 @@ def _import_pygame() -> ModuleType:
             import pygame
             import pygame.font
     except ImportError as error:
-        raise DependencyNotInstalled('pygame is not installed, run `pip install "auv_gym[render]"`') from error
+        raise DependencyNotInstalled(f"drawing needs pygame: {install('render')}") from error
     pygame.font.init()
     return pygame

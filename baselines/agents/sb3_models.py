@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.installation import install
 from auv_gym.policy import Policy, checked_authority
 from auv_gym.task import SIZE
 from baselines.policy import Memory
@@ -89,7 +90,7 @@ def load_model(file: Path, expert: Policy, authority: float | tuple[float, float
     try:
         loader = getattr(importlib.import_module(package), algorithm)
     except ImportError as error:
-        raise ValueError(f"{file} needs {package}: pip install 'auv-gym[train]'") from error
+        raise ValueError(f"{file} needs {package}: {install('train')}") from error
     try:
         model = loader.load(file, device="cpu")
         shapes = tuple(model.observation_space.shape), tuple(model.action_space.shape)

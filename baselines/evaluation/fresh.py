@@ -1,4 +1,4 @@
-"""Fresh seas: the cases of the frozen suites on episodes that nothing was trained, tuned or chosen on.
+"""Fresh seas: the cases of the frozen suites on episodes that nothing was trained or chosen on: `auv-gym fresh --help`.
 
 `python -m baselines.evaluation.fresh` draws them from seeds of their own, runs the strongest policies through them and
 keeps what they did in `baselines/evaluation/data/fresh/`. `make results` reads from it how far leads on the frozen
@@ -16,13 +16,14 @@ from typing import Annotated
 
 from tyro.conf import arg
 
+from auv_gym.installation import checkout
 from auv_gym.presets import REGIMES
 from baselines import list_policies
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.runner import drawn, run_all
 from baselines.evaluation.score import EXPERT, ORACLE, regime_of
 from baselines.evaluation.suites import Suite
-from baselines.tools.command_line import DONE, FAILED, UsageError, parse, run
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse, run
 from baselines.tools.files import versions
 from baselines.tools.workers import Workers
 
@@ -55,7 +56,7 @@ class Options:
     """Episodes of each case. Default: 64 of benchmark-v1, 24 of unmodelled-v1."""
     jobs: int = 1
     """Worker processes. With one the time per decision is that of an idle processor."""
-    out: Path = FOLDER
+    out: Path = FOLDER if checkout() else Path("runs/fresh")
     """Folder for what they did, SUITE/POLICY.npz."""
 
 
@@ -107,7 +108,7 @@ def _kept(suite: Suite, policy: str, options: Options) -> bool:
     try:
         recorded.save(suite, runs, versions(), options.out, regimes)
     except ValueError as error:
-        print(f"{PROGRAM}: {error}: {next(run.error for run in runs if run.error)}", file=sys.stderr)
+        print(f"{called(PROGRAM)}: {error}: {next(run.error for run in runs if run.error)}", file=sys.stderr)
         return False
     print(f"{suite.name}: {policy}, {sum(len(cell.episodes) for cell in cells)} episodes", flush=True)
     return True

@@ -17,7 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from auv_gym.installation import checkout, left_out
 from auv_gym.presets import REGIMES
 from baselines import list_policies
 from baselines.agents.agent import Agent
@@ -31,7 +33,14 @@ from baselines.evaluation.suites import Suite
 from baselines.tools.files import json_text, write_atomically
 
 FOLDER = Path(__file__).parent / "data" / "recorded"
+SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1")
+"""The suites that rows are recorded of."""
 STAMPS = "fingerprints.json"  # file of the fingerprints of what was recorded
+
+
+DIGITS = {"rmse": 8, "effort": 11, "smoothness": 13, "total_reward": 8}
+"""Binary digits that are kept of measures of which nothing but means over episodes is told; no printed figure needs
+more. Of the others all that single precision has."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +76,13 @@ def _counted(suite: Suite, policy: str, stamps: Mapping[str, list[str]], folder:
     return own
 
 
+def missing(suite: str, folder: Path = FOLDER) -> str | None:
+    """Return why no rows of a suite are here that the sources have; None where they are here, or nowhere."""
+    if checkout() is not None or suite not in SUITES or (folder / suite).is_dir():
+        return None
+    return left_out(f"the recorded rows of {suite} are")
+
+
 def recorded_policies(suite: Suite, folder: Path = FOLDER) -> list[str]:
     """Return the names of the policies that rows are kept of, in the order of the registry."""
     names, order = {file.stem for file in (folder / suite.name).glob("*.npz")}, list(list_policies())
@@ -99,6 +115,18 @@ def read(suite: Suite, policy: str, folder: Path = FOLDER) -> list[Run]:
     if text_hash != suite.hash:
         raise ValueError(f"another {suite.name}, of hash {text_hash[:12]}")
     return runs
+
+
+def table(measures: Measures) -> NDArray[np.float32]:
+    """Return measures as files hold them, in single precision or with `DIGITS`, shape (measures, M)."""
+    rows = []
+    for field in fields(Measures):
+        row = getattr(measures, field.name).astype(np.float64)
+        if (digits := DIGITS.get(field.name)) is not None:
+            fraction, exponent = np.frexp(row)
+            row = np.ldexp(np.round(np.ldexp(fraction, digits)), exponent - digits)
+        rows.append(row)
+    return np.stack(rows).astype(np.float32)
 
 
 def _stamp(suite: Suite, policy: str, folder: Path) -> list[str]:
@@ -151,7 +179,6 @@ def save(
         raise ValueError(f"{policy} has no result in {', '.join(missing)}")
     ordered = [own[name] for name in names]
     parts = [run.measures for run in ordered if run.measures is not None]
-    measures = Measures.joined(parts)
     record = {
         "suite": suite.name,
         "suite_hash": suite.hash,
@@ -163,6 +190,5 @@ def save(
         "seconds": [run.seconds for run in ordered],
         "decision_seconds": [run.decision_seconds for run in ordered],
     }
-    rows = np.stack([getattr(measures, f.name) for f in fields(Measures)]).astype(np.float32)
-    write(folder / suite.name / f"{policy}.npz", Stored(record, {"measures": rows}))
+    write(folder / suite.name / f"{policy}.npz", Stored(record, {"measures": table(Measures.joined(parts))}))
     stamp(suite, policy, folder)

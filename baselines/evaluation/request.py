@@ -67,7 +67,8 @@ class Request:
         refused = {policy: reason for policy, reason in task.refused.items() if policy not in names}
         if suite in list_suites() and all(run.policy != ORACLE for run in earlier):
             names = tuple(dict.fromkeys((*names, ORACLE)))
-        notes = [f"the recorded rows of {policy} are left out: {reason}" for policy, reason in refused.items()]
+        notes = [note] if (note := recorded.missing(suite or "")) else []
+        notes += [f"the recorded rows of {policy} are left out: {reason}" for policy, reason in refused.items()]
         skipped = [_foreign(name, task, notes) for name in names]
         kept = zip(names, skipped, strict=True)
         without = {(name, cell.scenario.name) for name, cells in kept for cell in cells}

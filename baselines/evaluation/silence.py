@@ -1,4 +1,4 @@
-"""What an expert is for: agents whose network falls silent, and speeds that were not trained.
+"""What an expert is for: agents that fall silent or meet untrained speeds: `auv-gym silence --help`.
 
 `python -m baselines.evaluation.silence` counts how many fresh episodes of all cases are lost, and
 keeps the counts in `baselines/evaluation/data/silence.json`, from which `make results` writes them.
@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from auv_gym.installation import checkout
 from auv_gym.presets import CASES, PRESETS, REGIMES
 from auv_gym.scenario import RandomPath, Scenario
 from baselines import make_policy
@@ -42,7 +43,7 @@ class Options:
 
     episodes: int = EPISODES
     """Of each case."""
-    out: Path = FILE
+    out: Path = FILE if checkout() else Path("runs/silence.json")
     """File for the counts."""
 
 
@@ -87,6 +88,7 @@ def main(arguments: Sequence[str]) -> int:
             }
             print(policy, regime, counts[f"{policy}, {regime}"], flush=True)
     record = {"episodes": options.episodes * len(CASES), "lost": counts}
+    options.out.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(options.out, json_text(record))
     return DONE
 

@@ -19,8 +19,6 @@ from baselines.evaluation.store import Stored, reading, write
 from baselines.tools.files import versions
 
 FOLDER = Path(__file__).parent / "data" / "studies"
-SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1")
-"""The suites that agents are measured on."""
 CURVE = ("timesteps", "seconds", "score")
 """Columns of a learning curve."""
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import shlex
 import signal
 import sys
 import unicodedata
 from collections.abc import Callable, Iterator, Sequence
+from contextvars import ContextVar
 from dataclasses import fields
 from typing import Any, NoReturn, TypeVar
 
@@ -16,6 +18,8 @@ import tyro
 from threadpoolctl import threadpool_limits
 
 Options = TypeVar("Options")
+
+_called: ContextVar[str] = ContextVar("_called", default="")  # what the user has typed, while `run` runs it
 
 DONE = 0  # exit status of a command that did its work
 FAILED = 1  # exit status of a command that could not
@@ -38,12 +42,13 @@ def parse(options: type[Options], arguments: Sequence[str], program: str) -> Opt
     Args:
         options: a dataclass; its docstring and those of its fields are the help.
         arguments: the words behind the program's name.
-        program: its name.
+        program: its name, where it was not started by `run`.
 
     Raises:
         UsageError: the arguments do not fit.
         SystemExit: help was asked for, and printed.
     """
+    program = called(program)
     if strange := [word for word in arguments if word != printable(word)]:
         raise UsageError(f"{strange[0]!r} holds characters that cannot be printed; leave them out")
     errors = io.StringIO()
@@ -90,16 +95,33 @@ def words_of(options: Any, defaults: Any) -> list[str]:
     return words
 
 
-def run(command: Callable[[Sequence[str]], int], program: str) -> int:
-    """Run a command on this process's arguments and return its exit status; a mistake is one line on stderr.
+def called(program: str) -> str:
+    """Return what the user has typed to start this command: what `run` was told, else its own name."""
+    return _called.get() or program
+
+
+def typed(program: str, arguments: Sequence[str]) -> str:
+    """Return the line that a user types to start this command with these arguments."""
+    name = called(program)
+    return f"{'python ' if name.endswith('.py') else ''}{name} {shlex.join(arguments)}".rstrip()
+
+
+def run(command: Callable[[Sequence[str]], int], program: str, arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit status; a mistake is one line on stderr.
 
     It computes with one thread unless `THREADS` says otherwise, and SIGTERM ends it as SIGINT does.
+
+    Args:
+        command: takes the arguments and returns the exit status.
+        program: what the user has typed before them, for messages.
+        arguments: None: those of this process.
     """
     status, line = FAILED, ""
+    token = _called.set(program)
     try:
         with _terminable():
             set_threads()
-            status = command(sys.argv[1:])
+            status = command(sys.argv[1:] if arguments is None else arguments)
         sys.stdout.flush()
     except UsageError as error:
         status, line = WRONG_USAGE, str(error)
@@ -110,6 +132,8 @@ def run(command: Callable[[Sequence[str]], int], program: str) -> int:
         _drop_output()
     except KeyboardInterrupt:
         line = "interrupted"
+    finally:
+        _called.reset(token)
     if line:
         print(f"{program}: {printable(' '.join(line.split()))}", file=sys.stderr)
     return status

@@ -1,4 +1,4 @@
-"""Train the agents that ship with the package: `python -m baselines.training.shipped --help`."""
+"""Train the agents that ship with the package: `auv-gym train-all --help`."""
 
 from __future__ import annotations
 

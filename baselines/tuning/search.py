@@ -1,4 +1,4 @@
-"""Tune a controller's gains on episodes of its own: `python -m baselines.tuning --help`.
+"""Tune a controller's gains on episodes of its own: `auv-gym tune --help`.
 
 The objective is the error that the score is made of: the mean over the eight cases of a regime of the tail RMSE, that
 of an episode at most the distance from which it counts as lost. Gains are searched on a logarithmic scale.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
-import shlex
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -31,7 +30,7 @@ from baselines.control.lqi import LqiWeights, make_lqi
 from baselines.control.nmpc.controller import NMPC_GAINS, make_nmpc
 from baselines.gains.loading import FOLDER, gain_file, gain_record, load_gains
 from baselines.policy import Array
-from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.command_line import DONE, UsageError, parse, typed
 from baselines.tuning.objective import Course, compared
 
 PROGRAM = "python -m baselines.tuning"
@@ -193,7 +192,7 @@ def main(arguments: Sequence[str]) -> int:
         "gains": gains,
         "start": dict(start),
         **_origin(options),
-        "command": f"{PROGRAM} {shlex.join(arguments)}",
+        "command": typed(PROGRAM, arguments),
         "episodes": options.episodes,
         "seed": options.seed,
         "evaluations": options.evaluations,

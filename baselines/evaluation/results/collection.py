@@ -12,7 +12,7 @@ from baselines.evaluation.runner import Run
 from baselines.evaluation.score import EXPERT, ORACLE, Score, paired, regime_of, score
 from baselines.evaluation.suites import Suite
 
-SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1")
+SUITES = recorded.SUITES
 """The suites of the results page."""
 TOLERANCE = {"benchmark-v1": 2e-3, "ood-v1": 1e-2, "unmodelled-v1": 1e-2}
 """Mean tail error [m] by which another policy may be better than the oracle in a case, by suite: where a current is

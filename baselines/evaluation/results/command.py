@@ -1,4 +1,4 @@
-"""The pages of results and findings, from the recorded rows: `python -m baselines.evaluation.results --help`."""
+"""Write the pages of results and findings from the recorded rows: `auv-gym results --help`."""
 
 from __future__ import annotations
 
@@ -7,18 +7,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from auv_gym.installation import checkout, left_out
 from baselines.evaluation.results.collection import SUITES, TOLERANCE, better_than_oracle, collected
 from baselines.evaluation.results.figures import results_figures
 from baselines.evaluation.results.findings import findings, fresh_results
 from baselines.evaluation.results.page import page
 from baselines.evaluation.results.studies import curves_figure, figures_of, section
 from baselines.evaluation.study_files import load_all
-from baselines.tools.command_line import DONE, FAILED, parse
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
 from baselines.tools.figure_style import to_png
 from baselines.tools.files import write_atomically
 
 PROGRAM = "python -m baselines.evaluation.results"
-DOCS = Path(__file__).parents[3] / "docs"  # where the pages lie
+DOCS = (checkout() or Path()) / "docs"  # where the pages lie
 PAGE = "results.md"  # every policy on every suite
 FINDINGS = "findings.md"  # what they come to
 
@@ -41,12 +42,14 @@ def main(arguments: Sequence[str]) -> int:
     Raises:
         UsageError: the arguments do not make sense.
     """
-    options, failed = parse(Options, arguments, PROGRAM), False
+    options, failed, program = parse(Options, arguments, PROGRAM), False, called(PROGRAM)
+    if checkout() is None:
+        raise UsageError(left_out("the rows and studies that the pages are written from are"))
     found, missing = [], []
     for name in SUITES:
         results, refused = collected(name)
         for policy, reason in refused.items():
-            print(f"{PROGRAM}: {policy} in {name}: {reason}; left out", file=sys.stderr)
+            print(f"{program}: {policy} in {name}: {reason}; left out", file=sys.stderr)
         failed |= bool(refused)
         if results is None:
             missing.append(name)
@@ -54,7 +57,7 @@ def main(arguments: Sequence[str]) -> int:
         found.append(results)
         for case, policy, gain in better_than_oracle(results):
             if gain > TOLERANCE[name]:
-                print(f"{PROGRAM}: {policy} is better than the oracle in {case} by {gain:.3g} m", file=sys.stderr)
+                print(f"{program}: {policy} is better than the oracle in {case} by {gain:.3g} m", file=sys.stderr)
                 failed = True
     try:
         (options.out / "images").mkdir(parents=True, exist_ok=True)
@@ -67,10 +70,10 @@ def main(arguments: Sequence[str]) -> int:
             for figure, png in results_figures(results).items():
                 write_atomically(options.out / "images" / f"results-{results.suite.name}-{figure}.png", png)
     except OSError as error:
-        print(f"{PROGRAM}: cannot write to {options.out}: {error.strerror}", file=sys.stderr)
+        print(f"{program}: cannot write to {options.out}: {error.strerror}", file=sys.stderr)
         return FAILED
     except ValueError as error:
-        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        print(f"{program}: {error}", file=sys.stderr)
         return FAILED
     print(f"Wrote {options.out / PAGE} with its figures, and {options.out / FINDINGS}")
     return FAILED if failed else DONE

@@ -23,13 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_lyapunov
 
+from auv_gym.installation import install
 from auv_gym.policy import Policy
 from auv_gym.vehicle import Vehicle
 from baselines.control.linearisation import linearise_about
 from baselines.evaluation.stability.analysis import feedback_of
 from baselines.policy import Array
 
-MISSING = "the certificate needs a semidefinite solver: pip install 'auv-gym[certificate]'"  # message of an error
+MISSING = f"the certificate needs a semidefinite solver: {install('certificate')}"  # message of an error
 COARSE = 3  # points on each axis of r_R and gamma of the grid that a certificate is searched on
 FINE = 21  # points of the grid that it is checked on; A is affine in U'/U, whose two ends are enough
 SAME = 0.01

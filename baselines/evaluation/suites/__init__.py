@@ -1,6 +1,6 @@
 """Frozen suites: a score means the same wherever and whenever it was measured.
 
-A file NAME.json.gz holds every episode's parameters and the seed of its noise. It is made once, by
+A file NAME.json.bz2 holds every episode's parameters and the seed of its noise. It is made once, by
 `python -m baselines.evaluation.suites build NAME`; SHA256SUMS has the hash of its text, and a file with another one is
 refused. It also holds a digest of what its episodes generate, some values of each reference and tape, so that a planner
 or a random stream that has changed is noticed: a sample is compared on every load, all of it by
@@ -9,10 +9,9 @@ or a random stream that has changed is noticed: a sample is compared on every lo
 
 from __future__ import annotations
 
-import gzip
+import bz2
 import hashlib
 import json
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -73,10 +72,10 @@ def load(name: str, folder: Path = FOLDER) -> Suite:
     sums = _sums(folder)
     if name not in sums:
         raise SuiteError(f"unknown suite {name!r}; allowed are {', '.join(sorted(sums))}")
-    file = folder / f"{name}.json.gz"
+    file = folder / f"{name}.json.bz2"
     try:
-        text = gzip.decompress(file.read_bytes())
-    except (OSError, EOFError, zlib.error) as error:
+        text = bz2.decompress(file.read_bytes())
+    except (OSError, EOFError, ValueError) as error:
         raise SuiteError(f"cannot read {file}: {error}") from error
     digest = hashlib.sha256(text).hexdigest()
     if digest != sums[name]:
@@ -102,7 +101,7 @@ def save(name: str, cells: Sequence[Cell], folder: Path = FOLDER) -> str:
         ],
     }
     text = json.dumps(record, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
-    (folder / f"{name}.json.gz").write_bytes(gzip.compress(text, mtime=0))
+    (folder / f"{name}.json.bz2").write_bytes(bz2.compress(text))
     sums = _sums(folder) | {name: hashlib.sha256(text).hexdigest()}
     lines = "".join(f"{sums[key]}  {key}.json\n" for key in sorted(sums))
     (folder / SUMS).write_text(lines, encoding="ascii")

@@ -1,4 +1,4 @@
-"""Build, check, measure, record and verify the frozen suites: `python -m baselines.evaluation.suites --help`."""
+"""Build, check, measure, record and verify the frozen suites: `auv-gym suites --help`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from baselines.evaluation.score import regime_of
 from baselines.evaluation.suites.builder import SUITES, build
 from baselines.evaluation.suites.verify import Verdict, cells_to_run, told
 from baselines.evaluation.suites.yardsticks import keep
-from baselines.tools.command_line import DONE, FAILED, UsageError, parse, run
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse, run
 from baselines.tools.files import versions
 from baselines.tools.workers import Workers
 
@@ -34,7 +34,7 @@ class Options:
     action: Annotated[Positional[Literal["build", "check", "yardsticks", "record", "verify"]], arg(metavar="ACTION")]
     """build: replace a suite's file and its hash. check: compare every episode with what it generated. yardsticks:
     measure what expert and oracle do, for the scores of validations. record: keep the policies' results. verify: run
-    what is recorded again and compare every number with the recorded one, to the bit."""
+    what is recorded again and compare every number with the recorded one, to the last bit that is kept."""
     name: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME ...]")] = ()
     """The suites; check and verify take all without any."""
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
@@ -71,7 +71,7 @@ def main(arguments: Sequence[str]) -> int:
     try:
         return max([action(name, options) for name in options.name or SUITES])
     except suites.SuiteError as error:
-        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        print(f"{called(PROGRAM)}: {error}", file=sys.stderr)
         return FAILED
 
 
@@ -105,7 +105,7 @@ def _record(name: str, options: Options) -> int:
             recorded.save(suite, found, versions(), regimes=regimes)
         except ValueError as error:
             reasons = dict.fromkeys(run.error for run in found if run.error)
-            print(f"{PROGRAM}: {error}: {'; '.join(map(str, reasons))}", file=sys.stderr)
+            print(f"{called(PROGRAM)}: {error}: {'; '.join(map(str, reasons))}", file=sys.stderr)
             status = FAILED
     return status
 
@@ -113,6 +113,8 @@ def _record(name: str, options: Options) -> int:
 def _verify(name: str, options: Options) -> int:
     """Verify policy by policy, and say of each whether its rows are the same."""
     suite, status = suites.load(name), DONE
+    if note := recorded.missing(name):
+        print(f"note: {note}", flush=True)
     for policy in [p for p in recorded.recorded_policies(suite) if p in (options.policy or (p,))]:
         try:
             old = {run.scenario.name: run for run in recorded.read(suite, policy)}

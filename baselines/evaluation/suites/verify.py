@@ -1,4 +1,4 @@
-"""Whether policies still give the numbers that are recorded of them, to the last bit."""
+"""Whether policies still give the numbers that are recorded of them, to the last bit that is kept."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from baselines.evaluation.metrics import Measures
+from baselines.evaluation.recorded import table
 from baselines.evaluation.runner import Cell, Run
 from baselines.evaluation.suites import Suite
 
@@ -24,7 +25,7 @@ class Verdict:
 
     @classmethod
     def of(cls, recorded: Run, again: Run) -> Verdict:
-        """Compare two runs of the same episodes as files hold them, in single precision.
+        """Compare two runs of the same episodes as files hold them, see `recorded.table`.
 
         Raises:
             ValueError: the policy failed.
@@ -32,7 +33,7 @@ class Verdict:
         name = recorded.scenario.name
         if recorded.measures is None or again.measures is None:
             raise ValueError(f"{again.policy} fails in {name}: {again.error}")
-        old, new = (_table(run.measures) for run in (recorded, again) if run.measures is not None)
+        old, new = (table(run.measures).astype(np.float64) for run in (recorded, again) if run.measures is not None)
         differs = ~((old == new) | (np.isnan(old) & np.isnan(new)))
         if not differs.any():
             return cls(name, old.size, 0)
@@ -42,12 +43,6 @@ class Verdict:
         measure, episode = np.unravel_index(int(relative.argmax()), relative.shape)
         where = f"{fields(Measures)[int(measure)].name} of episode {int(episode)}"
         return cls(name, old.size, int(differs.sum()), float(relative.max()), where)
-
-
-def _table(measures: Measures) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Return the measures as they are recorded, shape (measures, episodes)."""
-    rows = [getattr(measures, field.name) for field in fields(Measures)]
-    return np.stack(rows).astype(np.float32).astype(np.float64)
 
 
 def cells_to_run(suite: Suite, recorded: Sequence[Run], names: Sequence[str]) -> list[Cell]:

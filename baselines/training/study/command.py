@@ -1,7 +1,7 @@
-"""What learning buys: agents of several seeds, and what becomes of them without one thing or another.
+"""What learning buys: agents of several seeds, with and without one thing or another: `auv-gym study --help`.
 
-`python -m baselines.training.study` trains every agent of `VARIANTS` with several seeds, runs them on the frozen suites
-and keeps the tail errors of every episode in `baselines/evaluation/studies/`, which the results page is made from.
+Every agent of `VARIANTS` is trained with several seeds and run on the frozen suites; the tail errors of every episode
+are kept in `baselines/evaluation/data/studies/`, or in DIR where there is no checkout, for the page of results.
 """
 
 from __future__ import annotations
@@ -13,12 +13,14 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
+from auv_gym.installation import checkout
 from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation import suites
 from baselines.evaluation.progress import progress
+from baselines.evaluation.recorded import SUITES
 from baselines.evaluation.runner import Cell, Run, runs
 from baselines.evaluation.score import regime_of
-from baselines.evaluation.study_files import SUITES, Study, save
+from baselines.evaluation.study_files import FOLDER, Study, save
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.workers import Workers
 from baselines.training.command import train
@@ -121,7 +123,7 @@ def main(arguments: Sequence[str]) -> int:
             return status
         if options.install and name in SHIPPED:
             install(name, request.folders[0])
-        save(name, studied(variant, request, options.jobs))
+        save(name, studied(variant, request, options.jobs), FOLDER if checkout() else options.out)
     return DONE
 
 

@@ -1,11 +1,10 @@
-"""Run as `python -m benchmarks`."""
+"""Measure how fast environments, policies and training are: `auv-gym bench --help`."""
 
 from __future__ import annotations
 
 import logging
 import os
 import platform
-import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -16,16 +15,16 @@ import torch
 from matplotlib.figure import Figure as Drawing
 
 from auv_gym.codegen import native
-from baselines.tools.command_line import DONE, parse, run
+from auv_gym.installation import checkout, sources
+from baselines.benchmarks import environments, learning, policies, tracing
+from baselines.benchmarks.figures import SCENARIO, Case
+from baselines.benchmarks.page import page
+from baselines.benchmarks.timing import Run, interleaved, typical
+from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.figure_style import panels, to_png
 from baselines.tools.files import json_text, write_atomically
-from benchmarks import environments, learning, policies, tracing
-from benchmarks.figures import SCENARIO, Case
-from benchmarks.page import page
-from benchmarks.timing import Run, interleaved, typical
 
-PROGRAM = "python -m benchmarks"
-DOCS = Path(__file__).parents[1] / "docs"  # where the documentation keeps page and picture
+PROGRAM = "python -m baselines.benchmarks"
 CASES: tuple[Case, ...] = (
     environments.first_cases,
     environments.scalar_cases,
@@ -101,6 +100,7 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options, figures = parse(Options, arguments, PROGRAM), []
+    docs = _docs() if options.record else None
     logging.basicConfig(format="%(message)s")
     logging.getLogger("auv_gym").setLevel(logging.INFO)
     warnings.filterwarnings("ignore", module="gymnasium")
@@ -118,10 +118,17 @@ def main(arguments: Sequence[str]) -> int:
     if points:
         files["bench.png"] = to_png(drawn(points))
     write(options.out, files)
-    if options.record and points:
-        write(DOCS, {"images/bench.png": files.pop("bench.png"), **files})
+    if docs and points:
+        write(docs, {"images/bench.png": files.pop("bench.png"), **files})
     print(f"\nwritten: {', '.join(str(options.out / name) for name in files)}")
     return DONE
+
+
+def _docs() -> Path:
+    """Return the folder where the documentation keeps page and picture."""
+    if (folder := checkout()) is None:
+        raise UsageError(f"--record writes into the documentation, which is in the sources only: {sources()}")
+    return folder / "docs"
 
 
 def write(folder: Path, files: Mapping[str, bytes | str]) -> None:
@@ -129,7 +136,3 @@ def write(folder: Path, files: Mapping[str, bytes | str]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name, content in files.items():
         write_atomically(folder / name, content)
-
-
-if __name__ == "__main__":
-    sys.exit(run(main, PROGRAM))

@@ -13,11 +13,11 @@ import numpy as np
 from auv_gym import PRESETS
 from auv_gym.policy import preview_of
 from baselines import list_policies, make_policy
+from baselines.benchmarks.environments import TRACK
+from baselines.benchmarks.figures import SCENARIO, Figure, takes
+from baselines.benchmarks.timing import Run, cpu_time, interleaved, timed, typical
 from baselines.evaluation.rollout import rollout
 from baselines.policy import Privileged
-from benchmarks.environments import TRACK
-from benchmarks.figures import SCENARIO, Figure, takes
-from benchmarks.timing import Run, cpu_time, interleaved, timed, typical
 
 DECISION_GOALS = {"apg-cruise": 2e-5, "ekf": 1e-4, "nmpc": 1.5e-3}  # [s]
 STEP_GOALS = {"backstepping": 6e-7, "ekf": 6e-6, "nmpc": 1.2e-4}  # [s]
@@ -72,7 +72,7 @@ def command_cases(quick: bool) -> Iterator[Figure]:
     def evaluating(*arguments: str) -> Run:
         def work() -> None:
             with tempfile.TemporaryDirectory() as out:
-                command = [sys.executable, "evaluate.py", "--out", out, *arguments]
+                command = [sys.executable, "-m", "baselines", "evaluate", "--out", out, *arguments]
                 subprocess.run(command, check=True, capture_output=True)
 
         return timed(work)

@@ -17,13 +17,13 @@ import torch
 from auv_gym.codegen import native
 from auv_gym.envs.torch_sim import TorchSimulator
 from baselines import make_policy
+from baselines.benchmarks.eager import Setting
+from baselines.benchmarks.environments import EPISODE, NATIVE, RESIDUAL, track, vector_run
+from baselines.benchmarks.figures import SCENARIO, Figure, faster, takes
+from baselines.benchmarks.timing import Run, cpu_time, interleaved, timed, typical, whole
 from baselines.training.apg.torch_network import torch_network
 from baselines.training.apg.trainer import Settings
 from baselines.training.run_folder import PROGRESS, read_progress
-from benchmarks.eager import Setting
-from benchmarks.environments import EPISODE, NATIVE, RESIDUAL, track, vector_run
-from benchmarks.figures import SCENARIO, Figure, faster, takes
-from benchmarks.timing import Run, cpu_time, interleaved, timed, typical, whole
 
 WINDOW = 32  # control steps that a gradient goes back over
 GOOD = 0.95
@@ -129,7 +129,8 @@ def window_cases(quick: bool) -> Iterator[Figure]:
 def training_cases(quick: bool) -> Iterator[Figure]:
     """`python train.py` as a user runs it: processor time, start and validations included."""
     with tempfile.TemporaryDirectory() as out:
-        command = [sys.executable, "train.py", "--out", out, *(("--timesteps", "6400") if quick else ())]
+        command = [sys.executable, "-m", "baselines", "train", "--out", out]
+        command += ["--timesteps", "6400"] if quick else []
         begin = cpu_time()
         subprocess.run(command, check=True, capture_output=True)
         seconds, rows = cpu_time() - begin, read_progress(next(Path(out).rglob(PROGRESS)).parent)

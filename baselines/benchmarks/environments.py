@@ -12,8 +12,8 @@ import numpy as np
 
 from auv_gym import PRESETS
 from baselines import make_policy
-from benchmarks.figures import SCENARIO, Figure, faster, takes
-from benchmarks.timing import Run, cpu_time, interleaved, timed, typical, whole
+from baselines.benchmarks.figures import SCENARIO, Figure, faster, takes
+from baselines.benchmarks.timing import Run, cpu_time, interleaved, timed, typical, whole
 
 TRACK = "auv_gym:UnderactuatedAUVTrack-v0"  # under a policy's own commands
 RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"  # under corrections to the expert

@@ -17,8 +17,8 @@ from auv_gym.envs.lanes import Lanes
 from auv_gym.kernels import Vehicles, step_kernel
 from auv_gym.rows import filled, leaves
 from auv_gym.simulation import PARAMETER_ROWS, PLANT, PLANT_ROWS, SAMPLE_ROWS, Parameters
-from benchmarks.figures import SCENARIO, Figure, faster, takes
-from benchmarks.timing import cpu_time, interleaved, timed, typical
+from baselines.benchmarks.figures import SCENARIO, Figure, faster, takes
+from baselines.benchmarks.timing import cpu_time, interleaved, timed, typical
 
 PARTS = PRESETS[SCENARIO].parts  # what is in use of the simulation
 MANY = 1024  # vehicles side by side

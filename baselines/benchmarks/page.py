@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from baselines.benchmarks.figures import Figure
 from baselines.evaluation.results.page import table
-from benchmarks.figures import Figure
 
 INTRODUCTION = """# Speed
 
-<!-- Made by `python -m benchmarks --record`; do not edit. -->
+<!-- Made by `python -m baselines.benchmarks --record`; do not edit. -->
 
 How fast it is, measured by `make bench`: processor time on one thread, medians of rounds in which what is compared
 takes turns, so that a busy machine slows all of it alike. Ratios say how many times faster ours is than what it stands

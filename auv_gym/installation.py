@@ -1,0 +1,72 @@
+"""Where this code was installed from, and what to type for what is not installed."""
+
+from __future__ import annotations
+
+import json
+import os
+from importlib import import_module, metadata
+from pathlib import Path
+from typing import Any
+
+DISTRIBUTION = "auv-gym"
+"""Name of the distribution that holds both packages."""
+ROOT = Path(__file__).parents[1]
+"""Folder that the packages lie in: a checkout, or an environment's `site-packages`."""
+
+
+def checkout() -> Path | None:
+    """Return the folder of the checkout that this code runs from; None where it was installed as a package."""
+    return ROOT if (ROOT / "pyproject.toml").is_file() else None
+
+
+def install(*extras: str) -> str:
+    """Return the line that installs extras into what is there, from where that came: a clone, a file or an index.
+
+    Args:
+        extras: names of `[project.optional-dependencies]` in pyproject.toml.
+    """
+    names = ",".join(extras)
+    if (folder := checkout()) is not None:
+        return f"pip install -e '{'.' if folder == Path.cwd() else folder}[{names}]'"
+    origin = _origin()
+    return f"pip install '{DISTRIBUTION}[{names}]{f' @ {origin}' if origin else ''}'"
+
+
+def _origin() -> str:
+    """Return the address that pip has noted for a package that is from no index, see PEP 610; else nothing."""
+    try:
+        noted = json.loads(metadata.distribution(DISTRIBUTION).read_text("direct_url.json") or "{}")
+    except (metadata.PackageNotFoundError, ValueError):
+        return ""
+    version = noted.get("vcs_info", {})
+    prefix, at = (f"{version['vcs']}+", f"@{version['commit_id']}") if version else ("", "")
+    return f"{prefix}{noted['url']}{at}" if "url" in noted else ""
+
+
+def sources() -> str:
+    """Return where the sources of this version lie: the folder of a checkout, else the project's address."""
+    if (folder := checkout()) is not None:
+        return os.fspath(folder)
+    urls = metadata.metadata(DISTRIBUTION).get_all("Project-URL") or []
+    return next((url.split(", ", 1)[1] for url in urls if url.startswith("Source, ")), DISTRIBUTION)
+
+
+def left_out(what: str) -> str:
+    """Return that something is not part of the installed package, and where it is."""
+    return f"{what} not part of the installed package; the sources have them: {sources()}"
+
+
+def from_baselines(name: str) -> Any:
+    """Return something of the package `baselines`, which comes with this one.
+
+    Raises:
+        ImportError: Python finds another package or module of that name first.
+    """
+    package = import_module("baselines")
+    if not hasattr(package, name):
+        found = package.__file__ or next(iter(package.__path__), "somewhere")
+        raise ImportError(
+            f"the residual environment needs the package 'baselines' beside auv_gym, in {ROOT}, but Python finds "
+            f"another one first, {found}; rename that, or start Python elsewhere"
+        )
+    return getattr(package, name)

@@ -1,0 +1,28 @@
+"""Score controllers and agents: `auv-gym evaluate --help`, in a checkout also `python evaluate.py --help`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from baselines.evaluation.options import Options
+from baselines.tools.command_line import parse, typed
+
+PROGRAM = "evaluate.py"
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Evaluate as the arguments say and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense.
+    """
+    options, command = parse(Options, arguments, PROGRAM), typed(PROGRAM, arguments)
+    from baselines.evaluation.command import evaluate
+    from baselines.evaluation.request import Request, checked_folder, checked_policies
+    from baselines.evaluation.score import EXPERT
+
+    if options.stability:
+        from baselines.evaluation.stability.report import report
+
+        return report(checked_policies(options.policy or (EXPERT,)), checked_folder(options.out), command)
+    return evaluate(Request.of(options, command))
