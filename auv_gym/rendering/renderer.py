@@ -11,8 +11,9 @@ from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
 from auv_gym.rendering.camera import Camera, Progress, View, elapsed_between
-from auv_gym.rendering.canvas import Canvas
-from auv_gym.rendering.drawing import draw_overlay, draw_world
+from auv_gym.rendering.canvas import PICTURE, Canvas
+from auv_gym.rendering.cards import draw_cards
+from auv_gym.rendering.scene import draw_world
 
 RenderMode = Literal["human", "rgb_array"]
 
@@ -32,12 +33,12 @@ class Renderer:
         DependencyNotInstalled: pygame is missing.
     """
 
-    def __init__(self, render_mode: RenderMode, fps: float, size: tuple[int, int] = (960, 720)) -> None:
+    def __init__(self, render_mode: RenderMode, fps: float, size: tuple[int, int] = PICTURE) -> None:
         if render_mode not in get_args(RenderMode):
             raise ValueError(f"render_mode is {render_mode!r}; allowed: {', '.join(get_args(RenderMode))}")
         if not (fps > 0.0 and min(size) > 0):
             raise ValueError(f"fps and size must be positive; given: {fps}, {size}")
-        self._pygame = _import_pygame()
+        self._pygame = import_pygame()
         self._canvas = Canvas(self._pygame, size)
         self._camera = Camera(self._canvas.extent)
         self._progress = Progress()
@@ -60,12 +61,10 @@ class Renderer:
         if self._human and not self._open_window():
             return None
         draw_world(self._canvas, self._camera, view, travelled)
-        draw_overlay(self._canvas, self._camera, view)
-        picture = self._canvas.finish()
+        draw_cards(self._canvas, self._camera, view)
         if not self._human:
-            pixels = np.frombuffer(self._pygame.image.tobytes(picture, "RGB"), dtype=np.uint8)
-            return pixels.reshape(self._size[1], self._size[0], 3).copy()
-        self._window.blit(picture, (0, 0))
+            return self._canvas.pixels()
+        self._window.blit(self._canvas.surface, (0, 0))
         self._pygame.display.flip()
         self._clock.tick(self._fps)
         return None
@@ -89,7 +88,7 @@ class Renderer:
         return self._window is not None
 
 
-def _import_pygame() -> ModuleType:
+def import_pygame() -> ModuleType:
     """Import pygame with its fonts, or say what to install."""
     try:
         with warnings.catch_warnings():
