@@ -28,6 +28,7 @@ CAMERA_TIME: Final = 1.0  # [s] time constant of zoom and pan
 ARROW_LENGTH: Final = 72.0  # [units] arrow of the fastest speed lately seen; velocity and current share this scale
 ARROW_MEMORY: Final = 20.0  # [s] time constant with which that speed is forgotten
 PICTURE: Final = (960, 720)  # [units] the layout's nominal size; a unit is a pixel at that size
+SMALLEST_UNIT: Final = 0.25  # [px] in smaller pictures shapes do not shrink any further
 LEGIBLE: Final = 18  # [px] texts of a smaller size are drawn larger and scaled down
 TEXTS: Final = 1024  # images of texts that are kept
 DASH: Final = 7.0  # [px] a dash with its gap is not shorter
@@ -71,7 +72,7 @@ class Canvas:
         self, pygame: ModuleType, size: tuple[int, int], unit: float | None = None, surface: Any = None
     ) -> None:
         self._pygame, self._size = pygame, size
-        self.unit = unit or min(size[0] / PICTURE[0], size[1] / PICTURE[1])  # [px]
+        self.unit = unit or max(min(size[0] / PICTURE[0], size[1] / PICTURE[1]), SMALLEST_UNIT)  # [px]
         self.extent: Array = np.array(size) / self.unit  # (2,) [units]
         # Three bytes a pixel in this order are what an array of a picture holds.
         self._surface = surface or pygame.Surface(size, depth=24, masks=(0xFF, 0xFF00, 0xFF0000, 0))
@@ -248,14 +249,14 @@ class Canvas:
 
     def text(self, text: str, x: float, y: float, size: float = 17.0, color: Color = INK, align: float = 0.0) -> float:
         """One line with its middle at height y, from x (align 0), around x (0.5) or up to x (1); returns its width."""
-        image = self._image(text, max(8, round(1.25 * size * self.unit)), color)
+        image = self._image(text, max(6, round(1.25 * size * self.unit)), color)
         width, height = image.get_size()
         self._surface.blit(image, (round(x * self.unit - align * width), round(y * self.unit - 0.5 * height)))
         return float(width) / self.unit
 
     def width_of(self, text: str, size: float = 17.0) -> float:
         """Return the width [units] of a text."""
-        return float(self._image(text, max(8, round(1.25 * size * self.unit)), INK).get_width()) / self.unit
+        return float(self._image(text, max(6, round(1.25 * size * self.unit)), INK).get_width()) / self.unit
 
     def _rendered(self, text: str, height: int, color: Color) -> Any:
         if height >= LEGIBLE:

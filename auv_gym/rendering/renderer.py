@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import operator
 import warnings
+from collections.abc import Sequence
 from types import ModuleType
 from typing import Any, Literal, get_args
 
@@ -16,6 +18,10 @@ from auv_gym.rendering.cards import draw_cards
 from auv_gym.rendering.scene import draw_world
 
 RenderMode = Literal["human", "rgb_array"]
+READABLE = (320, 240)
+"""Width and height [px] of the smallest picture that something is written on."""
+SIZES = (16, 4096)
+"""Least and largest width or height [px] of a picture."""
 
 
 class Renderer:
@@ -26,24 +32,26 @@ class Renderer:
     Args:
         render_mode: "human" or "rgb_array".
         fps: pictures per second [1/s] to which "human" is slowed down.
-        size: width and height of the picture [px].
+        size: width and height of the picture [px], see `checked_size`.
 
     Raises:
-        ValueError: the mode is unknown, or fps or size is not positive.
+        ValueError: the mode or size is not allowed, or fps not positive.
         DependencyNotInstalled: pygame is missing.
     """
 
-    def __init__(self, render_mode: RenderMode, fps: float, size: tuple[int, int] = PICTURE) -> None:
+    def __init__(self, render_mode: RenderMode, fps: float, size: Sequence[int] = PICTURE) -> None:
         if render_mode not in get_args(RenderMode):
             raise ValueError(f"render_mode is {render_mode!r}; allowed: {', '.join(get_args(RenderMode))}")
-        if not (fps > 0.0 and min(size) > 0):
-            raise ValueError(f"fps and size must be positive; given: {fps}, {size}")
+        if not fps > 0.0:
+            raise ValueError(f"fps must be positive; given: {fps}")
         self._pygame = import_pygame()
-        self._canvas = Canvas(self._pygame, size)
+        self._size = checked_size(size)
+        self._canvas = Canvas(self._pygame, self._size)
+        self._cards = self._size[0] >= READABLE[0] and self._size[1] >= READABLE[1]
         self._camera = Camera(self._canvas.extent)
         self._progress = Progress()
         self._last: View | None = None
-        self._human, self._fps, self._size = render_mode == "human", fps, size
+        self._human, self._fps = render_mode == "human", fps
         self._window: Any = None
         self._clock: Any = None
         self._closed = False
@@ -61,7 +69,8 @@ class Renderer:
         if self._human and not self._open_window():
             return None
         draw_world(self._canvas, self._camera, view, travelled)
-        draw_cards(self._canvas, self._camera, view)
+        if self._cards:
+            draw_cards(self._canvas, self._camera, view)
         if not self._human:
             return self._canvas.pixels()
         self._window.blit(self._canvas.surface, (0, 0))
@@ -99,3 +108,19 @@ def import_pygame() -> ModuleType:
         raise DependencyNotInstalled('pygame is not installed, run `pip install "auv_gym[render]"`') from error
     pygame.font.init()
     return pygame
+
+
+def checked_size(size: Sequence[int]) -> tuple[int, int]:
+    """Return the width and height of pictures [px].
+
+    Raises:
+        ValueError: they are not two integers within `SIZES`.
+    """
+    try:
+        width, height = (operator.index(n) for n in size)
+    except (TypeError, ValueError):
+        width = height = 0
+    if not all(SIZES[0] <= n <= SIZES[1] for n in (width, height)):
+        low, high = SIZES
+        raise ValueError(f"render_size is {size!r}; it must be (width, height), two integers from {low} to {high} [px]")
+    return width, height

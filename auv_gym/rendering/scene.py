@@ -94,9 +94,9 @@ def _draw_current(canvas: Canvas, camera: Camera, current: tuple[float, float]) 
     """A sparse field of arrows, fixed in the world, none without current."""
     if math.hypot(*current) == 0.0:
         return
-    arrow = camera.arrow(current)
-    spacing = 2.0 ** math.ceil(math.log2(105.0 / camera.scale))  # [m] 105 ... 210 units
-    fading = min((spacing * camera.scale - 105.0) / 40.0, 1.0)  # every other arrow fades in as the camera comes closer
+    arrow, apart = camera.arrow(current), min(105.0, 0.25 * float(canvas.extent.min()))
+    spacing = 2.0 ** math.ceil(math.log2(apart / camera.scale))  # [m] 105 ... 210 units, less in a small picture
+    fading = min((spacing * camera.scale / apart - 1.0) / 0.4, 1.0)  # every other arrow, as the camera comes closer
     i, j = (n.ravel() for n in np.meshgrid(*(camera.lattice(axis, spacing) for axis in (0, 1)), indexing="ij"))
     middles = camera.project(np.stack((i, j), axis=1) * spacing)
     full, faint = mix(SEA, CURRENT, 0.75), mix(SEA, CURRENT, 0.75 * fading)

@@ -1,4 +1,4 @@
-"""Moving pictures as files: loops by Pillow, videos by moviepy."""
+"""Moving pictures as files: loops by Pillow, videos by ffmpeg."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from baselines.tools.files import write_atomically
 
 Frames = Iterable[NDArray[np.uint8]]
 """Pictures of one size, arrays (height, width, 3)."""
-QUALITY = 80  # of a lossy picture, 0 ... 100
+QUALITY = 60  # of a lossy picture, 0 ... 100
+LAST = 1500  # [ms] how long the last picture of a loop stays
 
 
 def save(frames: Frames, out: Path, fps: int) -> Path:
@@ -41,7 +42,7 @@ def _write_gif(frames: Frames, out: Path, fps: int) -> None:
 
 
 def _write_loop(frames: Frames, out: Path, fps: int, kind: str, options: Mapping[str, object]) -> None:
-    """Write a loop by Pillow."""
+    """Write a loop by Pillow; its last picture stays for a moment."""
     try:
         from PIL import Image
     except ImportError as error:
@@ -50,19 +51,28 @@ def _write_loop(frames: Frames, out: Path, fps: int, kind: str, options: Mapping
     if kind == "GIF":
         palette = images[len(images) // 2].quantize(255)
         images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    each, last = round(1000 / fps), max(LAST, round(1000 / fps))
+    lengths = [each] * (len(images) - 1) + [last]
     buffer = io.BytesIO()
-    images[0].save(buffer, kind, save_all=True, append_images=images[1:], duration=round(1000 / fps), loop=0, **options)
+    images[0].save(buffer, kind, save_all=True, append_images=images[1:], duration=lengths, loop=0, **options)
     write_atomically(out, buffer.getvalue())
 
 
 def _write_mp4(frames: Frames, out: Path, fps: int) -> None:
-    """Write a video by moviepy, as Gymnasium's `RecordVideo` does."""
+    """Write a video by the ffmpeg that imageio-ffmpeg brings."""
     try:
-        from moviepy.video.io.ImageSequenceClip import ImageSequenceClip
+        from imageio_ffmpeg import write_frames
     except ImportError as error:
-        raise DependencyNotInstalled('a video needs moviepy: pip install "auv-gym[render]"') from error
-    even = [frame[: len(frame) // 2 * 2, : frame.shape[1] // 2 * 2] for frame in frames]  # what the codec takes
-    ImageSequenceClip(even, fps=fps).write_videofile(str(out), logger=None, audio=False)
+        raise DependencyNotInstalled('a video needs ffmpeg: pip install "auv-gym[render]"') from error
+    video = None
+    for frame in frames:
+        even = np.ascontiguousarray(frame[: len(frame) // 2 * 2, : frame.shape[1] // 2 * 2])  # what the codec takes
+        if video is None:
+            video = write_frames(str(out), even.shape[1::-1], fps=fps, macro_block_size=2)
+            video.send(None)
+        video.send(even)
+    if video is not None:
+        video.close()
 
 
 WRITERS: Mapping[str, Callable[[Frames, Path, int], None]] = {

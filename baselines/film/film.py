@@ -106,7 +106,7 @@ def make_film(
     Each policy has a panel with vehicle, reference, trail and current; below them are the position errors of all.
 
     Args:
-        out: the file: .webp or .gif (a loop, needs Pillow) or .mp4 (needs moviepy). Its folder is made.
+        out: the file: .webp or .gif (a loop, needs Pillow) or .mp4 (needs imageio-ffmpeg). Its folder is made.
         policies: one to five, see `baselines.make_policy`.
         scenario: a `Scenario`, or a preset's name.
         seed: of the episode, the one of an environment that is reset with it.

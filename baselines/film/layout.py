@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from auv_gym.rendering.camera import Camera, View
 from auv_gym.rendering.canvas import ALERT, CURRENT, GRID, INK, MUTED, VEHICLE, WHITE, Canvas, Color
-from auv_gym.rendering.cards import metres, round_down
+from auv_gym.rendering.cards import round_down
 from auv_gym.rendering.scene import Body, draw_ghost, draw_world
 from baselines.film.voyage import Array, Instant, Voyage
 
@@ -128,9 +128,10 @@ class Picture:
         canvas.text(panel.label, 36.0, 24.0, size=16.0)
         canvas.text(voyage.policy, 36.0, 43.0, size=13.0, color=MUTED)
         ended = voyage.lost and time >= voyage.time[-1]
-        canvas.text(
-            "lost" if ended else f"{metres(instant.error)} off", width - 18.0, 33.0, size=19.0, color=ALERT, align=1.0
-        )
+        now = "lost" if ended else f"{instant.error:.2f} m off"
+        canvas.text(now, width - 18.0, 25.0, size=18.0, color=ALERT, align=1.0)
+        mean = float(voyage.error[voyage.time <= time].mean())
+        canvas.text(f"{mean:.3f} m on average so far", width - 18.0, 43.0, size=13.0, color=MUTED, align=1.0)
         bar = round_down(0.4 * self._reach)
         length = bar * camera.scale
         canvas.box((14.0, height - 14.0, length, 2.0), INK)
