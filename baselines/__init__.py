@@ -13,6 +13,7 @@ from auv_gym.envs.residual import ResidualAction, VectorResidualAction
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.policy import Policy, preview_of
 from auv_gym.presets import as_scenario
+from auv_gym.rendering import PICTURE
 from auv_gym.scenario import Scenario
 from auv_gym.vehicle import Vehicle
 from baselines.agents.loading import load_policy
@@ -76,6 +77,7 @@ def make_residual_env(
     render_mode: str | None = None,
     expert: Policy | str = "backstepping",
     authority: float | Sequence[float] = 0.5,
+    render_size: Sequence[int] = PICTURE,
 ) -> gym.Env[Any, Any]:
     """Return the environment of `UnderactuatedAUVTrackResidual-v0`: the tracking task with corrections to an expert.
 
@@ -87,15 +89,21 @@ def make_residual_env(
         expert: a policy, or the name of one, which is told the known vehicle; the observation has the preview that it
             needs.
         authority: largest correction of surge and yaw, as fractions of the limits in (0, 2]; one number or a pair.
+        render_size: width and height of pictures [px].
 
     Raises:
         OSError: the expert's file cannot be read.
-        ValueError: scenario, vehicle, control period, render mode, expert or authority are not what they must be.
+        ValueError: scenario, vehicle, control period, render mode or size, expert or authority are not what they must
+            be.
     """
     known = as_scenario(scenario).changed(vehicle).vehicle
     policy = make_policy(expert, known) if isinstance(expert, str) else expert
-    env = UnderactuatedAUVTrackEnv(scenario, vehicle, control_dt, render_mode, preview_of(policy))
+    env = UnderactuatedAUVTrackEnv(scenario, vehicle, control_dt, render_mode, preview_of(policy), render_size)
     return ResidualAction(env, policy, authority)
+
+
+# Where Gymnasium looks for what can be drawn, for "rgb_array_list".
+make_residual_env.metadata = UnderactuatedAUVTrackEnv.metadata  # type: ignore[attr-defined]
 
 
 def make_residual_vector_env(

@@ -25,6 +25,7 @@ TINY = "--algo ppo --scenario tiny.toml --timesteps 512 --set n_envs=8 n_steps=1
 QUICK = {
     "help": "",
     "demo": "--episodes 1 --jobs 1",
+    "film": "--episodes 2 --jobs 1 --seconds 0.5 --out film.webp",
     "format": "",
     "bench": "--quick --out bench",
     "train": f"{TINY} --out run",
@@ -71,6 +72,8 @@ def quick(line):
         policies = [] if "--policy" in words else ["--policy", "open-loop"]
         chosen = [word for word in words if word not in ("--suite", "benchmark-v1")]
         return [*chosen, *policies, *CALM]
+    if words[:2] == ["-m", "baselines.film"]:
+        return [*words, *(["--episodes", "1", "--jobs", "1"] if "--episodes" in words else []), "--seconds", "0.2"]
     if words == ["evaluate.py"] or (words[0] == "evaluate.py" and "--help" not in words):
         for option, count in (("--suite", 2), ("--episodes", 2), ("--jobs", 2)):
             if option in words:
@@ -130,10 +133,22 @@ def test_help_lists_the_verbs(copy):
     assert called(copy, "make") == made(copy, "help")
 
 
-def test_demo_recomputes_the_paper_and_runs_every_preset(copy):
-    made(copy, "demo")
-    for name in ("paper", "scenarios"):
+def test_demo_recomputes_the_paper_runs_every_preset_and_shows_what_an_agent_wins(copy):
+    printed = made(copy, "demo").splitlines()[-3:]
+    for name in ("paper", "scenarios", "storm"):
         assert (copy / "runs" / "demo" / name / "report.html").exists()
+    assert re.fullmatch(
+        r"apg-cruise keeps 0\.\d+ m where backstepping keeps 0\.\d+ m \(1 paired episode .*", printed[0]
+    )
+    assert printed[1].startswith("written: runs/demo/storm/film.webp")
+    assert "runs/demo/storm/film.webp" in printed[2]
+    assert (copy / "runs" / "demo" / "storm" / "film.webp").stat().st_size > 10_000
+
+
+def test_film_is_made_in_a_quick_form(copy):
+    printed = made(copy, "film").splitlines()
+    assert [line.split()[0] for line in printed] == ["nmpc", "apg-preview-cruise", "written:"]
+    assert (copy / "film.webp").exists()
 
 
 def test_bench_measures_in_a_quick_form(copy):

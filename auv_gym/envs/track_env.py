@@ -22,7 +22,7 @@ from auv_gym.planner import Reference, plan
 from auv_gym.policy import Law
 from auv_gym.presets import as_scenario
 from auv_gym.preview import Preview, encode_preview, observation_bounds
-from auv_gym.rendering import Renderer, View
+from auv_gym.rendering import PICTURE, Renderer, View, checked_size
 from auv_gym.rows import filled, leaves
 from auv_gym.scenario import Scenario
 from auv_gym.simulation import (
@@ -111,6 +111,8 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     - `vehicle`: a `Vehicle`, a dict, or a name, in place of the scenario's known vehicle.
     - `control_dt`: control period [s] in place of the scenario's; the episode's duration stays.
     - `render_mode`: `"human"`, `"rgb_array"` or None.
+    - `render_size`: width and height of pictures [px], from 16 to 4096; default 960 x 720. Below 320 x 240 nothing is
+      written on them.
     - `preview`: for policies that look ahead, ascending numbers of control periods. For each of them two columns are
       appended to the observation: the displacement x, y [m] of the reference from now to then, along the measured body
       axes, clipped to +-64.
@@ -134,6 +136,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         control_dt: float | None = None,
         render_mode: str | None = None,
         preview: Sequence[int] = (),
+        render_size: Sequence[int] = PICTURE,
     ) -> None:
         """See the class; raises ValueError for whatever it does not know or cannot plan."""
         self.scenario = as_scenario(scenario).changed(vehicle, control_dt)
@@ -142,6 +145,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
                 f"unknown render_mode {render_mode!r}; allowed are {self.metadata['render_modes']} and None"
             )
         self.render_mode: Any = render_mode
+        self._size = checked_size(render_size)
         self.metadata = {**self.metadata, "render_fps": max(1, round(1 / self.scenario.control_dt))}
         self.action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self._preview = Preview(1, preview, self.scenario.steps)
@@ -160,7 +164,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self._k = self._steps  # no episode yet
         self._over = True
         self._renderer: Renderer | None = None
-        self._trail: list[tuple[float, float]] = []
+        self._trail: Array = np.zeros((0, 2))  # [m] where the vehicle has been, if it is drawn
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -203,9 +207,9 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self._k, self._over = 0, False
         error = math.hypot(episode.initial_error[0], episode.initial_error[1])
         self._info = {"position_error": error, "saturated": False, "time": 0.0}
-        self._trail = [self._place()]
-        if self.render_mode == "human":
-            self.render()
+        if self.render_mode is not None:
+            self._trail = np.empty((self._steps + 1, 2))
+            self._drawn()
         observation = self._observed()
         if self._law is not None:
             self._law.check(decoded_terms(observation))
@@ -229,9 +233,11 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         o = Observation._make(decoded_terms(observation))
         return np.append(observation, encode_preview(self._preview.ahead((0,), self._k), o, ARRAYS))
 
-    def _place(self) -> tuple[float, float]:
-        x, y = self._vehicle.now.plant[[PLANT.x, PLANT.y], 0].tolist()
-        return x, y
+    def _drawn(self) -> None:
+        """Take up where the vehicle is now, and draw it if a window is to follow."""
+        self._trail[self._k] = self._vehicle.now.plant[[PLANT.x, PLANT.y], 0]
+        if self.render_mode == "human":
+            self.render()
 
     @property
     def _plant(self) -> Plant:
@@ -279,9 +285,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self._over = truncated or terminated
         self._info = {"position_error": error, "saturated": saturated > 0.0, "time": self._k * self._dt}
         if self.render_mode is not None:
-            self._trail.append(self._place())
-            if self.render_mode == "human":
-                self.render()
+            self._drawn()
         return self._observed(), reward, terminated, truncated, self._info
 
     @property
@@ -315,17 +319,17 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         if self.render_mode is None:
             gym.logger.warn('render() needs render_mode="human" or "rgb_array" in gym.make')
             return None
-        if self._planned is None or not self._trail:
+        if self._planned is None or len(self._trail) == 0:
             raise ResetNeeded("nothing to draw yet: call reset() before render()")
         if self._renderer is None:
-            self._renderer = Renderer(self.render_mode, self.metadata["render_fps"])
+            self._renderer = Renderer(self.render_mode, self.metadata["render_fps"], self._size)
         plan_, act = self._planned[1], self.scenario.actuators
         view = View(
             time=self.time,
             state=tuple(self.state.tolist()),
             reference=self.reference[:3],
             path=np.stack((plan_.x, plan_.y), axis=1),
-            trail=np.array(self._trail[-TRAIL:]),
+            trail=self._trail[max(0, self._k + 1 - TRAIL) : self._k + 1],
             current=tuple(self.current.tolist()),
             force=tuple(self.force.tolist()),
             force_limits=(act.F_u_max, act.F_r_max),

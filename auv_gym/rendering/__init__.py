@@ -5,6 +5,7 @@ vehicle, sky blue the current, vermilion the error and saturation. pygame is imp
 """
 
 from auv_gym.rendering.camera import View
-from auv_gym.rendering.renderer import Renderer
+from auv_gym.rendering.canvas import PICTURE
+from auv_gym.rendering.renderer import Renderer, checked_size
 
-__all__ = ["Renderer", "View"]
+__all__ = ["PICTURE", "Renderer", "View", "checked_size"]

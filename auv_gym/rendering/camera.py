@@ -60,6 +60,12 @@ class Camera:
         fading = self.unit_speed * math.exp(-elapsed / ARROW_MEMORY)
         self.unit_speed = max(math.hypot(*view.state[3:5]), math.hypot(*view.current), fading, 0.02)
 
+    def look(self, center: tuple[float, float], half_height: float, unit_speed: float) -> None:
+        """Look at a place [m], up to a distance [m] from it, arrows of full length being a speed [m/s]."""
+        self.center = np.array(center)
+        self.scale = 0.5 * float(self.extent.min()) / half_height
+        self.unit_speed = unit_speed
+
     def project(self, points: ArrayLike) -> Array:
         """World points (..., 2) [m] to picture points (..., 2) [units], y downwards."""
         offset: Array = (np.asarray(points, dtype=np.float64) - self.center) * self.scale

@@ -1,8 +1,14 @@
-"""What a picture is drawn on and with: colours that are safe for colour-blind readers (Okabe-Ito), shapes, text."""
+"""What a picture is drawn on and with: colours that are safe for colour-blind readers (Okabe-Ito), shapes, text.
+
+Long lines are drawn by antialiased lines side by side; small shapes in close-ups, larger and scaled down; what does not
+change from picture to picture is kept as an image.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import lru_cache, partial
 from types import ModuleType
 from typing import Any, Final
@@ -12,6 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 Color = tuple[int, int, int]
+Box = tuple[float, float, float, float]
+"""Left, top, width and height [units] of a rectangle."""
 
 VEHICLE_LENGTH: Final = 2.0  # [m] about right for a neutrally buoyant torpedo of 200 kg
 MIN_VEHICLE_LENGTH: Final = 46.0  # [units] below this the vehicle is drawn larger than to scale, and the scale says so
@@ -19,8 +27,12 @@ NEAR_EXTENT: Final = 8.0  # [m] half the height of the picture when the error is
 CAMERA_TIME: Final = 1.0  # [s] time constant of zoom and pan
 ARROW_LENGTH: Final = 72.0  # [units] arrow of the fastest speed lately seen; velocity and current share this scale
 ARROW_MEMORY: Final = 20.0  # [s] time constant with which that speed is forgotten
-PICTURE: Final = (960.0, 720.0)  # [units] the layout's nominal size; a unit is a pixel at that size
-OVERSAMPLING: Final = 2  # shapes are drawn this much larger and scaled down: smooth edges
+PICTURE: Final = (960, 720)  # [units] the layout's nominal size; a unit is a pixel at that size
+SMALLEST_UNIT: Final = 0.25  # [px] in smaller pictures shapes do not shrink any further
+LEGIBLE: Final = 18  # [px] texts of a smaller size are drawn larger and scaled down
+TEXTS: Final = 1024  # images of texts that are kept
+DASH: Final = 7.0  # [px] a dash with its gap is not shorter
+SHADES: Final = 32  # steps of a colour that fades
 
 SEA: Final[Color] = (243, 248, 251)  # the water
 GRID: Final[Color] = (205, 219, 228)  # lines of constant x and y, and frames
@@ -35,61 +47,233 @@ CURRENT: Final[Color] = (86, 180, 233)  # the arrows of the current
 ALERT: Final[Color] = (213, 94, 0)  # the position error, and forces at their limit
 
 
+def mix(background: Color, color: Color, weight: float) -> Color:
+    """Return a colour laid over a background with a weight of 0 ... 1, in `SHADES` steps."""
+    return _shade(background, color, round(SHADES * weight))
+
+
+@lru_cache(maxsize=4096)
+def _shade(background: Color, color: Color, step: int) -> Color:
+    (r, g, b), (R, G, B), weight = background, color, step / SHADES
+    return round(r + weight * (R - r)), round(g + weight * (G - g)), round(b + weight * (B - b))
+
+
 class Canvas:
-    """Drawing in units of the nominal layout; shapes first, oversampled, then the texts on top."""
+    """Drawing in units of the nominal layout, from the bottom up.
 
-    def __init__(self, pygame: ModuleType, size: tuple[int, int]) -> None:
+    Args:
+        pygame: the module.
+        size: width and height [px].
+        unit: size of a unit [px]; None: as large as a layout of `PICTURE` fits in.
+        surface: of that size, to be drawn on; None: one of its own.
+    """
+
+    def __init__(
+        self, pygame: ModuleType, size: tuple[int, int], unit: float | None = None, surface: Any = None
+    ) -> None:
         self._pygame, self._size = pygame, size
-        self._unit = min(size[0] / PICTURE[0], size[1] / PICTURE[1])  # [px]
-        self._factor = OVERSAMPLING * self._unit
-        self.extent: Array = np.array(size) / self._unit  # (2,) [units]
-        self._surface = pygame.Surface((OVERSAMPLING * size[0], OVERSAMPLING * size[1]), depth=32)
-        self._texts: list[tuple[Any, tuple[float, float]]] = []
+        self.unit = unit or max(min(size[0] / PICTURE[0], size[1] / PICTURE[1]), SMALLEST_UNIT)  # [px]
+        self.extent: Array = np.array(size) / self.unit  # (2,) [units]
+        # Three bytes a pixel in this order are what an array of a picture holds.
+        self._surface = surface or pygame.Surface(size, depth=24, masks=(0xFF, 0xFF00, 0xFF0000, 0))
+        self._corner, self._factor, self._near = np.zeros(2), self.unit, False  # of what is drawn on now
+        self._oversampling = 2 if self.unit >= 1.0 else 4  # close-ups are so much larger; a power of two is exact
         self._font: Callable[[int], Any] = lru_cache(maxsize=None)(partial(pygame.font.Font, None))
+        self._image: Callable[..., Any] = lru_cache(maxsize=TEXTS)(self._rendered)
+        self._cards: dict[Hashable, Any] = {}
 
-    def _pixels(self, points: ArrayLike) -> NDArray[np.int64]:
-        scaled = np.asarray(points, dtype=np.float64) * self._factor
-        return np.rint(np.minimum(np.maximum(scaled, -1e6), 1e6)).astype(np.int64)
+    def pixels(self) -> NDArray[np.uint8]:
+        """Return the picture as a new array (height, width, 3)."""
+        width, height = self._size
+        pitch = self._surface.get_pitch()
+        rows = np.frombuffer(self._surface.get_buffer().raw, dtype=np.uint8).reshape(height, pitch)
+        return rows[:, : 3 * width].reshape(height, width, 3).copy()
+
+    def part(self, box: Box) -> Canvas:
+        """Return the canvas of a rectangle of this one, its own corner at the origin."""
+        x, y, width, height = (round(n * self.unit) for n in box)
+        return Canvas(self._pygame, (width, height), self.unit, self._surface.subsurface((x, y, width, height)))
+
+    @property
+    def surface(self) -> Any:
+        """The picture as a pygame surface."""
+        return self._surface
 
     def fill(self, color: Color) -> None:
         """Begin a new picture on this ground."""
         self._surface.fill(color)
 
-    def line(self, points: ArrayLike, color: Color, width: float) -> None:
-        """A polyline (k, 2); fewer than two points draw nothing."""
-        pixels = self._pixels(points)
-        if len(pixels) > 1:
-            thickness = max(1, round(width * self._factor))
-            self._pygame.draw.lines(self._surface, color, False, pixels.tolist(), thickness)
+    def _placed(self, points: ArrayLike) -> Array:
+        """Return points (k, 2) [units] as pixels (k, 2) of what is drawn on now."""
+        scaled = (np.asarray(points, dtype=np.float64) - self._corner) * self._factor
+        return np.minimum(np.maximum(scaled, -1e5), 1e5, out=scaled)
 
-    def polygon(self, points: ArrayLike, color: Color, alpha: int = 255) -> None:
-        """A filled polygon (k, 2), translucent below alpha = 255."""
-        pixels = self._pixels(points)
-        if alpha == 255:
-            self._pygame.draw.polygon(self._surface, color, pixels.tolist())
+    def rule(self, axis: int, positions: Sequence[float], color: Color, width: float) -> None:
+        """Lines across the whole picture at these places [units] along an axis, over the sea."""
+        half, fill, (w, h) = 0.5 * max(width * self.unit, 0.5), self._surface.fill, self._size
+        for position in positions:
+            low, high = position * self.unit - half, position * self.unit + half
+            for k in range(math.floor(low), math.ceil(high)):
+                shade = _shade(SEA, color, round(SHADES * (min(high, k + 1) - max(low, k))))
+                fill(shade, (k, 0, 1, h) if axis == 0 else (0, k, w, 1))
+
+    def line(self, points: ArrayLike, color: Color, width: float, cuts: Sequence[tuple[int, int, Color]] = ()) -> None:
+        """A polyline (k, 2); fewer than two points draw nothing. `cuts` are colours of its points from ... to."""
+        pixels = self._placed(points)
+        if len(pixels) < 2:
             return
-        corner = pixels.min(axis=0)
-        layer = self._pygame.Surface((pixels.max(axis=0) - corner + 1).tolist(), self._pygame.SRCALPHA, 32)
-        self._pygame.draw.polygon(layer, (*color, alpha), (pixels - corner).tolist())
-        self._surface.blit(layer, corner.tolist())
+        thickness = width * self._factor
+        if self._near:
+            self._pygame.draw.lines(self._surface, color, False, pixels.tolist(), max(1, round(thickness)))
+            return
+        for strand in _strands(pixels, thickness):
+            for start, stop, shade in cuts or ((0, len(pixels), color),):
+                self._pygame.draw.aalines(self._surface, shade, False, strand[start:stop])
 
-    def box(self, x: float, y: float, width: float, height: float, color: Color, radius: float = 0.0) -> None:
-        """A filled rectangle with rounded corners."""
-        corners = self._pixels([(x, y), (x + width, y + height)])
-        rectangle = (*corners[0].tolist(), *(corners[1] - corners[0]).tolist())
-        self._pygame.draw.rect(self._surface, color, rectangle, border_radius=round(radius * self._factor))
+    def dashes(self, start: Array, stop: Array, color: Color, width: float, period: float) -> None:
+        """A dashed line from one point (2,) to another; a dash and the gap behind it are `period` [units] long."""
+        period = max(period, DASH / self.unit)
+        count = max(1, round(float(np.hypot(*(stop - start))) / period))
+        ends = (np.arange(count)[:, None] + (0.0, 0.6)) / count
+        for (a, b), (c, d) in _strands(self._placed([start, stop]), width * self._factor):
+            for begin, end in ends.tolist():
+                first = a + begin * (c - a), b + begin * (d - b)
+                self._pygame.draw.aaline(self._surface, color, first, (a + end * (c - a), b + end * (d - b)))
+
+    def polygon(self, points: ArrayLike, color: Color, edge: Color, width: float) -> None:
+        """A filled polygon (k, 2) with an outline of a width, in a close-up."""
+        corners = self._placed(points).tolist()
+        self._pygame.draw.polygon(self._surface, color, corners)
+        self._pygame.draw.lines(self._surface, edge, True, corners, max(1, round(width * self._factor)))
+
+    def arrows(self, starts: Array, arrow: Array, colors: Sequence[Color], width: float) -> None:
+        """Arrows (2,) [units] from each of `starts` (k, 2); too short for a head, none is drawn."""
+        length = float(np.hypot(*arrow))
+        if length < 2.0 or len(starts) == 0:
+            return
+        along = arrow / length
+        across = np.array((-along[1], along[0]))
+        head = min(4.0 * width, 0.6 * length)
+        neck = arrow - head * along
+        shape = np.array((arrow, neck + 0.5 * head * across, neck - 0.5 * head * across)) * self._factor
+        draw, surface, tip = self._pygame.draw, self._surface, (shape + 0.5).tolist()
+        shafts = _strands(np.array((np.zeros(2), neck + 0.5 * along)) * self._factor, width * self._factor)
+        outline = shape.tolist()
+        for (x, y), color in zip(self._placed(starts).tolist(), colors, strict=True):
+            if self._near:
+                (a, b), (c, d) = shafts[len(shafts) // 2]
+                draw.line(surface, color, (x + a, y + b), (x + c, y + d), max(1, round(width * self._factor)))
+            else:
+                for (a, b), (c, d) in shafts:
+                    draw.aaline(surface, color, (x + a, y + b), (x + c, y + d))
+                draw.aalines(surface, color, True, [(x + a, y + b) for a, b in outline])
+            draw.polygon(surface, color, [(x + a, y + b) for a, b in tip])
+
+    @contextmanager
+    def closeup(self, points: ArrayLike, margin: float) -> Iterator[None]:
+        """Draw what lies within a margin [units] of points (k, 2) with smooth edges."""
+        places = self._placed(points)
+        low = np.maximum(np.floor(places.min(axis=0) - margin * self.unit), 0.0)
+        high = np.minimum(np.ceil(places.max(axis=0) + margin * self.unit), self._size)
+        width, height = (high - low).astype(int).tolist()
+        if width <= 0 or height <= 0:  # out of the picture
+            low, width, height = np.zeros(2), 1, 1
+        picture, corner = self._surface, low.astype(int).tolist()
+        part = picture.subsurface((*corner, width, height))
+        self._surface = self._pygame.transform.scale(part, (self._oversampling * width, self._oversampling * height))
+        self._corner, self._factor, self._near = low / self.unit, self._oversampling * self.unit, True
+        try:
+            yield
+        finally:
+            drawn, self._surface = self._surface, picture
+            self._corner, self._factor, self._near = np.zeros(2), self.unit, False
+            picture.blit(self._pygame.transform.smoothscale(drawn, (width, height)), corner)
+
+    def tint(self, points: ArrayLike, color: Color, weight: float, width: float) -> None:
+        """A translucent polygon (k, 2) with an outline of a width, in a close-up."""
+        places = self._placed(points)
+        corner = np.floor(places.min(axis=0))
+        corners = (places - corner).tolist()
+        layer = self._pygame.Surface((places.max(axis=0) - corner + 2).tolist(), self._pygame.SRCALPHA, 32)
+        self._pygame.draw.polygon(layer, (*color, round(255 * weight)), corners)
+        self._surface.blit(layer, corner.tolist())
+        thickness = max(1, round(width * self._factor))
+        self._pygame.draw.lines(self._surface, color, True, places.tolist(), thickness)
+
+    def box(self, box: Box, color: Color, radius: float = 0.0) -> None:
+        """A filled rectangle with rounded corners, at least a pixel wide and high."""
+        x, y, width, height = (n * self.unit for n in box)
+        rectangle = round(x), round(y), max(1, round(x + width) - round(x)), max(1, round(y + height) - round(y))
+        self._pygame.draw.rect(self._surface, color, rectangle, border_radius=round(radius * self.unit))
+
+    def card(self, box: Box, key: Hashable = None, content: Callable[[Canvas], None] = lambda _: None) -> None:
+        """A white card with a thin border, and on it what does not change as long as size and key stay.
+
+        Args:
+            box: its rectangle.
+            key: names the content.
+            content: draws it, in units from the card's left top corner.
+        """
+        x, y, width, height = box
+        if (width, height, key) not in self._cards:
+            self._cards[width, height, key] = self._drawn_card(width, height, content)
+        inside, whole, rim = self._cards[width, height, key]
+        left, top = round((x - 1.0) * self.unit), round((y - 1.0) * self.unit)
+        self._surface.blit(inside, (left + rim, top + rim))
+        w, h = whole.get_size()
+        for part in (
+            (0, 0, w, rim),
+            (0, h - rim, w, rim),
+            (0, rim, rim, h - 2 * rim),
+            (w - rim, rim, rim, h - 2 * rim),
+        ):
+            self._surface.blit(whole, (left + part[0], top + part[1]), part)
+
+    def _drawn_card(self, width: float, height: float, content: Callable[[Canvas], None]) -> tuple[Any, Any, int]:
+        """Return the inside of a card, the whole of it with translucent corners, and the width of its rim [px]."""
+        size = math.ceil((width + 2.0) * self.unit), math.ceil((height + 2.0) * self.unit)
+        draw, large = self._pygame.draw, (4 * size[0], 4 * size[1])
+        shape = self._pygame.Surface(large, self._pygame.SRCALPHA, 32)
+        shape.fill((*GRID, 0))
+        border, radius = max(1, round(4 * self.unit)), round(36 * self.unit)
+        draw.rect(shape, GRID, (0, 0, *large), border_radius=radius)
+        inner = (border, border, large[0] - 2 * border, large[1] - 2 * border)
+        draw.rect(shape, WHITE, inner, border_radius=max(0, radius - border))
+        whole = self._pygame.transform.smoothscale(shape, size)
+        own = Canvas(self._pygame, size, self.unit)
+        own.fill(WHITE)
+        content(own)
+        rim = min(math.ceil(9.0 * self.unit), min(size) // 2)
+        inside = own.surface.subsurface((rim, rim, size[0] - 2 * rim, size[1] - 2 * rim))
+        return inside, whole, rim
 
     def text(self, text: str, x: float, y: float, size: float = 17.0, color: Color = INK, align: float = 0.0) -> float:
         """One line with its middle at height y, from x (align 0), around x (0.5) or up to x (1); returns its width."""
-        image = self._font(max(8, round(1.25 * size * self._unit))).render(text, True, color)
+        image = self._image(text, max(6, round(1.25 * size * self.unit)), color)
         width, height = image.get_size()
-        self._texts.append((image, (x * self._unit - align * width, y * self._unit - 0.5 * height)))
-        return float(width) / self._unit
+        self._surface.blit(image, (round(x * self.unit - align * width), round(y * self.unit - 0.5 * height)))
+        return float(width) / self.unit
 
-    def finish(self) -> Any:
-        """The picture as a pygame surface of the asked size."""
-        picture = self._pygame.transform.smoothscale(self._surface, self._size)
-        for image, corner in self._texts:
-            picture.blit(image, corner)
-        self._texts.clear()
-        return picture
+    def width_of(self, text: str, size: float = 17.0) -> float:
+        """Return the width [units] of a text."""
+        return float(self._image(text, max(6, round(1.25 * size * self.unit)), INK).get_width()) / self.unit
+
+    def _rendered(self, text: str, height: int, color: Color) -> Any:
+        if height >= LEGIBLE:
+            return self._font(height).render(text, True, color)
+        large = self._font(4 * height).render(text, True, color)  # letters of whole pixels would be set unevenly
+        width, height = (max(1, round(n / 4)) for n in large.get_size())
+        return self._pygame.transform.smoothscale(large, (width, height))
+
+
+def _strands(pixels: Array, thickness: float) -> list[list[tuple[float, float]]]:
+    """Return the lines of one pixel, side by side, that make a polyline (k, 2) of a thickness [px]."""
+    if thickness <= 1.5:
+        return [pixels.tolist()]
+    along = np.empty_like(pixels)
+    along[1:-1] = pixels[2:] - pixels[:-2]
+    along[0], along[-1] = pixels[1] - pixels[0], pixels[-1] - pixels[-2]
+    length = np.maximum(np.sqrt(along[:, 0] ** 2 + along[:, 1] ** 2), 1e-9)
+    normal = np.stack((-along[:, 1] / length, along[:, 0] / length), axis=1)
+    half = 0.5 * (thickness - 1.0)
+    return [(pixels + side * normal).tolist() for side in np.linspace(-half, half, math.ceil(thickness)).tolist()]

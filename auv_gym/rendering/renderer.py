@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import operator
 import warnings
+from collections.abc import Sequence
 from types import ModuleType
 from typing import Any, Literal, get_args
 
@@ -12,10 +14,15 @@ from numpy.typing import NDArray
 
 from auv_gym.installation import install
 from auv_gym.rendering.camera import Camera, Progress, View, elapsed_between
-from auv_gym.rendering.canvas import Canvas
-from auv_gym.rendering.drawing import draw_overlay, draw_world
+from auv_gym.rendering.canvas import PICTURE, Canvas
+from auv_gym.rendering.cards import draw_cards
+from auv_gym.rendering.scene import draw_world
 
 RenderMode = Literal["human", "rgb_array"]
+READABLE = (320, 240)
+"""Width and height [px] of the smallest picture that something is written on."""
+SIZES = (16, 4096)
+"""Least and largest width or height [px] of a picture."""
 
 
 class Renderer:
@@ -26,24 +33,26 @@ class Renderer:
     Args:
         render_mode: "human" or "rgb_array".
         fps: pictures per second [1/s] to which "human" is slowed down.
-        size: width and height of the picture [px].
+        size: width and height of the picture [px], see `checked_size`.
 
     Raises:
-        ValueError: the mode is unknown, or fps or size is not positive.
+        ValueError: the mode or size is not allowed, or fps not positive.
         DependencyNotInstalled: pygame is missing.
     """
 
-    def __init__(self, render_mode: RenderMode, fps: float, size: tuple[int, int] = (960, 720)) -> None:
+    def __init__(self, render_mode: RenderMode, fps: float, size: Sequence[int] = PICTURE) -> None:
         if render_mode not in get_args(RenderMode):
             raise ValueError(f"render_mode is {render_mode!r}; allowed: {', '.join(get_args(RenderMode))}")
-        if not (fps > 0.0 and min(size) > 0):
-            raise ValueError(f"fps and size must be positive; given: {fps}, {size}")
-        self._pygame = _import_pygame()
-        self._canvas = Canvas(self._pygame, size)
+        if not fps > 0.0:
+            raise ValueError(f"fps must be positive; given: {fps}")
+        self._pygame = import_pygame()
+        self._size = checked_size(size)
+        self._canvas = Canvas(self._pygame, self._size)
+        self._cards = self._size[0] >= READABLE[0] and self._size[1] >= READABLE[1]
         self._camera = Camera(self._canvas.extent)
         self._progress = Progress()
         self._last: View | None = None
-        self._human, self._fps, self._size = render_mode == "human", fps, size
+        self._human, self._fps = render_mode == "human", fps
         self._window: Any = None
         self._clock: Any = None
         self._closed = False
@@ -61,12 +70,11 @@ class Renderer:
         if self._human and not self._open_window():
             return None
         draw_world(self._canvas, self._camera, view, travelled)
-        draw_overlay(self._canvas, self._camera, view)
-        picture = self._canvas.finish()
+        if self._cards:
+            draw_cards(self._canvas, self._camera, view)
         if not self._human:
-            pixels = np.frombuffer(self._pygame.image.tobytes(picture, "RGB"), dtype=np.uint8)
-            return pixels.reshape(self._size[1], self._size[0], 3).copy()
-        self._window.blit(picture, (0, 0))
+            return self._canvas.pixels()
+        self._window.blit(self._canvas.surface, (0, 0))
         self._pygame.display.flip()
         self._clock.tick(self._fps)
         return None
@@ -90,7 +98,7 @@ class Renderer:
         return self._window is not None
 
 
-def _import_pygame() -> ModuleType:
+def import_pygame() -> ModuleType:
     """Import pygame with its fonts, or say what to install."""
     try:
         with warnings.catch_warnings():
@@ -101,3 +109,19 @@ def _import_pygame() -> ModuleType:
         raise DependencyNotInstalled(f"drawing needs pygame: {install('render')}") from error
     pygame.font.init()
     return pygame
+
+
+def checked_size(size: Sequence[int]) -> tuple[int, int]:
+    """Return the width and height of pictures [px].
+
+    Raises:
+        ValueError: they are not two integers within `SIZES`.
+    """
+    try:
+        width, height = (operator.index(n) for n in size)
+    except (TypeError, ValueError):
+        width = height = 0
+    if not all(SIZES[0] <= n <= SIZES[1] for n in (width, height)):
+        low, high = SIZES
+        raise ValueError(f"render_size is {size!r}; it must be (width, height), two integers from {low} to {high} [px]")
+    return width, height

@@ -1,0 +1,83 @@
+"""Moving pictures as files: loops by Pillow, videos by ffmpeg."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+from gymnasium.error import DependencyNotInstalled
+from numpy.typing import NDArray
+
+from baselines.tools.files import write_atomically
+
+Frames = Iterable[NDArray[np.uint8]]
+"""Pictures of one size, arrays (height, width, 3)."""
+QUALITY = 60  # of a lossy picture, 0 ... 100
+LAST = 1500  # [ms] how long the last picture of a loop stays
+
+
+def save(frames: Frames, out: Path, fps: int) -> Path:
+    """Write pictures as a file whose ending says its kind, one of `WRITERS`, and return it.
+
+    Raises:
+        DependencyNotInstalled: what writes it is missing.
+        OSError: it cannot be written.
+        ValueError: the ending is unknown.
+    """
+    if out.suffix not in WRITERS:
+        raise ValueError(f"{out.name!r} is no moving picture; its name must end in {', '.join(WRITERS)}")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    WRITERS[out.suffix](frames, out, fps)
+    return out
+
+
+def _write_webp(frames: Frames, out: Path, fps: int) -> None:
+    _write_loop(frames, out, fps, "WEBP", {"quality": QUALITY, "method": 2})
+
+
+def _write_gif(frames: Frames, out: Path, fps: int) -> None:
+    _write_loop(frames, out, fps, "GIF", {"optimize": False})
+
+
+def _write_loop(frames: Frames, out: Path, fps: int, kind: str, options: Mapping[str, object]) -> None:
+    """Write a loop by Pillow; its last picture stays for a moment."""
+    try:
+        from PIL import Image
+    except ImportError as error:
+        raise DependencyNotInstalled('a loop needs Pillow: pip install "auv-gym[eval]"') from error
+    images = [Image.fromarray(frame) for frame in frames]
+    if kind == "GIF":
+        palette = images[len(images) // 2].quantize(255)
+        images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    each, last = round(1000 / fps), max(LAST, round(1000 / fps))
+    lengths = [each] * (len(images) - 1) + [last]
+    buffer = io.BytesIO()
+    images[0].save(buffer, kind, save_all=True, append_images=images[1:], duration=lengths, loop=0, **options)
+    write_atomically(out, buffer.getvalue())
+
+
+def _write_mp4(frames: Frames, out: Path, fps: int) -> None:
+    """Write a video by the ffmpeg that imageio-ffmpeg brings."""
+    try:
+        from imageio_ffmpeg import write_frames
+    except ImportError as error:
+        raise DependencyNotInstalled('a video needs ffmpeg: pip install "auv-gym[render]"') from error
+    video = None
+    for frame in frames:
+        even = np.ascontiguousarray(frame[: len(frame) // 2 * 2, : frame.shape[1] // 2 * 2])  # what the codec takes
+        if video is None:
+            video = write_frames(str(out), even.shape[1::-1], fps=fps, macro_block_size=2)
+            video.send(None)
+        video.send(even)
+    if video is not None:
+        video.close()
+
+
+WRITERS: Mapping[str, Callable[[Frames, Path, int], None]] = {
+    ".mp4": _write_mp4,
+    ".webp": _write_webp,
+    ".gif": _write_gif,
+}
+"""How a file is written, by the ending of its name."""

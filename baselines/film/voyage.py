@@ -1,0 +1,84 @@
+"""What a moving picture shows of one policy: an episode, instant by instant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_gym.episode import Episode
+from auv_gym.policy import preview_of
+from auv_gym.scenario import Scenario
+from baselines import make_policy
+from baselines.evaluation.rollout import beginning, play
+from baselines.policy import Privileged
+
+Array = NDArray[np.float64]
+
+
+class Instant(NamedTuple):
+    """A voyage at one time, SI units."""
+
+    state: Array  # x, y [m], psi [rad], u, v [m/s] over ground, r [rad/s], shape (6,)
+    reference: Array  # x, y [m], psi [rad], shape (3,)
+    current: Array  # V_x, V_y [m/s], shape (2,)
+    error: float  # [m] distance to the reference
+
+
+@dataclass(frozen=True)
+class Voyage:
+    """One episode of a policy, a row for each of K control instants."""
+
+    policy: str
+    time: Array  # [s], shape (K,)
+    state: Array  # as in `Instant`, psi without jumps, shape (K, 6)
+    reference: Array  # as in `Instant`, shape (K, 3)
+    current: Array  # [m/s], shape (K, 2)
+    lost: bool  # whether it ended beyond the scenario's `lost_distance`
+
+    @property
+    def error(self) -> Array:
+        """Distance to the reference [m], shape (K,)."""
+        return np.asarray(np.hypot(*(self.state[:, :2] - self.reference[:, :2]).T))
+
+    def at(self, time: float) -> Instant:
+        """Return what lies between two control instants; where it has ended, its end."""
+        k = min(int(np.searchsorted(self.time, time, side="right")) - 1, len(self.time) - 2)
+        share = min((time - self.time[k]) / (self.time[k + 1] - self.time[k]), 1.0)
+        rows = self.state, self.reference, self.current
+        state, reference, current = ((1.0 - share) * row[k] + share * row[k + 1] for row in rows)
+        return Instant(state, reference, current, float(np.hypot(*(state[:2] - reference[:2]))))
+
+
+def voyage(name: str, scenario: Scenario, episode: Episode) -> Voyage:
+    """Return what a policy does in an episode.
+
+    Args:
+        name: of the policy, see `baselines.make_policy`.
+        scenario: what the episode is of.
+        episode: what is to run.
+
+    Raises:
+        OSError: the policy's file cannot be read.
+        ValueError: there is no such policy.
+        PolicyError: it gave no usable action.
+    """
+    policy = make_policy(name, scenario.vehicle)
+    if isinstance(policy, Privileged):
+        policy.prepare(scenario, [episode])
+    env, observation = beginning([(scenario, [episode])], preview_of(policy))
+    rows, lost = [_row(env)], False
+    for k, moment in enumerate(play(policy, (env, observation), scenario.steps)):
+        lost = bool(moment.lost[0])
+        if not lost and k + 1 < scenario.steps:
+            rows.append(_row(env))
+    state, reference, current = (np.array(column) for column in zip(*rows, strict=True))
+    state[:, 2], reference[:, 2] = np.unwrap(state[:, 2]), np.unwrap(reference[:, 2])
+    return Voyage(name, scenario.control_dt * np.arange(float(len(rows))), state, reference, current, lost)
+
+
+def _row(env: Any) -> tuple[Array, Array, Array]:
+    """Return state, reference and current of the only vehicle at this time."""
+    return env.state[0].copy(), np.ravel(env.reference[:3]), env.current[0].copy()
