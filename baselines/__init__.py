@@ -19,14 +19,18 @@ from auv_gym.vehicle import Vehicle
 from baselines.agents.loading import load_policy
 from baselines.agents.names import FADING, agent_folder, is_path, shipped_agents
 from baselines.control import POLICIES, make_controller
+from baselines.episodes import EpisodeRecord, run_episode, run_episodes
 
 __all__ = [
     "POLICIES",
+    "EpisodeRecord",
     "common_vehicle",
     "list_policies",
     "make_policy",
     "make_residual_env",
     "make_residual_vector_env",
+    "run_episode",
+    "run_episodes",
 ]
 
 
