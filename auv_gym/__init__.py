@@ -4,6 +4,8 @@ from typing import Any
 
 import gymnasium as gym
 
+from auv_gym.names import STEPS
+
 __version__ = "0.1.0"
 __all__ = [
     "PRESETS",
@@ -34,27 +36,32 @@ def __getattr__(name: str) -> Any:
 
 
 def _register() -> None:
-    for name, entry_point, vector_entry_point in (
+    """Register both tasks, once for any scenario, and under an id of its own for each that ships with the package."""
+    for task, entry_point, vector_entry_point in (
         (
-            "UnderactuatedAUVTrack-v0",
+            "UnderactuatedAUVTrack",
             "auv_gym.envs.track_env:UnderactuatedAUVTrackEnv",
             "auv_gym.envs:make_track_vector_env",
         ),
         (
-            "UnderactuatedAUVTrackResidual-v0",
+            "UnderactuatedAUVTrackResidual",
             "auv_gym.envs.residual_entry:make_residual_env",
             "auv_gym.envs.residual_entry:make_residual_vector_env",
         ),
     ):
-        if name not in gym.registry:
-            # The environment itself refuses bad actions and steps without reset, so no wrapper need watch it.
-            gym.register(
-                name,
-                entry_point,
-                order_enforce=False,
-                disable_env_checker=True,
-                vector_entry_point=vector_entry_point,
-            )
+        scenarios: dict[str, int | None] = {"": None, **{f"-{name}": steps for name, steps in STEPS.items()}}
+        for name, steps in scenarios.items():
+            if f"{task}{name}-v0" not in gym.registry:
+                # The environment itself refuses bad actions and steps without reset, so no wrapper need watch it.
+                gym.register(
+                    f"{task}{name}-v0",
+                    entry_point,
+                    max_episode_steps=steps,
+                    order_enforce=False,
+                    disable_env_checker=True,
+                    kwargs={"scenario": name[1:]} if name else {},
+                    vector_entry_point=vector_entry_point,
+                )
 
 
 _register()

@@ -10,8 +10,11 @@ from typing import Any
 from auv_gym.actuators import Actuators
 from auv_gym.disturbances import RandomCurrent, RandomMismatch, RandomWaves
 from auv_gym.intervals import Interval
+from auv_gym.names import CASES, REGIMES, STEPS
 from auv_gym.scenario import RandomPath, Scenario, Start
 from auv_gym.sensors import Sensors
+
+__all__ = ["CASES", "PAPER_SCENARIO", "PRESETS", "REGIMES", "as_scenario", "list_scenarios"]
 
 
 @dataclass(frozen=True)
@@ -40,9 +43,6 @@ _REGIMES = {
         Sensors(position=0.05, heading=0.015, velocity=0.02, yaw_rate=0.005), 0.12, 0.4, 0.5, 30.0,
     ),
 }  # fmt: skip
-REGIMES = tuple(_REGIMES)  # names of the ranges of speeds
-CASES = ("calm", "noise", "current", "gauss-markov", "waves", "mismatch", "actuator", "storm")
-"""Names of the kinds of trouble; the preset of each in a regime is called REGIME-CASE."""
 
 
 def _preset(regime: str, case: str) -> Scenario:
@@ -68,13 +68,14 @@ def _preset(regime: str, case: str) -> Scenario:
     if case == "storm":
         lag = (0.12, 0.36)
     s = (-g.start, g.start)
+    name = f"{regime}-{case}"
     return Scenario(
-        name=f"{regime}-{case}",
+        name=name,
         path=g.path,
         actuators=Actuators(*limits, lag=lag),
         start=Start(x_e=s, y_e=s, psi_e=(-0.35, 0.35), surge=(0.3, 1.0)),
         control_dt=g.control_dt,
-        steps=600,
+        steps=STEPS[name],
         error_scale=g.error_scale,
         lost_distance=g.lost_distance,
         **changes,
@@ -83,13 +84,14 @@ def _preset(regime: str, case: str) -> Scenario:
 
 PAPER_SCENARIO = Scenario(
     name="paper-circle",
+    steps=STEPS["paper-circle"],
     start=Start(x_e=0.5, y_e=1.0, psi_e=math.radians(20.0), surge=0.0, random_signs=True),
     error_scale=0.2,
     lost_distance=10.0,
 )
 """Section V: the 10 m circle at 0.1 m/s, from rest and 0.5 m, 1 m, 20 deg off, in any of the eight signs."""
 
-PRESETS = {s.name: s for s in (PAPER_SCENARIO, *(_preset(regime, case) for regime in _REGIMES for case in CASES))}
+PRESETS = {s.name: s for s in (PAPER_SCENARIO, *(_preset(regime, case) for regime in REGIMES for case in CASES))}
 """Scenarios by name: add an entry here to use it as `gym.make(..., scenario=NAME)`."""
 
 

@@ -11,6 +11,7 @@ from auv_gym.envs import make_track_vector_env
 from auv_gym.envs.lanes import ScenarioLike
 from auv_gym.envs.residual import ResidualAction, VectorResidualAction
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
+from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
 from auv_gym.policy import Policy, preview_of
 from auv_gym.presets import as_scenario
 from auv_gym.rendering import PICTURE
@@ -19,14 +20,18 @@ from auv_gym.vehicle import Vehicle
 from baselines.agents.loading import load_policy
 from baselines.agents.names import FADING, agent_folder, is_path, shipped_agents
 from baselines.control import POLICIES, make_controller
+from baselines.episodes import EpisodeRecord, run_episode, run_episodes
 
 __all__ = [
     "POLICIES",
+    "EpisodeRecord",
     "common_vehicle",
     "list_policies",
     "make_policy",
     "make_residual_env",
     "make_residual_vector_env",
+    "run_episode",
+    "run_episodes",
 ]
 
 
@@ -117,7 +122,9 @@ def make_residual_vector_env(
     backend: str = "numpy",
     device: Any = None,
     dtype: Any = None,
-) -> gym.vector.VectorEnv[Any, Any, Any]:
+    autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+    max_episode_steps: int | None = None,
+) -> VectorEnv[Any, Any, Any]:
     """Return the vector environment of `UnderactuatedAUVTrackResidual-v0`.
 
     Args:
@@ -132,6 +139,8 @@ def make_residual_vector_env(
         backend: "numpy" for arrays of float64, or "torch" for tensors.
         device: where the tensors live, "cpu" or "cuda"; with backend "torch" only.
         dtype: type of the tensors, "float32" or "float64"; with backend "torch" only.
+        autoreset_mode: "SameStep", "NextStep" or "Disabled", see `UnderactuatedAUVTrackVectorEnv`.
+        max_episode_steps: control steps after which episodes are truncated, if that is sooner than the scenario says.
 
     Raises:
         ImportError: the back end is "torch", and torch is not installed.
@@ -141,8 +150,19 @@ def make_residual_vector_env(
     given = [scenario] if isinstance(scenario, (Scenario, str, Mapping)) else scenario
     known = common_vehicle([as_scenario(s).changed(vehicle) for s in given])
     policy: Any = make_policy(expert, known) if isinstance(expert, str) else expert
-    preview = preview_of(policy)
-    env = make_track_vector_env(num_envs, scenario, vehicle, control_dt, render_mode, backend, device, dtype, preview)
+    env = make_track_vector_env(
+        num_envs,
+        scenario,
+        vehicle,
+        control_dt,
+        render_mode,
+        backend,
+        device,
+        dtype,
+        preview_of(policy),
+        autoreset_mode,
+        max_episode_steps,
+    )
     if backend == "numpy":
         return VectorResidualAction(env, policy, authority)
     from auv_gym.envs.torch_residual import TorchResidualAction

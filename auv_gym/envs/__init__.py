@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
-import gymnasium as gym
+from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
 
 from auv_gym.installation import install
 
@@ -25,7 +25,9 @@ def make_track_vector_env(
     device: Any = None,
     dtype: Any = None,
     preview: Sequence[int] = (),
-) -> gym.vector.VectorEnv[Any, Any, Any]:
+    autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+    max_episode_steps: int | None = None,
+) -> VectorEnv[Any, Any, Any]:
     """Return the vector environment of `UnderactuatedAUVTrack-v0`.
 
     Args:
@@ -38,6 +40,8 @@ def make_track_vector_env(
         device: where the tensors live, "cpu" or "cuda"; with backend "torch" only.
         dtype: their type, "float32" or "float64"; with backend "torch" only.
         preview: control periods ahead at which the reference is observed, see `auv_gym.preview.Preview`.
+        autoreset_mode: "SameStep", "NextStep" or "Disabled", see `UnderactuatedAUVTrackVectorEnv`.
+        max_episode_steps: control steps after which episodes are truncated, if that is sooner than the scenario says.
 
     Raises:
         ValueError: the back end is unknown, does not take such options, or the device is not available.
@@ -48,7 +52,9 @@ def make_track_vector_env(
             raise ValueError("device and dtype are options of backend='torch'; backend 'numpy' computes in float64")
         from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 
-        return UnderactuatedAUVTrackVectorEnv(num_envs, scenario, vehicle, control_dt, render_mode, preview)
+        return UnderactuatedAUVTrackVectorEnv(
+            num_envs, scenario, vehicle, control_dt, render_mode, preview, autoreset_mode, max_episode_steps
+        )
     if backend != "torch":
         raise ValueError(f"unknown backend {backend!r}; allowed are 'numpy' and 'torch'")
     if render_mode is not None:
@@ -57,4 +63,14 @@ def make_track_vector_env(
         raise ImportError(f"backend 'torch' needs torch: {install('train')}, or choose backend='numpy'")
     from auv_gym.envs.torch_sim import TorchSimulator
 
-    return TorchSimulator(num_envs, scenario, vehicle, control_dt, device or "cpu", dtype or "float32", preview=preview)
+    return TorchSimulator(
+        num_envs,
+        scenario,
+        vehicle,
+        control_dt,
+        device or "cpu",
+        dtype or "float32",
+        preview=preview,
+        autoreset_mode=autoreset_mode,
+        max_episode_steps=max_episode_steps,
+    )

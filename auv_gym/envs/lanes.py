@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
+from auv_gym.envs.vector_api import AutoresetMode, Ends, checked_mode
 from auv_gym.episode import Episode, checked_options, with_options
 from auv_gym.kernels import begun
 from auv_gym.namespaces import ARRAYS
@@ -60,6 +61,8 @@ class Lanes:
         vehicle: in place of the scenarios' known vehicle.
         control_dt: control period [s] in place of the scenarios'.
         preview: control periods ahead, see `Preview`.
+        autoreset_mode: when an episode that has ended is followed by the next one.
+        max_episode_steps: control steps after which episodes are truncated, if that is sooner than the scenario says.
 
     Attributes:
         scenarios: one for each lane.
@@ -70,9 +73,10 @@ class Lanes:
         k: control steps since each lane's reset, shape (N,).
         forces: of a law whose actions are observed as well, if there is one.
         preview: the references' positions ahead.
+        ends: which episodes have ended.
 
     Raises:
-        ValueError: a wrong number of lanes or scenarios, or whatever a scenario refuses.
+        ValueError: a wrong number of lanes, scenarios or steps, an unknown mode, or whatever a scenario refuses.
     """
 
     def __init__(
@@ -82,6 +86,8 @@ class Lanes:
         vehicle: Vehicle | str | Mapping[str, Any] | None,
         control_dt: float | None,
         preview: Sequence[int] = (),
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        max_episode_steps: int | None = None,
     ) -> None:
         if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
             raise ValueError(f"num_envs is {num_envs!r}; it must be an integer of at least 1")
@@ -92,6 +98,8 @@ class Lanes:
         self._generators = [seeding.np_random(None)[0] for _ in range(num_envs)]
         self._dt = np.array([s.control_dt for s in self.scenarios])
         self._steps = np.array([s.steps for s in self.scenarios])
+        self._lengths = np.minimum(self._steps, checked_steps(max_episode_steps))
+        self.ends = Ends(num_envs, checked_mode(autoreset_mode))
         block = max(1, min(LARGEST_BLOCK, BLOCK_SAMPLES // num_envs))
         self._tape = Tape(num_envs, block)
         self.preview = Preview(num_envs, preview, int(self._steps.max()))
@@ -116,7 +124,7 @@ class Lanes:
     @property
     def truncating(self) -> NDArray[np.bool_]:
         """Whether the coming control step is the last one of each episode, shape (N,)."""
-        ending: NDArray[np.bool_] = self.k + 1 >= self._steps
+        ending: NDArray[np.bool_] = self.k + 1 >= self._lengths
         return ending
 
     def coming(self) -> Array:
@@ -211,6 +219,7 @@ class Lanes:
         self.preview.load(lanes, [episode.path for episode, _, _ in planned], self._dt[lanes])
         self.begun = True
         self.k[lanes] = 0
+        self.ends.over[lanes] = False
         if self.row < 0:
             self._before[:, lanes] = self._tape.read(lanes, 1)[0]
         ahead = self.samples[max(self.row, 0) :]
@@ -280,6 +289,19 @@ def reference_tables(
     reference = plan(paths, vehicle, dt * np.arange(steps + 1, dtype=np.float64), (F_u_max, F_r_max)).table
     check_reference(reference)
     return list(np.ascontiguousarray(reference.transpose(2, 0, 1)))
+
+
+def checked_steps(max_episode_steps: int | None) -> int:
+    """Return a number of control steps; a very large one for None.
+
+    Raises:
+        ValueError: it is no integer of at least 1.
+    """
+    if max_episode_steps is None or max_episode_steps == -1:  # Gymnasium's word for no limit
+        return int(np.iinfo(np.int64).max)
+    if isinstance(max_episode_steps, bool) or not isinstance(max_episode_steps, int) or max_episode_steps < 1:
+        raise ValueError(f"max_episode_steps is {max_episode_steps!r}; it must be an integer of at least 1, or None")
+    return max_episode_steps
 
 
 def replaced(old: NDArray[Any], where: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:

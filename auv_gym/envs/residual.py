@@ -14,6 +14,7 @@ from auv_gym.envs.lanes import replaced
 from auv_gym.envs.spaces import checked_action, checked_actions, with_action
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.envs.vector_api import AutoresetMode, VectorEnv, VectorWrapper
 from auv_gym.namespaces import ARRAYS, FLOATS
 from auv_gym.policy import Policy, checked_authority, corrected, traceable
 
@@ -71,11 +72,9 @@ class ResidualAction(gym.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArr
 
 
 class VectorResidualAction(
-    gym.vector.VectorWrapper[
-        NDArray[np.float64], NDArray[np.float32], NDArray[np.float64], NDArray[np.float32], NDArray[Any]
-    ]
+    VectorWrapper[NDArray[np.float64], NDArray[np.float32], NDArray[np.float64], NDArray[np.float32], NDArray[Any]]
 ):
-    """`ResidualAction` for a vector environment with SAME_STEP autoreset; one expert acts for all in batches.
+    """`ResidualAction` for a vector environment of any autoreset mode; one expert acts for all in batches.
 
     The expert's memory, if it has any, is a tuple of arrays whose leading axis counts the sub-environments.
 
@@ -88,9 +87,7 @@ class VectorResidualAction(
         ValueError: an authority is not in (0, 2].
     """
 
-    def __init__(
-        self, env: gym.vector.VectorEnv[Any, Any, Any], expert: Policy, authority: float | Sequence[float] = 0.5
-    ) -> None:
+    def __init__(self, env: VectorEnv[Any, Any, Any], expert: Policy, authority: float | Sequence[float] = 0.5) -> None:
         super().__init__(env)
         self.expert = expert
         self.authority = checked_authority(authority)
@@ -101,6 +98,7 @@ class VectorResidualAction(
             env.correct(expert, self.authority)  # type: ignore[attr-defined]
         self._memory: tuple[NDArray[Any], ...] | None = None
         self._base = np.zeros((env.num_envs, 2), dtype=np.float32)
+        self._over = np.zeros(env.num_envs, dtype=bool)  # where the next step begins an episode
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -111,11 +109,11 @@ class VectorResidualAction(
             return observation, info
         begun = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, dtype=bool)))
         if begun.all():
-            self._memory = None
+            self._over = np.zeros(self.num_envs, dtype=bool)
             self._base, self._memory = self.expert.predict(observation, None, begun)
         else:  # the others have seen their observation already
             base, memory = self._predicted(observation[begun], begun, fresh=True)
-            self._base = replaced(self._base, begun, base)
+            self._base, self._over = replaced(self._base, begun, base), self._over & ~begun
             if self._memory is not None and memory is not None:
                 self._memory = tuple(replaced(m, begun, new) for m, new in zip(self._memory, memory, strict=True))
         return np.concatenate((observation, self._base), axis=1), info
@@ -139,7 +137,9 @@ class VectorResidualAction(
             bases, _ = self._predicted(last, done, fresh=False)
             for i, final, base in zip(done.nonzero()[0], last, bases, strict=True):
                 info["final_obs"][i] = np.concatenate((final, base))
-        self._base, self._memory = self.expert.predict(observation, self._memory, done)
+        same = self.env.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
+        begun, self._over = (done, self._over) if same else (self._over, done)
+        self._base, self._memory = self.expert.predict(observation, self._memory, begun)
         return np.concatenate((observation, self._base), axis=1), reward, terminated, truncated, info
 
     def _predicted(

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
-import gymnasium as gym
 import torch
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from auv_gym.envs.spaces import with_action
 from auv_gym.envs.torch_sim import TENSORS, TorchSimulator
+from auv_gym.envs.vector_api import VectorWrapper
 from auv_gym.namespaces import Namespace
 from auv_gym.policy import checked_authority, corrected
 from auv_gym.task import SIZE, Observation, action_of, decode
@@ -33,7 +33,7 @@ def expert_action(law: Law, o: Observation) -> tuple[Tensor, Tensor]:
     return action_of(law(o, TENSORS), o, TENSORS)
 
 
-class TorchResidualAction(gym.vector.VectorWrapper[Tensor, Tensor, Tensor, Tensor, Tensor]):
+class TorchResidualAction(VectorWrapper[Tensor, Tensor, Tensor, Tensor, Tensor]):
     """`VectorResidualAction` with tensors in and out; gradients flow through the expert as well.
 
     Args:

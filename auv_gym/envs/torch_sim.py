@@ -29,12 +29,12 @@ import gymnasium as gym
 import numpy as np
 import torch
 from gymnasium.error import ResetNeeded
-from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from auv_gym import simulation
 from auv_gym.envs.lanes import Beginning, Indices, Lanes, ScenarioLike
+from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
 from auv_gym.namespaces import tensors
 from auv_gym.preview import encode_preview, observation_bounds
 from auv_gym.rows import filled, leaves
@@ -120,11 +120,12 @@ def _runs(function: Callable[..., Any], *inputs: Tensor) -> bool:
     return True
 
 
-class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
+class TorchSimulator(VectorEnv[Tensor, Tensor, Tensor]):
     """The vector environment with tensors in and out; see `UnderactuatedAUVTrackVectorEnv` for what it runs.
 
-    Where an episode ends, `info["final_obs"]` (N, columns) holds the observations before the reset and
-    `info["_final_obs"]` (N,) says where they differ from those returned. Seeds give the NumPy environment's episodes.
+    Where an episode ends in mode SAME_STEP, `info["final_obs"]` (N, columns) holds the observations before the reset,
+    and `info["_final_obs"]` (N,) says where they differ from those returned. Seeds give the NumPy environment's
+    episodes.
 
     Gradients flow from observations and rewards to the actions of every step since the last `reset` or `detach`; an
     episode's end cuts them. An action that needs no gradient builds no graph.
@@ -138,6 +139,8 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
         dtype: "float32" or "float64", or the torch type.
         compiled: whether to compile the step.
         preview: control periods ahead at which the reference is observed, see `auv_gym.preview.Preview`.
+        autoreset_mode: "SameStep", "NextStep" or "Disabled", see `UnderactuatedAUVTrackVectorEnv`.
+        max_episode_steps: control steps after which episodes are truncated, if that is sooner than the scenario says.
 
     Raises:
         ValueError: an unknown type, an unavailable device, or whatever the scenarios refuse.
@@ -155,9 +158,12 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
         dtype: str | torch.dtype = "float32",
         compiled: bool = True,
         preview: Sequence[int] = (),
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        max_episode_steps: int | None = None,
     ) -> None:
         self.device, self.dtype = checked_device(device), checked_dtype(dtype)
-        self._lanes = Lanes(num_envs, scenario, vehicle, control_dt, preview)
+        self._lanes = Lanes(num_envs, scenario, vehicle, control_dt, preview, autoreset_mode, max_episode_steps)
+        self.metadata = {**self.metadata, "autoreset_mode": self._lanes.ends.mode}
         self.num_envs, self.scenarios = num_envs, self._lanes.scenarios
         kind: Any = np.float32 if self.dtype == torch.float32 else np.float64
         bounds: Any = observation_bounds(self._lanes.preview.periods).astype(kind)
@@ -224,9 +230,10 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
 
         Raises:
             ValueError: an action is not two finite numbers; the first bad sub-environment is named, none has advanced.
-            ResetNeeded: no episode has begun.
+            ResetNeeded: no episode has begun, or with DISABLED one is over; none has advanced.
         """
         commands, state, host = self.checked(actions), self.state, self._lanes
+        waiting = host.ends.waiting
         host.coming()
         if self._block != host.blocks:
             self._samples, self._block = self._tensor(host.samples), host.blocks
@@ -239,20 +246,27 @@ class TorchSimulator(gym.vector.VectorEnv[Tensor, Tensor, Tensor]):
         with torch.set_grad_enabled(graph):
             landed, rows, reward, lost, squared, saturated = self._step(*inputs)
         terminated, truncated = lost > 0.5, torch.as_tensor(host.truncating, device=self.device)
+        if waiting is not None:
+            going = torch.as_tensor(~waiting, device=self.device)
+            reward, terminated, truncated = torch.where(going, reward, 0.0), terminated & going, truncated & going
         done = terminated | truncated
-        ended = done.nonzero()[:, 0].cpu().numpy()
-        planned = host.planned(ended) if len(ended) else []  # may be refused: nothing has changed so far
+        ended = done.cpu().numpy()
+        renewed = host.ends.renewed(ended)
+        planned = host.planned(renewed) if len(renewed) else []  # may be refused: nothing has changed so far
         host.advance()
+        host.ends.advance(ended)
         self._state = landed
         observation, errors = self._with_preview(rows, host.all).T, squared.detach().sqrt()
         info: dict[str, Any] = {}
-        if planned:
+        if planned and host.ends.mode == AutoresetMode.SAME_STEP:
             info = {"final_obs": observation, "_final_obs": done, "_final_info": done}
             info["final_info"] = self._info(errors, saturated)
-            beginning = host.begin(ended, planned)
+        if planned:
+            beginning = host.begin(renewed, planned)
             observation = self._begin(beginning, observation)
-            errors = errors.masked_scatter(done, self._tensor(beginning.errors))
-            saturated = saturated * ~done
+            where = torch.as_tensor(renewed, device=self.device)
+            errors = errors.index_copy(0, where, self._tensor(beginning.errors))
+            saturated = saturated.index_fill(0, where, 0.0)
         info.update(self._info(errors, saturated))
         self._observation = observation.clone()
         return observation, reward, terminated, truncated, info

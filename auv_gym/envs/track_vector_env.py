@@ -8,12 +8,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium.error import ResetNeeded
-from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from auv_gym.envs.lanes import Beginning, Lanes, ScenarioLike
 from auv_gym.envs.spaces import ReferencePoint, checked_actions, with_action
+from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
 from auv_gym.kernels import Vehicles
 from auv_gym.namespaces import ARRAYS
 from auv_gym.policy import Forces, Law
@@ -26,12 +26,14 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.float32], NDArray[Any]]):
+class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArray[Any]]):
     """N independent vehicles in one environment; see `UnderactuatedAUVTrackEnv` for the task itself.
 
     Sub-environment i, reset with seed s, runs the episodes of a scalar environment reset with seed s + i, step by step
-    and across autoresets. Autoreset is SAME_STEP: where an episode ends, the observation returned is the first of the
-    next one, and `info["final_obs"]`, `info["final_info"]` hold the last of the old.
+    and across autoresets. By default autoreset is SAME_STEP: where an episode ends, the observation returned is the
+    first of the next one, and `info["final_obs"]`, `info["final_info"]` hold the last of the old. With NEXT_STEP the
+    step after an episode's end ignores the action and returns the first observation of the next one, with reward 0.
+    With DISABLED the next episode begins by `reset(options={"reset_mask": ...})` alone.
 
     Args:
         num_envs: N, the number of vehicles.
@@ -41,6 +43,8 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
         control_dt: control period [s] in place of the scenarios'.
         render_mode: None; the scalar environment draws.
         preview: control periods ahead, see the scalar environment.
+        autoreset_mode: an `AutoresetMode` of Gymnasium, or its value: "SameStep", "NextStep" or "Disabled".
+        max_episode_steps: control steps after which episodes are truncated, if that is sooner than the scenario says.
 
     `reset(options=...)` takes what the scalar environment does: `initial_error` and `initial_velocity` of shape (3,)
     for all or (N, 3), `episode` as a sequence of N; and Gymnasium's `reset_mask` (N,).
@@ -62,13 +66,16 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
         control_dt: float | None = None,
         render_mode: str | None = None,
         preview: Sequence[int] = (),
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        max_episode_steps: int | None = None,
     ) -> None:
         """See the class."""
         if render_mode is not None:
             raise ValueError(
                 f"render_mode is {render_mode!r}; the vector environment does not draw, the scalar one does"
             )
-        self._lanes = Lanes(num_envs, scenario, vehicle, control_dt, preview)
+        self._lanes = Lanes(num_envs, scenario, vehicle, control_dt, preview, autoreset_mode, max_episode_steps)
+        self.metadata = {**self.metadata, "autoreset_mode": self._lanes.ends.mode}
         self.num_envs = num_envs
         self.render_mode = None
         self.scenarios = self._lanes.scenarios
@@ -126,33 +133,38 @@ class UnderactuatedAUVTrackVectorEnv(gym.vector.VectorEnv[Array, NDArray[np.floa
 
         Raises:
             ValueError: an action is not two finite numbers; the first bad sub-environment is named, none has advanced.
-            ResetNeeded: no episode has begun.
+            ResetNeeded: no episode has begun, or with DISABLED one is over; none has advanced.
         """
         commands, vehicles, lanes = checked_actions(actions, self.num_envs), self._running, self._lanes
+        waiting = lanes.ends.waiting
         lanes.coming()
         vehicles.action[:] = commands.T
         vehicles.step(lanes.row + 1)
         reward, lost, errors, saturated = vehicles.now.outcome.copy()
         terminated, saturated, truncated = lost > 0, saturated > 0, lanes.truncating
+        if waiting is not None:
+            reward, terminated, truncated = np.where(waiting, 0.0, reward), terminated & ~waiting, truncated & ~waiting
         done = terminated | truncated
-        ended = done.nonzero()[0]
+        renewed = lanes.ends.renewed(done)
         try:
-            planned = lanes.planned(ended) if len(ended) else []
+            planned = lanes.planned(renewed) if len(renewed) else []
         except ValueError:
             vehicles.undo()  # nothing has changed
             raise
         lanes.advance()
+        lanes.ends.advance(done)
         observation = self._observed()
         info: dict[str, Any] = {}
-        if planned:
+        if planned and lanes.ends.mode == AutoresetMode.SAME_STEP:
             final = np.full(self.num_envs, None, dtype=object)
-            for i in ended.tolist():
+            for i in renewed.tolist():
                 final[i] = observation[i].copy()
             info = {"final_obs": final, "_final_obs": done, "_final_info": done}
             info["final_info"] = self._info(errors, saturated, done)
-            beginning = lanes.begin(ended, planned)
-            observation[ended], errors[ended] = self._begin(beginning), beginning.errors
-            saturated = saturated & ~done
+        if planned:
+            beginning = lanes.begin(renewed, planned)
+            observation[renewed], errors[renewed] = self._begin(beginning), beginning.errors
+            saturated[renewed] = False
         info.update(self._info(errors, saturated, self._everywhere))
         return observation, reward, terminated, truncated, info
 

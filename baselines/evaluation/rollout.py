@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.envs.vector_api import AutoresetMode
 from auv_gym.episode import Episode
 from auv_gym.paths import Line
 from auv_gym.policy import Policy, preview_of
@@ -53,6 +54,8 @@ class Moment(NamedTuple):
     error: Array  # [m] distance to the reference after the step, shape (N,)
     running: NDArray[np.bool_]  # shape (N,), not ended before the step; what is said of the others means nothing
     lost: NDArray[np.bool_]  # shape (N,), ended by this step, beyond the lost distance
+    saturated: NDArray[np.bool_]  # shape (N,), an actuator was commanded to its limit
+    following: Array  # what is observed next, of the next episode where autoreset has begun one, shape (N, terms)
 
 
 class Watch:
@@ -104,26 +107,32 @@ def play(policy: Policy, begun: Begun, steps: int, watch: Watch | None = None) -
         watch.count(env.num_envs, k)
         command = _checked(action, running, k)
         following, reward, terminated, truncated, info = env.step(command)
-        first, error = terminated | truncated, info["position_error"]
-        if first.any():
+        first, error, saturated = terminated | truncated, info["position_error"], info["saturated"]
+        if "final_info" in info:
             error = np.where(first, info["final_info"]["position_error"], error)
-        yield Moment(observation, command, reward, error, running, running & terminated)
+            saturated = saturated | info["final_info"]["saturated"]
+        yield Moment(observation, command, reward, error, running, running & terminated, saturated, following)
         observation, running = following, running & ~first
         if not running.any():
             return
 
 
-def beginning(cells: Sequence[tuple[Scenario, Sequence[Episode]]], preview: tuple[int, ...]) -> Begun:
+def beginning(
+    cells: Sequence[tuple[Scenario, Sequence[Episode]]],
+    preview: tuple[int, ...],
+    autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP,
+) -> Begun:
     """Return the beginning of the episodes of some scenarios, all side by side.
 
     Args:
         cells: scenarios of the same number of substeps, with episodes of each.
         preview: what is observed of the reference ahead, see `auv_gym.preview`.
+        autoreset_mode: with NEXT_STEP the environment shows the end of an episode for one step.
     """
     # What an environment begins where an episode has ended is left alone: a straight line, which costs nothing to plan.
     after = [replace(scenario, path=Line(episodes[0].path.speed)) for scenario, episodes in cells]
     scenarios = [scenario for scenario, (_, own) in zip(after, cells, strict=True) for _ in own]
-    env = UnderactuatedAUVTrackVectorEnv(len(scenarios), scenarios, preview=preview)
+    env = UnderactuatedAUVTrackVectorEnv(len(scenarios), scenarios, preview=preview, autoreset_mode=autoreset_mode)
     observation, _ = env.reset(seed=0, options={"episode": [episode for _, own in cells for episode in own]})
     return env, observation
 

@@ -1,0 +1,281 @@
+"""Datasets of episodes for learning offline, in Minari's format: `python -m baselines.datasets`.
+
+They are deterministic: the same command gives the same content, whose SHA-256 it prints and writes into the card.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import math
+import os
+import shlex
+import sys
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from tyro.conf import arg
+
+from auv_gym.policy import Policy, preview_of
+from auv_gym.scenario import Scenario
+from auv_gym.task import SIZE
+from baselines.episodes import EpisodeRecord, run_episodes
+from baselines.tools.command_line import DONE, UsageError, parse, run
+
+PROGRAM = "python -m baselines.datasets"
+LIBRARY_FOLDER = "MINARI_DATASETS_PATH"
+"""Variable that tells Minari where its datasets are."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Record episodes of policies as a Minari dataset, with a card beside it.
+
+    Each policy runs with each noise, all of them in episodes of their own. Exit status: 0 done, 1 a policy failed or
+    the dataset could not be written, 2 wrong usage.
+    """
+
+    policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ("backstepping",)
+    """Policies, by name or path as for evaluate.py: the expert (the default), the ladder of controllers, agents."""
+    scenario: str = "cruise-storm"
+    """Name of a preset, or a .toml or .json file."""
+    episodes: int = 20
+    """Episodes of each policy with each noise."""
+    noise: Annotated[tuple[float, ...], arg(metavar="STD [STD ...]", help_behavior_hint="")] = (0.0,)
+    """Standard deviations of white noise that is added to actions, as fractions of the limits, in [0, 1]."""
+    seed: int = 0
+    """Seed of the first episode; the others count on from it, and the noise follows from it too."""
+    id: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")] = None
+    """Minari's id of the dataset. Default: auv_gym/SCENARIO/POLICIES-v0."""
+    out: Path = Path("runs/datasets")
+    """Folder of Minari's datasets: set MINARI_DATASETS_PATH to it to load them."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """The episodes of one policy with one noise."""
+
+    policy: str
+    noise: float
+    records: list[EpisodeRecord]
+
+
+class Noisy:
+    """A policy whose actions are disturbed by white noise.
+
+    Args:
+        policy: what acts.
+        noise: standard deviation, as a fraction of the limits.
+        seed: of the noise.
+    """
+
+    def __init__(self, policy: Policy, noise: float, seed: int) -> None:
+        self.policy, self.noise, self.preview = policy, noise, preview_of(policy)
+        self._rng = np.random.default_rng(seed)
+
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
+        """Return the policy's actions with noise, within [-1, 1], and its memory."""
+        action, state = self.policy.predict(observation, state, episode_start, deterministic)
+        noisy = action + self.noise * self._rng.standard_normal(action.shape)
+        return np.clip(noisy, -1.0, 1.0).astype(np.float32), state
+
+
+def content_hash(parts: Sequence[Part]) -> str:
+    """Return the SHA-256 of all observations, actions, rewards, errors and ends, in order."""
+    digest = hashlib.sha256()
+    for part in parts:
+        for r in part.records:
+            for array in (r.observations[:, :SIZE], r.actions, r.rewards, r.errors, r.saturated, np.array(r.lost)):
+                digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def collect(
+    policies: Sequence[str], scenario: Scenario, episodes: int, noises: Sequence[float], seed: int
+) -> list[Part]:
+    """Return the episodes of each policy with each noise; no two of them have the same seed.
+
+    Raises:
+        OSError: a policy's file cannot be read.
+        ValueError: a policy is unknown, or the scenario cannot be followed.
+        PolicyError: a policy gives no usable action.
+    """
+    from baselines import make_policy
+
+    parts = []
+    for policy in policies:
+        for noise in noises:
+            first = seed + episodes * len(parts)
+            acting = make_policy(policy, scenario.vehicle)
+            acting = Noisy(acting, noise, first) if noise else acting
+            parts.append(Part(policy, noise, run_episodes(acting, scenario, episodes, first)))
+    return parts
+
+
+def write(parts: Sequence[Part], scenario: Scenario, name: str, folder: Path, card: str) -> Any:
+    """Write episodes as a Minari dataset and return it.
+
+    Observations are those of `auv_gym:UnderactuatedAUVTrack-v0`: what a policy sees of the path ahead is left out.
+
+    Args:
+        parts: the episodes.
+        scenario: what they are of.
+        name: Minari's id.
+        folder: where Minari's datasets are.
+        card: Markdown, kept in the dataset's folder and as its description.
+
+    Raises:
+        ImportError: Minari is not installed.
+        ValueError: Minari refuses the id, or there is a dataset of that id.
+    """
+    if find_spec("minari") is None or find_spec("h5py") is None:
+        raise ImportError("datasets need Minari: pip install 'auv-gym[data]'")
+    folder.mkdir(parents=True, exist_ok=True)
+    before = os.environ.get(LIBRARY_FOLDER)
+    os.environ[LIBRARY_FOLDER] = str(folder.resolve())  # relative ones confuse it
+    try:
+        import minari
+        from minari.data_collector import EpisodeBuffer
+
+        records = [record for part in parts for record in part.records]
+        buffers = [EpisodeBuffer(i, record.seed, None, **_columns(record)) for i, record in enumerate(records)]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that there is no e-mail address
+            dataset = minari.create_dataset_from_buffers(
+                name,
+                buffers,
+                env=_specified(scenario),
+                algorithm_name=", ".join(dict.fromkeys(part.policy for part in parts)),
+                author="auv_gym contributors",
+                description=card,
+            )
+        (folder / name / "README.md").write_text(card, encoding="utf-8")
+        return dataset
+    finally:
+        os.environ.pop(LIBRARY_FOLDER)
+        if before is not None:
+            os.environ[LIBRARY_FOLDER] = before
+
+
+def _specified(scenario: Scenario) -> Any:
+    """Return the environment that Minari is to make again from the dataset, its scenario as text can hold it."""
+    import gymnasium as gym
+
+    from auv_gym.presets import PRESETS
+    from baselines.evaluation.rollout import ENV_ID
+
+    preset = PRESETS.get(scenario.name) == scenario
+    return gym.make(ENV_ID, scenario=scenario.name if preset else scenario.to_dict())
+
+
+def _columns(record: EpisodeRecord) -> dict[str, Any]:
+    """Return an episode as Minari's buffers hold it."""
+    steps = len(record.actions)
+    ends = np.arange(steps) == steps - 1
+    return {
+        "observations": record.observations[:, :SIZE],
+        "actions": record.actions,
+        "rewards": record.rewards.tolist(),
+        "terminations": (ends & record.lost).tolist(),
+        "truncations": (ends & (not record.lost)).tolist(),
+        "infos": {"position_error": record.errors, "saturated": record.saturated, "time": record.times},
+    }
+
+
+def dataset_card(parts: Sequence[Part], scenario: Scenario, name: str, command: str) -> str:
+    """Return what a dataset is, as Markdown: its parts, how to make it again, its hash, versions and licence."""
+    from baselines.evaluation.metrics import tail_rmse
+    from baselines.tools.files import versions
+
+    rows = []
+    for part in parts:
+        length = max(len(r.errors) for r in part.records) - 1  # an episode that was lost keeps its last error
+        errors = np.array([np.pad(r.errors[1:], (0, length + 1 - len(r.errors)), mode="edge") for r in part.records])
+        returns = np.array([r.total_reward for r in part.records])
+        rows.append(
+            f"| `{part.policy}` | {part.noise:g} | {len(part.records)} | {sum(len(r.actions) for r in part.records)} "
+            f"| {returns.mean():.1f} | {returns.min():.1f} | {tail_rmse(errors.T).mean():.3g} "
+            f"| {sum(r.lost for r in part.records)} |"
+        )
+    made = ", ".join(f"{key} {value}" for key, value in versions().items())
+    licence = importlib.metadata.metadata("auv-gym")["License-Expression"] or "MIT"
+    return "\n".join(
+        [
+            f"# {name}",
+            "",
+            "An underactuated underwater vehicle follows a planned trajectory: episodes of",
+            f"`auv_gym:UnderactuatedAUVTrack-v0` in the scenario `{scenario.name}`, recorded step by step.",
+            "",
+            "| policy | noise on actions | episodes | steps | mean return | least return | tail [m] | lost |",
+            "|---|---|---|---|---|---|---|---|",
+            *rows,
+            "",
+            "*Tail* is the root mean square of the position error after the first third of an episode, averaged.",
+            "`auv_gym.decode_observation` gives observations in SI units. A policy with memory chose its actions from",
+            "more than one observation, one with a preview from more columns than are kept here.",
+            "",
+            "| | |",
+            "|---|---|",
+            f"| made by | `{command}` |",
+            f"| SHA-256 of the content | `{content_hash(parts)}` |",
+            f"| versions | {made} |",
+            f"| licence | {licence} |",
+            "",
+        ]
+    )
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Make a dataset as the arguments say and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    from baselines.evaluation.request import checked_folder, checked_policies, checked_scenario
+    from baselines.evaluation.rollout import PolicyError
+
+    if find_spec("minari") is None or find_spec("h5py") is None:
+        raise UsageError("datasets need Minari: pip install 'auv-gym[data]'")
+    if options.episodes < 1:
+        raise UsageError(f"--episodes is {options.episodes}; it must be at least 1")
+    if options.seed < 0:
+        raise UsageError(f"--seed is {options.seed}; it must be at least 0")
+    for noise in options.noise:
+        if not 0 <= noise <= 1 or not math.isfinite(noise):
+            raise UsageError(f"--noise is {noise}; it must be in [0, 1]")
+    scenario, policies = checked_scenario(options.scenario), checked_policies(options.policy)
+    name = options.id or f"auv_gym/{scenario.name}/{'-'.join(p.replace('/', '_') for p in policies)}-v0"
+    folder = checked_folder(options.out)
+    if (folder / name).exists():
+        raise UsageError(f"{folder / name} exists; choose another --id, or delete it")
+    try:
+        parts = collect(policies, scenario, options.episodes, options.noise, options.seed)
+        command = f"{PROGRAM} {shlex.join(arguments)}".rstrip()
+        write(parts, scenario, name, folder, dataset_card(parts, scenario, name, command))
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    except PolicyError as error:
+        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        return 1
+    episodes = sum(len(part.records) for part in parts)
+    steps = sum(len(record.actions) for part in parts for record in part.records)
+    print(f"{name}: {episodes} episodes, {steps} steps in {folder / name}")
+    print(f"content {content_hash(parts)}")
+    return DONE
+
+
+if __name__ == "__main__":
+    sys.exit(run(main, PROGRAM))
