@@ -128,6 +128,13 @@ def _power_of_two(k: Number, least: int, ns: Namespace) -> Number:
     return power
 
 
+def hyperbolic_tangent(x: Number, precision: str, ns: Namespace) -> Number:
+    """Return tanh(x), within a rounding error of 1; arguments are those of `sine_cosine`."""
+    e = exponential(-2.0 * abs(x), precision, ns)
+    size = (1.0 - e) / (1.0 + e)
+    return ns.where(x < 0.0, -size, size)
+
+
 def arctangent(y: Number, x: Number, ns: Namespace) -> Number:
     """Return the angle [rad] of (x, y) in (-pi, pi], zero for no direction at all; the sign of a zero is ignored."""
     a, b = abs(y), abs(x)

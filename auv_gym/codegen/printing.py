@@ -1,4 +1,7 @@
-"""Printers: a graph as flat Python on floats or on NumPy rows, or as C for many vehicles side by side."""
+"""Printers: a graph as flat Python on floats or on NumPy rows, as C for many vehicles side by side, or in JavaScript.
+
+What `plain` makes of one vehicle in C or JavaScript is written in the languages of this module too.
+"""
 
 from __future__ import annotations
 
@@ -94,6 +97,33 @@ def c_language(precision: str) -> Language:
         "not": "(!{0})",
     }
     return Language(forms, frozenset(("clip",)), number)
+
+
+def _javascript_number(value: float | bool) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if not math.isfinite(value):
+        return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "(-Infinity)"
+    text = repr(value).removesuffix(".0")
+    return f"({text})" if text[0] == "-" else text
+
+
+JAVASCRIPT = Language(
+    {
+        **ARITHMETIC,
+        **{name: f"Math.{name}({{0}})" for name in ("sin", "cos", "exp", "log", "sqrt", "floor", "abs")},
+        "arctan2": "Math.atan2({0}, {1})",
+        "single": "Math.fround({0})",
+        "clip": "({0} < {1} ? {1} : {0} > {2} ? {2} : {0})",
+        "where": "({0} ? {1} : {2})",
+        "and": "({0} && {1})",
+        "or": "({0} || {1})",
+        "not": "(!{0})",
+    },
+    frozenset(("clip",)),
+    _javascript_number,
+)
+"""On JavaScript's numbers, which are of double precision; it contracts no product with a sum."""
 
 
 def written(

@@ -1,0 +1,8 @@
+"""Run as `python -m baselines.export`."""
+
+import sys
+
+from baselines.export.command import PROGRAM, main
+from baselines.tools.command_line import run
+
+sys.exit(run(main, PROGRAM))

@@ -1,0 +1,244 @@
+"""An agent as one C99 header without dependencies: graphs as statements, the network as loops, weights as tables."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from auv_gym.codegen.plain import c_dialect, parameters, plain_function, tangent_function
+from auv_gym.codegen.vectors import plain_program
+from baselines.export.parts import (
+    MEASURED,
+    REFERENCE,
+    SETTING,
+    Exported,
+    measurement_kernel,
+    network_program,
+    quantised,
+)
+
+PREFIX = "auv_agent"
+"""What the names of a header begin with, unless another prefix is asked for."""
+WIDTH = 120  # of a line
+
+_USE = """
+In one C file of a program:
+
+    #define {CAPITALS}_IMPLEMENTATION
+    #include "{file}"
+
+and in every other one that calls it only the second line. At the start of an episode {prefix}_start, then in each
+control period {prefix}_steer with what was measured, or {prefix}_step with an observation that is encoded already.
+Nothing is allocated, and of the C library only sqrt, floor and fabs are called.
+"""
+
+_DECLARED = """\
+#ifndef {CAPITALS}_H
+#define {CAPITALS}_H
+
+#ifdef __cplusplus
+extern "C" {{
+#endif
+
+typedef {real} {prefix}_real;
+
+enum {{ {CAPITALS}_OBSERVATION = {size} }}; /* numbers of an observation */
+
+/* What the agent remembers. */
+typedef struct {{
+{memory}
+    {prefix}_real command[2]; /* the last one */
+}} {prefix}_memory;
+
+/* What is known in a control period, in SI units. */
+typedef struct {{
+    {prefix}_real measured[6]; /* {measured}; u, v over ground, in body axes */
+    {prefix}_real reference[8]; /* {reference} */
+    {prefix}_real setting[3]; /* {setting} */
+{ahead}}} {prefix}_view;
+
+/* Forget everything: an episode begins. */
+void {prefix}_start({prefix}_memory *memory);
+
+/* Write the observation of a view; the memory says what was commanded last. */
+void {prefix}_observe(const {prefix}_memory *memory, const {prefix}_view *view, {prefix}_real *observation);
+
+/* Write the command for an observation: surge and yaw, -1 to 1. */
+void {prefix}_step({prefix}_memory *memory, const {prefix}_real *observation, {prefix}_real *command);
+
+/* Write the command for a view; F_u = command[0] F_u_max, F_r = command[1] F_r_max. */
+void {prefix}_steer({prefix}_memory *memory, const {prefix}_view *view, {prefix}_real *command);
+
+#ifdef __cplusplus
+}}
+#endif
+
+#endif
+
+#ifdef {CAPITALS}_IMPLEMENTATION
+
+#include <math.h>
+
+#define real {prefix}_real
+
+"""
+
+_DEFINED = """\
+void {prefix}_start({prefix}_memory *memory)
+{{
+    static const {prefix}_memory fresh;
+    *memory = fresh;
+}}
+
+void {prefix}_observe(const {prefix}_memory *memory, const {prefix}_view *view, real *observation)
+{{
+    {prefix}_encode({encoded});
+}}
+
+void {prefix}_step({prefix}_memory *memory, const real *observation, real *command)
+{{
+    static const real authority[2] = {{{authority}}};
+    real features[{features}], base[2]{next};
+    int i;
+    {prefix}_see({seen});
+    {prefix}_network({computed});
+    {prefix}_command(base, authority, memory->correction, memory->command);
+    {keep}for (i = 0; i < 2; i++) command[i] = memory->command[i];
+}}
+
+void {prefix}_steer({prefix}_memory *memory, const {prefix}_view *view, real *command)
+{{
+    real observation[{CAPITALS}_OBSERVATION];
+    {prefix}_observe(memory, view, observation);
+    {prefix}_step(memory, observation, command);
+}}
+
+#undef real
+
+#endif
+"""
+
+
+def c_header(agent: Exported, precision: str = "float32", weights: str = "float32", prefix: str = PREFIX) -> str:
+    """Return the text of an agent's header.
+
+    Args:
+        agent: what is printed.
+        precision: of all numbers, "float32" or "float64".
+        weights: how the network's matrices are stored, "float32" or "int8".
+        prefix: what every name in it begins with.
+    """
+    names = {
+        "prefix": prefix,
+        "file": f"{agent.name}.h",
+        "CAPITALS": prefix.upper(),
+        "real": "float" if precision == "float32" else "double",
+        "size": str(len(agent.columns)),
+        "memory": "\n".join(f"    {prefix}_real {name}[{size}];" for name, size in agent.memory.items()),
+        "measured": ", ".join(MEASURED),
+        "reference": ", ".join(REFERENCE),
+        "setting": ", ".join(SETTING),
+        "ahead": _ahead(agent, prefix),
+    }
+    declared = _DECLARED.format(**names)
+    printed = _functions(agent, precision, weights, prefix)
+    return "\n".join((_comment(agent, names), declared + printed, _DEFINED.format(**names, **_calls(agent, precision))))
+
+
+def _ahead(agent: Exported, prefix: str) -> str:
+    """Return the line of a view that holds the preview, if there is one."""
+    if not agent.preview:
+        return ""
+    periods = ", ".join(map(str, agent.preview))
+    what = f"way of the reference in the world in the coming {periods} control periods, x, y each [m]"
+    return f"    {prefix}_real ahead[{2 * len(agent.preview)}]; /* {what} */\n"
+
+
+def _comment(agent: Exported, names: Mapping[str, str]) -> str:
+    """Return the comment that the header begins with."""
+    facts = [
+        line
+        for key, text in agent.facts.items()
+        for line in textwrap.wrap(f"{key}: {text}", WIDTH, subsequent_indent="  ")
+    ]
+    use = _USE.format(**names).strip()
+    return "\n".join(
+        (
+            "/*",
+            "An agent of auv_gym with its expert inside, printed by its command for export.",
+            "",
+            use,
+            "",
+            *facts,
+            "*/",
+        )
+    )
+
+
+def _functions(agent: Exported, precision: str, weights: str, prefix: str) -> str:
+    """Return the weights and the functions that are printed from graph and program."""
+    dialect, kernel = c_dialect(precision), measurement_kernel(agent.preview)
+    tables: list[str] = []
+    scales: dict[str, str] = {}
+    program = network_program(agent.agent, f"{prefix}_")
+    for name, array in program.constants.items():
+        if array.ndim > 1 and weights == "int8":
+            integers, scale = quantised(array)
+            scales[name] = f"{name}_scale"
+            tables += [_table("signed char", name, integers), _table("float", scales[name], scale)]
+        else:
+            tables.append(_table("float", name, array))
+    tangent = f"{prefix}_tanh"
+    parts = [
+        *tables,
+        tangent_function(tangent, dialect),
+        plain_program(f"{prefix}_network", program, tangent, dialect, scales),
+        plain_function(f"{prefix}_see", agent.see.graph, agent.see.arguments, agent.seen, dialect),
+        plain_function(
+            f"{prefix}_command", agent.command.graph, agent.command.arguments, agent.command.results, dialect
+        ),
+        plain_function(f"{prefix}_encode", kernel.graph, kernel.arguments, kernel.results, dialect),
+    ]
+    return "\n".join(parts)
+
+
+def _table(kind: str, name: str, array: Any) -> str:
+    """Return the declaration of a constant array, row by row; its numbers are read back exactly."""
+    entries = [f"{x}" if kind == "signed char" else _single(x) for x in np.ravel(array).tolist()]
+    return f"static const {kind} {name}[{len(entries)}] = {{\n{textwrap.fill(', '.join(entries), WIDTH)}\n}};\n"
+
+
+def _single(x: float) -> str:
+    text = np.format_float_positional(np.float32(x), trim="0") if 1e-4 < abs(x) < 1e6 else repr(float(f"{x:.9g}"))
+    return f"{text}f"
+
+
+def _calls(agent: Exported, precision: str) -> dict[str, str]:
+    """Return what the written part of the header needs to call the printed functions."""
+    given = {"observation": "observation", "ahead": f"observation + {len(agent.columns) - 2 * len(agent.preview)}"}
+    given |= {"correction": "memory->correction", "integrals": "memory->integrals"}
+    see = parameters(agent.see.arguments, agent.seen)
+    encode = parameters(*_sides(agent.preview))
+    own = {"observation": "observation", "last": "memory->command"}
+    hidden = agent.agent.network.memory
+    network = (
+        ["features", "memory->hidden", "memory->correction", "next"] if hidden else ["features", "memory->correction"]
+    )
+    number = c_dialect(precision).language.number
+    return {
+        "encoded": ", ".join(own.get(name, f"view->{name}") for name in encode),
+        "authority": ", ".join(map(number, agent.agent.authority)),
+        "features": str(agent.agent.network.inputs),
+        "next": f", next[{hidden}]" if hidden else "",
+        "seen": ", ".join(given.get(name, name) for name in see),
+        "computed": ", ".join(network),
+        "keep": f"for (i = 0; i < {hidden}; i++) memory->hidden[i] = next[i];\n    " if hidden else "",
+    }
+
+
+def _sides(preview: tuple[int, ...]) -> tuple[Mapping[str, Sequence[Any]], Mapping[str, Sequence[Any]]]:
+    kernel = measurement_kernel(preview)
+    return kernel.arguments, kernel.results

@@ -1,0 +1,112 @@
+"""An agent's header on an emulated Cortex-M4: does it give the same commands, with how many instructions and bytes?
+
+QEMU counts instructions, not cycles: a Cortex-M4 takes one to a few cycles for each, more where its flash is slow.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.export.c_header import PREFIX, c_header
+from baselines.export.parts import Exported
+
+FOLDER = Path(__file__).parent / "cortex_m4"
+COMPILER = "arm-none-eabi-gcc"  # Debian's gcc-arm-none-eabi, with libnewlib-arm-none-eabi
+SIZE = "arm-none-eabi-size"  # Debian's binutils-arm-none-eabi
+EMULATOR = "qemu-system-arm"  # Debian's package of that name
+PROGRAMS = (COMPILER, SIZE, EMULATOR)
+"""What must be installed."""
+FLAGS = ("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-std=c99", "-O2", "-Wall", "-Wextra")
+"""For a Cortex-M4 with its floating-point unit."""
+INSTRUCTIONS_IN_A_TICK = 40
+"""The system timer of the board runs at 25 MHz, and an instruction is made to take 1 ns."""
+PATIENCE = 120.0
+"""Seconds that a program may take."""
+
+
+@dataclass(frozen=True)
+class Emulated:
+    """What the emulated processor did."""
+
+    commands: NDArray[np.float32]  # shape (K, 2)
+    instructions: float  # of a decision, on average
+    code: int  # [bytes] of code and constants
+    memory: int  # [bytes] of what is remembered
+    stack: int  # [bytes] at most
+
+
+def missing() -> list[str]:
+    """Return the programs that are not installed."""
+    return [name for name in PROGRAMS if shutil.which(name) is None]
+
+
+def emulated(agent: Exported, observations: NDArray[Any], memories: NDArray[Any], weights: str = "float32") -> Emulated:
+    """Return what an agent in single precision does in K situations.
+
+    Args:
+        agent: whose header it is.
+        observations: shape (K, n).
+        memories: what it remembers with each of them, the numbers of the header's struct, shape (K, m).
+        weights: how they are stored, see `c_header.c_header`.
+
+    Raises:
+        OSError: a program is missing or fails.
+    """
+    if lacking := missing():
+        raise OSError(f"not installed: {', '.join(lacking)}")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / f"{PREFIX}.h").write_text(c_header(agent, "float32", weights), encoding="utf-8")
+        tables = _table("observations", observations) + _table("memories", memories)
+        situations = f"enum {{ SITUATIONS = {len(observations)} }};\n{tables}"
+        (folder / "situations.h").write_text(situations, encoding="utf-8")
+        (folder / "agent.c").write_text(_alone(), encoding="utf-8")
+        _run(folder, COMPILER, *FLAGS, "-fstack-usage", "-c", "agent.c", "-o", "agent.o")
+        sizes = _run(folder, SIZE, "agent.o").splitlines()[1].split()
+        stack = sum(int(line.split("\t")[1]) for line in (folder / "agent.su").read_text().splitlines())
+        source = str(FOLDER / "main.c")
+        link = ("-I.", "-nostartfiles", "-T", str(FOLDER / "link.ld"), "-lm")
+        _run(folder, COMPILER, *FLAGS, source, *link, "-o", "agent.elf")
+        board = ("-M", "mps2-an386", "-nographic", "-monitor", "none", "-serial", "none", "-icount", "shift=0")
+        semihosting = ("-semihosting-config", "enable=on,target=native")
+        text = _run(folder, EMULATOR, *board, *semihosting, "-kernel", "agent.elf")
+    rows = re.findall(r"^([0-9a-f]{8}) ([0-9a-f]{8}) ([0-9a-f]{8})$", text, re.MULTILINE)
+    if len(rows) != len(observations):
+        raise OSError(f"{EMULATOR} printed {len(rows)} decisions of {len(observations)}: {text[-200:]!r}")
+    bits = np.array([[int(x, 16) for x in row] for row in rows], dtype=np.uint32)
+    instructions = INSTRUCTIONS_IN_A_TICK * float(bits[:, 2].mean())
+    commands = np.ascontiguousarray(bits[:, :2]).view(np.float32)
+    memory = 4 * (sum(agent.memory.values()) + 2)
+    return Emulated(commands, instructions, int(sizes[0]) + int(sizes[1]), memory, stack)
+
+
+def _alone() -> str:
+    """Return a file with the header's functions and nothing else."""
+    return f'#define {PREFIX.upper()}_IMPLEMENTATION\n#include "{PREFIX}.h"\n'
+
+
+def _table(name: str, table: NDArray[Any]) -> str:
+    """Return rows of numbers as a C table."""
+    rows = ",\n".join(f"{{{', '.join(f'{x!r}f' for x in row)}}}" for row in table.astype(np.float32).tolist())
+    count, size = table.shape
+    return f"static const float {name}[{count}][{size}] = {{\n{rows}\n}};\n"
+
+
+def _run(folder: Path, *command: str) -> str:
+    """Return what a program writes; raise OSError where it fails."""
+    try:
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=PATIENCE, check=True)
+    except subprocess.CalledProcessError as error:
+        raise OSError(f"{command[0]} fails: {error.stderr.strip()[-500:]}") from error
+    except subprocess.TimeoutExpired as error:
+        raise OSError(f"{command[0]} takes longer than {PATIENCE:g} s") from error
+    return done.stdout + done.stderr

@@ -1,0 +1,197 @@
+"""An agent as an ONNX model: each node of its graphs an operator on a column of the batch, its network on matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from auv_gym.codegen.elementary import lowered
+from auv_gym.codegen.graph import Graph, Symbol
+from auv_gym.codegen.vectors import Program
+from baselines.agents.networks import ACTIONS
+from baselines.export.parts import Exported
+
+OPSET = 17
+"""Version of the operators: what runtimes of the last years read."""
+IR_VERSION = 9
+"""Version of the file's layout that goes with them."""
+OPERATORS = {
+    "add": "Add",
+    "sub": "Sub",
+    "mul": "Mul",
+    "div": "Div",
+    "neg": "Neg",
+    "abs": "Abs",
+    "log": "Log",
+    "sqrt": "Sqrt",
+    "floor": "Floor",
+    "clip": "Clip",
+    "where": "Where",
+    "lt": "Less",
+    "le": "LessOrEqual",
+    "and": "And",
+    "or": "Or",
+    "not": "Not",
+}
+"""Operators by the graph's operations; those that `elementary` writes out do not occur."""
+VECTOR_OPERATORS = {
+    "add": "Add",
+    "subtract": "Sub",
+    "multiply": "Mul",
+    "maximum": "Max",
+    "clip": "Clip",
+    "tanh": "Tanh",
+}
+"""Operators by the operations of `vectors`."""
+
+
+class _Writer:
+    """Collects the nodes and constants of a model."""
+
+    def __init__(self, precision: str) -> None:
+        from onnx import TensorProto
+
+        self.precision = precision
+        self.real = TensorProto.FLOAT if precision == "float32" else TensorProto.DOUBLE
+        self.single_type = TensorProto.FLOAT
+        self.nodes: list[Any] = []
+        self.constants: dict[str, Any] = {}
+
+    def node(self, operator: str, inputs: Sequence[str], outputs: Sequence[str], **attributes: Any) -> None:
+        """Add an operator."""
+        from onnx import helper
+
+        self.nodes.append(helper.make_node(operator, list(inputs), list(outputs), **attributes))
+
+    def constant(self, name: str, value: Any, kind: Any = None) -> str:
+        """Return the name of a constant, which is added."""
+        from onnx import numpy_helper
+
+        self.constants.setdefault(name, numpy_helper.from_array(np.array(value, kind or self.precision), name))
+        return name
+
+    def number(self, value: float | bool) -> str:
+        """Return the name of a constant number or truth value."""
+        return self.constant(f"c_{value!r}", value, np.bool_ if isinstance(value, bool) else None)
+
+    def split(self, array: str, names: Sequence[str]) -> None:
+        """Give every column of an array its name."""
+        self.node("Split", [array, self.constant(f"ones_{len(names)}", [1] * len(names), np.int64)], names, axis=1)
+
+    def equation(self, prefix: str, graph: Graph, wanted: Sequence[Symbol], given: Mapping[str, str]) -> list[str]:
+        """Add what a graph's results depend on and return their names; `given` names the graph's inputs."""
+        flat = lowered(graph, wanted, self.precision)
+        names: dict[int, str] = {}
+        for i in graph.needed(s.index for s in flat):
+            operation, *arguments = graph.nodes[i]
+            names[i] = f"{prefix}{i}"
+            if operation == "input":
+                names[i] = given[arguments[0]]
+            elif operation == "constant":
+                names[i] = self.number(arguments[0])
+            elif operation == "single":
+                self.node("Cast", [names[arguments[0]]], [f"{names[i]}_single"], to=self.single_type)
+                self.node("Cast", [f"{names[i]}_single"], [names[i]], to=self.real)
+            else:
+                self.node(OPERATORS[operation], [names[a] for a in arguments], [names[i]])
+        return [names[s.index] for s in flat]
+
+    def program(self, program: Program, given: Mapping[str, str]) -> dict[str, str]:
+        """Add a network and return the names of its results; vectors are rows here."""
+        names: dict[int, str] = {}
+
+        def named(argument: Any) -> str:
+            if isinstance(argument, float):
+                return self.number(argument)
+            return (
+                self.constant(argument, program.constants[argument]) if isinstance(argument, str) else names[argument]
+            )
+
+        for i, (operation, arguments, size) in enumerate((n.operation, n.arguments, n.size) for n in program.nodes):
+            names[i] = f"network{i}"
+            if operation == "input":
+                names[i] = given.get(arguments[0], "")
+            elif operation == "slice":
+                ends = (self.constant(f"at_{k}", [k], np.int64) for k in (arguments[1], arguments[1] + size, 1))
+                self.node(
+                    "Slice", [names[arguments[0]], *list(ends)[:2], self.constant("at_1", [1], np.int64)], [names[i]]
+                )
+            elif operation == "dot":
+                turned = self.constant(f"{arguments[0]}_T", program.constants[arguments[0]].T)
+                self.node("MatMul", [names[arguments[1]], turned], [names[i]])
+            else:
+                self.node(VECTOR_OPERATORS[operation], [named(a) for a in arguments], [names[i]])
+        return {result: names[i] for result, i in program.results.items()}
+
+
+def onnx_model(agent: Exported, precision: str = "float64") -> Any:
+    """Return an agent as an `onnx.ModelProto`, checked.
+
+    Its inputs are observation (batch, n) and the memory, arrays (batch, size) that are zero at an episode's start; its
+    outputs the action (batch, 2) and, by the names next_..., the memory to hand in next.
+
+    Args:
+        agent: what is printed.
+        precision: of all numbers, inputs and outputs too, "float32" or "float64".
+
+    Raises:
+        ImportError: onnx is not installed.
+    """
+    from onnx import checker, helper
+
+    writer = _Writer(precision)
+    results = _wired(writer, agent)
+    sizes = {"observation": len(agent.columns), **agent.memory}
+    ends = {"action": ACTIONS} | {f"next_{name}": size for name, size in agent.memory.items()}
+    for name in ends:
+        writer.node("Identity", [results[name]], [name])
+    inputs, outputs = (
+        [helper.make_tensor_value_info(name, writer.real, ["batch", size]) for name, size in part.items()]
+        for part in (sizes, ends)
+    )
+    graph = helper.make_graph(writer.nodes, agent.name, inputs, outputs, list(writer.constants.values()))
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="auv_gym")
+    model.ir_version = IR_VERSION
+    model.doc_string = f"{agent.name}: command for an observation, the expert {agent.agent.expert} inside"
+    helper.set_model_props(model, agent.facts)
+    checker.check_model(model, full_check=True)
+    return model
+
+
+def _wired(writer: _Writer, agent: Exported) -> dict[str, str]:
+    """Add features, network and command, and return the names of the model's outputs by what they are."""
+    see, arrays = agent.see, {"observation": "observation", "integrals": "integrals", "correction": "correction"}
+    size = len(agent.columns) - 2 * len(agent.preview)
+    given = {s.node[1]: s.node[1] for own in see.arguments.values() for s in own}
+    columns = [s.node[1] for s in see.arguments["observation"]] + [s.node[1] for s in see.arguments["ahead"]]
+    writer.split("observation", columns)
+    for name in list(arrays)[1:]:
+        writer.split(name, [s.node[1] for s in see.arguments[name]])
+    assert size == len(see.arguments["observation"])
+    names = writer.equation("see", see.graph, [s for own in agent.seen.values() for s in own], given)
+    seen: dict[str, list[str]] = {}
+    for name, own in agent.seen.items():
+        seen[name], names = names[: len(own)], names[len(own) :]
+        writer.node("Concat", seen[name], [f"{name}_now"], axis=1)
+    network = writer.program(agent.network, {"features": "features_now", "hidden": "hidden"})
+    changes = [f"change_{j}" for j in range(ACTIONS)]
+    writer.split(network["correction"], changes)
+    rule = agent.command
+    names_of = {
+        "base": seen["base"],
+        "authority": [writer.number(a) for a in agent.agent.authority],
+        "correction": changes,
+    }
+    inside = {
+        s.node[1]: name for array, own in rule.arguments.items() for s, name in zip(own, names_of[array], strict=True)
+    }
+    command = writer.equation("command", rule.graph, rule.results["command"], inside)
+    writer.node("Concat", command, ["command"], axis=1)
+    return {
+        "action": "command",
+        "next_integrals": "integrals_now",
+        "next_correction": network["correction"],
+        "next_hidden": network["next_hidden"],
+    }

@@ -1,0 +1,154 @@
+"""What an agent is made of, as graphs and vectors that printers read: its expert, features, network and command.
+
+Nothing is written anew here: the graphs are those of the kernels that the policy itself runs, and the network's program
+is recorded from the function that computes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, cast
+
+import numpy as np
+
+from auv_gym.codegen.graph import SYMBOLS, Symbol
+from auv_gym.codegen.kernel import Kernel
+from auv_gym.codegen.vectors import Program
+from auv_gym.policy import Law, traceable
+from auv_gym.presets import PRESETS
+from auv_gym.preview import preview_columns
+from auv_gym.simulation import PARAMETER_ROWS, PARAMETERS, SAMPLE, SAMPLE_ROWS, Parameters, Parts, start
+from auv_gym.task import TERMS, Observation, decode, encode
+from baselines.agents.agent import RECORD, Agent, make_expert
+from baselines.agents.features import INTEGRALS
+from baselines.agents.names import FADING, agent_folder, shipped_agents
+from baselines.agents.networks import ACTIONS
+from baselines.agents.residual_policy import command_kernel, feature_kernel
+from baselines.tools.files import read_json
+
+MEASURED = ("x [m]", "y [m]", "psi [rad]", "u [m/s]", "v [m/s]", "r [rad/s]")
+"""What is measured of the vehicle, velocities over ground in the body's axes."""
+REFERENCE = ("x [m]", "y [m]", "psi [rad]", "u [m/s]", "v [m/s]", "r [rad/s]", "F_u [N]", "F_r [N m]")
+"""What is known of the reference at this instant."""
+SETTING = ("F_u_max [N]", "F_r_max [N m]", "control period [s]")
+"""What an action of 1 commands, and how long a command is held."""
+
+
+@dataclass(frozen=True, eq=False)
+class Exported:
+    """An agent as its printers see it."""
+
+    name: str
+    agent: Agent
+    weights_sha256: str
+    see: Kernel  # from the observation to features, integrals and the expert's action, `base`
+    network: Program  # from features and hidden to correction and next_hidden
+    command: Kernel  # from base, authority and correction to the command
+
+    @property
+    def preview(self) -> tuple[int, ...]:
+        """Control periods ahead at which it sees the reference."""
+        return self.agent.inputs.preview
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """What an observation holds, entry by entry."""
+        own = tuple(f"{term.name} [{term.unit}] / {term.scale:g}" for term in TERMS)
+        return own + tuple(f"ahead_{n}_{axis} [m]" for n in self.preview for axis in "xy")
+
+    @property
+    def memory(self) -> dict[str, int]:
+        """How many numbers of each kind it remembers; all are zero at an episode's start."""
+        sizes = {"integrals": INTEGRALS, "correction": ACTIONS, "hidden": self.agent.network.memory}
+        return {name: size for name, size in sizes.items() if size}
+
+    @property
+    def seen(self) -> dict[str, Sequence[Symbol]]:
+        """The results of `see` that an agent needs to act."""
+        return {name: self.see.results[name] for name in ("integrals", "features", "base")}
+
+    @property
+    def periods(self) -> tuple[float, ...]:
+        """Control periods [s] of the scenarios that it was trained on."""
+        return tuple(sorted({PRESETS[name].control_dt for name in self.agent.scenarios if name in PRESETS}))
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What somebody who finds the exported file should know, by its name."""
+        return {
+            "name": self.name,
+            "expert": self.agent.expert,
+            "authority": ", ".join(f"{a:g}" for a in self.agent.authority),
+            "observation": "; ".join(self.columns),
+            "control_period_s": ", ".join(f"{dt:g}" for dt in self.periods),
+            "weights_sha256": self.weights_sha256,
+        }
+
+
+def exported(name: str) -> Exported:
+    """Return the parts of an agent, by its name or its folder.
+
+    Raises:
+        OSError: a file of it cannot be read.
+        ValueError: there is no such agent, or it has a part that cannot be printed: an expert with a memory, or
+            corrections that fade.
+    """
+    if name.endswith(FADING):
+        raise ValueError(f"{name!r} cannot be exported: corrections that fade are not printed; leave out {FADING}")
+    if (folder := agent_folder(name)) is None:
+        raise ValueError(f"{name!r} is no agent; there are {', '.join(shipped_agents())}, or give an agent's folder")
+    agent = Agent.load(folder)
+    expert = make_expert(agent.expert)
+    if not traceable(expert):
+        raise ValueError(f"{name!r} cannot be exported: its expert {agent.expert!r} is no law without memory")
+    record = read_json(folder / RECORD)
+    forces = cast(Law, expert).forces
+    see = feature_kernel(agent.inputs, forces)
+    return Exported(folder.name, agent, record["weights_sha256"], see, network_program(agent), command_kernel())
+
+
+def network_program(agent: Agent, prefix: str = "") -> Program:
+    """Return an agent's network as a program of vectors, whose constants' names begin with a prefix."""
+    network = agent.network
+    layers = network.prepared(agent.weights)
+    constants = {
+        f"{prefix}{kind}{i}": own for i, pair in enumerate(layers) for kind, own in zip(KINDS, pair, strict=True)
+    }
+    inputs = {"features": network.inputs, "hidden": network.memory}
+    return Program.traced(
+        lambda x, hidden: network.forward(layers, x, hidden), constants, inputs, ("correction", "next_hidden")
+    )
+
+
+KINDS = ("weight", "bias")
+"""The two arrays of a layer."""
+
+
+@cache
+def measurement_kernel(preview: tuple[int, ...]) -> Kernel:
+    """Return the kernel from measurements in SI units to an observation, by what the environment does.
+
+    Its arguments: `MEASURED`; `REFERENCE`; ahead, displacements of the reference in the world from now to each time of
+    the preview, x, y, x, y, ... [m]; last, the previous command; `SETTING`.
+    """
+
+    def equation(measured: Any, reference: Any, last: Any, setting: Any, ahead: Any = ()) -> Mapping[str, Any]:
+        sample, constants = [0.0] * SAMPLE_ROWS, [0.0] * PARAMETER_ROWS
+        sample[: len(reference)], sample[SAMPLE.fix] = reference, 1.0
+        constants[PARAMETERS.F_u_max], constants[PARAMETERS.F_r_max], constants[PARAMETERS.h] = setting
+        _, terms = start(tuple(measured), sample, Parameters.of(constants, Parts()), SYMBOLS)
+        rows = encode(Observation(*terms)._replace(a_u=last[0], a_r=last[1]), SYMBOLS)
+        o = Observation._make(decode(rows, SYMBOLS))
+        return {"observation": [*rows, *preview_columns(ahead, o, SYMBOLS)]}
+
+    rows = {"measured": len(MEASURED), "reference": len(REFERENCE), "last": ACTIONS, "setting": len(SETTING)}
+    return Kernel.traced(equation, rows | ({"ahead": 2 * len(preview)} if preview else {}), structural=True)
+
+
+def quantised(weight: Any) -> tuple[Any, Any]:
+    """Return a matrix as integers in [-127, 127] and the factor of each of its rows."""
+    scale = np.abs(weight).max(axis=1) / 127
+    scale = np.where(scale > 0, scale, 1.0).astype(np.float32)
+    return np.rint(weight / scale[:, None]).astype(np.int8), scale
