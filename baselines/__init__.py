@@ -18,7 +18,7 @@ from auv_gym.rendering import PICTURE
 from auv_gym.scenario import Scenario
 from auv_gym.vehicle import Vehicle
 from baselines.agents.loading import load_policy
-from baselines.agents.names import FADING, agent_folder, is_path, shipped_agents
+from baselines.agents.names import COMMAND, FADING, agent_folder, is_path, shipped_agents
 from baselines.control import POLICIES, make_controller
 from baselines.episodes import EpisodeRecord, run_episode, run_episodes
 
@@ -44,11 +44,12 @@ def list_policies() -> dict[str, str]:
 def make_policy(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None = None, **options: Any) -> Policy:
     """Return a policy by name or path; options override those of the entry.
 
-    A path is FILE.py:FACTORY or a FILE.zip of Stable-Baselines3, which can run any code when it is loaded, or the
-    folder of a trained agent, which cannot. An agent's name or folder may be followed by `FADING`.
+    A path is FILE.py:FACTORY, a FILE.zip of Stable-Baselines3, or "cmd:" and the words of a command, all of which can
+    run any code; or a FILE.onnx or the folder of a trained agent, which cannot. An agent's name or folder may be
+    followed by `FADING`.
 
     Args:
-        name: one of `list_policies`, FILE.py:FACTORY, a FILE.zip, or the folder of an agent.
+        name: one of `list_policies`, FILE.py:FACTORY, a FILE.zip, a FILE.onnx, the folder of an agent, or cmd:COMMAND.
         vehicle: the one that the task knows; a law, or the expert of an agent, believes in it, and a policy whose
             factory takes no `vehicle` is not told. None: the paper's.
         options: of the factory.
@@ -57,14 +58,15 @@ def make_policy(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None = N
         OSError: the file cannot be read.
         ValueError: the name is unknown, the file holds no policy, or the policy does not take such options.
     """
-    if name.endswith(FADING):
+    if name.endswith(FADING) and not name.startswith(COMMAND):
         return make_policy(name.removesuffix(FADING), vehicle, **{"fade": True, **options})
     if is_path(name) or agent_folder(name) is not None:
         return load_policy(name, vehicle, **options)
     if name not in POLICIES:
         known = ", ".join(list_policies())
         raise ValueError(
-            f"unknown policy {name!r}; allowed are {known}, FILE.py:FACTORY, a FILE.zip or an agent's folder"
+            f"unknown policy {name!r}; allowed are {known}, FILE.py:FACTORY, a FILE.zip, a FILE.onnx, an "
+            "agent's folder or cmd:COMMAND"
         )
     return make_controller(name, vehicle, **options)
 

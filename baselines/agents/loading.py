@@ -1,4 +1,4 @@
-"""Policies from files: `path/to/module.py:factory`, a `model.zip` of Stable-Baselines3, or the folder of an agent."""
+"""Policies from files: `file.py:factory`, `model.zip` of Stable-Baselines3, `model.onnx`, agents' folders, programs."""
 
 from __future__ import annotations
 
@@ -8,15 +8,18 @@ from pathlib import Path
 from typing import Any
 
 from auv_gym.policy import Policy
+from auv_gym.scenario import as_vehicle
 from baselines.agents.agent import Agent
-from baselines.agents.names import agent_folder
+from baselines.agents.names import COMMAND, agent_folder
+from baselines.agents.onnx_models import SUFFIX, OnnxModel
+from baselines.agents.programs import Program
 from baselines.agents.sb3_models import load_model, statistics_file
 from baselines.control import make_controller, told
 
 
 def caution(name: str) -> str | None:
     """Return what a user should know before a policy is loaded, if anything."""
-    if name.endswith(".zip"):
+    if name.endswith(".zip") and not name.startswith(COMMAND):
         text = f"{name} holds pickled objects, which can run any code when they are loaded: only load what you trust"
         return f"{text}; it sees what {beside} normalises" if (beside := statistics_file(Path(name))) else text
     return None
@@ -26,7 +29,8 @@ def load_policy(path: str, vehicle: Any = None, **options: Any) -> Policy:
     """Return the policy of a path, see the module.
 
     Args:
-        path: "FILE.py:FACTORY", whose factory is called with the options, "FILE.zip", or an agent's folder.
+        path: "FILE.py:FACTORY", whose factory is called with the options, "FILE.zip", "FILE.onnx", an agent's folder,
+            or "cmd:" and the words of a command.
         vehicle: the known one, see `baselines.make_policy`.
         options: of the factory, `fade` of an agent, see `baselines.agents.agent.Agent.policy`, or `authority` of a
             model that was trained on the residual environment.
@@ -35,6 +39,10 @@ def load_policy(path: str, vehicle: Any = None, **options: Any) -> Policy:
         OSError: the file cannot be read.
         ValueError: it holds no such policy.
     """
+    if path.startswith(COMMAND) or path.endswith(SUFFIX):
+        if options:
+            raise ValueError(f"policy {path!r} takes no option {next(iter(options))!r}, and no other")
+        return _program(path.removeprefix(COMMAND), vehicle) if path.startswith(COMMAND) else _onnx(Path(path))
     if ".py:" not in path:
         model = path.endswith(".zip")
         allowed = "authority" if model else "fade"
@@ -47,6 +55,17 @@ def load_policy(path: str, vehicle: Any = None, **options: Any) -> Policy:
         )
     file, _, factory = path.rpartition(":")
     return _made(Path(file), factory, vehicle, options)
+
+
+def _program(command: str, vehicle: Any) -> Policy:
+    return Program(command, None if vehicle is None else as_vehicle(vehicle))
+
+
+def _onnx(file: Path) -> Policy:
+    try:
+        return OnnxModel(file)
+    except ImportError as error:
+        raise ValueError(f"{file} needs ONNX Runtime: pip install onnxruntime") from error
 
 
 def _agent(folder: Path, vehicle: Any, fade: bool = False) -> Policy:

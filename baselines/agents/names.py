@@ -9,6 +9,9 @@ AGENTS = Path(__file__).parent / "shipped"
 FADING = ":fade"
 """Behind an agent's name: its corrections fade where it leaves what it has seen, see `Agent.policy`."""
 
+COMMAND = "cmd:"
+"""Before the words of a command line: the policy is a program that runs beside, see `baselines.agents.programs`."""
+
 
 def shipped_agents() -> list[str]:
     """Return the names of the agents in `AGENTS`."""
@@ -17,11 +20,14 @@ def shipped_agents() -> list[str]:
 
 def agent_folder(name: str) -> Path | None:
     """Return the folder of an agent, by its name, its path or that of the run that trained it; None for no agent."""
+    if name.startswith(COMMAND):
+        return None
     places = (AGENTS / name,) if name in shipped_agents() else (Path(name), Path(name, "agent"))
     return next((place for place in places if (place / "agent.json").is_file()), None)
 
 
 def is_path(name: str) -> bool:
     """Return whether a policy's name is a path to one."""
-    known = name.endswith(".zip") or ".py:" in name or "/" in name or "\\" in name
+    known = name.endswith((".zip", ".onnx")) or ".py:" in name or "/" in name or "\\" in name
+    known = known or name.startswith(COMMAND)
     return known or (name not in shipped_agents() and agent_folder(name) is not None)

@@ -13,6 +13,7 @@ from baselines.evaluation.report.terminal import print_report
 from baselines.evaluation.request import Request
 from baselines.evaluation.rows import RowStore
 from baselines.evaluation.runner import Run, runs
+from baselines.evaluation.submission.making import write_submission
 from baselines.tools.command_line import DONE, FAILED
 from baselines.tools.files import write_atomically
 
@@ -40,6 +41,8 @@ def evaluate(request: Request) -> int:
         print(f"cannot write to {out}: {error.strerror}", file=sys.stderr)
         return FAILED
     print_report(results, pooled, reproduction, out)
+    if request.options.submit is not None and write_submission(request, found) != DONE:
+        return FAILED
     return FAILED if any(run.error for run in found) else DONE
 
 

@@ -7,13 +7,16 @@ import hashlib
 import importlib.util
 import inspect
 import json
+import shlex
 from collections.abc import Iterable, Iterator
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from baselines.agents.agent import RECORD, WEIGHTS
-from baselines.agents.names import FADING, agent_folder
+from baselines.agents.names import COMMAND, FADING, agent_folder
+from baselines.agents.onnx_models import SUFFIX
+from baselines.agents.programs import files_of
 from baselines.agents.sb3_models import statistics_file
 from baselines.control import POLICIES
 from baselines.control.open_loop import NO_EXPERT
@@ -30,15 +33,21 @@ LARGEST_FILE = 2**28  # [bytes] of a file that is read
 def fingerprint(name: str) -> str:
     """Return a SHA-256 of what makes a policy's numbers; "" where there is nothing of that name.
 
-    Of FILE.py:FACTORY and FILE.zip that is the file; what it imports does not count. Of an agent the weights, what acts
-    in its description, its expert and the code that runs it. Of a controller its options, its gains and the code of
-    the modules that it is made of, without docstrings, comments and format.
+    Of FILE.py:FACTORY, FILE.zip and FILE.onnx that is the file; what it imports does not count. Of a program the words
+    of its command, and the files among them. Of an agent the weights, what acts in its description, its expert and the
+    code that runs it. Of a controller its options, its gains and the code of the modules that it is made of, without
+    docstrings, comments and format.
 
     Raises:
         ValueError: a file is larger than `LARGEST_FILE`.
     """
     bare = name.removesuffix(FADING)
     try:
+        if name.startswith(COMMAND):
+            words = shlex.split(name.removeprefix(COMMAND))
+            return _hash([*words, *(_bytes(Path(word)) for word in files_of(words))])
+        if bare.endswith(SUFFIX):
+            return _hash([_bytes(Path(bare))])
         if ".py:" in bare:
             return _hash([_bytes(Path(bare.rpartition(":")[0]))])
         if bare.endswith(".zip"):

@@ -24,6 +24,7 @@ from baselines.evaluation.recorded import regimes_of
 from baselines.evaluation.rollout import make_env
 from baselines.evaluation.runner import Cell, Run, drawn
 from baselines.evaluation.score import EXPERT, ORACLE, regime_of
+from baselines.evaluation.submission.making import check_options
 from baselines.evaluation.suites import list_suites, load
 from baselines.tools.command_line import UsageError, printable
 from baselines.tools.workers import Workers
@@ -62,6 +63,7 @@ class Request:
         _check(options)
         names = checked_policies((EXPERT, *options.policy))
         suite = options.suite if options.scenario else options.suite or DEFAULT_SUITE
+        check_options(options, suite)
         task = _frozen(suite, options) if suite in list_suites() else _drawn(suite, options)
         earlier = tuple(run for run in task.recorded if run.policy not in names)
         refused = {policy: reason for policy, reason in task.refused.items() if policy not in names}
@@ -209,8 +211,12 @@ def checked_policies(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def checked_folder(folder: Path) -> Path:
+def checked_folder(folder: Path, option: str = "out") -> Path:
     """Return a folder, made if need be, once it is known that it can be written to.
+
+    Args:
+        folder: the folder.
+        option: that named it, for the message.
 
     Raises:
         UsageError: it cannot.
@@ -220,5 +226,5 @@ def checked_folder(folder: Path) -> Path:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise UsageError(f"--out {folder} is not a folder that can be written to: {error.strerror}") from error
+        raise UsageError(f"--{option} {folder} is not a folder that can be written to: {error.strerror}") from error
     return folder

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.tools.files import read_bytes, write_atomically
+from baselines.tools.files import LARGEST_FILE, read_bytes, write_atomically
 
 LARGEST_CONTENT = 2**29  # [bytes] that a file unpacks to
 RECORD = "record"
@@ -48,27 +48,32 @@ def write(file: Path, stored: Stored) -> None:
 
 
 @contextmanager
-def reading(file: Path) -> Iterator[Stored]:
+def reading(file: Path, largest: int = LARGEST_FILE, content: int | None = None) -> Iterator[Stored]:
     """Give the content of a file; whatever goes wrong while it is taken apart is the file's fault.
+
+    Args:
+        file: what is read.
+        largest: most bytes of it.
+        content: most bytes that it unpacks to; None: `LARGEST_CONTENT`.
 
     Raises:
         OSError: it cannot be read.
         ValueError: it is too large, damaged, or holds something else than is looked for.
     """
     try:
-        yield _read(file)
+        yield _read(file, largest, LARGEST_CONTENT if content is None else content)
     except OSError:
         raise
     except Exception as error:  # of any kind: zlib.error, TypeError, MemoryError, RuntimeError ...
         raise ValueError(f"{file} is damaged: {' '.join(f'{type(error).__name__}: {error}'.split())}") from error
 
 
-def _read(file: Path) -> Stored:
-    data = read_bytes(file)
+def _read(file: Path, largest: int, content: int) -> Stored:
+    data = read_bytes(file, largest)
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         size = sum(entry.file_size for entry in archive.infolist())
-    if size > LARGEST_CONTENT:
-        raise ValueError(f"it is larger than {LARGEST_CONTENT} bytes unpacked")
+    if size > content:
+        raise ValueError(f"it is larger than {content} bytes unpacked")
     with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
         found = {name: arrays[name] for name in arrays.files}
     record = json.loads(str(found.pop(RECORD)))

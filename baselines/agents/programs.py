@@ -1,0 +1,276 @@
+"""Policies that are programs of their own, in any language: `cmd:./my_controller --option`, asked line by line.
+
+The program gets one line of JSON on its standard input and answers with one on its standard output: first a greeting,
+then a batch of observations at each control instant. `docs/enter.md` has the protocol and examples.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import signal
+import subprocess
+import threading
+import weakref
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_gym.preview import checked_preview
+from auv_gym.records import to_record
+from auv_gym.task import SIZE, TERMS, Observation, encode_observation
+from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from baselines.agents.names import COMMAND
+from baselines.policy import Memory
+from baselines.tools.files import checked_plain, guarded
+
+PROTOCOL = 1
+"""Version of the protocol."""
+START = 10.0
+"""Seconds that a program may take to start and greet, and for any answer beside what its decisions may take."""
+LONGEST_ANSWER = 2**22
+"""Most bytes of an answer."""
+DECISION = 0.1
+"""Default for the largest time of a decision [s]."""
+LONGEST_WAIT = 3600.0  # [s] for an answer, where the limit of a decision is infinite
+FAREWELL = 0.5  # [s] that a program has to end by itself once its standard input is closed
+LAST_WORDS = 300  # bytes of its standard error that are told
+
+_EXAMPLE = Observation(
+    e_x=0.1, e_y=-0.1, psi_e=0.05, u_e=0.0, v_e=0.0, r_e=0.0, u_R=0.5, v_R=0.0, r_R=0.0, F_uR=35.0, F_rR=0.0,
+    cos_psi=1.0, sin_psi=0.0, F_u_max=400.0, F_r_max=200.0, a_u=0.0, a_r=0.0, dt=0.1,
+)  # fmt: skip
+"""What a program is asked once before anything runs: a vehicle that moves straight on, nearly on its path."""
+
+
+class ProgramError(ValueError):
+    """A program cannot be started, has ended, is silent, or answers what is no answer."""
+
+
+class Program:
+    """A program as a policy. It remembers by itself, and so can steer one set of vehicles at a time.
+
+    Attributes:
+        preview: the control periods ahead at which it wants to know where the reference is.
+        step_limit: seconds that it may take for the decision of one vehicle, beside `START` for each answer.
+    """
+
+    def __init__(self, command: str, vehicle: Vehicle | None = None) -> None:
+        """Start a program, greet it, and ask it for a first action.
+
+        Args:
+            command: its words.
+            vehicle: the known one, which it is told; None: the paper's.
+
+        Raises:
+            ProgramError: it cannot be started, or does not answer as it should.
+        """
+        self.step_limit = DECISION
+        self._talk = _Talk(command)
+        known = PAPER_VEHICLE if vehicle is None else vehicle
+        with self._talk.blamed():
+            answer = self._talk.ask(greeting(known), START)
+            if unknown := sorted(set(answer) - {"preview"}):
+                raise ProgramError(f"it greets with {unknown[0]!r}; known is 'preview' alone")
+            self.preview = checked_preview(answer.get("preview", []))
+        ahead = [x for n in self.preview for x in (_EXAMPLE.u_R * _EXAMPLE.dt * n, 0.0)]
+        self.predict(np.append(encode_observation(_EXAMPLE), ahead))
+
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: Memory | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], Memory | None]:
+        """Return the action (2,) or actions (N, 2), and what only counts the vehicles: the program itself remembers.
+
+        It is told that episodes start where `state` is None or `episode_start`, shape (N,), is True.
+
+        Raises:
+            ProgramError: it has ended, is silent, or gives no N pairs of numbers.
+            ValueError: the observation has the wrong shape, or `state` is of another number of vehicles.
+        """
+        rows, width = np.atleast_2d(observation), SIZE + 2 * len(self.preview)
+        if rows.ndim != 2 or rows.shape[1] != width:
+            raise ValueError(f"observation has shape {observation.shape}; it must be ({width},) or (N, {width})")
+        n = len(rows)
+        if state is not None and len(state[0]) != n:
+            raise ValueError(f"state is of {len(state[0])} vehicles, the observation of {n}")
+        begins = state is None or (False if episode_start is None else episode_start)
+        starts = np.broadcast_to(np.asarray(begins, dtype=bool), n)
+        question = {"observations": rows.tolist(), "starts": starts.tolist()}
+        with self._talk.blamed():
+            actions = _actions(self._talk.ask(question, START + n * self.step_limit), n)
+        return (actions if observation.ndim == 2 else actions[0]), (np.zeros((n, 0)),)
+
+
+def greeting(vehicle: Vehicle) -> dict[str, Any]:
+    """Return what a program is told first: what is the same in all scenarios, and the known vehicle."""
+    return {
+        "auv_gym": PROTOCOL,
+        "observation": [term._asdict() for term in TERMS],
+        "action": [{"name": name, "low": -1.0, "high": 1.0} for name in ("a_u", "a_r")],
+        "vehicle": to_record(vehicle),
+    }
+
+
+def _actions(answer: Mapping[str, Any], n: int) -> NDArray[np.float32]:
+    """Return the actions of an answer, shape (n, 2), finite or not."""
+    rows = answer.get("actions")
+    if not isinstance(rows, list) or set(answer) != {"actions"}:
+        raise ProgramError(f"it answers {_cut(json.dumps(answer))}; it must be {{'actions': [[a_u, a_r], ...]}}")
+    if len(rows) != n:
+        raise ProgramError(f"it answers {len(rows)} actions for {n} observations")
+    for i, row in enumerate(rows):
+        pair = isinstance(row, list) and len(row) == 2
+        if not pair or not all(isinstance(x, (int, float)) and not isinstance(x, bool) for x in row):
+            raise ProgramError(f"its action {i} of {n} is {_cut(json.dumps(row))}; it must be two numbers")
+    with np.errstate(over="ignore"):  # what is too large becomes infinite, and is refused as that
+        return np.array(rows, dtype=np.float64).astype(np.float32)
+
+
+class _Talk:
+    """A running program: a question, an answer, and in the end nothing that still runs."""
+
+    def __init__(self, command: str) -> None:
+        self.command, self._overdue = command, False
+        try:
+            words = shlex.split(command)
+            if not words:
+                raise ValueError("there is no word behind cmd:")
+            pipe = subprocess.PIPE
+            process = subprocess.Popen(words, stdin=pipe, stdout=pipe, stderr=pipe, start_new_session=True)
+        except OSError as error:
+            raise ProgramError(f"cannot start {COMMAND}{command}: {error.strerror}: {error.filename}") from error
+        except ValueError as error:
+            raise ProgramError(f"cannot start {COMMAND}{command}: {error}") from error
+        self._process, self._said = process, _Tail(process.stderr)
+        self.end = weakref.finalize(self, _end, process)
+
+    def blamed(self) -> _Blamed:
+        """Return a context in which whatever goes wrong is said to be this program's, which is ended then."""
+        return _Blamed(self)
+
+    def ask(self, question: Mapping[str, Any], seconds: float) -> dict[str, Any]:
+        """Return the answer to a question; raise ProgramError if there is none in time, or it is no table."""
+        process, line = self._process, b""
+        assert process.stdin is not None
+        assert process.stdout is not None
+        clock = threading.Timer(min(seconds, LONGEST_WAIT), self._give_up)
+        clock.daemon = True
+        clock.start()
+        try:
+            with suppress(OSError):  # what has ended reads nothing; how it ended is said below
+                process.stdin.write(json.dumps(question, allow_nan=False).encode() + b"\n")
+                process.stdin.flush()
+            while not line.endswith(b"\n") and len(line) <= LONGEST_ANSWER:
+                if not (part := process.stdout.read1(2**20)):  # type: ignore[attr-defined]
+                    break
+                line += part
+        finally:
+            clock.cancel()
+        if self._overdue:
+            raise ProgramError(f"it has not answered for {seconds:.3g} s{self._said}")
+        if len(line) > LONGEST_ANSWER:
+            raise ProgramError(f"its answer is longer than {LONGEST_ANSWER} bytes")
+        if not line.endswith(b"\n"):
+            raise ProgramError(self._ending())
+        return _table(line)
+
+    def _give_up(self) -> None:
+        self._overdue = True
+        _kill(self._process)
+
+    def _ending(self) -> str:
+        """Return how the program has ended."""
+        try:
+            status = self._process.wait(FAREWELL)
+        except subprocess.TimeoutExpired:
+            return f"it has closed its standard output{self._said}"
+        how = f"by signal {signal.Signals(-status).name}" if status < 0 else f"with status {status}"
+        return f"it has ended {how}{self._said}"
+
+
+class _Blamed:
+    """Names the program in what goes wrong, and ends it."""
+
+    def __init__(self, talk: _Talk) -> None:
+        self.talk = talk
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: Any, error: BaseException | None, _: object) -> None:
+        if error is not None:
+            self.talk.end()
+        if isinstance(error, ValueError):
+            raise ProgramError(f"{COMMAND}{self.talk.command}: {error}") from None
+
+
+class _Tail:
+    """The end of what a program says on its standard error, read so that it never has to wait for a reader."""
+
+    def __init__(self, stream: Any) -> None:
+        self._kept = b""
+        self._thread = threading.Thread(target=self._read, args=(stream,), daemon=True)
+        self._thread.start()
+
+    def _read(self, stream: Any) -> None:
+        with stream:
+            while part := os.read(stream.fileno(), 4096):
+                self._kept = (self._kept + part)[-LAST_WORDS:]
+
+    def __str__(self) -> str:
+        self._thread.join(FAREWELL)
+        lines = self._kept.decode(errors="replace").strip().splitlines()
+        return f"; its last words: {lines[-1]}" if lines else ""
+
+
+def _table(line: bytes) -> dict[str, Any]:
+    """Return the table that a line of JSON holds."""
+    first, _, more = line.partition(b"\n")
+    if more:
+        raise ProgramError(f"it answers with more than one line: {_cut(more.decode(errors='replace'))}")
+    with guarded(f"it answers {_cut(first.decode(errors='replace'))}, which is no JSON; remarks belong on stderr"):
+        answer = checked_plain(json.loads(first))
+    if not isinstance(answer, dict):
+        raise ProgramError(f"it answers {_cut(json.dumps(answer))}, which is no table")
+    if isinstance(answer.get("error"), str):
+        raise ProgramError(f"it says: {answer['error'][:LAST_WORDS]}")
+    return answer
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """Let a program end: close its standard input, and kill what is left of it after a while."""
+    with suppress(OSError, ValueError):
+        if process.stdin is not None:
+            process.stdin.close()
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(FAREWELL)
+    _kill(process)
+    process.wait()
+    if process.stdout is not None:
+        process.stdout.close()
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    """Kill a program and what it has started."""
+    with suppress(OSError):
+        if hasattr(os, "killpg"):
+            os.killpg(process.pid, signal.SIGKILL)
+        else:
+            process.kill()
+
+
+def files_of(words: Sequence[str]) -> list[str]:
+    """Return those words of a command that are files beside which it runs: the program, its script, its weights."""
+    return [word for word in words if os.path.isfile(word)]  # noqa: PTH113, a word of any kind

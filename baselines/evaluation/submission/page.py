@@ -1,0 +1,132 @@
+"""The leaderboard as a page, and as a table of JSON."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from baselines.evaluation.report.columns import COLUMNS, record
+from baselines.evaluation.report.numbers import Entry
+from baselines.evaluation.results.page import table
+from baselines.evaluation.submission.board import Board
+from baselines.evaluation.submission.files import Submission
+from baselines.tools.files import json_text
+
+SHOWN = ("score.mean", "score.ci95", "tail_rmse_m.mean", "lost", "effort_ratio", "smoothness_ratio", "decision_ms")
+"""Columns of the page, by their key."""
+PROGRAM = "python -m baselines.evaluation.submission"
+TEXT = f"""# Leaderboard
+
+<!-- Made by `{PROGRAM} page`; do not edit. -->
+
+What anybody has entered, suite by suite and regime by regime, the best first. The score is 0 for the expert and 1 for
+the oracle, with its 95 % interval over paired episodes; *lost* are episodes that ended too far off or whose tail is the
+cap and more, with the largest share that this can mean; *effort* and *rate* are relative to the expert's; *ms* is the
+time per decision on the submitter's machine, with many vehicles side by side, and *training* what the submitter says
+that it cost. *Verified* entries were run again by the project, as many of their episodes as are named, drawn at random
+behind the submitter's back; of the others only the file was checked. [Evaluation](metrics.md) has the definitions,
+[leaderboard.json](leaderboard.json) the same as a table, and [Enter](enter.md) says how to get here.
+"""
+NONE = "-"  # where nothing is said
+
+
+def page(boards: Sequence[Board]) -> str:
+    """Return the page, Markdown."""
+    parts = [TEXT]
+    for board in boards:
+        suite = board.suite
+        count = sum(len(cell.episodes) for cell in suite.cells)
+        parts.append(f"## {suite.name}\n\n{len(suite.cells)} cases, {count} episodes, SHA-256 `{suite.hash}`.\n")
+        by_name = {s.name: s for s in board.submissions}
+        for place in dict.fromkeys(entry.place for entry in board.entries):
+            own = [entry for entry in board.entries if entry.place == place]
+            parts.append(f"### {place}\n\n{_table(board, own)}\n")
+        parts.append("### What they are\n")
+        parts.append("\n".join(_told(by_name[name]) for name in sorted(by_name)) + "\n")
+    return "\n".join(parts)
+
+
+def _table(board: Board, entries: Sequence[Entry]) -> str:
+    columns = [column for column in COLUMNS if column.key in SHOWN]
+    columns.sort(key=lambda column: SHOWN.index(column.key))
+    by_name = {s.name: s for s in board.submissions}
+    headings = ["", "entry", "by", *(column.heading for column in columns), "training", "verified"]
+    rows = []
+    for rank, entry in enumerate(entries, start=1):
+        about = by_name[entry.policy].about
+        figures = [column.text(entry) for column in columns]
+        verified = verified_text(board, entry.policy)
+        rows.append(
+            [
+                str(rank),
+                f"`{entry.policy}`",
+                plain(about.author) or NONE,
+                *figures,
+                cost_text(by_name[entry.policy]),
+                verified,
+            ]
+        )
+    return table(headings, rows)
+
+
+def _told(s: Submission) -> str:
+    """Return a line of the list of entries."""
+    more = f" [Link]({s.about.link})." if s.about.link else ""
+    words = plain(s.about.description).rstrip(".") or "nothing is said of it"
+    return (
+        f"- `{s.name}`: {words}.{more} Policy `{s.fingerprint[:12]}`, run on {s.date} with auv_gym "
+        f"{plain(str(s.versions.get('auv_gym', NONE)))}."
+    )
+
+
+def verified_text(board: Board, name: str) -> str:
+    """Return what is known of a reproduction of an entry."""
+    found = board.verified.get(name)
+    return f"{found['episodes']} of {found['of']}, {found['date']}" if found else "no"
+
+
+def cost_text(s: Submission) -> str:
+    """Return what a training cost, as its submitter says."""
+    steps, seconds = s.about.training_steps, s.about.training_seconds
+    parts = [] if steps is None else [f"{_short(steps)} steps"]
+    if seconds is not None:
+        parts.append(
+            f"{seconds:.0f} s"
+            if seconds < 60
+            else f"{seconds / 60:.0f} min"
+            if seconds < 6000
+            else f"{seconds / 3600:.3g} h"
+        )
+    return ", ".join(parts) or NONE
+
+
+def _short(count: float) -> str:
+    for size, letter in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if count >= size:
+            return f"{count / size:.3g} {letter}"
+    return f"{count:.0f}"
+
+
+def plain(text: str) -> str:
+    """Return a submitter's words so that Markdown and HTML show them as they are: no markup, no table, no link."""
+    return re.sub(r"([!-/:-@\[-`{-~])", r"\\\1", text)
+
+
+def leaderboard_json(boards: Sequence[Board]) -> str:
+    """Return the leaderboard as strict JSON, null for what is not a number."""
+    suites = {}
+    for board in boards:
+        by_name = {s.name: s for s in board.submissions}
+        suites[board.suite.name] = {
+            "hash": board.suite.hash,
+            "entries": [_record(board, entry, by_name[entry.policy]) for entry in board.entries],
+        }
+    return json_text({"suites": suites})
+
+
+def _record(board: Board, entry: Entry, s: Submission) -> dict[str, Any]:
+    own = {"name": s.name, "regime": entry.place, **record(entry), **asdict(s.about)}
+    own |= {"policy": s.policy, "fingerprint": s.fingerprint, "date": s.date, "versions": dict(s.versions)}
+    return own | {"verified": board.verified.get(s.name)}
