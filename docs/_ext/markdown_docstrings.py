@@ -1,0 +1,94 @@
+"""Docstrings for autodoc: Markdown with Google's sections, units of fields from the comments at the end of their lines.
+
+autodoc reads docstrings as reStructuredText. Here each is handed to MyST as it is, once Napoleon has made field lists of
+its `Args:`, `Returns:` and `Raises:`. Names in backticks become links, on all pages, where they are documented.
+"""
+
+import re
+from typing import Any
+
+from docutils import nodes
+from docutils.utils import new_document
+from myst_parser.parsers.sphinx_ import MystParser
+from sphinx import addnodes
+from sphinx.application import Sphinx
+from sphinx.ext.napoleon import Config, GoogleDocstring
+from sphinx.pycode import ModuleAnalyzer
+from sphinx.transforms import SphinxTransform
+from sphinx.util.docutils import SphinxDirective
+
+SECTIONS = Config(napoleon_use_rtype=False, napoleon_use_ivar=True)
+FIELD = re.compile(r"^(    \w+: [^#\n]*?|\w+(?: =|: )[^#\n]*?(?=  # ))(?:  # (.*))?$", re.MULTILINE)
+"""A field of a class, or a constant with a comment: what autodoc documents if the comment begins with `#:`."""
+NAME = re.compile(r"(?:auv_gym|baselines)(?:\.\w+)*|[A-Z]\w*[a-z]\w*(?:\.\w+)?")
+"""What may be a link: a full name, or that of a class, with or without one of its members."""
+
+
+class Markdown(SphinxDirective):
+    """Markdown amid reStructuredText."""
+
+    has_content = True
+
+    def run(self) -> list[nodes.Node]:
+        """Return what MyST makes of the content."""
+        document = new_document(self.get_source_info()[0], self.state.document.settings)
+        MystParser().parse("\n".join(self.content), document)
+        return list(document.children)
+
+
+class Links(SphinxTransform):
+    """Makes links of names in backticks; those that lead nowhere stay as they are."""
+
+    default_priority = 400
+
+    def apply(self, **_: Any) -> None:
+        """Change the document."""
+        for literal in list(self.document.findall(nodes.literal)):
+            name = literal.astext().removesuffix("()")
+            if isinstance(literal.parent, nodes.reference | nodes.title | addnodes.pending_xref):
+                continue
+            inside = enclosing(literal)
+            if NAME.fullmatch(name) or (inside and re.fullmatch(r"[\w.]+", name)):
+                link = addnodes.pending_xref("", refdomain="py", reftype="obj", reftarget=name, refexplicit=True)
+                link.update_all_atts({**inside, "refdoc": self.env.docname})
+                if NAME.fullmatch(name) and not name.startswith(("auv_gym", "baselines")):
+                    link["refspecific"] = True  # in whatever module it is
+                literal.replace_self(link)
+                link += literal
+
+
+def enclosing(node: nodes.Node) -> dict[str, str]:
+    """Return module and class of the object whose docstring a node is in; empty elsewhere."""
+    while node is not None and not isinstance(node, addnodes.desc):
+        node = node.parent
+    if node is None or node.get("domain") != "py":
+        return {}
+    signature = node[0]
+    own = signature["fullname"] if node["objtype"] in ("class", "exception") else signature["class"]
+    return {"py:module": signature["module"], "py:class": own}
+
+
+def docstring(_app: Sphinx, what: str, _name: str, _value: Any, _options: Any, lines: list[str]) -> None:
+    """Wrap a docstring in the directive; its headings become bold lines."""
+    if what == "attribute" and not re.search(r"[`*|\\]|_\b", "\n".join(lines)):
+        return  # plain words are the same in both languages
+    text = lines if what in ("attribute", "data") else GoogleDocstring(lines, SECTIONS).lines()
+    text = re.sub(r"^#+ (.*)$", r"**\1**\n", "\n".join(text), flags=re.MULTILINE).splitlines()
+    lines[:] = [".. markdown::", "", *("   " + line for line in text), ""]
+
+
+def document_fields(modules: list[str]) -> None:
+    """Tell autodoc of the comments behind fields and constants; fields without one are documented, too."""
+    for name in modules:
+        known = ModuleAnalyzer.for_module(name)
+        marked = ModuleAnalyzer.for_string(FIELD.sub(r"\1  #: \2", known.code), name)
+        known.find_attr_docs().update(marked.find_attr_docs())
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Add directive, transform and hook."""
+    app.setup_extension("sphinx.ext.autodoc")
+    app.add_directive("markdown", Markdown)
+    app.add_transform(Links)
+    app.connect("autodoc-process-docstring", docstring)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,110 @@
+"""A page for each preset: what is in the way, its numbers with their units, and the policies in it, best score first.
+
+The pages are written into docs/scenarios/ before Sphinx looks for pages, and are not kept in git.
+"""
+
+import re
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from module_pages import replace_folder
+from sphinx.application import Sphinx
+from sphinx.pycode import ModuleAnalyzer
+
+from auv_gym.presets import PRESETS
+from auv_gym.scenario import Scenario
+from baselines.evaluation.recorded import load as load_recorded
+from baselines.evaluation.report.columns import COLUMNS, ranked
+from baselines.evaluation.report.numbers import Entry, compare
+from baselines.evaluation.results.page import table
+from baselines.evaluation.score import regime_of
+from baselines.evaluation.suites import load as load_suite
+
+SHOWN = ("tail [m]", "p95 [m]", "score", "lost", "settled [s]", "effort")
+"""Columns of the evaluation that a page has."""
+SUITE = "benchmark-v1"
+PAGE = """# {name}
+
+{case}
+
+```python
+env = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="{name}")
+```
+
+```{{film}} {name}
+```
+{standings}
+## Parameters
+
+Fields of a [`Scenario`](../api/auv_gym.scenario.md) and of its parts; what is off is left out. From an interval each
+episode draws its own value.
+
+{parameters}
+"""
+STANDINGS = """
+## Policies in it
+
+As recorded on the episodes of this case in `{suite}`; [Evaluation](../metrics.md#what-is-measured) defines the columns.
+A score means little where expert and oracle are close together, as in still water.
+
+{table}
+"""
+
+
+def page(scenario: Scenario, case: str, entries: list[Entry]) -> str:
+    """Return the page of a preset."""
+    standings = STANDINGS.format(suite=SUITE, table=standing(entries)) if entries else ""
+    return PAGE.format(name=scenario.name, case=case, standings=standings, parameters=parameters(scenario))
+
+
+def standing(entries: list[Entry]) -> str:
+    """Return the table of the policies in a case."""
+    columns = [column for column in COLUMNS if column.heading in SHOWN]
+    rows = [[f"`{entry.policy}`", *(column.text(entry) for column in columns)] for entry in ranked(entries)]
+    return table(["policy", *(column.heading for column in columns)], rows)
+
+
+def parameters(scenario: Scenario) -> str:
+    """Return the table of a scenario's numbers."""
+    rows = [[f"`{name}`", text(value), meaning] for name, value, meaning in numbers(scenario)]
+    return "\n".join(f"| {' | '.join(row)} |" for row in (["field", "value", "unit, meaning"], ["---"] * 3, *rows))
+
+
+def numbers(part: Any, prefix: str = "") -> list[tuple[str, Any, str]]:
+    """Return name, value and comment of a dataclass's fields and of those in it; of a part what is not its default."""
+    comments = ModuleAnalyzer.for_module(type(part).__module__).find_attr_docs()
+    found = []
+    for field in fields(part):
+        value, meaning = getattr(part, field.name), comments[type(part).__name__, field.name][0]
+        if is_dataclass(value):
+            found += numbers(value, f"{prefix}{field.name}.")
+        elif value is not None and field.name != "name" and not (prefix and value == field.default):
+            found.append((prefix + field.name, value, meaning))
+    return found
+
+
+def text(value: Any) -> str:
+    """Return a value, an interval by its ends."""
+    if isinstance(value, tuple):
+        is_interval = len(value) == 2 and not any(isinstance(end, str) for end in value)
+        return (" ... " if is_interval else ", ").join(text(part) for part in value)
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def write(app: Sphinx) -> None:
+    """Write all pages."""
+    source = Path(app.srcdir)
+    rows = re.findall(r"^\| `([\w-]+)` \| (.+) \|$", (source / "scenarios.md").read_text(encoding="utf-8"), re.MULTILINE)
+    told, texts = dict(rows), {}
+    entries = [result.entry for result in compare(load_recorded(load_suite(SUITE)).runs)]
+    for name, scenario in PRESETS.items():
+        own = [entry for entry in entries if entry.place == name]
+        texts[f"{name}.md"] = page(scenario, told[name.removeprefix(f"{regime_of(name)}-")], own)
+    replace_folder(source / "scenarios", texts)
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Connect the hook, behind that of the modules' pages, which reads the comments behind fields."""
+    app.connect("builder-inited", write, priority=600)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
