@@ -1,6 +1,7 @@
 """Films: what they show against the environment and by pixels, which storm is the typical one, files and words."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium as gym
@@ -98,7 +99,8 @@ def test_pictures_have_their_size_number_and_pace():
 
 
 def test_who_is_lost_stays_where_it_was_lost():
-    made = film(["backstepping", "open-loop"], "cruise-storm", 0, speed=30.0)
+    narrow = replace(PRESETS["cruise-storm"], lost_distance=3.0)
+    made = film(["backstepping", "open-loop"], narrow, 0, speed=30.0)
     expert, lost = made.voyages
     assert (expert.lost, lost.lost) == (False, True)
     assert lost.time[-1] < expert.time[-1]
