@@ -27,7 +27,7 @@ FPS = 12
 """Pictures a second where no other number is asked for."""
 SPEED = 4.0
 """How many times faster than the vehicles a film is played where nothing else is said."""
-LABELS = {EXPERT: "expert", ORACLE: "oracle: sees the sea", "nmpc": "EKF + MPC", "ekf": "extended Kalman filter"}
+LABELS = {EXPERT: "expert", ORACLE: "oracle: sees the sea", "nmpc": "EKF + MPC", "ekf": "Kalman filter"}
 """What policies are, for those who do not know their names."""
 
 

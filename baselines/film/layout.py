@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.rendering.camera import Camera, View
-from auv_gym.rendering.canvas import ALERT, CURRENT, GRID, INK, MUTED, VEHICLE, WHITE, Canvas, Color
+from auv_gym.rendering.canvas import ALERT, CURRENT, INK, MUTED, VEHICLE, WHITE, Canvas, Color
 from auv_gym.rendering.cards import round_down
 from auv_gym.rendering.scene import Body, draw_ghost, draw_world
+from baselines.film.chart import Chart
 from baselines.film.voyage import Array, Instant, Voyage
 
 HULLS: tuple[Color, ...] = (VEHICLE, (0, 158, 115), (204, 121, 167), (90, 90, 90), (240, 228, 66))
@@ -22,6 +22,7 @@ TITLE = 34.0  # [units] height of the title
 CHART = 0.27  # height of the chart as a share of the picture
 NEAREST = 3.0  # [m] what a panel shows on each side of the reference, at least
 FARTHEST = 9.0  # [m] what it shows at most
+PANEL = 285.0  # [units] width of a panel in which everything finds its place
 TRAIL = 25.0  # [s] how far back a trail goes
 ARROW_SPEED = 1.5  # an arrow of full length is that many times the strongest current
 
@@ -50,20 +51,18 @@ class Picture:
     def __init__(
         self, pygame: Any, size: tuple[int, int], title: str, panels: Sequence[Panel], path: Array, speed: float
     ) -> None:
-        self._canvas = Canvas(pygame, size, max(size[0] / 960.0, 0.55))
+        self._canvas = Canvas(pygame, size, unit_of(size[0], len(panels)))
         self._title, self._panels, self._path, self._speed = title, panels, path, speed
         self._width, self._height = self._canvas.extent.tolist()
         self._chart_top = (1.0 - CHART) * self._height
-        self._duration = max(float(p.voyage.time[-1]) for p in panels)
         errors = [p.voyage.error for p in panels]
         self._reach = min(max(1.25 * max(float(e.max()) for e in errors), NEAREST), FARTHEST)  # [m]
-        self._top = min(
-            max(float(e.max()) for e in errors), 2.0 * max(float(np.quantile(e, 0.9)) for e in errors)
-        )  # [m]
         strongest = max(float(np.hypot(*p.voyage.current.T).max()) for p in panels)
         self._arrow = max(ARROW_SPEED * strongest, 0.02)  # [m/s]
         self._parts = self._laid_out()
         self._canvas.fill(WHITE)
+        chart = self._canvas.part((0.0, self._chart_top, self._width, self._height - self._chart_top))
+        self._chart = Chart(chart, [p.voyage for p in panels], [p.hull for p in panels])
 
     def _laid_out(self) -> list[tuple[Canvas, Camera]]:
         """Return the canvas and camera of each panel."""
@@ -82,7 +81,7 @@ class Picture:
         self._draw_title(time, instants[0].current)
         for panel, instant, (canvas, camera) in zip(self._panels, instants, self._parts, strict=True):
             self._draw_panel(panel, instant, canvas, camera, time)
-        self._draw_chart(time)
+        self._chart.draw(time)
         return self._canvas.pixels()
 
     def _draw_title(self, time: float, current: Array) -> None:
@@ -123,41 +122,32 @@ class Picture:
         travelled = int(np.searchsorted(voyage.time, time, side="right")) - 1
         draw_world(canvas, camera, view, travelled, panel.hull, velocity=False)
         width, height = canvas.extent.tolist()
-        canvas.card((8.0, 8.0, width - 16.0, 50.0), panel.label)
+        canvas.card((8.0, 8.0, width - 16.0, 50.0))
         canvas.box((18.0, 18.0, 8.0, 30.0), panel.hull, radius=3.0)
-        canvas.text(panel.label, 36.0, 24.0, size=16.0)
-        canvas.text(voyage.policy, 36.0, 43.0, size=13.0, color=MUTED)
         ended = voyage.lost and time >= voyage.time[-1]
         now = "lost" if ended else f"{instant.error:.2f} m off"
-        canvas.text(now, width - 18.0, 25.0, size=18.0, color=ALERT, align=1.0)
-        mean = float(voyage.error[voyage.time <= time].mean())
-        canvas.text(f"{mean:.3f} m on average so far", width - 18.0, 43.0, size=13.0, color=MUTED, align=1.0)
+        mean = f"{float(voyage.error[voyage.time <= time].mean()):.3f} m on average"
+        for name, size, value, large, y, colors in (
+            (panel.label, 16.0, now, 18.0, 24.0, (INK, ALERT)),
+            (voyage.policy, 13.0, mean, 13.0, 43.0, (MUTED, MUTED)),
+        ):
+            room = width - 64.0 - canvas.text(value, width - 18.0, y, size=large, color=colors[1], align=1.0)
+            canvas.text(fitted(canvas, name, size, room), 36.0, y, size=size, color=colors[0])
         bar = round_down(0.4 * self._reach)
         length = bar * camera.scale
         canvas.box((14.0, height - 14.0, length, 2.0), INK)
         canvas.text(f"{bar:g} m", 14.0 + 0.5 * length, height - 25.0, size=13.0, align=0.5)
 
-    def _draw_chart(self, time: float) -> None:
-        """The errors so far, one axis for all, and where on it the moment is."""
-        canvas, top = self._canvas, self._chart_top
-        left, right, low, high = 46.0, self._width - 14.0, self._height - 24.0, top + 26.0
-        canvas.box((0.0, top, self._width, self._height - top), WHITE)
-        canvas.text("distance to the reference [m]", 10.0, top + 12.0, size=14.0, color=MUTED)
-        step = round_down(max(self._top, 0.01) / 2.0)
-        for k in range(math.floor(self._top / step) + 1):
-            y = low - (low - high) * k * step / self._top
-            canvas.box((left, y, right - left, 1.0), GRID)
-            canvas.text(f"{k * step:g}", left - 6.0, y, size=13.0, color=MUTED, align=1.0)
-        tick = round_down(self._duration / 4.0)
-        for k in range(math.floor(self._duration / tick) + 1):
-            x = left + (right - left) * k * tick / self._duration
-            canvas.text(f"{k * tick:g} s", x, low + 12.0, size=13.0, color=MUTED, align=0.5)
-        now = left + (right - left) * min(time / self._duration, 1.0)
-        canvas.box((now, high, 1.0, low - high), MUTED)
-        for panel in self._panels:
-            voyage = panel.voyage
-            upto = voyage.time <= time
-            x = left + (right - left) * np.append(voyage.time[upto], min(time, float(voyage.time[-1]))) / self._duration
-            error = np.append(voyage.error[upto], voyage.at(time).error)
-            y = low - (low - high) * np.minimum(error / self._top, 1.0)
-            canvas.line(np.stack((x, y), axis=1), panel.hull, 2.5)
+
+def unit_of(width: int, panels: int) -> float:
+    """Return the unit [px] of a film: small enough for what is written in each panel, and legible still."""
+    return max(min(max(width / 960.0, 0.65), width / (PANEL * panels)), 0.55)
+
+
+def fitted(canvas: Canvas, text: str, size: float, width: float) -> str:
+    """Return a text, shortened where it would be wider than that [units]."""
+    if canvas.width_of(text, size) <= width:
+        return text
+    while text and canvas.width_of(f"{text}...", size) > width:
+        text = text[:-1]
+    return f"{text}..."

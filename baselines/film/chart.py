@@ -1,0 +1,60 @@
+"""The chart of a film: the position errors of all policies so far, on one axis."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from auv_gym.rendering.canvas import GRID, MUTED, WHITE, Canvas, Color
+from auv_gym.rendering.cards import round_down
+from baselines.film.voyage import Voyage
+
+LEFT = 46.0  # [units] left of the curves
+RIGHT = 14.0  # [units] right of them
+ABOVE = 26.0  # [units] above them
+BELOW = 24.0  # [units] below them
+HIGHEST = 5.0
+"""The axis ends at the largest error of all, or at so many times the largest one of the best policy."""
+
+
+class Chart:
+    """Draws errors over time.
+
+    Args:
+        canvas: what to draw on, all of it.
+        voyages: whose errors.
+        colors: of their curves.
+    """
+
+    def __init__(self, canvas: Canvas, voyages: Sequence[Voyage], colors: Sequence[Color]) -> None:
+        self._canvas, self._curves = canvas, list(zip(voyages, colors, strict=True))
+        self._width, self._height = canvas.extent.tolist()
+        largest = [max(float(voyage.error.max()), 1e-3) for voyage in voyages]
+        self._top = min(max(largest), HIGHEST * min(largest))  # [m]
+        self._duration = max(float(voyage.time[-1]) for voyage in voyages)  # [s]
+        across, up = self._width - LEFT - RIGHT, self._height - ABOVE - BELOW
+        self._inside = canvas.part((LEFT, ABOVE - 4.0, across, up + 6.0))
+        self._scale = np.array((across / self._duration, -up / self._top))  # [units/s, units/m]
+        self._origin = np.array((0.0, up + 4.0))  # of the curves in their part [units]
+
+    def draw(self, time: float) -> None:
+        """Draw the axes, the curves up to a time [s], and a line where that is."""
+        canvas, floor = self._canvas, self._height - BELOW
+        canvas.fill(WHITE)
+        canvas.text("distance to the reference [m]", 10.0, 12.0, size=14.0, color=MUTED)
+        step, tick = round_down(0.5 * self._top), round_down(0.25 * self._duration)
+        for k in range(math.floor(self._top / step) + 1):
+            y = floor + k * step * float(self._scale[1])
+            canvas.box((LEFT, y, self._width - LEFT - RIGHT, 1.0), GRID)
+            canvas.text(f"{k * step:g}", LEFT - 6.0, y, size=13.0, color=MUTED, align=1.0)
+        for k in range(math.floor(self._duration / tick) + 1):
+            x = LEFT + k * tick * float(self._scale[0])
+            canvas.text(f"{k * tick:g} s", x, floor + 12.0, size=13.0, color=MUTED, align=0.5)
+        canvas.box((LEFT + min(time, self._duration) * float(self._scale[0]), ABOVE, 1.0, floor - ABOVE), MUTED)
+        for voyage, color in self._curves:
+            upto = voyage.time <= time
+            times = np.append(voyage.time[upto], min(time, float(voyage.time[-1])))
+            errors = np.append(voyage.error[upto], voyage.at(time).error)
+            self._inside.line(self._origin + np.stack((times, errors), axis=1) * self._scale, color, 2.5)
