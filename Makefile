@@ -9,7 +9,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo film test lint typecheck format bench train train-all results verify docs clean
+.PHONY: help demo film test lint typecheck format bench train train-all results verify docs package cluster-test clean
 
 help: ## list the verbs
 	@echo 'make VERB [ARGS="more options"] [PYTHON=python3.12]'
@@ -73,6 +73,12 @@ train-all: $(VENV)/train.stamp ## train every agent that ships with the package,
 
 docs: $(VENV)/train.stamp $(VENV)/docs.stamp ## build the documentation: build/docs/index.html
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs build/docs $(ARGS)
+
+package: $(VENV)/dev.stamp ## build wheel and sdist, compare, check and use them in an empty environment: build/package
+	$(BIN)/python tests/package.py $(ARGS)
+
+cluster-test: $(VENV)/cluster.stamp $(VENV)/dev.stamp ## run on a Ray cluster of a head and two workers, some of them killed
+	$(BIN)/python -m pytest tests/on_cluster.py $(ARGS)
 
 clean: ## remove what was built, the environment included; runs/ stays
 	rm -rf $(VENV) build dist .coverage .hypothesis .mypy_cache .pytest_cache .ruff_cache

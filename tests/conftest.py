@@ -1,10 +1,11 @@
 """Shared by all tests: one thread per process, since oversubscribed cores run many times slower; a stand-in for Ray."""
 
-import multiprocessing.pool
 import os
 import sys
 import time
 import types
+from concurrent import futures
+from functools import partial
 
 import browser as browser_of_tests
 import pytest
@@ -15,8 +16,8 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 @pytest.fixture
 def ray(monkeypatch):
-    """A stand-in for Ray with the calls that are used, its pool one of threads."""
-    module, util, pool = (types.ModuleType(name) for name in ("ray", "ray.util", "ray.util.multiprocessing"))
+    """A stand-in for Ray with the calls that are used, its workers threads; `tests/on_cluster.py` has the real one."""
+    module, pool = types.ModuleType("ray"), futures.ThreadPoolExecutor(3)
     module.addresses, module.locked, module.silent = [], False, 0.0
 
     def init(address, **_):
@@ -25,11 +26,17 @@ def ray(monkeypatch):
             raise SystemExit(15)
         module.addresses.append(address)
 
+    def wait(running):
+        done = next(futures.as_completed(running))
+        return [done], [task for task in running if task is not done]
+
     module.init, module.cluster_resources = init, lambda: {"CPU": 3.0}
-    pool.Pool = multiprocessing.pool.ThreadPool
-    for part in (module, util, pool):
-        monkeypatch.setitem(sys.modules, part.__name__, part)
-    return module
+    module.remote = lambda **_: lambda function: types.SimpleNamespace(remote=partial(pool.submit, function))
+    module.wait, module.get = wait, lambda task: task.result()
+    module.cancel = lambda task, force: task.cancel()
+    monkeypatch.setitem(sys.modules, "ray", module)
+    yield module
+    pool.shutdown()
 
 
 @pytest.fixture(scope="session")

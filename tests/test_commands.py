@@ -40,11 +40,17 @@ CALM = ("--suite", "benchmark-v1", "--case", "cruise-calm", "--episodes", "1", "
 """Options of the shortest run of fresh episodes."""
 BY_CI = {"test", "lint", "typecheck"}
 """Verbs that `.ci/run` itself runs."""
+BY_WORKFLOW = {"package", "cluster-test"}
+"""Verbs that have jobs of their own in the workflow: they build and install in environments of their own."""
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FROZEN = ("benchmark-v1", "ood-v1", "unmodelled-v1")
 ELSEWHERE = {
     r"make( .*)?": "the verbs, below",
+    r"auv-gym --help": "test_package.py::test_the_command",
+    r"auv-gym train .*": "test_training.py::test_documented_commands_run",
+    r"auv-gym suites check .*": "test_suites.py::test_episodes_generate_what_they_did",
+    r"auv-gym bench .*": "`make bench`, below",
     r"pip install .*": "`make`'s stamps, and the extras exist, below",
     r"python train\.py.*": "test_training.py::test_documented_commands_run",
     r"python -m baselines\.evaluation\.suites check .*": "test_suites.py::test_episodes_generate_what_they_did",
@@ -53,6 +59,10 @@ ELSEWHERE = {
     r"python evaluate\.py --stability .*": "test_stability.py",
 }
 """Lines of the pages that do not run one by one here, and where they do."""
+
+
+EVALUATE = ("python evaluate.py", "auv-gym evaluate")
+"""How lines begin that evaluate."""
 
 
 def lines():
@@ -64,7 +74,7 @@ def lines():
 
 def quick(line):
     """Return the words behind `python` with which a line is run: one episode of one short scenario."""
-    words = shlex.split(line)[1:]
+    words = shlex.split(line.replace("auv-gym evaluate", "python evaluate.py"))[1:]
     if words[:2] == ["-m", "baselines.evaluation.suites"]:
         rest = QUICK["verify"] if words[2] == "verify" else "unmodelled-v1 --policy open-loop --episodes 1"
         return [*words[:3], *rest.split()]
@@ -122,7 +132,9 @@ def made(copy, verb):
 
 
 def test_every_verb_is_run():
-    assert set(VERBS) == {*QUICK, *BY_CI}
+    assert set(VERBS) == {*QUICK, *BY_CI, *BY_WORKFLOW}
+    workflow = (ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8")
+    assert set(re.findall(r"^      - run: make ([\w-]+)$", workflow, re.MULTILINE)) >= BY_WORKFLOW
     assert set(re.findall(r"^([a-z-]+):.*## ", MAKEFILE, re.MULTILINE)) == set(VERBS)
     assert re.search(r"^test: lint typecheck ##", MAKEFILE, re.MULTILINE)
     assert (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()[-1] == "exec make test"
@@ -219,7 +231,7 @@ def test_clean_leaves_what_was_not_built(tmp_path):
 
 def test_every_line_of_the_pages_is_run_or_listed():
     for line in lines():
-        assert elsewhere(line) or line.startswith(("python evaluate.py", "python -m baselines.")), line
+        assert elsewhere(line) or line.startswith((*EVALUATE, "python -m baselines.")), line
     for pattern, where in ELSEWHERE.items():
         assert any(re.fullmatch(pattern, line) for line in lines()), pattern
         if match := re.match(r"(test_\w+\.py)(?:::(\w+))?", where):
@@ -259,7 +271,8 @@ def folder(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    "line", [line for line in lines() if line.startswith("python evaluate") and not elsewhere(line)]
+    "line",
+    [line for line in lines() if line.startswith(EVALUATE) and not elsewhere(line)],
 )
 def test_line_of_evaluate_runs(line, folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)

@@ -189,7 +189,7 @@ def test_import_is_lazy_and_arrays_need_no_display():
 
 def test_missing_pygame_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(DependencyNotInstalled, match=r'pip install "auv_gym\[render\]"'):
+    with pytest.raises(DependencyNotInstalled, match=r"drawing needs pygame: pip install .*\[render\]"):
         Renderer("rgb_array", 20.0)
 
 

@@ -8,6 +8,7 @@ import pytest
 
 import evaluate
 from auv_gym.dynamics import rates
+from auv_gym.installation import install
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 from baselines import make_policy
 from baselines.control.backstepping import Backstepping
@@ -109,7 +110,7 @@ def test_report_without_the_solver(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(stability_report, "SPEEDS", (0.1,))
     assert evaluate.main(["--stability", "--policy", "open-loop", "--out", str(tmp_path)]) == 0
     out, err = capsys.readouterr()
-    assert err == "note: the certificate needs a semidefinite solver: pip install 'auv-gym[certificate]'\n"
+    assert err == f"note: the certificate needs a semidefinite solver: {install('certificate')}\n"
     assert "Certified" not in out
     assert json.loads((tmp_path / "stability.json").read_text())[0]["certificates"] is None
     assert "auv-gym[certificate]" in (tmp_path / "stability.html").read_text(encoding="utf-8")

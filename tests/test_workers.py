@@ -1,15 +1,16 @@
-"""Where tasks run: the same results from this process, worker processes and a pool of Ray's kind; clear refusals."""
+"""Where tasks run: the same results from this process, worker processes and tasks of Ray's kind; clear refusals."""
 
 import json
-import multiprocessing.pool
 import socket
 import sys
+import threading
+from contextlib import ExitStack, contextmanager, suppress
 
 import pytest
 
 import evaluate
 from baselines.tools.command_line import UsageError, WorkerError, run
-from baselines.tools.workers import DEFAULT_JOBS, ClusterError, Workers, connect
+from baselines.tools.workers import DEFAULT_JOBS, SETTINGS, ClusterError, Workers, connect
 
 
 def power(base, exponent):
@@ -34,39 +35,42 @@ def test_an_evaluation_on_a_cluster_is_that_of_one_machine(ray, tmp_path):
     assert a == b
 
 
-def dying_pool(times):
-    """Return a pool whose first ones lose a machine after two results, so many of them."""
-    made = []
+def test_a_cluster_that_loses_a_task_for_good_is_one_line(ray, monkeypatch, tmp_path, capsys):
+    def get(task):
+        if len(given) == 2:
+            raise RuntimeError("the node\ndied")
+        given.append(task)
+        return task.result()
 
-    class Pool(multiprocessing.pool.ThreadPool):
-        def imap_unordered(self, *arguments, **options):
-            made.append(self)
-            for i, result in enumerate(super().imap_unordered(*arguments, **options)):
-                if i == 2 and len(made) <= times:
-                    raise RuntimeError("the actor\ndied")
-                yield result
-
-    return Pool
-
-
-def test_what_a_dead_machine_had_in_hand_is_tried_once_more(ray, monkeypatch, tmp_path, capsys):
-    tasks = [(base, 2) for base in range(7)]
-    for times in (0, 1):
-        monkeypatch.setattr(sys.modules["ray.util.multiprocessing"], "Pool", dying_pool(times))
-        assert sorted(Workers(3, on_cluster=True).results(power, tasks)) == [base**2 for base in range(7)]
-    monkeypatch.setattr(sys.modules["ray.util.multiprocessing"], "Pool", dying_pool(2))
-    with pytest.raises(WorkerError, match="failed twice, with 3 tasks left: RuntimeError: the actor died"):
-        list(Workers(3, on_cluster=True).results(power, tasks))
-    monkeypatch.setattr(sys.modules["ray.util.multiprocessing"], "Pool", dying_pool(2))
+    ray.get, given = get, []
+    with pytest.raises(WorkerError, match="failed, with 5 tasks left: RuntimeError: the node died"):
+        list(Workers(3, on_cluster=True).results(power, [(base, 2) for base in range(7)]))
+    given.clear()
     common = ["--scenario", "slow-calm", "cruise-calm", "slow-noise", "--policy", "open-loop", "--episodes", "1"]
     monkeypatch.setattr(sys, "argv", ["evaluate.py", *common, "--cluster", "local", "--out", str(tmp_path)])
     assert run(evaluate.main, "evaluate.py") == 1
-    assert capsys.readouterr().err.splitlines()[-1].startswith("evaluate.py: the Ray cluster failed twice, with 2")
+    assert capsys.readouterr().err.splitlines()[-1].startswith("evaluate.py: the Ray cluster failed, with 4 tasks left")
+
+
+@contextmanager
+def answering(text):
+    """Give the address of something that answers whoever connects with a text and keeps the connection."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def answer():
+            with suppress(OSError), ExitStack() as held:
+                while True:
+                    held.enter_context(server.accept()[0]).sendall(text)
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        yield f"127.0.0.1:{server.getsockname()[1]}"
+        server.shutdown(socket.SHUT_RDWR)
+        thread.join()
 
 
 def test_an_address_that_answers(ray, monkeypatch):
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        address = f"127.0.0.1:{server.getsockname()[1]}"
+    with answering(SETTINGS) as address:
         assert connect(address) == 3
         assert connect(f"ray://{address}") == 3
         ray.locked = True
@@ -80,6 +84,18 @@ def test_an_address_that_answers(ray, monkeypatch):
     with pytest.raises(ClusterError, match="cannot reach the Ray cluster 127"):
         connect(address)
     assert ray.addresses == [address, f"ray://{address}"]
+
+
+def test_an_address_without_a_cluster(ray, monkeypatch):
+    monkeypatch.setattr("baselines.tools.workers.PATIENCE", 0.1)
+    with answering(b"HTTP/1.1 400 Bad Request") as address, pytest.raises(ClusterError, match="is no Ray cluster"):
+        connect(address)
+    with answering(b"") as address:
+        with pytest.raises(ClusterError, match=r"no answer within 0.1 s"):
+            connect(address)
+        monkeypatch.setenv("RAY_USE_TLS", "1")
+        assert connect(address) == 3
+    assert ray.addresses == [address]
 
 
 def test_workers_of_a_command_line(ray):
@@ -108,5 +124,5 @@ def test_ray_fails_or_is_missing(ray, monkeypatch, tmp_path):
     with pytest.raises(ClusterError, match="cannot use the Ray cluster auto"):
         connect("auto")
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(UsageError, match=r"pip install 'auv-gym\[cluster\]'"):
+    with pytest.raises(UsageError, match=r"a cluster needs Ray: pip install .*\[cluster\]'"):
         evaluate.main(["--cluster", "local", "--scenario", "slow-calm", "--out", str(tmp_path)])

@@ -1,4 +1,4 @@
-"""Fresh seas: the cases of the frozen suites on episodes that nothing was trained or chosen on: `auv-gym fresh --help`.
+"""Run policies on fresh episodes of the suites' cases, which nothing was trained or chosen on: `auv-gym fresh --help`.
 
 `python -m baselines.evaluation.fresh` draws them from seeds of their own, runs the strongest policies through them and
 keeps what they did in `baselines/evaluation/data/fresh/`. `make results` reads from it how far leads on the frozen

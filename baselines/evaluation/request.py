@@ -61,6 +61,7 @@ class Request:
             UsageError: an option is wrong; the message says what is allowed.
         """
         _check(options)
+        workers = checked(partial(Workers.of, options.jobs, options.cluster))
         names = checked_policies((EXPERT, *options.policy))
         suite = options.suite if options.scenario else options.suite or DEFAULT_SUITE
         check_options(options, suite)
@@ -75,7 +76,6 @@ class Request:
         kept = zip(names, skipped, strict=True)
         without = {(name, cell.scenario.name) for name, cells in kept for cell in cells}
         pairs = [(name, cell) for cell in task.cells for name in names if (name, cell.scenario.name) not in without]
-        workers = checked(partial(Workers.of, options.jobs, options.cluster))
         checked_folder(options.out)
         return cls(options, command, suite, task.hash, task.cells, names, tuple(pairs), workers, earlier, tuple(notes))
 

@@ -1,4 +1,4 @@
-"""What an expert is for: agents that fall silent or meet untrained speeds: `auv-gym silence --help`.
+"""Count what agents lose that fall silent or meet speeds beyond their training: `auv-gym silence --help`.
 
 `python -m baselines.evaluation.silence` counts how many fresh episodes of all cases are lost, and
 keeps the counts in `baselines/evaluation/data/silence.json`, from which `make results` writes them.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import socket
 import threading
@@ -16,13 +17,20 @@ from urllib.parse import urlsplit
 import joblib
 from joblib.externals.loky.process_executor import BrokenProcessPool
 
+from auv_gym.installation import install
 from baselines.tools.command_line import WorkerError
 
-PATIENCE = 5.0  # [s] until an address counts as not answering; Ray itself waits for two minutes
+PATIENCE = 4.0  # [s] until an address counts as not answering
 JOINING = 60.0  # [s] in which a cluster that answers must take this process in
 NAMED = ("auto", "local")
 """Names in place of an address: the cluster that this machine belongs to, and one made for the occasion."""
 DEFAULT_JOBS = min(2, os.cpu_count() or 1)  # tasks at a time
+RETRIES = 3  # times that a task runs again whose worker or machine has died
+LONGEST = 500  # characters of a message of Ray's that are shown
+SETTINGS = b"\0\0\0\x04\0\0\0\0\0"
+"""An empty frame of settings, whose fourth byte says that it is one."""
+GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + SETTINGS
+"""What a client of HTTP/2 says first."""
 WATCH = 0.5  # [s] between two looks of a worker process at whether its parent is still there
 
 
@@ -63,7 +71,7 @@ class Workers:
         it. On a cluster every machine needs this project in the same version, and the files that the arguments name.
 
         Raises:
-            WorkerError: a worker process was lost, or the cluster has failed twice; what it did is to be run again.
+            WorkerError: a worker process was lost, or the cluster failed; what it did is to be run again.
         """
         jobs = min(self.jobs, len(tasks))
         if self.on_cluster and tasks:
@@ -93,26 +101,27 @@ def _end_with(parent: int) -> None:
 
 
 def _on_cluster(function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], jobs: int) -> Iterator[Any]:
-    """Yield the results of a Ray cluster; what a machine that dies had in hand is tried once more."""
-    from ray.util.multiprocessing import Pool  # joblib's backend for Ray is this pool, but returns all at the end
+    """Yield the results of a Ray cluster, so many tasks at a time.
 
-    left = dict(enumerate(tasks))
-    for last in (False, True):
-        try:
-            with Pool(min(jobs, len(left))) as pool:
-                for i, result in pool.imap_unordered(partial(_numbered, function), list(left.items()), chunksize=1):
-                    del left[i]
-                    yield result
-        except Exception as error:  # of whatever kind Ray's own are
-            if last:
-                reason = " ".join(f"{type(error).__name__}: {error}".split())
-                raise WorkerError(f"the Ray cluster failed twice, with {len(left)} tasks left: {reason}") from error
-        if not left:
-            return
+    Ray itself runs a task again, on a machine that is left, whose worker or machine has died.
+    """
+    import ray
 
-
-def _numbered(function: Callable[..., Any], task: tuple[int, tuple[Any, ...]]) -> tuple[int, Any]:
-    return task[0], function(*task[1])
+    remote, waiting, left = ray.remote(num_cpus=1, max_retries=RETRIES)(function), iter(tasks), len(tasks)
+    running = [remote.remote(*task) for task in itertools.islice(waiting, jobs)]
+    try:
+        while running:
+            [done], running = ray.wait(running)
+            result = ray.get(done)
+            running += [remote.remote(*task) for task in itertools.islice(waiting, 1)]
+            yield result
+            left -= 1
+    except Exception as error:  # of whatever kind Ray's own are
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:LONGEST]
+        raise WorkerError(f"the Ray cluster failed, with {left} tasks left: {reason}") from error
+    finally:
+        for task in running:
+            ray.cancel(task, force=True)
 
 
 def connect(address: str) -> int:
@@ -128,7 +137,7 @@ def connect(address: str) -> int:
     try:
         import ray
     except ImportError as error:
-        raise ClusterError("a cluster needs Ray: pip install 'auv-gym[cluster]'") from error
+        raise ClusterError(f"a cluster needs Ray: {install('cluster')}") from error
     if address not in NAMED:
         _reach(address)
     try:
@@ -155,12 +164,21 @@ def _within(seconds: float, function: Callable[[], Any]) -> None:
 
 
 def _reach(address: str) -> None:
-    """Raise ClusterError unless something listens at an address."""
+    """Raise ClusterError unless something at an address speaks as a cluster does.
+
+    Ray itself waits for minutes where nothing answers, so what speaks gRPC is told from what does not: behind HTTP/2's
+    greeting it sends its settings (RFC 9113, 3.4). Behind TLS (RAY_USE_TLS) that cannot be seen.
+    """
     url = urlsplit(address if "://" in address else f"//{address}")
     try:
         if not url.hostname or not url.port:
             raise ValueError("neither HOST:PORT nor ray://HOST:PORT, auto or local")
-        with socket.create_connection((url.hostname, url.port), PATIENCE):
-            pass
+        with socket.create_connection((url.hostname, url.port), PATIENCE) as connection:
+            if os.environ.get("RAY_USE_TLS", "0") == "0":
+                connection.sendall(GREETING)
+                if connection.recv(len(SETTINGS), socket.MSG_WAITALL)[3:4] != SETTINGS[3:4]:
+                    raise ValueError("what answers there is no Ray cluster")
+    except TimeoutError as error:
+        raise ClusterError(f"cannot reach the Ray cluster {address}: no answer within {PATIENCE:g} s") from error
     except (OSError, ValueError) as error:
         raise ClusterError(f"cannot reach the Ray cluster {address}: {error}") from error

@@ -44,6 +44,7 @@ class Request:
         """
         if options.seeds < 1:
             raise UsageError(f"--seeds is {options.seeds}; it must be 1 or more")
+        workers = checked(partial(Workers.of, options.jobs, options.cluster))
         config = _config(options)
         configs = tuple(checked(partial(replace, config, seed=config.seed + i)) for i in range(options.seeds))
         checked(partial(check, config))
@@ -52,7 +53,6 @@ class Request:
         folders = (out,) if len(configs) == 1 else tuple(out / f"seed-{c.seed}" for c in configs)
         for each, folder in zip(configs, folders, strict=True):
             _check_contents(each, folder, options.resume)
-        workers = checked(partial(Workers.of, options.jobs, options.cluster))
         for folder in folders:
             checked_folder(folder)
         return cls(configs, folders, out, workers, command)

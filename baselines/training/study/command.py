@@ -1,4 +1,4 @@
-"""What learning buys: agents of several seeds, with and without one thing or another: `auv-gym study --help`.
+"""Train agents with several seeds, with and without one thing or another: `auv-gym study --help`.
 
 Every agent of `VARIANTS` is trained with several seeds and run on the frozen suites; the tail errors of every episode
 are kept in `baselines/evaluation/data/studies/`, or in DIR where there is no checkout, for the page of results.

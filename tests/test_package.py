@@ -1,0 +1,177 @@
+"""The package: what is in the wheel, what its metadata say, its one command, and what it says where something lacks.
+
+`make package` does the rest: builds apart from what is installed here, and an installation that is used.
+"""
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+from email import message_from_bytes
+from importlib import metadata
+
+import package
+import pytest
+
+import auv_gym
+from auv_gym import installation
+from baselines import __main__ as commands
+from baselines.evaluation import recorded, suites
+from baselines.evaluation.options import Options
+from baselines.evaluation.request import Request
+from baselines.evaluation.results import command as results
+from baselines.tools.command_line import UsageError, called, run, typed
+
+HERE = ("--no-isolation", "--skip-dependency-check")
+"""Build with what is installed here, in no environment of its own."""
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """Wheel and source distribution of a copy of the repository, and the wheel that the latter builds."""
+    folder = tmp_path_factory.mktemp("package")
+    shutil.copytree(package.ROOT, folder / "source", ignore=shutil.ignore_patterns(*package.LEFT))
+    for name in ("dist", "again"):
+        (folder / name).mkdir()
+    wheel, sdist = package.build(folder / "source", folder / "dist", *HERE)
+    return wheel, sdist, package.wheel_of(sdist, folder / "again", *HERE)
+
+
+def test_the_package_is_small_and_the_same_from_its_sources(built, capsys):
+    package.checked(*built)
+    assert "MB of at most 5" in capsys.readouterr().out
+
+
+def test_the_wheel_holds_all_but_what_pages_are_written_from(built):
+    names = {name for name in package.contents(built[0]) if ".dist-info/" not in name}
+    there = {
+        path.relative_to(package.ROOT).as_posix()
+        for room in ("auv_gym", "baselines")
+        for path in (package.ROOT / room).rglob("*")
+        if path.is_file() and path.suffix != ".pyc"
+    }
+    assert names <= there
+    data = "baselines/evaluation/data/"
+    kept_out = re.compile(
+        rf"{data}(fresh|studies|recorded/(ood|unmodelled)-v1)/.*|{data}silence.json|baselines/agents/shipped/.*\.png"
+    )
+    assert {name for name in there if not kept_out.fullmatch(name)} == names
+
+
+def test_metadata(built):
+    found = package.contents(built[0])
+    [text] = (content for name, content in found.items() if name.endswith(".dist-info/METADATA"))
+    [entry] = (content for name, content in found.items() if name.endswith(".dist-info/entry_points.txt"))
+    about = message_from_bytes(text)
+    assert about["Version"] == auv_gym.__version__
+    assert entry.decode().split() == ["[console_scripts]", "auv-gym", "=", "baselines.__main__:main"]
+    urls = dict(url.split(", ") for url in about.get_all("Project-URL"))
+    assert {"Homepage", "Documentation", "Source", "Changelog", "Issues"} <= set(urls)
+    readme = about.get_payload()
+    links = re.findall(r"\]\(([^)\s]+)|(?:src|href)=\"([^\"]+)\"", readme)
+    assert len(links) > 10
+    for link in filter(None, (a or b for a, b in links)):
+        assert link.startswith(("https://", "#")), link
+        if link.startswith(urls["Source"]):
+            path = re.sub(rf"^{re.escape(urls['Source'])}/(blob|raw)/v{about['Version']}/", "", link)
+            assert (package.ROOT / path.partition("#")[0]).exists(), link
+
+
+def test_every_verb_is_listed_with_a_line_and_has_a_main():
+    text = commands.usage("auv-gym")
+    for verb, (module, extra) in commands.VERBS.items():
+        assert re.search(rf"^  {verb} +\w[^`]{{15,90}}$", text, re.MULTILINE), verb
+        assert f"{extra} = [" in (package.ROOT / "pyproject.toml").read_text(encoding="utf-8")
+        file = package.ROOT.joinpath(*module.split(".")).with_suffix(".py")
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        named = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+        named |= {alias.name for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+        assert "main" in named, module
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "out", "err"),
+    [
+        (["--help"], 0, "usage: auv-gym VERB", ""),
+        (["--version"], 0, auv_gym.__version__, ""),
+        ([], 2, "", "auv-gym: no verb; allowed are evaluate, train"),
+        (["evalute"], 2, "", "auv-gym: unknown verb 'evalute'; allowed are evaluate, train"),
+        (["evaluate", "--episodes", "0"], 2, "", "auv-gym evaluate: --episodes is 0; it must be 1 or more"),
+        (["train", "--seeds", "0"], 2, "", "auv-gym train: --seeds is 0; it must be 1 or more"),
+        (["suites", "record"], 2, "", "auv-gym suites: name the suite to record"),
+        (["tune", "lqi", "--episodes", "3"], 2, "", "auv-gym tune: --episodes is 3"),
+    ],
+)
+def test_the_command(words, status, out, err, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["/anywhere/bin/auv-gym", *words])
+    assert commands.main() == status
+    printed = capsys.readouterr()
+    assert printed.out.startswith(out)
+    assert printed.err.startswith(err)
+    assert printed.err.count("\n") == (1 if err else 0)
+
+
+def test_help_and_results_name_the_program_as_it_was_called(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["baselines/__main__.py", "evaluate", "--help"])
+    with pytest.raises(SystemExit, match="0"):
+        commands.main()
+    assert capsys.readouterr().out.startswith("usage: python -m baselines evaluate ")
+    lines = []
+    assert run(lambda words: lines.append(typed("evaluate.py", words)) or 0, "auv-gym evaluate", ["--seed", "1"]) == 0
+    assert lines == ["auv-gym evaluate --seed 1"]
+    assert typed("evaluate.py", ["--out", "a b"]) == "python evaluate.py --out 'a b'"
+    assert called("evaluate.py") == "evaluate.py"
+
+
+def test_the_list_of_verbs_imports_none_of_them():
+    code = "import sys, baselines.__main__ as m; m.usage('x'); print(*{n.partition('.')[0] for n in sys.modules})"
+    environment = os.environ | {"PYTHONPATH": str(package.ROOT)}
+    loaded = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert not {"torch", "tyro", "matplotlib", "rich", "joblib"} & set(loaded.stdout.split())
+
+
+def test_what_to_type_for_an_extra(monkeypatch, tmp_path):
+    monkeypatch.chdir(package.ROOT)
+    assert installation.install("train") == "pip install -e '.[train]'"
+    monkeypatch.chdir(tmp_path)
+    assert installation.install("eval", "render") == f"pip install -e '{package.ROOT}[eval,render]'"
+    assert installation.sources() == str(package.ROOT)
+    monkeypatch.setattr(installation, "ROOT", tmp_path)
+    for noted, origin in (
+        (None, ""),
+        ('{"url": "file:///a/auv_gym.whl", "archive_info": {}}', " @ file:///a/auv_gym.whl"),
+        ('{"url": "https://x/y.git", "vcs_info": {"vcs": "git", "commit_id": "12ab"}}', " @ git+https://x/y.git@12ab"),
+    ):
+        monkeypatch.setattr(metadata.PathDistribution, "read_text", lambda *_, text=noted: text)
+        assert installation.install("train") == f"pip install 'auv-gym[train]{origin}'"
+
+
+def test_another_package_called_baselines_is_named(tmp_path):
+    (tmp_path / "baselines").mkdir()
+    (tmp_path / "baselines" / "__init__.py").touch()
+    code = "import gymnasium\ngymnasium.make('auv_gym:UnderactuatedAUVTrackResidual-v0')\n"
+    (tmp_path / "mine.py").write_text(code)
+    environment = os.environ | {"PYTHONPATH": str(package.ROOT)}
+    done = subprocess.run(
+        [sys.executable, tmp_path / "mine.py"], env=environment, capture_output=True, text=True, check=False
+    )
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("ImportError: the residual environment needs the package 'baselines' beside auv_gym, in ")
+    assert f"finds another one first, {tmp_path / 'baselines' / '__init__.py'}; rename that" in last
+
+
+def test_without_a_checkout_it_says_where_rows_are(monkeypatch, tmp_path, capsys):
+    for module in (recorded, results):
+        monkeypatch.setattr(module, "checkout", lambda: None)
+    monkeypatch.setattr(installation, "ROOT", tmp_path)
+    monkeypatch.setattr(recorded, "FOLDER", tmp_path)
+    assert recorded.missing("benchmark-v1") is None
+    assert "the recorded rows of ood-v1 are not part of" in recorded.missing("ood-v1", tmp_path)
+    with pytest.raises(UsageError, match=r"not part of the installed package; the sources have them"):
+        results.main([])
+    monkeypatch.setattr(recorded, "missing", lambda suite: f"no rows of {suite}")
+    options = Options(suite="unmodelled-v1", episodes=1, out=tmp_path / "out")
+    assert Request.of(options).notes[0] == "no rows of unmodelled-v1"
+    assert suites.list_suites()
