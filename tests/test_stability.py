@@ -113,4 +113,4 @@ def test_report_without_the_solver(tmp_path, monkeypatch, capsys):
     assert err == f"note: the certificate needs a semidefinite solver: {install('certificate')}\n"
     assert "Certified" not in out
     assert json.loads((tmp_path / "stability.json").read_text())[0]["certificates"] is None
-    assert "auv-gym[certificate]" in (tmp_path / "stability.html").read_text(encoding="utf-8")
+    assert "[certificate]" in (tmp_path / "stability.html").read_text(encoding="utf-8")

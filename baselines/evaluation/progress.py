@@ -25,7 +25,11 @@ MINUTE = 60.0
 
 @dataclass(frozen=True)
 class Board:
-    """A folder where tasks write how many control steps they have done; one that they cannot reach is no error."""
+    """A folder where tasks write how many control steps they have done; one that they cannot reach is no error.
+
+    rich and tqdm count in one process, and queues of multiprocessing and of Ray reach the workers of one kind only; a
+    folder needs no process of its own, and loses nothing with a worker that is killed.
+    """
 
     folder: Path
 
