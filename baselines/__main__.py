@@ -35,6 +35,7 @@ VERBS = {
     "fresh": Verb("baselines.evaluation.fresh", "eval"),
     "silence": Verb("baselines.evaluation.silence", "eval"),
     "results": Verb("baselines.evaluation.results.command", "eval"),
+    "film": Verb("baselines.film.command", "eval"),
     "bench": Verb("baselines.benchmarks.command", "train"),
 }
 """The commands by name; a new one is a line here."""

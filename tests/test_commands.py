@@ -165,7 +165,14 @@ def test_film_is_made_in_a_quick_form(copy):
 
 def test_bench_measures_in_a_quick_form(copy):
     text = made(copy, "bench")
-    for case in ("scalar residual", "end one after the other", "CasADi", "decision of one vehicle: nmpc", "memory"):
+    for case in (
+        "scalar residual",
+        "a frame of 480x360",
+        "end one after the other",
+        "CasADi",
+        "decision of one vehicle: nmpc",
+        "memory",
+    ):
         assert case in text
     for case in (
         "a vehicle step: ekf",

@@ -195,7 +195,7 @@ def test_wrong_words_are_answered_in_a_line(words, message):
 
 def test_missing_pygame_says_what_to_install(monkeypatch, tmp_path):
     monkeypatch.setitem(__import__("sys").modules, "pygame", None)
-    with pytest.raises(UsageError, match=r"pip install .auv_gym\[render\]"):
+    with pytest.raises(UsageError, match=r"drawing needs pygame: pip install .*\[render\]"):
         command.main(["--seconds", "0.1", "--out", str(tmp_path / "film.gif")])
 
 

@@ -30,6 +30,7 @@ CASES: tuple[Case, ...] = (
     environments.scalar_cases,
     environments.vector_cases,
     environments.scaling_cases,
+    environments.drawing_cases,
     tracing.tracing_cases,
     policies.decision_cases,
     policies.evaluation_cases,

@@ -158,6 +158,39 @@ def vector_cases(quick: bool) -> Iterator[Figure]:
         yield faster("  a step alone", typical(own[0]), whole(other))
 
 
+def drawing_run(env_id: str, frames: int, **options: Any) -> Run:
+    """Return pictures of a scalar environment under an action that never changes; its steps are left out."""
+    env = gym.make(env_id, render_mode="rgb_array", **options)
+    still = np.zeros(env.action_space.shape or (), dtype=env.action_space.dtype)
+    env.reset(seed=0)
+
+    def run() -> list[float]:
+        times = []
+        for _ in range(frames):
+            if any(env.step(still)[2:4]):
+                env.reset()
+            begin = cpu_time()
+            env.render()
+            times.append(cpu_time() - begin)
+        return times
+
+    return run
+
+
+def drawing_cases(quick: bool) -> Iterator[Figure]:
+    """A picture, as an array, beside one of Gymnasium's CartPole."""
+    rounds, frames = (1, 5) if quick else (9, 60)
+    small, large, peer_frames = interleaved(
+        rounds,
+        drawing_run(TRACK, frames, scenario=SCENARIO, render_size=(480, 360)),
+        drawing_run(TRACK, frames, scenario=SCENARIO),
+        drawing_run("CartPole-v1", frames),
+    )
+    yield takes("a frame of 480x360", typical(small), 5e-3)
+    yield faster("  against CartPole-v1, 600x400", typical(small), typical(peer_frames))
+    yield takes("  960x720", typical(large))
+
+
 def scaling_cases(quick: bool) -> Iterator[Figure]:
     """Cost against the length of episodes, and the memory of many vehicles."""
     short, long = (PRESETS[SCENARIO].changed(control_dt=dt) for dt in (0.1, 0.02))

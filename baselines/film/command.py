@@ -1,4 +1,4 @@
-"""The command that films policies, from its words to the file."""
+"""Moving pictures of policies side by side: `python -m baselines.film`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from baselines.film.files import WRITERS, save
 from baselines.film.film import FPS, SIZE, SPEED, film
 from baselines.film.layout import HULLS
 from baselines.film.pairs import Lead, leads, typical
-from baselines.tools.command_line import DONE, FAILED, UsageError, parse
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse, printable
 from baselines.tools.workers import Workers
 
 PROGRAM = "python -m baselines.film"
@@ -89,7 +89,7 @@ def main(arguments: Sequence[str]) -> int:
     except DependencyNotInstalled as error:
         raise UsageError(str(error)) from error
     except PolicyError as error:
-        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        print(f"{called(PROGRAM)}: {printable(str(error))}", file=sys.stderr)
         return FAILED
     for lead in found:
         print(lead)

@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
+from auv_gym.installation import install
 from baselines.tools.files import write_atomically
 
 Frames = Iterable[NDArray[np.uint8]]
@@ -46,7 +47,7 @@ def _write_loop(frames: Frames, out: Path, fps: int, kind: str, options: Mapping
     try:
         from PIL import Image
     except ImportError as error:
-        raise DependencyNotInstalled('a loop needs Pillow: pip install "auv-gym[eval]"') from error
+        raise DependencyNotInstalled(f"a loop needs Pillow: {install('eval')}") from error
     images = [Image.fromarray(frame) for frame in frames]
     if kind == "GIF":
         palette = images[len(images) // 2].quantize(255)
@@ -63,7 +64,7 @@ def _write_mp4(frames: Frames, out: Path, fps: int) -> None:
     try:
         from imageio_ffmpeg import write_frames
     except ImportError as error:
-        raise DependencyNotInstalled('a video needs ffmpeg: pip install "auv-gym[render]"') from error
+        raise DependencyNotInstalled(f"a video needs ffmpeg: {install('render')}") from error
     video = None
     for frame in frames:
         even = np.ascontiguousarray(frame[: len(frame) // 2 * 2, : frame.shape[1] // 2 * 2])  # what the codec takes
