@@ -57,6 +57,9 @@ ELSEWHERE = {
     r"python -m rl_zoo3\.train .*": "test_sb3.py reads its format; rl_zoo3 itself is no dependency",
     r"python evaluate\.py --suite (paper|presets)": "`make demo`, below",
     r"python evaluate\.py --stability .*": "test_stability.py",
+    r"python evaluate\.py .*--submit .*": "test_submission.py::test_the_tutorial_leads_to_the_leaderboard",
+    r"python -m baselines\.evaluation\.submission .*": "test_submission.py::test_the_tutorial_leads_to_the_leaderboard",
+    r'python evaluate\.py --policy "cmd:.*': "test_programs.py::test_the_examples_do_what_the_class_does",
 }
 """Lines of the pages that do not run one by one here, and where they do."""
 

@@ -209,7 +209,7 @@ class _Blamed:
         if error is not None:
             self.talk.end()
         if isinstance(error, ValueError):
-            raise ProgramError(f"{COMMAND}{self.talk.command}: {error}") from None
+            raise ProgramError(" ".join(f"{COMMAND}{self.talk.command}: {error}".split())) from None
 
 
 class _Tail:

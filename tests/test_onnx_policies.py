@@ -1,0 +1,145 @@
+"""Policies as ONNX models: what they compute, what they remember, and what is refused."""
+
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from auv_gym.presets import PRESETS
+from baselines import make_policy
+from baselines.agents import loading, onnx_models
+from baselines.evaluation.fingerprints import fingerprint
+from baselines.evaluation.rollout import rollout
+from baselines.evaluation.runner import drawn
+
+REASON = "onnx and onnxruntime are not installed"
+try:
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+except ImportError:
+    if os.environ.get("CI"):
+        raise
+    pytest.skip(REASON, allow_module_level=True)
+pytest.importorskip("onnxruntime") if not os.environ.get("CI") else __import__("onnxruntime")
+
+WEIGHTS = np.random.default_rng(0).normal(0.0, 0.3, (18, 2))
+"""Of a model whose action is the observation times them, plus what it remembers: half the sum of its last actions."""
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def model(width=18, real=TensorProto.DOUBLE, batch="batch", names=("observation", "sum", "action", "next_sum"), **told):
+    """Write a model with a memory and return the name of the policy."""
+    kind = np.float64 if real == TensorProto.DOUBLE else np.float32
+    constants = {"W": np.resize(WEIGHTS, (width, 2)), "half": np.array(0.5)}
+    observed, memory, action, following = names
+    nodes = [
+        helper.make_node("MatMul", [observed, "W"], ["product"]),
+        helper.make_node("Add", ["product", memory], [action]),
+        helper.make_node("Add", [action, memory], ["total"]),
+        helper.make_node("Mul", ["total", "half"], [following]),
+    ]
+    value = helper.make_tensor_value_info
+    inputs = [value(observed, real, [batch, width]), value(memory, real, [batch, 2])]
+    outputs = [value(action, real, [batch, 2]), value(following, real, [batch, 2])]
+    given = [numpy_helper.from_array(array.astype(kind), name) for name, array in constants.items()]
+    made = helper.make_model(
+        helper.make_graph(nodes, "linear", inputs, outputs, given), opset_imports=[helper.make_opsetid("", 17)]
+    )
+    made.ir_version = 8
+    helper.set_model_props(made, told)
+    onnx.save(made, "model.onnx")
+    return "model.onnx"
+
+
+def test_it_computes_and_remembers():
+    policy = make_policy(model())
+    first, second = np.random.default_rng(1).normal(size=(2, 3, 18))
+    action, memory = policy.predict(first)
+    np.testing.assert_allclose(action, first @ WEIGHTS, rtol=1e-6)
+    then, _ = policy.predict(second, memory, np.array([False, True, False]))
+    kept = np.where([[False], [True], [False]], 0.0, 0.5 * (first @ WEIGHTS))
+    np.testing.assert_allclose(then, second @ WEIGHTS + kept, rtol=1e-5)
+    alone, own = policy.predict(first[0])
+    assert (alone.shape, alone.dtype, own[0].shape) == ((2,), np.float32, (1, 2))
+    np.testing.assert_allclose(alone, action[0])
+    with pytest.raises(ValueError, match="state is of 3 vehicles, the observation of 2"):
+        policy.predict(first[:2], memory)
+    with pytest.raises(ValueError, match=r"it must be \(18,\) or \(N, 18\)"):
+        policy.predict(first[:, :17])
+
+
+def test_single_precision_is_fine():
+    observations = np.random.default_rng(1).normal(size=(3, 18))
+    expected = make_policy(model()).predict(observations)[0]
+    single = make_policy(model(real=TensorProto.FLOAT)).predict(observations)[0]
+    np.testing.assert_allclose(single, expected, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "told", [{"preview": "10, 20"}, {"observation": "e_x; ahead_10_x; ahead_10_y; ahead_20_x [m]"}]
+)
+def test_it_sees_ahead(told):
+    policy = make_policy(model(width=22, **told))
+    assert policy.preview == (10, 20)
+    scenario = PRESETS["cruise-calm"]
+    assert np.isfinite(rollout(policy, scenario, drawn(scenario, 2, 0).episodes).measures.tail).all()
+
+
+def test_its_fingerprint_is_the_file():
+    before = fingerprint(model())
+    assert len(before) == 64
+    assert fingerprint(model(note="another")) != before
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"width": 20}, "it takes observations (20,); here they are (18,)"),
+        ({"width": 22, "preview": "20, 10"}, "ascending"),
+        ({"batch": 1}, "takes batches of 1 alone"),
+        ({"names": ("observation", "sum", "action", "sum_after")}, "an output next_NAME"),
+        ({"names": ("obs", "sum", "action", "next_sum")}, "there must be observation and action"),
+        ({"names": ("observation", "sum", "command", "next_sum")}, "there must be observation and action"),
+    ],
+)
+def test_what_is_no_policy_is_refused(changes, says):
+    with pytest.raises(ValueError, match=re.escape(says)) as caught:
+        make_policy(model(**changes))
+    assert "model.onnx is no ONNX model that can be used" in str(caught.value)
+
+
+def test_damaged_and_missing_files_are_named(monkeypatch):
+    Path("text.onnx").write_text("no model")
+    with pytest.raises(ValueError, match=r"text\.onnx is no ONNX model that can be used"):
+        make_policy("text.onnx")
+    with pytest.raises(FileNotFoundError):
+        make_policy("missing.onnx")
+    with pytest.raises(ValueError, match="takes no option 'fade'"):
+        make_policy(model(), fade=True)
+
+    def absent(_):
+        raise ImportError
+
+    monkeypatch.setattr(loading, "OnnxModel", absent)
+    with pytest.raises(ValueError, match="needs ONNX Runtime: pip install onnxruntime"):
+        make_policy("model.onnx")
+
+
+def test_no_other_file_is_read():
+    """A model that keeps its weights in another file, wherever that is, is refused."""
+    name = model()
+    made = onnx.load(name)
+    big = numpy_helper.from_array(np.ones((18, 2)), "W")
+    del made.graph.initializer[0]
+    made.graph.initializer.insert(0, big)
+    onnx.save(made, name, save_as_external_data=True, size_threshold=0, location="weights.bin")
+    assert Path("weights.bin").exists()
+    with pytest.raises(ValueError, match="is no ONNX model that can be used"):
+        make_policy(name)
+    assert onnx_models.SUFFIX == ".onnx"
