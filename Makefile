@@ -71,7 +71,7 @@ train: $(VENV)/train.stamp ## train an agent, into runs/train: ARGS="--algo ppo 
 train-all: $(VENV)/train.stamp ## train every agent that ships with the package, into runs/shipped; goes on if interrupted
 	$(BIN)/python -m baselines.training.shipped $(ARGS)
 
-docs: $(VENV)/train.stamp $(VENV)/docs.stamp ## build the documentation: build/docs/index.html
+docs: $(VENV)/train.stamp $(VENV)/render.stamp $(VENV)/docs.stamp ## build the documentation: build/docs/index.html
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs build/docs $(ARGS)
 
 package: $(VENV)/dev.stamp ## build wheel and sdist, compare, check and use them in an empty environment: build/package

@@ -1,5 +1,6 @@
 """Sphinx: `make docs` builds these pages, with every warning an error."""
 
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -10,16 +11,18 @@ from sphinx.application import Sphinx
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE / "_ext")]
-import auv_gym
+import auv_gym  # noqa: E402
 
 project = "auv_gym"
-author = copyright = "auv_gym contributors"
+author = project_copyright = "auv_gym contributors"
 version = release = auv_gym.__version__
 extensions = [
     "films",
+    "live_page",
     "markdown_docstrings",
     "module_pages",
     "myst_parser",
+    "paper_figures",
     "scenario_pages",
     "sphinx.ext.autodoc",
     "sphinx_copybutton",
@@ -40,13 +43,21 @@ html_show_sourcelink = False
 exclude_patterns = ["_build"]
 suppress_warnings = [
     "ref.python",  # a class of this name is in several modules; the link leads to the first
-    "toc.empty_glob",
 ]
+
+
+def optional(_app: Sphinx, _name: str, source: list[str]) -> None:
+    """Leave out of a toctree the pages whose names end in a question mark if they are not there."""
+
+    def kept(match: re.Match[str]) -> str:
+        return f"{match[1]}\n" if (HERE / f"{match[1]}.md").exists() else ""
+
+    source[0] = re.sub(r"^(\w+)\?\n", kept, source[0], flags=re.MULTILINE)
 
 
 def inside(_app: Sphinx, _name: str, source: list[str]) -> None:
     """Let links that lead out of this folder where it is read as plain files stay inside it."""
-    source[0] = source[0].replace("](../CONTRIBUTING.md)", "](contributing.md)")
+    source[0] = re.sub(r"\]\(((?:\.\./)*)\.\./CONTRIBUTING\.md\)", r"](\1contributing.md)", source[0])
 
 
 def formula(translator: Any, node: nodes.Element) -> None:
@@ -61,3 +72,4 @@ def setup(app: Sphinx) -> None:
     """Add the hook and the formulas."""
     app.add_html_math_renderer("mathml", (formula, None), (formula, None))
     app.connect("source-read", inside)
+    app.connect("source-read", optional)

@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 import pytest
+from built_pages import check_links, check_pages, check_search
 
 import evaluate
 from auv_gym.presets import PRESETS
@@ -32,7 +33,7 @@ QUICK = {
     "train-all": "ppo-cruise --timesteps 512",
     "results": "--out pages",
     "verify": "unmodelled-v1 --policy open-loop --cells slow-everything",
-    "docs": "",
+    "docs": "-t quick -D toc_object_entries=0 -D html_show_search_summary=0",
     "clean": "",
 }
 """Options of the verbs that are run here."""
@@ -42,7 +43,9 @@ BY_CI = {"test", "lint", "typecheck"}
 """Verbs that `.ci/run` itself runs."""
 BY_WORKFLOW = {"package", "cluster-test"}
 """Verbs that have jobs of their own in the workflow: they build and install in environments of their own."""
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+MADE = {"api", "scenarios"}  # folders of pages that the build writes
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+PAGES += [p for p in sorted((ROOT / "docs").rglob("*.md")) if p.parent.name not in MADE]
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FROZEN = ("benchmark-v1", "ood-v1", "unmodelled-v1")
 ELSEWHERE = {
@@ -51,6 +54,7 @@ ELSEWHERE = {
     r"auv-gym train .*": "test_training.py::test_documented_commands_run",
     r"auv-gym suites check .*": "test_suites.py::test_episodes_generate_what_they_did",
     r"auv-gym bench .*": "`make bench`, below",
+    r"python -m venv .*": "the environment that runs the tests",
     r"pip install .*": "`make`'s stamps, and the extras exist, below",
     r"python train\.py.*": "test_training.py::test_documented_commands_run",
     r"python -m baselines\.evaluation\.suites check .*": "test_suites.py::test_episodes_generate_what_they_did",
@@ -110,6 +114,9 @@ def copy(tmp_path_factory):
     shutil.copytree(ROOT, folder, ignore=shutil.ignore_patterns(*left))
     (folder / ".venv").mkdir()
     (folder / ".venv" / "bin").symlink_to(Path(sys.executable).parent)
+    if sys.prefix != sys.base_prefix:  # without these two the python in bin is not the environment's
+        (folder / ".venv" / "lib").symlink_to(Path(sys.prefix) / "lib")
+        shutil.copy(Path(sys.prefix) / "pyvenv.cfg", folder / ".venv")
     soon = time.time() + 3600  # the same for all: none is older than what it was made from
     for name in ("venv", *re.findall(r"\$\(VENV\)/(\w+)\.stamp", MAKEFILE)):
         stamp = folder / ".venv" / f"{name}.stamp"
@@ -212,13 +219,17 @@ def test_verify_says_what_is_equal(copy):
     assert re.search(r"^equal +open-loop in unmodelled-v1: \d+ numbers of 1 cells$", made(copy, "verify"), re.MULTILINE)
 
 
-def test_docs_are_built_without_a_warning(copy):
+def test_docs_are_built_without_a_warning(copy, browser):
     pytest.importorskip("sphinx")
     pytest.importorskip("furo")
     made(copy, "docs")
-    html = (copy / "build" / "docs" / "metrics.html").read_text(encoding="utf-8")
+    built = copy / "build" / "docs"
+    html = (built / "theory.html").read_text(encoding="utf-8")
     assert "<math" in html
     assert "\\frac" not in html
+    check_links(built)
+    check_pages(browser, built)
+    check_search(browser, built)
 
 
 def test_format_mends_what_lint_complains_about(copy):

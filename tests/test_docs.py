@@ -18,14 +18,16 @@ from auv_gym.paths import PATHS
 from auv_gym.presets import PRESETS
 from auv_gym.vehicle import VEHICLES
 from baselines import POLICIES, list_policies
+from baselines.evaluation.paper.numbers import reproduce
 from baselines.evaluation.report import terminal
 from baselines.evaluation.report.columns import COLUMNS
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+MADE = {"api", "scenarios"}  # folders of pages that the build writes
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+PAGES += [p for p in sorted((ROOT / "docs").rglob("*.md")) if p.parent.name not in MADE]
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 BETWEEN = ["```", "```text"]  # a block of text right behind another block
-README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 @dataclass
@@ -44,7 +46,7 @@ def blocks(page):
 
 
 def name_of(page):
-    return page.name
+    return page.relative_to(ROOT).as_posix().removeprefix("docs/")
 
 
 @pytest.fixture
@@ -132,36 +134,74 @@ def resolves(name):
     return False
 
 
-def test_readme_names_every_policy_and_family_of_scenarios():
+def test_pages_name_every_policy_and_scenario():
+    policies, scenarios = (
+        (ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("policies.md", "scenarios.md")
+    )
     for name in list_policies():
-        assert f"`{name}`" in README
+        assert f"`{name}`" in policies
     for name in PRESETS:
-        assert f"`{name}`" in README or f"`{name.split('-', 1)[1]}`" in README
+        assert f"| `{name}` |" in scenarios or f"| `{name.split('-', 1)[1]}` |" in scenarios
 
 
-def test_readme_table_is_what_the_command_prints(tmp_path, capsys, monkeypatch):
+def test_table_of_a_comparison_is_what_the_command_prints(tmp_path, capsys, monkeypatch):
     """As a terminal of 80 columns shows it."""
     monkeypatch.setattr(terminal, "WIDTH", 80)
-    arguments = re.search(r"^python evaluate.py (--policy .+)$", README, re.MULTILINE)[1].split()
+    page = ROOT / "docs" / "quickstart.md"
+    text = page.read_text(encoding="utf-8")
+    arguments = re.search(r"^python evaluate.py (--policy .+)$", text, re.MULTILINE)[1].split()
     assert evaluate.main([*arguments, "--jobs", "1", "--out", str(tmp_path)]) == 0
     lines = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
     first = next(i for i, line in enumerate(lines) if "tail [m]" in line)
     table = "\n".join(lines[first : lines.index("", lines.index("", first) + 1)]) + "\n"
-    block = next(b for b in blocks(ROOT / "README.md") if "tail [m]" in b.text)
+    block = next(b for b in blocks(page) if "tail [m]" in b.text)
+    compare_or_refresh(page, block.text, table)
+
+
+def compare_or_refresh(page, shown, made):
+    """Check that a page shows what is made; with `REFRESH_DOCS` write it into the page instead."""
     if os.environ.get("REFRESH_DOCS"):
-        text = (ROOT / "README.md").read_text(encoding="utf-8")
-        (ROOT / "README.md").write_text(text[: block.start] + table + text[block.end :], encoding="utf-8")
+        text = page.read_text(encoding="utf-8")
+        page.write_text(text.replace(shown, made), encoding="utf-8")
     else:
-        assert table == block.text
+        assert shown == made
+
+
+def table(names, rows):
+    lines = [names, ["---"] * len(names), *([cell.replace("|", "\\|") for cell in row] for row in rows)]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def shown(value):
+    return "-" if value is None else f"{value:.4g}"
+
+
+def test_page_about_the_paper_is_what_is_recomputed():
+    """Its tables stand behind comments that name them."""
+    page, found = ROOT / "docs" / "paper.md", reproduce()
+    verdict = {True: "yes", False: "no", None: "-"}
+    rows = [
+        (r.quantity, r.place, shown(r.paper), shown(r.measured), r.unit, verdict[r.agrees], r.note) for r in found.rows
+    ]
+    starts = [(f"`{s.signs}`", *(f"{v:.3g}" for v in tuple(vars(s).values())[1:])) for s in found.starts]
+    remarks = [(r.place, r.quantity, shown(r.paper), shown(r.measured), r.unit, r.note) for r in found.remarks]
+    tables = {
+        "rows": table(("quantity", "place", "printed", "recomputed", "unit", "agrees", "note"), rows),
+        "starts": table(
+            ("signs of x_e, y_e, psi_e", "within 5 cm [s]", "within 1 deg [s]", "peak F_u [N]", "peak F_r [N m]",
+             "error at 100 s [m]"), starts),
+        "remarks": table(("place", "what", "printed", "what holds", "unit", "why"), remarks),
+    }  # fmt: skip
+    for name, made in tables.items():
+        text = page.read_text(encoding="utf-8")
+        written = re.search(rf"<!-- {name} -->(?:\n\n\|.*?(?=\n\n))?", text, re.DOTALL)[0]
+        compare_or_refresh(page, written, f"<!-- {name} -->\n\n{made}")
 
 
 def test_columns_are_documented_as_they_are_defined():
     page = ROOT / "docs" / "metrics.md"
     text = page.read_text(encoding="utf-8")
-    table = re.search(r"^\| column \| in `results.json` \|.*?(?=\n\n)", text, re.MULTILINE | re.DOTALL)[0]
+    written = re.search(r"^\| column \| in `results.json` \|.*?(?=\n\n)", text, re.MULTILINE | re.DOTALL)[0]
     rows = [f"| {c.heading or '-'} | `{c.key}` | {c.definition} |" for c in COLUMNS]
     defined = "\n".join(["| column | in `results.json` | definition |", "|---|---|---|", *rows])
-    if os.environ.get("REFRESH_DOCS"):
-        page.write_text(text.replace(table, defined), encoding="utf-8")
-    else:
-        assert table == defined
+    compare_or_refresh(page, written, defined)

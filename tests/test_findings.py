@@ -97,7 +97,7 @@ def test_mistakes_are_refused(arguments, message):
 
 
 def leads():
-    """Return the README's rows of leads over nmpc, as the page of findings has them."""
+    """Return the rows of leads over nmpc in the page of policies, as the page of findings has them."""
     section, storms = PAGE.split("### Where an agent leads")[0], PAGE.split("### Where an agent leads")[1]
     for name in (f"{family}-{regime}" for regime in ("slow", "cruise") for family in ("apg", "apg-preview")):
         cells = re.search(rf"^\| `{name}` \| (.*) \|$", section, re.MULTILINE)[1].split(" | ")
@@ -105,7 +105,8 @@ def leads():
         yield f"| `{name}` | {cells[2]} ({cells[3]}) of {cells[4]} | {cells[5]} ({cells[6]}) of {cells[7]} | {share} |"
 
 
-def test_the_readme_says_the_same():
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert "\n".join(leads()) + "\n" in readme
-    assert f"a share of up to {100 * most_lost(0, 2080):.2f} %" in readme
+def test_readme_and_page_of_policies_say_the_same():
+    readme, policies = ((ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "docs/policies.md"))
+    assert "\n".join(leads()) + "\n" in policies
+    for page in (readme, policies):
+        assert f"a share of up to {100 * most_lost(0, 2080):.2f} %" in page

@@ -1,5 +1,6 @@
 """The results page: what the recorded rows say, in the repository and in the README; the oracle is the best."""
 
+import json
 import re
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from baselines import list_policies
+from baselines.agents.names import AGENTS
 from baselines.evaluation.results import collection
 from baselines.evaluation.results import command as results
 from baselines.evaluation.results import page as results_page
@@ -18,6 +20,8 @@ from baselines.evaluation.results.studies import section
 from baselines.evaluation.study_files import load_all
 
 ROOT = Path(__file__).parents[1]
+AGENT = "apg-preview-cruise"  # the one that the README begins with
+WORDS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
 
 
 @pytest.fixture(scope="module")
@@ -51,9 +55,10 @@ def test_the_oracle_is_the_best_of_all(found):
         assert worst < TOLERANCE[entry.suite.name]
 
 
-def test_the_readme_shows_the_same(benchmark):
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| `(\S+)` \| (-?[\d.]+ \(.*?%) \| (-?[\d.]+ \(.*?%) \|$", readme, re.MULTILINE)
+@pytest.mark.parametrize("page", ["README.md", "docs/policies.md"])
+def test_pages_show_the_same(benchmark, page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\S+)`[^|]* \| (-?[\d.]+ \(.*?%) \| (-?[\d.]+ \(.*?%) \|$", text, re.MULTILINE)
     assert len(rows) >= 7
     for policy, *shown in rows:
         for regime, text in zip(("slow", "cruise"), shown, strict=True):
@@ -61,6 +66,24 @@ def test_the_readme_shows_the_same(benchmark):
             entry = next(p for p in benchmark.pooled if (p.policy, p.place) == (name, regime))
             (low, high), lost = entry.score.ci95, entry.lost / entry.summary.episodes
             assert text == f"{entry.score.mean:.2f} ({low:.2f} ... {high:.2f}), {100 * lost:.1f} %", policy
+
+
+def test_the_first_sentence_of_the_readme(benchmark):
+    """Errors of the recorded rows, times of the recorded benchmark and of the agent's card."""
+    errors = {name: f"{100 * cases.get('cruise-storm', 0.0):.2g} cm" for name, cases in benchmark.tails.items()}
+    figures = json.loads((ROOT / "docs" / "bench.json").read_text(encoding="utf-8"))["figures"]
+    times = {f["case"]: f["value"] for f in figures}
+    agent, rival = (f"{1e3 * times[f'decision of one vehicle: {name}']:.3g} ms" for name in (AGENT, "nmpc"))
+    card = (AGENTS / AGENT / "card.md").read_text(encoding="utf-8")
+    minutes = round(float(re.search(r"\| seconds \| `([\d.]+)` \|", card)[1]) / 60)
+    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    said = (
+        f"In the storm at cruise the published law is {errors['backstepping']} off its path, an extended Kalman filter "
+        f"with model predictive control (`nmpc`) {errors['nmpc']}, and an agent that learned to correct the law "
+        f"(`{AGENT}`) {errors[AGENT]}. The agent takes {agent} for a decision where `nmpc` takes {rival}, and it took "
+        f"{WORDS[minutes]} minutes on one core to train."
+    )
+    assert said in readme
 
 
 def test_figures_of_the_table_by_hand(benchmark):

@@ -543,12 +543,12 @@ def test_shipped_agents_are_installed_and_unknown_ones_refused(call, monkeypatch
         shipped.main(["dqn-small"])
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/install.md", "docs/training.md"])
+@pytest.mark.parametrize("page", ["install", "training", "tutorials/first-agent", "tutorials/vehicle", "../README"])
 def test_documented_commands_run(page, call, monkeypatch):
     """In their order, in one folder, with small networks for a moment; hyper-parameter files are those of the page."""
     monkeypatch.setattr("baselines.training.run_folder.validation_cell", lambda s: drawn(replace(s, steps=15), 1, 0))
     monkeypatch.setattr(request, "shipped", lambda algo: Path(f"{algo}.yml"))
-    text = (ROOT / page).read_text(encoding="utf-8")
+    text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
     for name, content in re.findall(r"^```(?:toml|yaml)\n# (\S+)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
         Path(name).write_text(content, encoding="utf-8")
     lines = re.findall(r"^(?:python train.py|auv-gym train) ?([^#\n]*)", text, re.MULTILINE)

@@ -1,7 +1,7 @@
-"""Docstrings for autodoc: Markdown with Google's sections, units of fields from the comments at the end of their lines.
+"""Docstrings for autodoc: Markdown with Google's sections, units of fields from the comments behind them.
 
-autodoc reads docstrings as reStructuredText. Here each is handed to MyST as it is, once Napoleon has made field lists of
-its `Args:`, `Returns:` and `Raises:`. Names in backticks become links, on all pages, where they are documented.
+autodoc reads docstrings as reStructuredText. Here each is handed to MyST as it is, once Napoleon has made field lists
+of its `Args:`, `Returns:` and `Raises:`. Names in backticks become links, on all pages, where they are documented.
 """
 
 import re

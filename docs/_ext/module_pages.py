@@ -13,11 +13,11 @@ from sphinx.application import Sphinx
 PACKAGES = ("auv_gym", "baselines")
 
 
-def modules(package: str) -> list[str]:
-    """Return a package and all that is in it, by name, private modules left out."""
+def modules(package: str, *, quick: bool) -> list[str]:
+    """Return a package and all that is in it, by name, private modules left out; quick: what is directly in it."""
     path = importlib.import_module(package).__path__
-    found = [entry.name for entry in pkgutil.walk_packages(path, f"{package}.")]
-    return [package, *(name for name in found if "._" not in name)]
+    entries = pkgutil.iter_modules(path, f"{package}.") if quick else pkgutil.walk_packages(path, f"{package}.")
+    return [package, *(entry.name for entry in entries if "._" not in entry.name)]
 
 
 def first_line(name: str) -> str:
@@ -25,15 +25,16 @@ def first_line(name: str) -> str:
     return (importlib.import_module(name).__doc__ or "").strip().split("\n\n")[0].replace("\n", " ")
 
 
-def pages(package: str) -> dict[str, str]:
+def pages(package: str, found: list[str]) -> dict[str, str]:
     """Return the reference of a package: its own page, one for each module in it, one for each package in it."""
-    found = modules(package)
     packages = {name for name in found if hasattr(importlib.import_module(name), "__path__")}
     homes = {name: [name] for name in found if name in packages or name.count(".") == 1}
     for name in found:
         if name not in homes:
             homes[name.rpartition(".")[0]].append(name)
-    texts = {home: "\n".join([f"# {home}\n", *(section(name, home) for name in inner)]) for home, inner in homes.items()}
+    texts = {
+        home: "\n".join([f"# {home}\n", *(section(name, home) for name in inner)]) for home, inner in homes.items()
+    }
     rows = [f"| [{home}]({home}.md) | {first_line(home)} |" for home in homes if home != package]
     table = "\n".join(["", "| module | what is in it |", "|---|---|", *rows])
     texts[package] += f"{table}\n\n```{{toctree}}\n:hidden:\n\n" + "\n".join(name for name in homes if name != package)
@@ -48,9 +49,10 @@ def section(name: str, home: str) -> str:
 
 
 def write(app: Sphinx) -> None:
-    """Write all pages."""
-    texts = {name: text for package in PACKAGES for name, text in pages(package).items()}
-    document_fields([name for package in PACKAGES for name in modules(package)])
+    """Write all pages; with the tag `quick` without the modules of inner packages."""
+    found = {package: modules(package, quick="quick" in app.tags) for package in PACKAGES}
+    texts = {name: text for package, names in found.items() for name, text in pages(package, names).items()}
+    document_fields(modules("auv_gym", quick=False) + found["baselines"])
     replace_folder(Path(app.srcdir) / "api", {f"{name}.md": text for name, text in texts.items()})
 
 

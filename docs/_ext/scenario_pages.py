@@ -80,7 +80,7 @@ def numbers(part: Any, prefix: str = "") -> list[tuple[str, Any, str]]:
         if is_dataclass(value):
             found += numbers(value, f"{prefix}{field.name}.")
         elif value is not None and field.name != "name" and not (prefix and value == field.default):
-            found.append((prefix + field.name, value, meaning))
+            found.append((prefix + field.name, value, meaning or f"see `{type(part).__name__}`"))
     return found
 
 
@@ -88,15 +88,17 @@ def text(value: Any) -> str:
     """Return a value, an interval by its ends."""
     if isinstance(value, tuple):
         is_interval = len(value) == 2 and not any(isinstance(end, str) for end in value)
-        return (" ... " if is_interval else ", ").join(text(part) for part in value)
+        return ("\N{NO-BREAK SPACE}...\N{NO-BREAK SPACE}" if is_interval else ", ").join(text(part) for part in value)
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def write(app: Sphinx) -> None:
     """Write all pages."""
     source = Path(app.srcdir)
-    rows = re.findall(r"^\| `([\w-]+)` \| (.+) \|$", (source / "scenarios.md").read_text(encoding="utf-8"), re.MULTILINE)
-    told, texts = dict(rows), {}
+    rows = re.findall(
+        r"^\| `([\w-]+)` \| (.+) \|$", (source / "scenarios.md").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    told, texts = {name: line.replace("](", "](../") for name, line in rows}, {}
     entries = [result.entry for result in compare(load_recorded(load_suite(SUITE)).runs)]
     for name, scenario in PRESETS.items():
         own = [entry for entry in entries if entry.place == name]

@@ -1,0 +1,20 @@
+"""The live page, at live/ beside the built pages, by the command that makes it."""
+
+import importlib.util
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
+
+def write(app: Sphinx, exception: Exception | None) -> None:
+    """Write the page once all others are there; with the tag `quick` there is none."""
+    if exception is None and "quick" not in app.tags and importlib.util.find_spec("baselines.live"):
+        from baselines.live.page import write as write_live_page
+
+        write_live_page(Path(app.outdir) / "live")
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Connect the hook."""
+    app.connect("build-finished", write)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

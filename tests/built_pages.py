@@ -1,0 +1,55 @@
+"""What a reader of the built documentation must find: tables that fit, equations with a size, a search that works."""
+
+from browser import opened
+
+PAGES = (
+    *("index", "theory", "paper", "results", "findings", "metrics", "policies", "speed", "scenarios/cruise-storm"),
+    *("environments/track", "environments/residual", "tutorials/vehicle", "api/auv_gym", "api/auv_gym.vehicle"),
+)
+TOO_WIDE = """() => [...document.querySelectorAll("table, pre, .formula, img, dl")].filter(part => {
+  const box = part.parentElement, scrolls = getComputedStyle(box).overflowX !== "visible";
+  const out = part.getBoundingClientRect().right > innerWidth + 1;
+  return out && !scrolls && getComputedStyle(part).overflowX === "visible"
+    && !part.closest(".table-wrapper, .highlight, details");
+}).map(part => part.outerHTML.slice(0, 80))"""
+"""Lists what sticks out of the window, or of its box, and cannot be scrolled."""
+FLAT = """() => [...document.querySelectorAll("math")].filter(formula => {
+  const {width, height} = formula.getBoundingClientRect();
+  return width < 4 || height < 4;
+}).length"""
+"""Counts the equations without a size."""
+WIDTH = "() => document.documentElement.scrollWidth - innerWidth"
+"""How much wider than its window a page is."""
+
+
+def check_pages(started, folder):
+    """Look at pages as on a desk and on a telephone."""
+    for width, mobile in ((1200, False), (390, True)):
+        for name in PAGES:
+            with opened(started, folder / f"{name}.html", width, mobile=mobile) as page:
+                assert page.evaluate(WIDTH) <= 0, (name, width)
+                assert page.evaluate(TOO_WIDE) == [], (name, width)
+                assert page.evaluate(FLAT) == 0, name
+                assert all(page.evaluate("() => [...document.images].map(image => image.naturalWidth)")), name
+
+
+def check_search(started, folder):
+    """Look for the law, and follow what is found."""
+    with opened(started, folder / "index.html") as page:
+        page.get_by_placeholder("Search").first.fill("backstepping")
+        page.keyboard.press("Enter")
+        found = page.locator("#search-results li a")
+        found.first.wait_for()
+        assert found.count() >= 5
+        found.first.click()
+        page.wait_for_load_state()
+        assert "backstepping" in page.inner_text("body")
+
+
+def check_links(folder):
+    """See that names in the pages lead into the reference."""
+    theory = (folder / "theory.html").read_text(encoding="utf-8")
+    assert 'href="api/auv_gym.dynamics.html#auv_gym.dynamics.rates"' in theory
+    vehicle = (folder / "api" / "auv_gym.vehicle.html").read_text(encoding="utf-8")
+    assert "[kg] surge inertia, added mass included" in vehicle
+    assert 'id="auv_gym.vehicle.Vehicle.m11"' in vehicle
