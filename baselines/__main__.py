@@ -22,7 +22,7 @@ class Verb(NamedTuple):
     """A command: `main(arguments)` of a module, whose docstring begins with a line about it."""
 
     module: str
-    extra: str  # what it needs
+    extras: str  # what it needs, with commas between them
 
 
 VERBS = {
@@ -35,7 +35,10 @@ VERBS = {
     "fresh": Verb("baselines.evaluation.fresh", "eval"),
     "silence": Verb("baselines.evaluation.silence", "eval"),
     "results": Verb("baselines.evaluation.results.command", "eval"),
-    "film": Verb("baselines.film.command", "eval"),
+    "submit": Verb("baselines.evaluation.submission.command", "eval"),
+    "film": Verb("baselines.film.command", "eval,render"),
+    "datasets": Verb("baselines.datasets", "data,eval"),
+    "export": Verb("baselines.export.command", "export"),
     "bench": Verb("baselines.benchmarks.command", "train"),
 }
 """The commands by name; a new one is a line here."""
@@ -57,7 +60,7 @@ def call(verb: str, arguments: Sequence[str], program: str) -> int:
         missing = (error.name or PACKAGES[0]).partition(".")[0]
         if missing in PACKAGES:
             raise
-        print(f"{program} needs {missing}: {install(VERBS[verb].extra)}", file=sys.stderr)
+        print(f"{program} needs {missing}: {install(VERBS[verb].extras)}", file=sys.stderr)
         return WRONG_USAGE
 
 

@@ -1,4 +1,4 @@
-"""Datasets of episodes for learning offline, in Minari's format: `python -m baselines.datasets`.
+"""Record datasets of episodes for learning offline, in Minari's format: `auv-gym datasets --help`.
 
 They are deterministic: the same command gives the same content, whose SHA-256 it prints and writes into the card.
 """
@@ -9,7 +9,6 @@ import hashlib
 import importlib.metadata
 import math
 import os
-import shlex
 import sys
 import warnings
 from collections.abc import Sequence
@@ -22,11 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 from tyro.conf import arg
 
+from auv_gym.installation import install
 from auv_gym.policy import Policy, preview_of
 from auv_gym.scenario import Scenario
 from auv_gym.task import SIZE
 from baselines.episodes import EpisodeRecord, run_episodes
-from baselines.tools.command_line import DONE, UsageError, parse, run
+from baselines.tools.command_line import DONE, UsageError, called, parse, run, typed
 
 PROGRAM = "python -m baselines.datasets"
 LIBRARY_FOLDER = "MINARI_DATASETS_PATH"
@@ -141,7 +141,7 @@ def write(parts: Sequence[Part], scenario: Scenario, name: str, folder: Path, ca
         ValueError: Minari refuses the id, or there is a dataset of that id.
     """
     if find_spec("minari") is None or find_spec("h5py") is None:
-        raise ImportError("datasets need Minari: pip install 'auv-gym[data]'")
+        raise ImportError(f"datasets need Minari: {install('data')}")
     folder.mkdir(parents=True, exist_ok=True)
     before = os.environ.get(LIBRARY_FOLDER)
     os.environ[LIBRARY_FOLDER] = str(folder.resolve())  # relative ones confuse it
@@ -248,7 +248,7 @@ def main(arguments: Sequence[str]) -> int:
     from baselines.evaluation.rollout import PolicyError
 
     if find_spec("minari") is None or find_spec("h5py") is None:
-        raise UsageError("datasets need Minari: pip install 'auv-gym[data]'")
+        raise UsageError(f"datasets need Minari: {install('data')}")
     if options.episodes < 1:
         raise UsageError(f"--episodes is {options.episodes}; it must be at least 1")
     if options.seed < 0:
@@ -263,12 +263,12 @@ def main(arguments: Sequence[str]) -> int:
         raise UsageError(f"{folder / name} exists; choose another --id, or delete it")
     try:
         parts = collect(policies, scenario, options.episodes, options.noise, options.seed)
-        command = f"{PROGRAM} {shlex.join(arguments)}".rstrip()
+        command = typed(PROGRAM, arguments)
         write(parts, scenario, name, folder, dataset_card(parts, scenario, name, command))
     except ValueError as error:
         raise UsageError(str(error)) from error
     except PolicyError as error:
-        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        print(f"{called(PROGRAM)}: {error}", file=sys.stderr)
         return 1
     episodes = sum(len(part.records) for part in parts)
     steps = sum(len(record.actions) for part in parts for record in part.records)

@@ -81,9 +81,10 @@ def test_metadata(built):
 
 def test_every_verb_is_listed_with_a_line_and_has_a_main():
     text = commands.usage("auv-gym")
-    for verb, (module, extra) in commands.VERBS.items():
+    for verb, (module, extras) in commands.VERBS.items():
         assert re.search(rf"^  {verb} +\w[^`]{{15,90}}$", text, re.MULTILINE), verb
-        assert f"{extra} = [" in (package.ROOT / "pyproject.toml").read_text(encoding="utf-8")
+        for extra in extras.split(","):
+            assert f"\n{extra} = [" in (package.ROOT / "pyproject.toml").read_text(encoding="utf-8")
         file = package.ROOT.joinpath(*module.split(".")).with_suffix(".py")
         tree = ast.parse(file.read_text(encoding="utf-8"))
         named = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
@@ -146,6 +147,13 @@ def test_what_to_type_for_an_extra(monkeypatch, tmp_path):
     ):
         monkeypatch.setattr(metadata.PathDistribution, "read_text", lambda *_, text=noted: text)
         assert installation.install("train") == f"pip install 'auv-gym[train]{origin}'"
+
+
+def test_every_hint_is_made_in_one_place():
+    """But for one in a file that recorded rows stand on, see `fingerprints.ROOMS`."""
+    files = (p for room in ("auv_gym", "baselines") for p in (package.ROOT / room).rglob("*.py"))
+    saying = {p.name for p in files if "pip install" in p.read_text(encoding="utf-8")}
+    assert saying == {"installation.py", "casadi_solver.py"}
 
 
 def test_another_package_called_baselines_is_named(tmp_path):

@@ -1,4 +1,4 @@
-"""Moving pictures of policies side by side: `python -m baselines.film`."""
+"""Moving pictures of policies side by side: `auv-gym film --help`."""
 
 from __future__ import annotations
 

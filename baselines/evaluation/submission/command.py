@@ -1,4 +1,4 @@
-"""The command of submissions: verify one, enter it, write the leaderboard's page."""
+"""Verify a submission, enter it, write the page of the leaderboard: `auv-gym submit --help`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from baselines.evaluation.submission.reproduction import (
     smallest_caught,
 )
 from baselines.evaluation.submission.scores import entries, yardsticks
-from baselines.tools.command_line import DONE, FAILED, UsageError, parse
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
 from baselines.tools.files import write_atomically
 from baselines.tools.workers import DEFAULT_JOBS, Workers
 
@@ -97,7 +97,7 @@ def main(arguments: Sequence[str]) -> int:
     try:
         return actions[options.action](options)
     except ValueError as error:
-        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        print(f"{called(PROGRAM)}: {error}", file=sys.stderr)
         return FAILED
 
 
