@@ -29,7 +29,7 @@ PAGE = """# {name}
 {case}
 
 ```python
-env = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="{name}")
+env = gym.make("auv_gym:UnderactuatedAUVTrack-{name}-v0")
 ```
 
 ```{{film}} {name}
