@@ -1,0 +1,8 @@
+"""Run as `python -m baselines.live`."""
+
+import sys
+
+from baselines.live.command import PROGRAM, main
+from baselines.tools.command_line import run
+
+sys.exit(run(main, PROGRAM))
