@@ -36,6 +36,8 @@ VERBS = {
     "silence": Verb("baselines.evaluation.silence", "eval"),
     "results": Verb("baselines.evaluation.results.command", "eval"),
     "film": Verb("baselines.film.command", "eval"),
+    "export": Verb("baselines.export.command", "eval"),
+    "live": Verb("baselines.live.command", "eval"),
     "bench": Verb("baselines.benchmarks.command", "train"),
 }
 """The commands by name; a new one is a line here."""

@@ -1,6 +1,7 @@
 """The live page in a browser: its numbers are those of Python over whole episodes, its controls do what they say."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -240,6 +241,8 @@ def test_all_files_are_small_and_ask_for_nothing(folder):
     files = {file.name: file.stat().st_size for file in folder.iterdir()}
     assert set(files) == {"index.html", "live.css", "equations.js", "data.js", "engine.js", "drawing.js", "page.js"}
     assert sum(files.values()) < LARGEST
+    page = Path(__file__).parents[1] / "docs" / "live.md"
+    assert f"{sum(files.values()) / 1e6:.1f} MB in all" in page.read_text(encoding="utf-8")
     assert "http" not in (folder / "index.html").read_text(encoding="utf-8")
     assert json.loads(links().removeprefix("window.LINKS = ").rstrip(";\n")).keys() <= {"Source", "Documentation"}
 

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from auv_gym.installation import install
 from baselines.export.c_header import PREFIX, c_header
 from baselines.export.parts import Exported, exported
 from baselines.tools.command_line import DONE, UsageError, parse
@@ -76,5 +77,5 @@ def _made(agent: Exported, kind: str, options: Options) -> bytes:
 
         model: bytes = onnx_model(agent, options.precision).SerializeToString()
     except ImportError:
-        raise UsageError("ONNX needs its library: pip install 'auv-gym[export]', or choose --format c") from None
+        raise UsageError(f"ONNX needs its library: {install('export')}, or choose --format c") from None
     return model

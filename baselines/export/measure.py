@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tyro.conf import Positional, arg
 
+from auv_gym.installation import install
 from auv_gym.policy import Policy
 from auv_gym.presets import PRESETS
 from baselines.agents.names import shipped_agents
@@ -194,7 +195,7 @@ def main(arguments: Sequence[str]) -> int:
         try:
             found.append(measured(name, options.episodes))
         except ImportError:
-            raise UsageError("what is measured needs the libraries: pip install 'auv-gym[export]'") from None
+            raise UsageError(f"what is measured needs its libraries: {install('export')}") from None
         last = found[-1]
         lost = f"{fixed(last.lost32[0], 6)} ({fixed_ends(last.lost32[1:], 6)})"
         print(f"{name}: {last.c_us:.1f} us, {last.instructions:,.0f} instructions, score lost {lost}", flush=True)

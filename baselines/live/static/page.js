@@ -142,7 +142,7 @@ const PAGE = (() => {
     parts.mean.textContent = on && squares.length ? `${metres(mean)} over ${WINDOW} s` : "";
     DRAWING.commands(parts.bars, on ? vehicle.action : [0, 0], on ? controller.base : null, KINDS[name].colour);
     const z = controller.estimate, a = controller.correction;
-    parts.note.textContent = !on ? "" : z ? `load ${z[e.X].toFixed(0)}, ${z[e.Y].toFixed(0)} N; lag ${z[e.lag].toFixed(2)} s`
+    parts.note.textContent = !on ? "" : z ? `load ${z[e.X].toFixed(0)}, ${z[e.Y].toFixed(0)} N, lag ${z[e.lag].toFixed(1)} s`
       : a ? `adds ${percent(a[0] * controller.authority[0])}, ${percent(a[1] * controller.authority[1])}` : "";
   }
 
