@@ -165,9 +165,9 @@ class Tape:
         if episode.outages:
             self._fixes[lane] = _fixes(episode.outages, scenario.control_dt, len(table))
         self._gust[:, lane] = 0.0
-        weather = _weather(episode.current, scenario.control_dt, table, Errors(*noise), Errors(*episode.bias))
+        weather = weather_of(episode.current, scenario.control_dt, table, Errors(*noise), Errors(*episode.bias))
         self._weather[:, lane] = leaves(weather)
-        components = _components(episode.waves, scenario.control_dt)
+        components = wave_components(episode.waves, scenario.control_dt)
         if (more := len(components) - len(self._waves)) > 0:
             self._waves = np.pad(self._waves, ((0, more), (0, 0)))  # what is not used has no amplitude
         self._waves[:, lane] = 0.0
@@ -242,8 +242,16 @@ def _fixes(outages: Sequence[tuple[float, float]], dt: float, instants: int) -> 
     return fixes
 
 
-def _weather(current: Current, dt: float, table: Array, noise: Errors, bias: Errors) -> Weather:
-    """Return the constants of an episode's tape; the cap is a share of the least speed in its reference table."""
+def weather_of(current: Current, dt: float, table: Array, noise: Errors, bias: Errors) -> Weather:
+    """Return the constants of an episode's tape.
+
+    Args:
+        current: of the episode.
+        dt: control period [s].
+        table: of its reference, shape (T, 8), whose least speed the cap is a share of.
+        noise: standard deviations of the measurements.
+        bias: of the measurements.
+    """
     a = math.exp(-dt / current.gust_time)
     b = math.exp(-dt / current.smoothing) if current.smoothing > 0 else 0.0
     cap = current.cap
@@ -254,8 +262,8 @@ def _weather(current: Current, dt: float, table: Array, noise: Errors, bias: Err
     return Weather(current.V_x, current.V_y, turn, current.gust, cap, a, math.sqrt(1 - a * a), b, noise, bias)
 
 
-def _components(waves: Waves | None, dt: float) -> Array:
-    """Return the `WAVE_ROWS` numbers of each component in a row."""
+def wave_components(waves: Waves | None, dt: float) -> Array:
+    """Return the `WAVE_ROWS` numbers of each component in a row, for a control period dt [s]; none without waves."""
     if waves is None:
         return np.zeros(0)
     amplitudes = math.sqrt(2 / len(waves.frequencies)) * np.array([[waves.surge], [waves.sway], [waves.yaw]])

@@ -39,6 +39,7 @@ VERBS = {
     "film": Verb("baselines.film.command", "eval,render"),
     "datasets": Verb("baselines.datasets", "data,eval"),
     "export": Verb("baselines.export.command", "export"),
+    "live": Verb("baselines.live.command", "eval"),
     "bench": Verb("baselines.benchmarks.command", "train"),
 }
 """The commands by name; a new one is a line here."""

@@ -5,4 +5,5 @@ import sys
 from baselines.export.command import PROGRAM, main
 from baselines.tools.command_line import run
 
-sys.exit(run(main, PROGRAM))
+if __name__ == "__main__":
+    sys.exit(run(main, PROGRAM))

@@ -1,0 +1,172 @@
+"use strict";
+// What runs the printed equations: a sea that is the same for all, and vehicles with a controller each.
+const ENGINE = (() => {
+  const { sizes, at, measured: [FIRST_MEASURED, END_MEASURED] } = DATA;
+  const zeros = (n) => new Float64Array(n);
+  const AUTHORITY = zeros(2);
+
+  function numbers(text, Kind) {
+    const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+    return new Kind(bytes.buffer);
+  }
+
+  // Standard normal numbers from a seed: Jenkins' small fast generator and the polar method of Marsaglia.
+  function normals(seed) {
+    let [a, b, c, d] = [0xf1ea5eed, seed, seed, seed];
+    function uniform() {
+      const e = (a - ((b << 27) | (b >>> 5))) | 0;
+      a = b ^ ((c << 17) | (c >>> 15));
+      b = (c + d) | 0;
+      c = (d + e) | 0;
+      d = (e + a) | 0;
+      return (d >>> 0) / 4294967296;
+    }
+    for (let i = 0; i < 20; i++) uniform();
+    return function normal() {
+      for (;;) {
+        const x = 2 * uniform() - 1, y = 2 * uniform() - 1, s = x * x + y * y;
+        if (s > 0 && s < 1) return x * Math.sqrt((-2 * Math.log(s)) / s);
+      }
+    };
+  }
+
+  // A path's reference at every control instant, and where it goes on behind the last one.
+  function referenceOf(path) {
+    const rows = numbers(path.table, Float64Array), beyond = numbers(path.beyond, Float64Array);
+    const last = rows.length / 8 - 1;
+    const position = (k, axis) => (k <= last ? rows[8 * k + axis] : beyond[2 * (k - last - 1) + axis]);
+    return {
+      rows, last, position,
+      row: (k) => rows.subarray(8 * Math.min(k, last), 8 * Math.min(k, last) + 8),
+      ways: (k, periods) => Float64Array.from(
+        periods.flatMap((n) => [0, 1].map((axis) => position(k + n, axis) - position(k, axis)))),
+    };
+  }
+
+  // The sea of an episode: a sample for each control instant, as the settings of the moment want it.
+  function seaOf(regime, path, seed, settings) {
+    const own = regime.seeds[seed % regime.seeds.length], normal = normals(seed + 1);
+    const gust = zeros(sizes.gust), noise = zeros(sizes.normals), weather = Float64Array.from(path.weather);
+    const waves = zeros(own.waves.length), sea = zeros(sizes.sample - 8), sample = zeros(sizes.sample);
+    function tune() {
+      const { current, direction, gusts, waves: height, noise: loudness } = settings;
+      weather[at.weather.V_x] = current * regime.speed * Math.cos(direction);
+      weather[at.weather.V_y] = current * regime.speed * Math.sin(direction);
+      weather[at.weather.sigma] = gusts * regime.speed;
+      for (let i = 0; i < 6; i++) weather[at.weather.noise + i] = path.weather[at.weather.noise + i] * loudness;
+      for (let i = 0; i < waves.length; i++) waves[i] = own.waves[i] * (i % sizes.waveRows ? height : 1);
+    }
+    return {
+      sample,
+      next(row) {
+        tune();
+        for (let i = 0; i < noise.length; i++) noise[i] = normal();
+        EQUATIONS.sea(gust, noise, weather, waves, sea);
+        sample.set(row);
+        sample.set(sea, 8);
+        return sample;
+      },
+    };
+  }
+
+  const CONTROLLERS = {
+    openLoop: () => ({ act(seen, action) { EQUATIONS.openLoop(seen, action); } }),
+    backstepping: () => ({ act(seen, action) { EQUATIONS.backstepping(seen, action); } }),
+    ekf: ekfController,
+    apg: (name, regime) => agentController(`apg ${regime}`),
+    apgPreview: (name, regime) => agentController(`apg-preview ${regime}`),
+  };
+
+  function ekfController(name, regime) {
+    const { filter, law, memory, state, plan } = DATA.regimes[regime].ekf;
+    const belief = Float64Array.from(memory), planned = zeros(plan), terms = zeros(sizes.seen), force = zeros(2);
+    const known = [Float64Array.from(filter), Float64Array.from(law)];
+    const estimate = belief.subarray(state, state + Object.keys(at.estimate).length);
+    return {
+      estimate,
+      act(seen, action) {
+        EQUATIONS.decoded(seen, terms);
+        EQUATIONS.filter(terms, known[0], belief, belief);
+        EQUATIONS.ekfLaw(terms, known[1], estimate, planned, force);
+        EQUATIONS.forcesToAction(terms, force, action);
+      },
+    };
+  }
+
+  const networks = {};
+  function networkOf(name) {
+    if (!networks[name]) {
+      const { shape, weights } = DATA.agents[name];
+      const arrays = Object.entries(weights).map(([key, text]) => [key, numbers(text, Float32Array)]);
+      networks[name] = EQUATIONS[`network_${shape}`](Object.fromEntries(arrays));
+    }
+    return networks[name];
+  }
+
+  function agentController(name) {
+    const agent = DATA.agents[name], { shape, preview } = agent, network = networkOf(name);
+    const see = EQUATIONS[`see_${shape}`], look = EQUATIONS[`preview_${shape}`];
+    const features = zeros(agent.features), base = zeros(2), integrals = zeros(agent.integrals);
+    const correction = zeros(2), hidden = zeros(agent.hidden), next = zeros(agent.hidden);
+    const authority = Float64Array.from(agent.authority), columns = zeros(2 * preview.length);
+    return {
+      base, correction, authority, preview,
+      act(seen, action, ways) {
+        if (preview.length) {
+          look(seen, ways, columns);
+          see(seen, columns, correction, integrals, features, base);
+        } else {
+          see(seen, correction, integrals, features, base);
+        }
+        network(features, hidden, correction, next);
+        hidden.set(next);
+        EQUATIONS.command(base, authority, correction, action);
+      },
+    };
+  }
+
+  // A vehicle in the water: its state, what it observes, and who steers it.
+  function vehicleOf(name, regime, parameters) {
+    const controller = CONTROLLERS[name](name, regime), state = zeros(sizes.state);
+    const sides = [0, 1].map(() => ({ plant: zeros(sizes.plant), seen: zeros(sizes.seen) }));
+    const outcome = zeros(sizes.outcome), action = zeros(2);
+    return {
+      name, controller, action, outcome,
+      get plant() { return sides[0].plant; },
+      get before() { return sides[1].plant; },
+      begin(values, sample) {
+        state.set(values);
+        EQUATIONS.start(state, sample, parameters, sides[0].plant, sides[0].seen);
+        sides[1].plant.set(sides[0].plant);
+      },
+      step(sample, reference, k) {
+        const [now, then] = sides;
+        const ways = controller.preview && controller.preview.length ? reference.ways(k, controller.preview) : null;
+        controller.act(now.seen, action, ways);
+        EQUATIONS.step(now.plant, now.seen, action, AUTHORITY, sample, parameters, then.plant, then.seen, outcome);
+        sides.reverse();
+      },
+    };
+  }
+
+  // Where an episode of a seed begins, relative to the first row of its reference.
+  function beginning(seed, row) {
+    const [x, y, psi, surge] = seed.start;
+    return [row[0] + x, row[1] + y, row[2] + psi, surge * row[3], 0, 0];
+  }
+
+  // Runs a controller through given samples, as tests do: commands and errors of every step.
+  function replay(name, regime, family, samples, parameters, state) {
+    const reference = referenceOf(DATA.regimes[regime].paths[family]);
+    const vehicle = vehicleOf(name, regime, Float64Array.from(parameters));
+    const found = [];
+    vehicle.begin(state, Float64Array.from(samples[0]));
+    for (let k = 0; k + 1 < samples.length; k++) {
+      vehicle.step(Float64Array.from(samples[k + 1]), reference, k);
+      found.push([...vehicle.action, ...vehicle.plant.subarray(0, 8), vehicle.outcome[2]]);
+    }
+    return found;
+  }
+
+  return { referenceOf, seaOf, vehicleOf, beginning, replay, zeros };
+})();

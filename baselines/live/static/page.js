@@ -1,0 +1,291 @@
+"use strict";
+// The page: what is chosen, the clock, dragging, and what is shown of it.
+const PAGE = (() => {
+  const $ = (id) => document.getElementById(id);
+  const KINDS = {
+    backstepping: { title: "Expert", text: "A backstepping law of 2005. Knows no sea.", colour: "#e08a1e" },
+    ekf: { title: "Expert + Kalman filter", text: "Estimates current, waves and lag, then plans for them.", colour: "#1fa37a" },
+    apg: { title: "Trained agent", text: "A network corrects the expert.", colour: "#d6458b" },
+    apgPreview: { title: "Agent that looks ahead", text: "Also sees the next seconds of the path.", colour: "#7a6cf0" },
+    openLoop: { title: "No feedback", text: "The planned forces, whatever happens.", colour: "#8796a5" },
+  };
+  const CASES = {
+    calm: "Calm", noise: "Noisy sensors", current: "Current", "gauss-markov": "Gusts", waves: "Waves",
+    mismatch: "Wrong model", actuator: "Slow actuators", storm: "Storm",
+  };
+  const REGIMES = { cruise: "Cruise, 1 m/s", slow: "Slow, 0.2 m/s" };
+  const SLIDERS = [
+    ["current", "Current", 0, 0.6, 0.01, (v, r) => `${(v * r.speed).toFixed(2)} m/s`],
+    ["direction", "flowing towards", 0, 6.28, 0.02, (v) => `${Math.round((v * 180) / Math.PI)}\u00b0`],
+    ["gusts", "Gusts", 0, 0.3, 0.01, (v, r) => `${(v * r.speed).toFixed(2)} m/s`],
+    ["waves", "Waves", 0, 2, 0.05, (v) => `${Math.round(100 * v)} %`],
+    ["noise", "Sensor noise", 0, 3, 0.05, (v) => `${Math.round(100 * v)} %`],
+  ];
+  const TOGGLES = [["mismatch", "Differs from the model (mass, drag)"], ["actuator", "Slow and weak actuators"]];
+  const SPEEDS = [1, 2, 4, 8];
+  const WINDOW = 10, TRAIL = 400, REST = 2.5, LENGTH = { cruise: 1.5, slow: 0.6 };
+
+  const chosen = { regime: "cruise", family: "figure_eight", seed: 0, preset: "storm", speed: 2, mismatch: false, actuator: false, on: new Set(["backstepping", "ekf", "apg"]) };
+  const settings = { current: 0, direction: 0, gusts: 0, waves: 0, noise: 0 };
+  const stats = { frames: 0, milliseconds: 0, slowest: 0 };
+  let run = null, playing = true, held = null, since = null, touched = false;
+  const view = { x: 0, y: 0, scale: 20, w: 1, h: 1 };
+
+  const regime = () => DATA.regimes[chosen.regime];
+  const own = () => regime().seeds[chosen.seed % regime().seeds.length];
+  const circumstances = () => (chosen.mismatch ? (chosen.actuator ? "both" : "mismatch") : chosen.actuator ? "actuator" : "plain");
+
+  function begin() {
+    const r = regime(), path = r.paths[chosen.family], reference = ENGINE.referenceOf(path);
+    const sea = ENGINE.seaOf(r, path, chosen.seed, settings), first = Float64Array.from(sea.next(reference.row(0)));
+    const parameters = Float64Array.from(own().vehicles[circumstances()]);
+    const vehicles = Object.keys(KINDS).map((name) => {
+      const vehicle = ENGINE.vehicleOf(name, chosen.regime, parameters);
+      vehicle.begin(ENGINE.beginning(own(), reference.row(0)), first);
+      return { name, vehicle, trail: [], points: [[0, distance(vehicle, reference.row(0))]], squares: [] };
+    });
+    run = { reference, sea, vehicles, k: 0, due: 0, marks: [], over: 0 };
+    held = null;
+  }
+
+  function distance(vehicle, row) {
+    return Math.hypot(vehicle.plant[0] - row[0], vehicle.plant[1] - row[1]);
+  }
+
+  function step() {
+    const row = run.reference.row(run.k + 1), sample = run.sea.next(row), t = (run.k + 1) * regime().dt;
+    for (const each of run.vehicles) {
+      each.vehicle.step(sample, run.reference, run.k);
+      if (held) pin(each.vehicle);
+      const error = distance(each.vehicle, row);
+      each.points.push([t, error]);
+      each.squares.push(error * error);
+      if (each.squares.length > WINDOW / regime().dt) each.squares.shift();
+      each.trail.push(held ? null : [each.vehicle.plant[0], each.vehicle.plant[1]]);
+      if (each.trail.length > TRAIL) each.trail.shift();
+    }
+    if (held) run.marks[run.marks.length - 1][1] = t;
+    run.k += 1;
+  }
+
+  // A hand holds the vehicles: they are where it is, and at rest.
+  function pin(vehicle) {
+    for (const plant of [vehicle.plant, vehicle.before]) {
+      plant[DATA.at.plant.x] = held.x;
+      plant[DATA.at.plant.y] = held.y;
+      for (const name of ["u", "v", "r"]) plant[DATA.at.plant[name]] = 0;
+    }
+  }
+
+  function advance(seconds) {
+    const dt = regime().dt;
+    if (run.k >= run.reference.last) {
+      run.over += seconds;
+      if (run.over > REST && !held) { chosen.seed += 1; begin(); }
+      return;
+    }
+    run.due += seconds * chosen.speed;
+    for (let n = 0; run.due >= dt && n < 40 && run.k < run.reference.last; n++, run.due -= dt) step();
+    run.due = Math.min(run.due, dt);
+  }
+
+  const mixed = (a, b, share) => a + share * (b - a);
+
+  function scene() {
+    const share = Math.min(run.due / regime().dt, 1), k = run.k;
+    const before = run.reference.row(Math.max(k - 1, 0)), now = run.reference.row(k);
+    const shown = run.vehicles.filter((v) => chosen.on.has(v.name)).map(({ name, vehicle, trail }) => {
+      const [a, b] = [vehicle.before, vehicle.plant];
+      const place = held ? [held.x, held.y] : [mixed(a[0], b[0], share), mixed(a[1], b[1], share)];
+      return { name, colour: KINDS[name].colour, trail, x: place[0], y: place[1], psi: mixed(a[2], b[2], share) };
+    });
+    const s = run.sea.sample, at = DATA.at.sample;
+    return {
+      view, vehicles: shown, path: run.reference, k, time: performance.now() / 1000, speed: regime().speed, waves: settings.waves,
+      length: LENGTH[chosen.regime], current: [s[at.V_x], s[at.V_y]],
+      reference: [0, 1, 2].map((i) => mixed(before[i], now[i], share)),
+    };
+  }
+
+  // The camera stays with the reference and shows who is off, as far as that is sensible.
+  function look(picture, seconds) {
+    const [x, y] = picture.reference, least = chosen.regime === "cruise" ? 11 : 3.2, most = 6 * least;
+    const reach = picture.vehicles.map((v) => Math.max(Math.abs(v.x - x) * (view.h / view.w), Math.abs(v.y - y)));
+    const half = Math.min(Math.max(least, ...reach.map((d) => 1.25 * d + 0.15 * least)), most);
+    const share = held ? 0 : 1 - Math.exp(-seconds / 0.35);
+    if (!view.ready) { Object.assign(view, { x, y, scale: view.h / 2 / half, ready: true }); return; }
+    view.x += share * (x - view.x);
+    view.y += share * (y - view.y);
+    view.scale += share * (view.h / 2 / half - view.scale);
+  }
+
+  function paint() {
+    const picture = scene(), ekf = run.vehicles.find((v) => v.name === "ekf"), e = DATA.at.estimate;
+    DRAWING.sea($("sea"), picture);
+    const z = ekf.vehicle.controller.estimate, belief = chosen.on.has("ekf") ? [z[e.V_x], z[e.V_y]] : null;
+    DRAWING.rose($("rose"), picture.current, belief, 0.6 * regime().speed, KINDS.ekf.colour);
+    $("rosetext").textContent = `current ${Math.hypot(...picture.current).toFixed(2)} m/s` + (belief ? `, the filter believes ${Math.hypot(...belief).toFixed(2)}` : "");
+    const t = Math.min(run.k * regime().dt, DATA.steps * regime().dt);
+    $("clock").textContent = run.over ? `${t.toFixed(0)} s: done, a new sea follows` : `${t.toFixed(1)} s of ${DATA.steps * regime().dt} s, sea ${chosen.seed + 1}`;
+    if (stats.frames % 4) return; // numbers and charts need not follow every frame
+    for (const each of run.vehicles) card(each);
+    const lines = run.vehicles.filter((v) => chosen.on.has(v.name)).map((v) => ({ colour: KINDS[v.name].colour, points: v.points }));
+    DRAWING.errors($("errors"), lines, DATA.steps * regime().dt, run.marks);
+  }
+
+  const metres = (x) => (x < 1 ? `${(100 * x).toFixed(x < 0.1 ? 1 : 0)} cm` : `${x.toFixed(2)} m`);
+
+  function card({ name, vehicle, points, squares }) {
+    const on = chosen.on.has(name), parts = cards[name], { controller } = vehicle, e = DATA.at.estimate;
+    parts.now.textContent = on ? metres(points[points.length - 1][1]) : "off";
+    const mean = Math.sqrt(squares.reduce((a, b) => a + b, 0) / Math.max(squares.length, 1));
+    parts.mean.textContent = on && squares.length ? `${metres(mean)} over ${WINDOW} s` : "";
+    DRAWING.commands(parts.bars, on ? vehicle.action : [0, 0], on ? controller.base : null, KINDS[name].colour);
+    const z = controller.estimate, a = controller.correction;
+    parts.note.textContent = !on ? "" : z ? `load ${z[e.X].toFixed(0)}, ${z[e.Y].toFixed(0)} N, lag ${z[e.lag].toFixed(1)} s`
+      : a ? `adds ${percent(a[0] * controller.authority[0])}, ${percent(a[1] * controller.authority[1])}` : "";
+  }
+
+  const percent = (x) => `${x < 0 ? "\u2212" : "+"}${Math.abs(100 * x).toFixed(0)} %`;
+
+  function frame(now) {
+    const seconds = since === null ? 0 : Math.min((now - since) / 1000, 0.1), start = performance.now();
+    since = now;
+    if (playing) {
+      advance(seconds);
+      DRAWING.drift([run.sea.sample[DATA.at.sample.V_x], run.sea.sample[DATA.at.sample.V_y]], seconds * chosen.speed, view);
+    }
+    look(scene(), seconds);
+    paint();
+    const cost = performance.now() - start;
+    stats.frames += 1;
+    stats.milliseconds += cost;
+    stats.slowest = Math.max(stats.slowest, cost);
+    requestAnimationFrame(frame);
+  }
+
+  function button(parent, text, title, action) {
+    const made = document.createElement("button");
+    made.textContent = text;
+    made.title = title;
+    made.addEventListener("click", action);
+    parent.append(made);
+    return made;
+  }
+
+  // A row of buttons of which one is chosen.
+  function choice(parent, names, current, pick) {
+    const made = Object.entries(names).map(([name, text]) => [name, button(parent, text, "", () => { pick(name); sync(); })]);
+    return () => made.forEach(([name, b]) => b.setAttribute("aria-pressed", String(name === current())));
+  }
+
+  const cards = {}, syncs = [];
+
+  function preset(name) {
+    const { current, gust, waves, noise, mismatch, actuator } = regime().cases[name];
+    Object.assign(settings, { current, gusts: gust, waves, noise, direction: own().direction });
+    Object.assign(chosen, { preset: name, mismatch, actuator });
+    begin();
+  }
+
+  function sync() { syncs.forEach((each) => each()); }
+
+  function build() {
+    for (const [name, kind] of Object.entries(KINDS)) {
+      const b = button($("cards"), "", "Show or hide", () => { toggle(chosen.on, name); sync(); });
+      b.className = "card";
+      b.dataset.controller = name;
+      b.style.setProperty("--own", kind.colour);
+      const add = (tag, cls, text = "") => { const x = document.createElement(tag); x.className = cls; x.textContent = text; b.append(x); return x; };
+      add("b", "", kind.title); add("small", "", kind.text);
+      cards[name] = { now: add("span", "now"), mean: add("span", "mean"), bars: add("canvas", "bars"), note: add("div", "note") };
+      syncs.push(() => b.setAttribute("aria-pressed", String(chosen.on.has(name))));
+    }
+    syncs.push(choice($("cases"), CASES, () => chosen.preset, preset));
+    for (const [key, text, low, high, by, shown] of SLIDERS) slider(key, text, low, high, by, shown);
+    for (const [key, text] of TOGGLES) tick(key, text);
+    const titles = Object.fromEntries(Object.entries(regime().paths).map(([name, p]) => [name, p.title]));
+    syncs.push(choice($("paths"), titles, () => chosen.family, (name) => { chosen.family = name; begin(); }));
+    syncs.push(choice($("regimes"), REGIMES, () => chosen.regime, (name) => { chosen.regime = name; view.ready = false; preset(chosen.preset || "storm"); }));
+    const speeds = Object.fromEntries(SPEEDS.map((s) => [s, `${s}\u00d7`]));
+    syncs.push(choice($("speeds"), speeds, () => String(chosen.speed), (s) => { chosen.speed = Number(s); }));
+    $("play").addEventListener("click", play);
+    $("restart").addEventListener("click", begin);
+    $("reseed").addEventListener("click", reseed);
+    document.addEventListener("keydown", keys);
+    grab($("sea"));
+    for (const [text, address] of Object.entries(window.LINKS || {})) {
+      const a = Object.assign(document.createElement("a"), { href: address, textContent: text });
+      $("links").append(a, " ");
+    }
+  }
+
+  function toggle(set, name) { if (!set.delete(name)) set.add(name); }
+
+  function slider(key, text, low, high, by, shown) {
+    const label = document.createElement("label"), input = document.createElement("input"), output = document.createElement("output");
+    label.className = "slider";
+    Object.assign(input, { type: "range", min: low, max: high, step: by, id: `slider-${key}` });
+    label.append(text, output, input);
+    input.addEventListener("input", () => { settings[key] = Number(input.value); chosen.preset = ""; sync(); });
+    $("sliders").append(label);
+    syncs.push(() => { input.value = settings[key]; output.textContent = shown(settings[key], regime()); });
+  }
+
+  function tick(key, text) {
+    const label = document.createElement("label"), input = document.createElement("input");
+    label.className = "tick";
+    Object.assign(input, { type: "checkbox", id: `toggle-${key}` });
+    label.append(input, text);
+    input.addEventListener("change", () => { chosen[key] = input.checked; chosen.preset = ""; begin(); sync(); });
+    $("toggles").append(label);
+    syncs.push(() => { input.checked = chosen[key]; });
+  }
+
+  function play() {
+    playing = !playing;
+    $("play").textContent = playing ? "\u275a\u275a" : "\u25b6";
+    $("play").setAttribute("aria-label", playing ? "Pause" : "Go on");
+  }
+
+  function reseed() {
+    chosen.seed += 1;
+    settings.direction = own().direction;
+    begin();
+    sync();
+  }
+
+  function keys(event) {
+    const action = { " ": play, r: begin, n: reseed }[event.key.toLowerCase()];
+    if (action && !event.ctrlKey && !event.metaKey && !/^(INPUT|BUTTON)$/.test(event.target.tagName)) {
+      action();
+      event.preventDefault();
+    }
+  }
+
+  function grab(canvas) {
+    const place = (event) => {
+      const box = canvas.getBoundingClientRect();
+      return { x: view.x + (event.clientX - box.left - box.width / 2) / view.scale, y: view.y - (event.clientY - box.top - box.height / 2) / view.scale };
+    };
+    const move = (event) => { if (held) { held = place(event); run.vehicles.forEach((v) => pin(v.vehicle)); } };
+    const release = () => { held = null; canvas.classList.remove("held"); };
+    canvas.addEventListener("pointerdown", (event) => {
+      canvas.setPointerCapture(event.pointerId);
+      held = place(event);
+      canvas.classList.add("held");
+      run.marks.push([run.k * regime().dt, run.k * regime().dt]);
+      move(event);
+      if (!touched) { touched = true; $("hint").classList.add("gone"); }
+    });
+    canvas.addEventListener("pointermove", move);
+    canvas.addEventListener("pointerup", release);
+    canvas.addEventListener("pointercancel", release);
+  }
+
+  build();
+  preset(chosen.preset);
+  sync();
+  requestAnimationFrame(frame);
+  return { stats, chosen, settings, get run() { return run; }, get playing() { return playing; }, view };
+})();
