@@ -49,7 +49,8 @@ def test_a_cluster_that_loses_a_task_for_good_is_one_line(ray, monkeypatch, tmp_
     common = ["--scenario", "slow-calm", "cruise-calm", "slow-noise", "--policy", "open-loop", "--episodes", "1"]
     monkeypatch.setattr(sys, "argv", ["evaluate.py", *common, "--cluster", "local", "--out", str(tmp_path)])
     assert run(evaluate.main, "evaluate.py") == 1
-    assert capsys.readouterr().err.splitlines()[-1].startswith("evaluate.py: the Ray cluster failed, with 4 tasks left")
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("evaluate.py:")]
+    assert lines == ["evaluate.py: the Ray cluster failed, with 4 tasks left: RuntimeError: the node died"]
 
 
 @contextmanager

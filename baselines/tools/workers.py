@@ -176,8 +176,9 @@ def _reach(address: str) -> None:
         with socket.create_connection((url.hostname, url.port), PATIENCE) as connection:
             if os.environ.get("RAY_USE_TLS", "0") == "0":
                 connection.sendall(GREETING)
-                if connection.recv(len(SETTINGS), socket.MSG_WAITALL)[3:4] != SETTINGS[3:4]:
-                    raise ValueError("what answers there is no Ray cluster")
+                with connection.makefile("rb") as answer:
+                    if answer.read(4)[3:] != SETTINGS[3:4]:
+                        raise ValueError("what answers there is no Ray cluster")
     except TimeoutError as error:
         raise ClusterError(f"cannot reach the Ray cluster {address}: no answer within {PATIENCE:g} s") from error
     except (OSError, ValueError) as error:
