@@ -207,7 +207,10 @@ def test_the_picture_of_the_readme_is_what_its_caption_says():
         r"\*The same storm.*?\*\n", (ROOT / "docs" / "videos.md").read_text(encoding="utf-8"), re.DOTALL
     )[0]
     caption = " ".join(caption.split())
-    tails = {run.policy: run.measures.tail for run in run_all(TRIO, (drawn(PRESETS["cruise-storm"], 20, 0),), Workers(), math.inf)}
+    tails = {
+        run.policy: run.measures.tail
+        for run in run_all(TRIO, (drawn(PRESETS["cruise-storm"], 20, 0),), Workers(), math.inf)
+    }
     for tail in tails.values():
         assert f"{tail.mean():.3f} m" in caption
     assert f"seed {typical(tails)}" in caption
