@@ -1,5 +1,6 @@
 """Films: what they show against the environment and by pixels, which storm is the typical one, files and words."""
 
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from baselines.film.film import film, label_of
 from baselines.film.layout import HULLS
 from baselines.film.pairs import leads, typical
 from baselines.tools.command_line import UsageError
+from baselines.tools.workers import Workers
 
 pytest.importorskip("pygame")
 
@@ -205,7 +207,10 @@ def test_the_picture_of_the_readme_is_what_its_caption_says():
         r"\*The same storm.*?\*\n", (ROOT / "docs" / "videos.md").read_text(encoding="utf-8"), re.DOTALL
     )[0]
     caption = " ".join(caption.split())
-    tails = {run.policy: run.measures.tail for run in run_all(TRIO, (drawn(PRESETS["cruise-storm"], 20, 0),))}
+    tails = {
+        run.policy: run.measures.tail
+        for run in run_all(TRIO, (drawn(PRESETS["cruise-storm"], 20, 0),), Workers(), math.inf)
+    }
     for tail in tails.values():
         assert f"{tail.mean():.3f} m" in caption
     assert f"seed {typical(tails)}" in caption

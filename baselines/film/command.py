@@ -132,7 +132,7 @@ def _typical(policies: Sequence[str], scenario: Scenario, options: Options, work
     """
     cell = drawn(scenario, options.episodes or 1, options.seed)
     tails = {}
-    for run in run_all(policies, (cell,), workers):
+    for run in run_all(policies, (cell,), workers, math.inf):
         if run.measures is None:
             raise PolicyError(f"{run.policy} in {scenario.name}: {run.error}")
         tails[run.policy] = run.measures.tail
