@@ -7,6 +7,7 @@ Matrices are not unrolled: the program stays short, and the weights stay data.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -71,19 +72,31 @@ class Program:
 
 
 class Vector(NDArrayOperatorsMixin):
-    """A column of numbers that NumPy's functions take and that records what they do with it."""
+    """A column of numbers that NumPy's functions take and that records what they do with it.
+
+    What is changed in place through a part of a column may not be read through the whole of it any more, since a part
+    is recorded as a vector of its own.
+    """
 
     def __init__(self, program: Program, index: int, names: Mapping[int, str]) -> None:
         """Stand for a node; `names` are the constants' by the identity of their arrays."""
         self.program, self.index, self.names = program, index, names
+        self._whole: tuple[Vector, int, int] | None = None  # what it is a part of, from where to where
+        self._changed: list[tuple[int, int]] = []  # parts that were changed in place
 
     def _recorded(self, operation: str, arguments: tuple[Any, ...], size: int) -> Vector:
         return Vector(self.program, self.program.node(operation, arguments, size), self.names)
 
     def _argument(self, value: Any) -> Any:
         if isinstance(value, Vector):
-            return value.index
+            return value._read(0, math.inf)
         return self.names[id(value)] if isinstance(value, np.ndarray) else float(value)
+
+    def _read(self, first: float, end: float) -> int:
+        """Return the node for somebody who reads entries from `first` to `end`."""
+        if any(first < b and a < end for a, b in self._changed):
+            raise ValueError("a vector is read whose part was changed in place: read the part, or change the whole")
+        return self.index
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, out: tuple[Vector, ...] = ()) -> Any:
         if method != "__call__" or ufunc.__name__ not in ELEMENTWISE:
@@ -92,20 +105,26 @@ class Vector(NDArrayOperatorsMixin):
         result = self._recorded(ufunc.__name__, tuple(map(self._argument, inputs)), size)
         if not out:
             return result
-        out[0].index = result.index  # what was there before is not read again
-        return out[0]
+        target = out[0]
+        target.index = result.index  # what was there before is not read again
+        if target._whole is not None:
+            whole, first, end = target._whole
+            whole._changed.append((first, end))
+        return target
 
     def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Vector:
         if function is np.dot:
             matrix, vector = arguments
-            return self._recorded("dot", (self.names[id(matrix)], vector.index), len(matrix))
+            return self._recorded("dot", (self.names[id(matrix)], self._argument(vector)), len(matrix))
         if function is np.clip:
             return self._recorded("clip", tuple(map(self._argument, arguments)), self.program.nodes[self.index].size)
         raise TypeError(f"{function.__name__} of a vector is not recorded, only dot and clip")
 
     def __getitem__(self, rows: slice) -> Vector:
         first, end, _ = rows.indices(self.program.nodes[self.index].size)
-        return self._recorded("slice", (self.index, first), end - first)
+        part = self._recorded("slice", (self._read(first, end), first), end - first)
+        part._whole = self, first, end
+        return part
 
 
 def plain_program(name: str, program: Program, tangent: str, dialect: Dialect, scales: Mapping[str, str]) -> str:
