@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from auv_gym.installation import install
 from auv_gym.policy import Policy
 from auv_gym.scenario import as_vehicle
 from baselines.agents.agent import Agent
@@ -65,7 +66,7 @@ def _onnx(file: Path) -> Policy:
     try:
         return OnnxModel(file)
     except ImportError as error:
-        raise ValueError(f"{file} needs ONNX Runtime: pip install onnxruntime") from error
+        raise ValueError(f"{file} needs ONNX Runtime: {install('export')}") from error
 
 
 def _agent(folder: Path, vehicle: Any, fade: bool = False) -> Policy:
