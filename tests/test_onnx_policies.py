@@ -13,6 +13,8 @@ from baselines.agents import loading, onnx_models
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
+from baselines.export.onnx_model import onnx_model
+from baselines.export.parts import exported
 
 REASON = "onnx and onnxruntime are not installed"
 try:
@@ -91,6 +93,17 @@ def test_it_sees_ahead(told):
     assert np.isfinite(rollout(policy, scenario, drawn(scenario, 2, 0).episodes).measures.tail).all()
 
 
+@pytest.mark.parametrize("name", ["apg-preview-cruise", "ppo-slow"])
+def test_an_exported_agent_is_the_agent(name):
+    onnx.save(onnx_model(exported(name)), "agent.onnx")
+    agent, policy = make_policy(name), make_policy("agent.onnx")
+    assert policy.preview == agent.preview
+    scenario = PRESETS["cruise-storm" if name.endswith("cruise") else "slow-storm"]
+    cell = drawn(scenario, 2, 0)
+    expected, found = (rollout(p, scenario, cell.episodes).measures.tail for p in (agent, policy))
+    np.testing.assert_allclose(found, expected, rtol=1e-3)
+
+
 def test_its_fingerprint_is_the_file():
     before = fingerprint(model())
     assert len(before) == 64
@@ -127,7 +140,7 @@ def test_damaged_and_missing_files_are_named(monkeypatch):
         raise ImportError
 
     monkeypatch.setattr(loading, "OnnxModel", absent)
-    with pytest.raises(ValueError, match="needs ONNX Runtime: pip install onnxruntime"):
+    with pytest.raises(ValueError, match=r"needs ONNX Runtime: pip install .*\[export\]"):
         make_policy("model.onnx")
 
 

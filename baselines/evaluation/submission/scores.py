@@ -25,7 +25,7 @@ def yardsticks(suite: Suite) -> tuple[Run, ...]:
     found = recorded.load(suite)
     for policy in (EXPERT, ORACLE):
         if all(run.policy != policy for run in found.runs):
-            reason = found.refused.get(policy, "there are none")
+            reason = recorded.missing(suite.name) or found.refused.get(policy, "there are none")
             raise ValueError(
                 f"the recorded rows of {policy} in {suite.name}, which scores need, do not count: {reason}"
             )
