@@ -251,7 +251,7 @@ def test_none_is_left_where_evaluate_is_ended(tmp_path):
     run = [*command, "--episodes", "500", "--jobs", "2", "--out", str(tmp_path / "out")]
     process = subprocess.Popen(run, env=environment, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
     try:
-        for _ in range(600):  # the first one is the rehearsal's
+        for _ in range(3000):  # the first one is the rehearsal's
             if len(list(tmp_path.glob("pid*"))) >= 3 or process.poll() is not None:
                 break
             time.sleep(0.05)

@@ -9,13 +9,10 @@ from typing import Any
 
 from baselines.evaluation.report.columns import COLUMNS, record
 from baselines.evaluation.report.numbers import Entry
-from baselines.evaluation.results.page import table
 from baselines.evaluation.submission.board import Board
 from baselines.evaluation.submission.files import Submission
 from baselines.tools.files import json_text
 
-SHOWN = ("score.mean", "score.ci95", "tail_rmse_m.mean", "lost", "effort_ratio", "smoothness_ratio", "decision_ms")
-"""Columns of the page, by their key."""
 PROGRAM = "python -m baselines.evaluation.submission"
 TEXT = f"""# Leaderboard
 
@@ -23,13 +20,18 @@ TEXT = f"""# Leaderboard
 
 What anybody has entered, suite by suite and regime by regime, the best first. The score is 0 for the expert and 1 for
 the oracle, with its 95 % interval over paired episodes; *lost* are episodes that ended too far off or whose tail is the
-cap and more, with the largest share that this can mean; *effort* and *rate* are relative to the expert's; *ms* is the
-time per decision on the submitter's machine, with many vehicles side by side, and *training* what the submitter says
-that it cost. *Verified* entries were run again by the project, as many of their episodes as are named, drawn at random
-behind the submitter's back; of the others only the file was checked. [Evaluation](metrics.md) has the definitions,
-[leaderboard.json](leaderboard.json) the same as a table, and [Enter](enter.md) says how to get here.
+cap and more, with the largest share that this can mean; *effort* and *rate* of the command are relative to the
+expert's; *ms* is the time per decision on the submitter's machine, with many vehicles side by side; *training* is what
+the submitter says that it cost. *Verified* entries were run again by the project, as many of their episodes as are
+named, drawn at random behind the submitter's back; of the others only the file was checked. [Evaluation](metrics.md)
+has the definitions, [leaderboard.json](leaderboard.json) the same as a table, and [Enter](enter.md) says how to get
+here.
 """
 NONE = "-"  # where nothing is said
+NBSP = "\N{NO-BREAK SPACE}"  # within a line of a cell
+BREAK = "<br>"  # between the lines of a cell
+HEADINGS = ["", "entry<br>by", "score<br>95 %", "tail [m]", "lost", "effort<br>rate", "ms", "training", "verified"]
+"""Of the page's tables."""
 
 
 def page(boards: Sequence[Board]) -> str:
@@ -49,26 +51,23 @@ def page(boards: Sequence[Board]) -> str:
 
 
 def _table(board: Board, entries: Sequence[Entry]) -> str:
-    columns = [column for column in COLUMNS if column.key in SHOWN]
-    columns.sort(key=lambda column: SHOWN.index(column.key))
-    by_name = {s.name: s for s in board.submissions}
-    headings = ["", "entry", "by", *(column.heading for column in columns), "training", "verified"]
-    rows = []
+    """Return a table of one regime; its cells have two lines, so that it is narrow enough for a page."""
+    by_name, rows = {s.name: s for s in board.submissions}, []
     for rank, entry in enumerate(entries, start=1):
-        about = by_name[entry.policy].about
-        figures = [column.text(entry) for column in columns]
-        verified = verified_text(board, entry.policy)
-        rows.append(
-            [
-                str(rank),
-                f"`{entry.policy}`",
-                plain(about.author) or NONE,
-                *figures,
-                cost_text(by_name[entry.policy]),
-                verified,
-            ]
+        s, text = by_name[entry.policy], {column.key: column.text(entry) for column in COLUMNS}
+        figures = (
+            [text["score.mean"], text["score.ci95"]],
+            [text["tail_rmse_m.mean"]],
+            text["lost"].partition(" (")[::2],
+            [text["effort_ratio"], text["smoothness_ratio"]],
+            [text["decision_ms"]],
+            costs(s),
+            verification(board, s.name),
         )
-    return table(headings, rows)
+        cells = [BREAK.join(line.strip(")").replace(" ", NBSP) for line in lines if line) for lines in figures]
+        rows.append([str(rank), f"`{s.name}`{BREAK}{plain(s.about.author) or NONE}", *cells])
+    lines = [HEADINGS, ["--:", "---", *("--:" for _ in HEADINGS[2:])], *rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
 def _told(s: Submission) -> str:
@@ -81,25 +80,24 @@ def _told(s: Submission) -> str:
     )
 
 
-def verified_text(board: Board, name: str) -> str:
-    """Return what is known of a reproduction of an entry."""
+def verification(board: Board, name: str) -> list[str]:
+    """Return what is known of a reproduction of an entry, in lines."""
     found = board.verified.get(name)
-    return f"{found['episodes']} of {found['of']}, {found['date']}" if found else "no"
+    return [f"{found['episodes']} of {found['of']}", found["date"]] if found else ["no"]
 
 
-def cost_text(s: Submission) -> str:
-    """Return what a training cost, as its submitter says."""
+def costs(s: Submission) -> list[str]:
+    """Return what a training cost, as its submitter says, in lines."""
     steps, seconds = s.about.training_steps, s.about.training_seconds
-    parts = [] if steps is None else [f"{_short(steps)} steps"]
-    if seconds is not None:
-        parts.append(
-            f"{seconds:.0f} s"
-            if seconds < 60
-            else f"{seconds / 60:.0f} min"
-            if seconds < 6000
-            else f"{seconds / 3600:.3g} h"
-        )
-    return ", ".join(parts) or NONE
+    lines = [] if steps is None else [f"{_short(steps)} steps"]
+    return [*lines, *([] if seconds is None else [_time(seconds)])] or [NONE]
+
+
+def _time(seconds: float) -> str:
+    """Return a time with its unit."""
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.3g} h"
 
 
 def _short(count: float) -> str:
