@@ -51,7 +51,8 @@ TRAINING = ("--algo", "ppo", "--seeds", "2", "--timesteps", "5120", "--set", "n_
 @pytest.fixture(scope="module")
 def environment():
     """Return the variables of the commands and of what the cluster starts."""
-    variables = {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0"}
+    slow = {"RAY_agent_register_timeout_ms": "300000", "RAY_raylet_start_wait_time_s": "300"}  # a busy machine is
+    variables = {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0", **slow}
     with pytest.MonkeyPatch.context() as patch:
         for name, value in variables.items():
             patch.setenv(name, value)
@@ -61,7 +62,7 @@ def environment():
 @pytest.fixture
 def cluster(environment):
     """A head without processors and two workers with one each."""
-    started = Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
+    started = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
     try:
         for _ in range(2):
             started.add_node(num_cpus=1)
