@@ -16,8 +16,11 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 @pytest.fixture
 def ray(monkeypatch):
-    """A stand-in for Ray with the calls that are used, its workers threads; `tests/on_cluster.py` has the real one."""
-    module, pool = types.ModuleType("ray"), futures.ThreadPoolExecutor(3)
+    """A stand-in for Ray with the calls that are used; `tests/on_cluster.py` has the real one.
+
+    Its worker is a thread, and one alone, since `warnings.catch_warnings` in several at a time leaves filters behind.
+    """
+    module, pool = types.ModuleType("ray"), futures.ThreadPoolExecutor(1)
     module.addresses, module.locked, module.silent = [], False, 0.0
 
     def init(address, **_):
