@@ -72,7 +72,7 @@ train-all: $(VENV)/train.stamp ## train every agent that ships with the package,
 	$(BIN)/python -m baselines.training.shipped $(ARGS)
 
 docs: $(VENV)/train.stamp $(VENV)/render.stamp $(VENV)/docs.stamp ## build the documentation: build/docs/index.html
-	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs build/docs $(ARGS)
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet --doctree-dir build/doctrees docs build/docs $(ARGS)
 
 package: $(VENV)/dev.stamp ## build wheel and sdist, compare, check and use them in an empty environment: build/package
 	$(BIN)/python tests/package.py $(ARGS)

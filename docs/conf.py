@@ -1,5 +1,8 @@
 """Sphinx: `make docs` builds these pages, with every warning an error."""
 
+import functools
+import importlib
+import inspect
 import re
 import sys
 from pathlib import Path
@@ -12,6 +15,7 @@ from sphinx.application import Sphinx
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE / "_ext")]
 import auv_gym  # noqa: E402
+from auv_gym.scenario import tomllib  # noqa: E402
 
 project = "auv_gym"
 author = project_copyright = "auv_gym contributors"
@@ -25,6 +29,7 @@ extensions = [
     "paper_figures",
     "scenario_pages",
     "sphinx.ext.autodoc",
+    "sphinx.ext.linkcode",
     "sphinx_copybutton",
     "sphinx_design",
 ]
@@ -44,6 +49,21 @@ exclude_patterns = ["_build"]
 suppress_warnings = [
     "ref.python",  # a class of this name is in several modules; the link leads to the first
 ]
+
+
+PROJECT = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+
+def linkcode_resolve(_domain: str, info: dict[str, str]) -> str | None:
+    """Return where the code of a class or function is read; None for fields and constants."""
+    try:
+        value = functools.reduce(getattr, info["fullname"].split("."), importlib.import_module(info["module"]))
+        value = inspect.unwrap(getattr(value, "fget", None) or getattr(value, "func", None) or value)
+        lines, first = inspect.getsourcelines(value)
+        file = Path(inspect.getsourcefile(value) or "").resolve().relative_to(HERE.parent).as_posix()
+    except (AttributeError, TypeError, OSError, ValueError):
+        return None
+    return f"{PROJECT['urls']['Source']}/blob/main/{file}#L{first}-L{first + len(lines) - 1}"
 
 
 def optional(_app: Sphinx, _name: str, source: list[str]) -> None:

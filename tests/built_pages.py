@@ -2,10 +2,8 @@
 
 from browser import opened
 
-PAGES = (
-    *("index", "theory", "paper", "results", "findings", "metrics", "policies", "speed", "scenarios/cruise-storm"),
-    *("environments/track", "environments/residual", "tutorials/vehicle", "api/auv_gym", "api/auv_gym.vehicle"),
-)
+WIDE = ("index", "theory", "results")
+NARROW = ("index", "theory", "paper", "policies", "scenarios/cruise-storm", "environments/track", "api/auv_gym.vehicle")
 TOO_WIDE = """() => [...document.querySelectorAll("table, pre, .formula, img, dl")].filter(part => {
   const box = part.parentElement, scrolls = getComputedStyle(box).overflowX !== "visible";
   const out = part.getBoundingClientRect().right > innerWidth + 1;
@@ -24,8 +22,8 @@ WIDTH = "() => document.documentElement.scrollWidth - innerWidth"
 
 def check_pages(started, folder):
     """Look at pages as on a desk and on a telephone."""
-    for width, mobile in ((1200, False), (390, True)):
-        for name in PAGES:
+    for width, mobile, names in ((1200, False, WIDE), (390, True, NARROW)):
+        for name in names:
             with opened(started, folder / f"{name}.html", width, mobile=mobile) as page:
                 assert page.evaluate(WIDTH) <= 0, (name, width)
                 assert page.evaluate(TOO_WIDE) == [], (name, width)

@@ -33,6 +33,8 @@ class Markdown(SphinxDirective):
         """Return what MyST makes of the content."""
         document = new_document(self.get_source_info()[0], self.state.document.settings)
         MystParser().parse("\n".join(self.content), document)
+        for node in document.findall():
+            node.document = self.state.document  # else each docstring is kept with a whole document
         return list(document.children)
 
 
