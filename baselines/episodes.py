@@ -122,7 +122,7 @@ def _record(
     return EpisodeRecord(
         scenario=scenario.name,
         seed=seed,
-        times=scenario.control_dt * np.arange(steps + 1),
+        times=np.arange(steps + 1, dtype=np.float64) * scenario.control_dt,
         positions=places[: steps + 1, i, :2],
         references=places[: steps + 1, i, 2:],
         observations=observations[: steps + 1, i],

@@ -108,7 +108,7 @@ def run(name: str, quick: bool) -> dict[str, object]:
     wanted = (*example.packages, "gymnasium")
     versions = subprocess.run([str(python), "-c", VERSIONS, *wanted], capture_output=True, text=True, check=True).stdout
     today = dt.datetime.now(tz=dt.timezone.utc).date().isoformat()
-    return {"title": example.title, "versions": json.loads(versions), "date": today, "works": shown[-1]}
+    return {"title": example.title, "versions": json.loads(versions), "date": today, "quick": quick, "works": shown[-1]}
 
 
 def table(record: dict[str, dict[str, object]]) -> str:
@@ -119,7 +119,8 @@ def table(record: dict[str, dict[str, object]]) -> str:
             versions: object = entry["versions"]
             assert isinstance(versions, dict)
             listed = ", ".join(f"{package} {version}" for package, version in versions.items())
-            rows.append(f"| {entry['title']} | {listed} | {entry['date']} | {entry['works']} | `with_{name}.py` |")
+            works = f"{entry['works']}{' (in the quick form)' if entry['quick'] else ''}"
+            rows.append(f"| {entry['title']} | {listed} | {entry['date']} | {works} | `with_{name}.py` |")
     return "\n".join(rows)
 
 

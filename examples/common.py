@@ -29,6 +29,11 @@ def tail_error(policy: str, scenario: str = "cruise-calm") -> float:
     return error
 
 
+def figure(error: float) -> str:
+    """Return a tail error [m] for the line; what was trained for a moment has none."""
+    return "" if QUICK else f" ({error:.2g} m)"
+
+
 def works(what: str) -> None:
     """Say in one line what has been shown."""
     print(f"works: {what}")

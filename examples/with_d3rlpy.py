@@ -12,7 +12,7 @@ import gymnasium as gym
 import minari
 import numpy as np
 import torch
-from common import IDS, steps, tail_error, works
+from common import IDS, figure, steps, tail_error, works
 from offline_policy import write_policy
 
 if __name__ == "__main__":
@@ -49,4 +49,5 @@ if __name__ == "__main__":
             logger_adapter=d3rlpy.logging.NoopAdapterFactory(),
         )
         assert np.isfinite(online.predict(env.reset(seed=0)[0][None].astype(np.float32))).all()
-    works(f"TD3+BC ({errors[0]:.2g} m) and IQL ({errors[1]:.2g} m in cruise-calm) offline; SAC online on both ids")
+    bc, iql = map(figure, errors)
+    works(f"TD3+BC{bc} and IQL{iql} offline on a dataset of cruise-calm, scored by evaluate.py; SAC online on both ids")

@@ -11,7 +11,7 @@ import gymnasium as gym
 import minari
 import numpy as np
 import torch
-from common import IDS, TRACK, steps, tail_error, works
+from common import IDS, TRACK, figure, steps, tail_error, works
 from minari import DataCollector
 from offline_policy import write_policy
 from torch import nn
@@ -56,10 +56,10 @@ if __name__ == "__main__":
         assert dataset.recover_environment().spec.max_episode_steps == 600
     episodes = str(steps(40, 4))
     words = ("--scenario", "cruise-calm", "--episodes", episodes, "--noise", "0", "0.1", "--out", "datasets")
-    subprocess.run(
-        [sys.executable, "-m", "baselines.datasets", *words, "--id", "auv_gym/clone-v0"], check=True, cwd="."
-    )
+    subprocess.run([sys.executable, "-m", "baselines.datasets", *words, "--id", "auv_gym/clone-v0"], check=True)
     net = cloned(minari.load_dataset("auv_gym/clone-v0"), steps(20_000, 1000))
     example = torch.zeros(1, 18)
     error = tail_error(write_policy(torch.jit.trace(net, example), Path("cloned")))
-    works(f"DataCollector on both ids; python -m baselines.datasets; behaviour cloning, {error:.2g} m in cruise-calm")
+    works(
+        f"DataCollector on both ids; python -m baselines.datasets; a clone of the expert{figure(error)} in cruise-calm"
+    )

@@ -1,6 +1,7 @@
 """skrl: its runner trains PPO on the scalar, the native vector and the torch environments."""
 
 import gymnasium as gym
+import numpy as np
 from common import IDS, steps, works
 from skrl.envs.wrappers.torch import wrap_env
 from skrl.utils.runner.torch import Runner
@@ -34,8 +35,8 @@ if __name__ == "__main__":
     for env_id in IDS:
         vector = {"num_envs": 4, "vectorization_mode": "vector_entry_point"}
         for env in (
-            gym.make(env_id),
-            gym.make_vec(env_id, **vector),
+            gym.wrappers.DtypeObservation(gym.make(env_id), np.float32),  # skrl's networks are of float32
+            gym.wrappers.vector.DtypeObservation(gym.make_vec(env_id, **vector, autoreset_mode="NextStep"), np.float32),
             gym.make_vec(env_id, **vector, backend="torch"),
         ):
             wrapped = wrap_env(env, wrapper="gymnasium")

@@ -6,7 +6,7 @@ from common import IDS, RESIDUAL, TRACK, steps, works
 from tensordict.nn import TensorDictModule
 from tensordict.nn.distributions import NormalParamExtractor
 from torch import nn
-from torchrl.collectors import SyncDataCollector
+from torchrl.collectors import Collector
 from torchrl.envs import GymEnv, GymWrapper, check_env_specs
 from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import ClipPPOLoss
@@ -14,9 +14,9 @@ from torchrl.objectives.value import GAE
 
 
 def vector(env_id: str, **options: object) -> GymWrapper:
-    """Return the native vector environment as TorchRL wants it: it resets what is over by itself."""
+    """Return the native vector environment as TorchRL wants it: who resets what is over is TorchRL."""
     env = gym.make_vec(
-        env_id, num_envs=4, vectorization_mode="vector_entry_point", autoreset_mode="NextStep", **options
+        env_id, num_envs=4, vectorization_mode="vector_entry_point", autoreset_mode="Disabled", **options
     )
     return GymWrapper(env)
 
@@ -38,7 +38,7 @@ def learn(env: GymWrapper, frames: int) -> float:
     loss = ClipPPOLoss(actor, critic)
     advantage = GAE(gamma=0.99, lmbda=0.95, value_network=critic)
     optimizer = torch.optim.Adam(loss.parameters(), 1e-3)
-    collector = SyncDataCollector(env, actor, frames_per_batch=frames, total_frames=frames)
+    collector = Collector(env, actor, frames_per_batch=frames, total_frames=frames)
     for batch in collector:
         advantage(batch)
         terms = loss(batch.reshape(-1))
@@ -66,4 +66,4 @@ if __name__ == "__main__":
         tensors = vector(env_id, backend="torch", dtype="float64")
         batch = tensors.rollout(20, break_when_any_done=False)
         assert torch.isfinite(batch["next", "reward"]).all()
-    works("GymEnv, GymWrapper of the native vector and torch environments (NextStep), collector and PPO; both ids")
+    works("GymEnv; GymWrapper of the native vector and torch environments (autoreset Disabled); PPO; both ids")

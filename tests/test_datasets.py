@@ -69,7 +69,9 @@ def scenario_file(tmp_path):
 def made(folder, scenario_file, capsys, *words):
     arguments = ["--scenario", scenario_file, "--episodes", "3", "--out", str(folder), *words]
     assert main(arguments) == 0
-    return re.search(r"^content (\w{64})$", capsys.readouterr().out, re.MULTILINE)[1]
+    name = capsys.readouterr().out.partition(":")[0]
+    card = (folder / name / "README.md").read_text(encoding="utf-8")
+    return re.search(r"\| `(\w{64})` \|", card)[1]
 
 
 def test_datasets_are_deterministic_and_run_again(tmp_path, scenario_file, monkeypatch, capsys):
