@@ -42,7 +42,9 @@ class Example:
 
 EXAMPLES = {
     "sb3": Example("Stable-Baselines3, sb3-contrib", ("stable-baselines3", "sb3-contrib"), ()),
-    "rl_zoo": Example("rl_zoo3", ("rl_zoo3",), ("rl_zoo3", "pandas<3"), alone="its commands need pandas < 3"),
+    "rl_zoo": Example(
+        "rl_zoo3", ("rl_zoo3",), ("rl_zoo3", "pandas<3", "requests"), alone="its commands need pandas < 3"
+    ),
     "cleanrl": Example(
         "CleanRL",
         ("cleanrl",),
@@ -52,9 +54,9 @@ EXAMPLES = {
     ),
     "torchrl": Example("TorchRL", ("torchrl", "tensordict"), ("torchrl",)),
     "skrl": Example("skrl", ("skrl",), ("skrl",)),
-    "tianshou": Example("Tianshou", ("tianshou",), ("tianshou",), alone="it needs pandas < 3"),
+    "tianshou": Example("Tianshou", ("tianshou",), ("tianshou[eval]",), alone="it needs pandas < 3"),
     "rllib": Example("RLlib", ("ray",), ("ray[rllib]",), alone="it pins gymnasium 1.2.2"),
-    "minari": Example("Minari", ("minari",), (), "train,data"),
+    "minari": Example("Minari", ("minari",), ("minari[create]",), "train,data"),
     "d3rlpy": Example("d3rlpy", ("d3rlpy", "minari"), ("d3rlpy",), "train,data", "it pins gymnasium 1.0.0"),
     "wandb": Example("Weights & Biases", ("wandb",), ("wandb",)),
     "optuna": Example("Optuna", ("optuna",), ("optuna",)),
@@ -138,17 +140,17 @@ def main(arguments: list[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     if unknown := [name for name in chosen.names if name not in EXAMPLES]:
         parser.error(f"unknown example {unknown[0]!r}; allowed are {', '.join(EXAMPLES)}")
-    record = json.loads(RECORD.read_text(encoding="utf-8")) if RECORD.exists() else {}
     failed = 0
     for name in chosen.names or EXAMPLES:
         try:
-            record[name] = run(name, chosen.quick)
+            entry = run(name, chosen.quick)
         except (RuntimeError, subprocess.CalledProcessError) as error:
             print(f"{name}: {error}", file=sys.stderr, flush=True)
             failed += 1
             continue
-        print(f"{name}: {record[name]['works']}", flush=True)
-        kept = {key: record[key] for key in EXAMPLES if key in record}
+        print(f"{name}: {entry['works']}", flush=True)
+        record = json.loads(RECORD.read_text(encoding="utf-8")) if RECORD.exists() else {}
+        kept = {key: (record | {name: entry})[key] for key in EXAMPLES if key in record or key == name}
         RECORD.write_text(json.dumps(kept, indent=2) + "\n", encoding="utf-8")
         PAGE.write_text(page_with(PAGE.read_text(encoding="utf-8"), kept), encoding="utf-8")
     return 1 if failed else 0

@@ -13,7 +13,7 @@ from ray.tune.registry import register_env
 if __name__ == "__main__":
     ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False)
     for env_id in IDS:
-        name = env_id.rpartition(":")[2]
+        name = env_id.rpartition(":")[2].removesuffix("-v0")  # a name that Gymnasium does not know
         register_env(name, lambda config, env_id=env_id: gym.make(env_id, **config))
         size = steps(4000, 700)
         config = (

@@ -26,7 +26,12 @@ def configuration(timesteps: int) -> dict[str, object]:
             "mini_batches": 2,
             "experiment": {"directory": "runs", "write_interval": 0, "checkpoint_interval": 0},
         },
-        "trainer": {"class": "SequentialTrainer", "timesteps": timesteps, "close_environment_at_exit": False},
+        "trainer": {
+            "class": "SequentialTrainer",
+            "timesteps": timesteps,
+            "headless": True,
+            "close_environment_at_exit": False,
+        },
     }
 
 

@@ -7,7 +7,7 @@ from tianshou.highlevel.env import EnvFactoryRegistered, VectorEnvType
 from tianshou.highlevel.experiment import ExperimentConfig, PPOExperimentBuilder, SACExperimentBuilder
 
 if __name__ == "__main__":
-    size = steps(5000, 200)
+    size = steps(5000, 100)
     shared = {
         "max_epochs": 1,
         "epoch_num_steps": size,
@@ -15,11 +15,12 @@ if __name__ == "__main__":
         "num_test_envs": 1,
         "test_step_num_episodes": 1,
         "batch_size": 64,
+        "collection_step_num_env_steps": 100,
     }
     for env_id in IDS:
         for builder, config in (
-            (PPOExperimentBuilder, OnPolicyTrainingConfig(collection_step_num_env_steps=100, **shared)),
-            (SACExperimentBuilder, OffPolicyTrainingConfig(collection_step_num_env_steps=100, **shared)),
+            (PPOExperimentBuilder, OnPolicyTrainingConfig(**shared)),
+            (SACExperimentBuilder, OffPolicyTrainingConfig(update_step_num_gradient_steps_per_sample=0.1, **shared)),
         ):
             factory = EnvFactoryRegistered(task=env_id, venv_type=VectorEnvType.DUMMY)
             experiment = ExperimentConfig(seed=0, device="cpu", watch=False, persistence_enabled=False)
