@@ -60,7 +60,7 @@ EXAMPLES = {
     "d3rlpy": Example("d3rlpy", ("d3rlpy", "minari"), ("d3rlpy",), "train,data", "it pins gymnasium 1.0.0"),
     "wandb": Example("Weights & Biases", ("wandb",), ("wandb",)),
     "optuna": Example("Optuna", ("optuna",), ("optuna",)),
-    "onnxruntime": Example("ONNX Runtime", ("onnxruntime", "onnx"), ("onnxruntime", "onnx")),
+    "onnxruntime": Example("ONNX Runtime", ("onnxruntime", "onnx"), (), "train,export"),
 }
 
 

@@ -1,13 +1,18 @@
-"""ONNX Runtime: an agent as one graph, run without this package's networks, equal to the agent over an episode."""
+"""ONNX Runtime: an agent with its expert as one graph, and actors of Stable-Baselines3, equal to their originals."""
 
+import subprocess
+import sys
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import onnxruntime
 import torch
 from common import IDS, TRACK, steps, works
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
+
+from baselines import make_policy
 
 
 class Actor(torch.nn.Module):
@@ -32,8 +37,26 @@ def exported(model: PPO, file: Path) -> onnxruntime.InferenceSession:
     return onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
 
 
+def agree(name: str, count: int) -> None:
+    """Export an agent of ours and steer with the graph, its memory handed on; compare each command."""
+    words = ("--out", ".", "--format", "onnx")
+    subprocess.run([sys.executable, "-m", "baselines.export", name, *words], check=True, stdout=subprocess.DEVNULL)
+    session = onnxruntime.InferenceSession(f"{name}.onnx", providers=["CPUExecutionProvider"])
+    env, policy, memory = gym.make(TRACK), make_policy(name), None
+    given = {i.name: np.zeros((1, i.shape[1]), np.float32) for i in session.get_inputs()}
+    outputs = [output.name for output in session.get_outputs()]
+    observation, _ = env.reset(seed=0)
+    for _ in range(count):
+        given["observation"][0] = observation
+        results = dict(zip(outputs, session.run(None, given), strict=True))
+        expected, memory = policy.predict(observation, memory)
+        np.testing.assert_allclose(results["action"][0], expected, rtol=0, atol=1e-5)
+        given |= {key.removeprefix("next_"): value for key, value in results.items() if key.startswith("next_")}
+        observation, *_ = env.step(expected)
+
+
 if __name__ == "__main__":
-    shown = []
+    agree("apg-cruise", steps(600, 600))
     for env_id in IDS:
         env = make_vec_env(env_id, 2, seed=0)
         model = PPO("MlpPolicy", env, n_steps=64, device="cpu", seed=0).learn(steps(20_000, 128))
@@ -44,5 +67,4 @@ if __name__ == "__main__":
             expected, _ = model.predict(observation, deterministic=True)
             np.testing.assert_allclose(np.clip(action, -1, 1), expected, rtol=0, atol=1e-5)
             observation, *_ = env.step(expected)
-    shown.append("actors of Stable-Baselines3 on both ids")
-    works(f"{' and '.join(shown)}, equal within 1e-5")
+    works("an exported agent with its memory over an episode, and actors of Stable-Baselines3 on both ids, within 1e-5")

@@ -552,7 +552,9 @@ def test_documented_commands_run(page, call, monkeypatch):
     for name, content in re.findall(r"^```(?:toml|yaml)\n# (\S+)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
         Path(name).write_text(content, encoding="utf-8")
     found = re.findall(r"^(?:python train.py|auv-gym train) ?([^#\n]*)", text, re.MULTILINE)
-    lines = [line for line in found if "--cluster" not in line]  # that one: test_a_cluster_trains_what_this_machine_does
+    lines = [
+        line for line in found if "--cluster" not in line
+    ]  # that one: test_a_cluster_trains_what_this_machine_does
     assert lines
     for line in lines:
         assert call(*line.split(), "--timesteps", STEPS, "--jobs", 1) == 0, line

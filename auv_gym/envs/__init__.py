@@ -7,7 +7,6 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
-
 from auv_gym.installation import install
 
 if TYPE_CHECKING:
