@@ -140,5 +140,5 @@ def test_a_dataset_is_not_overwritten_and_its_library_is_asked_for(tmp_path, sce
     with pytest.raises(UsageError, match="exists; choose another --id"):
         main(["--scenario", scenario_file, "--episodes", "3", "--out", str(tmp_path), "--id", "auv/once-v0"])
     monkeypatch.setattr(module, "find_spec", lambda _: None)
-    with pytest.raises(UsageError, match=r"auv-gym\[data\]"):
+    with pytest.raises(UsageError, match=r"pip install .*\[data\]"):
         main(["--out", str(tmp_path / "new")])
