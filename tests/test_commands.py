@@ -90,6 +90,8 @@ def quick(line):
         policies = [] if "--policy" in words else ["--policy", "open-loop"]
         chosen = [word for word in words if word not in ("--suite", "benchmark-v1")]
         return [*chosen, *policies, *CALM]
+    if words[:2] == ["-m", "baselines.datasets"]:
+        return [*words, "--episodes", "1"]
     if words[:2] == ["-m", "baselines.film"]:
         return [*words, *(["--episodes", "1", "--jobs", "1"] if "--episodes" in words else []), "--seconds", "0.2"]
     if words == ["evaluate.py"] or (words[0] == "evaluate.py" and "--help" not in words):
