@@ -33,6 +33,7 @@ def test_an_unknown_example_is_refused(capsys):
     assert "unknown example 'nothing'; allowed are sb3" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["sb3"])
 def test_what_is_installed_here_runs(name, tmp_path):
     done = subprocess.run(
@@ -47,6 +48,7 @@ def test_what_is_installed_here_runs(name, tmp_path):
     assert "works: " in done.stdout
 
 
+@pytest.mark.filterwarnings(r"ignore:.torch\.jit:DeprecationWarning")  # what d3rlpy writes
 def test_a_network_is_a_policy_for_evaluation(tmp_path, monkeypatch):
     """The file that is written beside a network is one that `make_policy` takes."""
     monkeypatch.syspath_prepend(str(SCRIPTS))
