@@ -9,7 +9,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo film test lint typecheck format bench train train-all results verify docs package cluster-test clean
+.PHONY: help demo film test lint typecheck format bench train train-all results verify examples docs package cluster-test clean
 
 help: ## list the verbs
 	@echo 'make VERB [ARGS="more options"] [PYTHON=python3.12]'
@@ -70,6 +70,9 @@ train: $(VENV)/train.stamp ## train an agent, into runs/train: ARGS="--algo ppo 
 
 train-all: $(VENV)/train.stamp ## train every agent that ships with the package, into runs/shipped; goes on if interrupted
 	$(BIN)/python -m baselines.training.shipped $(ARGS)
+
+examples: $(VENV)/venv.stamp ## run other people's libraries, into build/examples: ARGS="--quick sb3 torchrl"
+	$(BIN)/python -m examples $(ARGS)
 
 docs: $(VENV)/train.stamp $(VENV)/render.stamp $(VENV)/docs.stamp ## build the documentation: build/docs/index.html
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet --doctree-dir build/doctrees docs build/docs $(ARGS)

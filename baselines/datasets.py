@@ -1,6 +1,6 @@
 """Record datasets of episodes for learning offline, in Minari's format: `auv-gym datasets --help`.
 
-They are deterministic: the same command gives the same content, whose SHA-256 it prints and writes into the card.
+They are deterministic: the same command gives the same content, whose SHA-256 stands in the card.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def collect(
     """
     from baselines import make_policy
 
-    parts = []
+    parts: list[Part] = []
     for policy in policies:
         for noise in noises:
             first = seed + episodes * len(parts)
@@ -273,7 +273,6 @@ def main(arguments: Sequence[str]) -> int:
     episodes = sum(len(part.records) for part in parts)
     steps = sum(len(record.actions) for part in parts for record in part.records)
     print(f"{name}: {episodes} episodes, {steps} steps in {folder / name}")
-    print(f"content {content_hash(parts)}")
     return DONE
 
 

@@ -45,8 +45,8 @@ def run_episode(
     """Return what a policy does in one episode, the one of an environment reset with the seed.
 
     Args:
-        policy: whatever has the `predict` of Stable-Baselines3, or a name or path for `make_policy`; its memory is kept,
-            and it sees as much of the path ahead as it asks for in `preview`.
+        policy: whatever has the `predict` of Stable-Baselines3, or a name or path for `make_policy`; its memory is
+            kept, and it sees as much of the path ahead as it asks for in `preview`.
         scenario: a `Scenario`, its dict, or a preset's name.
         seed: of the episode.
 
@@ -122,7 +122,7 @@ def _record(
     return EpisodeRecord(
         scenario=scenario.name,
         seed=seed,
-        times=scenario.control_dt * np.arange(steps + 1),
+        times=np.arange(steps + 1, dtype=np.float64) * scenario.control_dt,
         positions=places[: steps + 1, i, :2],
         references=places[: steps + 1, i, 2:],
         observations=observations[: steps + 1, i],

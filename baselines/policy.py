@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
@@ -22,6 +23,8 @@ Memory: TypeAlias = tuple[NDArray[Any], ...]
 
 U_R = Observation._fields.index("u_R")  # where u_R stands in a list of terms, faster to make than an `Observation`
 V_R = Observation._fields.index("v_R")  # where v_R stands in a list of terms
+A_U = Observation._fields.index("a_u")
+"""Column of an observation with the last surge command; that of the yaw command is the next one."""
 CRUISE_SPEED = 0.4
 """Reference speed [m/s] above which controllers use their gains for cruise."""
 SPEED_FLOOR = 0.02
@@ -99,6 +102,8 @@ class Remembering:
                 vehicles.
         """
         rows, o, extra = batched(observation, self.preview)
+        if state is None:
+            warn_of_lost_memory(rows, episode_start)
         state = renewed(state, self.controller.start(len(rows)), episode_start)
         F_u, F_r, state = self.controller.forces(o, state, extra)
         action = np.stack(action_of((F_u, F_r), o, ARRAYS), axis=1).astype(np.float32)
@@ -166,6 +171,27 @@ def renewed(state: Memory | None, fresh: Memory, episode_start: NDArray[np.bool_
         return state
     begins = np.broadcast_to(episode_start, len(fresh[0]))
     return tuple(np.where(along(begins, a), b, a) for a, b in zip(state, fresh, strict=True))
+
+
+def warn_of_lost_memory(rows: NDArray[Any], episode_start: NDArray[np.bool_] | None) -> None:
+    """Warn where a policy that remembers is called without memory in the middle of an episode.
+
+    An episode begins with a last action of zero; who has acted before and hands in nothing has dropped the memory.
+
+    Args:
+        rows: observations, shape (N, n).
+        episode_start: shape (N,), True where an episode begins; None: not known.
+    """
+    acted = rows[:, A_U : A_U + 2].any(axis=1)
+    if episode_start is not None:
+        acted &= ~np.broadcast_to(episode_start, len(rows))
+    if acted.any():
+        warnings.warn(
+            "this policy remembers, and its memory was dropped in the middle of an episode: hand the second value that "
+            "predict returns to the next call, action, memory = policy.predict(observation, memory), and None, or "
+            "episode_start, where an episode begins",
+            stacklevel=3,
+        )
 
 
 def along(mask: NDArray[np.bool_], array: NDArray[Any]) -> NDArray[np.bool_]:

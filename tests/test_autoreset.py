@@ -69,7 +69,7 @@ def assert_same(native, own):
 )
 def test_equals_gymnasiums_own_in_every_mode(task, backend, options, mode):
     native, own = both(task, mode, backend, **options)
-    assert native.metadata["autoreset_mode"] is mode
+    assert native.metadata["autoreset_mode"] is native.autoreset_mode is mode
     assert_same(native.reset(seed=5), own.reset(seed=5))
     rng, ends = np.random.default_rng(0), 0
     for _ in range(45):

@@ -33,6 +33,7 @@ QUICK = {
     "train-all": "ppo-cruise --timesteps 512",
     "results": "--out pages",
     "verify": "unmodelled-v1 --policy open-loop --cells slow-everything",
+    "examples": "--help",
     "docs": "-t quick -D toc_object_entries=0 -D html_show_search_summary=0",
     "clean": "",
 }
@@ -89,6 +90,8 @@ def quick(line):
         policies = [] if "--policy" in words else ["--policy", "open-loop"]
         chosen = [word for word in words if word not in ("--suite", "benchmark-v1")]
         return [*chosen, *policies, *CALM]
+    if words[:2] == ["-m", "baselines.datasets"]:
+        return [*words, "--episodes", "1"]
     if words[:2] == ["-m", "baselines.film"]:
         return [*words, *(["--episodes", "1", "--jobs", "1"] if "--episodes" in words else []), "--seconds", "0.2"]
     if words == ["evaluate.py"] or (words[0] == "evaluate.py" and "--help" not in words):
@@ -217,6 +220,10 @@ def test_results_are_the_pages_that_are_kept(copy):
 
 def test_verify_says_what_is_equal(copy):
     assert re.search(r"^equal +open-loop in unmodelled-v1: \d+ numbers of 1 cells$", made(copy, "verify"), re.MULTILINE)
+
+
+def test_examples_are_listed(copy):
+    assert "rl_zoo" in made(copy, "examples")
 
 
 def test_docs_are_built_without_a_warning(copy, browser):

@@ -112,7 +112,7 @@ def test_memory_stays_bounded_however_far_the_vehicle_is(name):
     rows[2:, 15] = 1.0  # the surge actuator at its limit
     memory = None
     for _ in range(1000):
-        action, memory = policy.predict(rows, memory)
+        action, memory = policy.predict(rows, memory, np.array([memory is None]))
     speed = np.hypot(rows[:, 6], rows[:, 7]) * SCALES[6]
     horizon = load_gains(name, "cruise", gain_names(name))["horizon"]
     assert np.isfinite(action).all()

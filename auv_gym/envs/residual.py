@@ -91,6 +91,7 @@ class VectorResidualAction(
         super().__init__(env)
         self.expert = expert
         self.authority = checked_authority(authority)
+        self.autoreset_mode: AutoresetMode = env.metadata["autoreset_mode"]
         self.single_observation_space = with_action(env.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
         self._compiled = isinstance(env, UnderactuatedAUVTrackVectorEnv) and traceable(expert)
@@ -137,7 +138,7 @@ class VectorResidualAction(
             bases, _ = self._predicted(last, done, fresh=False)
             for i, final, base in zip(done.nonzero()[0], last, bases, strict=True):
                 info["final_obs"][i] = np.concatenate((final, base))
-        same = self.env.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
+        same = self.autoreset_mode == AutoresetMode.SAME_STEP
         begun, self._over = (done, self._over) if same else (self._over, done)
         self._base, self._memory = self.expert.predict(observation, self._memory, begun)
         return np.concatenate((observation, self._base), axis=1), reward, terminated, truncated, info

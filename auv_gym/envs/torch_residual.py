@@ -55,6 +55,7 @@ class TorchResidualAction(VectorWrapper[Tensor, Tensor, Tensor, Tensor, Tensor])
                 "or backend='numpy'"
             )
         self.expert = expert
+        self.autoreset_mode = env.autoreset_mode
         self.authority = torch.tensor(checked_authority(authority), dtype=env.dtype, device=env.device)
         self.single_observation_space = with_action(env.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)

@@ -163,7 +163,8 @@ class TorchSimulator(VectorEnv[Tensor, Tensor, Tensor]):
     ) -> None:
         self.device, self.dtype = checked_device(device), checked_dtype(dtype)
         self._lanes = Lanes(num_envs, scenario, vehicle, control_dt, preview, autoreset_mode, max_episode_steps)
-        self.metadata = {**self.metadata, "autoreset_mode": self._lanes.ends.mode}
+        self.autoreset_mode = self._lanes.ends.mode
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.num_envs, self.scenarios = num_envs, self._lanes.scenarios
         kind: Any = np.float32 if self.dtype == torch.float32 else np.float64
         bounds: Any = observation_bounds(self._lanes.preview.periods).astype(kind)

@@ -75,7 +75,8 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
                 f"render_mode is {render_mode!r}; the vector environment does not draw, the scalar one does"
             )
         self._lanes = Lanes(num_envs, scenario, vehicle, control_dt, preview, autoreset_mode, max_episode_steps)
-        self.metadata = {**self.metadata, "autoreset_mode": self._lanes.ends.mode}
+        self.autoreset_mode = self._lanes.ends.mode
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.num_envs = num_envs
         self.render_mode = None
         self.scenarios = self._lanes.scenarios

@@ -38,6 +38,8 @@ FORMAT = 2
 """Version of the folder's layout."""
 WEIGHTS = "weights.safetensors"  # file of the network's arrays
 RECORD = "agent.json"  # file of everything else, see `ENTRIES`
+SPEEDS = {"slow": (0.0, 0.5), "cruise": (0.2, math.inf)}
+"""Reference speeds [m/s] at which agents of a regime are at home; between .2 and .5 both are."""
 CARD = "card.md"  # file of the description
 OBSERVATION_LAYOUT = [[t.name, t.scale] for t in TERMS]  # what an observation is, by term, in its order
 ENTRIES = (  # of agent.json
@@ -102,7 +104,11 @@ class Agent:
             raise ValueError("the agent does not know the region that it has seen, so it cannot fade; train it again")
         expert = make_expert(self.expert, vehicle=vehicle)
         region = self.region if fade else None
-        return ResidualPolicy(expert, self.network, self.weights, self.authority, region, self.inputs, precision)
+        own = {name.partition("-")[0] for name in self.scenarios}
+        speeds = SPEEDS[own.pop()] if len(own) == 1 and own <= set(SPEEDS) else (0.0, math.inf)
+        return ResidualPolicy(
+            expert, self.network, self.weights, self.authority, region, self.inputs, precision, speeds
+        )
 
     def save(self, folder: str | Path, curve: bytes | None = None) -> None:
         """Write the agent to a folder, in place of what is there; it appears complete or not at all.

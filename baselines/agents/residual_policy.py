@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any, cast
@@ -11,12 +13,13 @@ from numpy.typing import NDArray
 
 from auv_gym.codegen.graph import SYMBOLS, Symbol, single
 from auv_gym.codegen.kernel import Kernel
+from auv_gym.namespaces import ARRAYS
 from auv_gym.policy import Forces, Law, Policy, corrected, preview_of, traceable
 from auv_gym.preview import shared_preview
 from auv_gym.task import SIZE, action_of, decode
 from baselines.agents.features import INTEGRALS, STANDARD, Inputs, scaled_errors
 from baselines.agents.networks import ACTIONS, Network, Weights
-from baselines.policy import Array, Memory, batched, renewed
+from baselines.policy import U_R, V_R, Array, Memory, batched, renewed, squared_speed, warn_of_lost_memory
 
 BLOCK = 128
 """Most vehicles that go through the network at once: what it computes on the way stays in the processor's cache."""
@@ -91,12 +94,14 @@ class ResidualPolicy:
         region: Sequence[float] | None = None,
         inputs: Inputs = STANDARD,
         precision: str = "float64",
+        speeds: tuple[float, float] = (0.0, math.inf),
     ) -> None:
         """Make the policy of checked weights.
 
         With a region, see `trust`, corrections fade outside of it; the network computes in a precision, "float64" or
-        "float32".
+        "float32". Where an episode begins at a reference speed [m/s] outside of `speeds`, a warning says so, once.
         """
+        self.speeds = speeds
         self.region, self.inputs = None if region is None else np.array(region), inputs
         self.preview, self._seen, self._seen_by_expert = shared_preview(inputs.preview, preview_of(expert))
         self.expert, self.network, self.authority = expert, network, np.array(authority)
@@ -127,6 +132,9 @@ class ResidualPolicy:
         if rows.ndim != 2 or rows.shape[1] < SIZE + 2 * len(self.preview):
             batched(observation, self.preview)  # says what is wrong
         n = len(rows)
+        if state is None:
+            warn_of_lost_memory(rows, episode_start)
+            self._warn_of_speed(rows)
         integrals, correction, hidden = self._renewed(state, n, episode_start)
         desk = self._at(n)
         arrays = desk.arrays
@@ -151,6 +159,18 @@ class ResidualPolicy:
         command = arrays["command"].T.astype(np.float32)
         memory = arrays["integrals"].T.copy(), arrays["correction"].T.copy(), hidden.T, *(past or ())
         return (command[0] if observation.ndim == 1 else command), memory
+
+    def _warn_of_speed(self, rows: NDArray[Any]) -> None:
+        """Warn once where the reference's speed is far from what the network has seen."""
+        terms = decode(rows[:, :SIZE].T, ARRAYS)
+        speed = np.sqrt(squared_speed(terms[U_R], terms[V_R], ARRAYS))
+        if ((speed < self.speeds[0]) | (speed > self.speeds[1])).any():
+            warnings.warn(
+                f"this agent was trained at reference speeds of {self.speeds[0]:g} to {self.speeds[1]:g} m/s, and the "
+                f"episode begins at {speed.min():.2g} to {speed.max():.2g} m/s: choose the agent of that regime",
+                stacklevel=3,
+            )
+            self.speeds = 0.0, math.inf
 
     def _applied(self, features: Array, hidden: Array) -> tuple[Array, Array]:
         """Return correction and hidden state of `Network.forward`, block by block."""

@@ -1,0 +1,1 @@
+"""Other people's libraries on the environments as they are: `python -m examples`, `make examples`."""

@@ -1,0 +1,160 @@
+"""Run other people's libraries on the environments, each in a virtual environment that has what it needs.
+
+`python -m examples` needs nothing but Python: it makes the environments under build/examples by pip, runs the scripts,
+keeps what came of them in docs/tools.json and writes the table of docs/tools.md from it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime as dt
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import venv
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+BUILD = ROOT / "build" / "examples"
+RECORD = ROOT / "docs" / "tools.json"
+PAGE = ROOT / "docs" / "tools.md"
+TORCH = next(
+    line for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines() if line.startswith("torch==")
+)
+BEGIN, END = "<!-- made by `make examples` -->", "<!-- end -->"
+VERSIONS = "import importlib.metadata as m, json, sys; print(json.dumps({n: m.version(n) for n in sys.argv[1:]}))"
+
+
+@dataclass(frozen=True)
+class Example:
+    """A library, the script that uses it, and what that needs."""
+
+    title: str
+    packages: tuple[str, ...]  # whose versions the table shows
+    requires: tuple[str, ...]  # for pip, besides this package with `extras`
+    extras: str = "train"
+    alone: str = ""  # why it needs versions other than constraints.txt, if it does
+    unresolved: tuple[str, ...] = ()  # for pip, without its dependencies
+
+
+EXAMPLES = {
+    "sb3": Example("Stable-Baselines3, sb3-contrib", ("stable-baselines3", "sb3-contrib"), ()),
+    "rl_zoo": Example(
+        "rl_zoo3", ("rl_zoo3",), ("rl_zoo3", "pandas<3", "requests"), alone="its commands need pandas < 3"
+    ),
+    "cleanrl": Example(
+        "CleanRL",
+        ("cleanrl",),
+        ("gymnasium==0.29.1", "tensorboard", "tyro", "stable-baselines3", "setuptools<81", "wandb"),
+        alone="its scripts need gymnasium < 1.0; the package's own pins, of 2023, are left out",
+        unresolved=("cleanrl==1.2.0",),
+    ),
+    "torchrl": Example("TorchRL", ("torchrl", "tensordict"), ("torchrl",)),
+    "skrl": Example("skrl", ("skrl",), ("skrl",)),
+    "tianshou": Example("Tianshou", ("tianshou",), ("tianshou[eval]",), alone="it needs pandas < 3"),
+    "rllib": Example("RLlib", ("ray",), ("ray[rllib]",), alone="it pins gymnasium 1.2.2"),
+    "minari": Example("Minari", ("minari",), ("minari[create]",), "train,data"),
+    "d3rlpy": Example("d3rlpy", ("d3rlpy", "minari"), ("d3rlpy",), "train,data", "it pins gymnasium 1.0.0"),
+    "wandb": Example("Weights & Biases", ("wandb",), ("wandb",)),
+    "optuna": Example("Optuna", ("optuna",), ("optuna",)),
+    "onnxruntime": Example("ONNX Runtime", ("onnxruntime", "onnx"), (), "train,export"),
+}
+
+
+def python_of(name: str) -> Path:
+    """Return the Python of an example's environment, made and filled if that is still to be done."""
+    example = EXAMPLES[name]
+    folder = BUILD / (name if example.alone else "shared")
+    python = folder / ("Scripts" if os.name == "nt" else "bin") / "python"
+    needed = [*example.requires, TORCH]
+    words = ["--editable", f".[{example.extras}]", *needed, *([] if example.alone else ["-c", "constraints.txt"])]
+    stamp = folder / f"{name}-{hashlib.sha256(' '.join([*words, *example.unresolved]).encode()).hexdigest()[:12]}.stamp"
+    if not stamp.exists():
+        print(f"{name}: installing {', '.join(needed)} into {folder.relative_to(ROOT)}", flush=True)
+        if not python.exists():
+            venv.create(folder, with_pip=True)
+        pip = [str(python), "-m", "pip", "install", "--quiet"]
+        subprocess.run([*pip, *words], cwd=ROOT, check=True)
+        for requirement in example.unresolved:
+            subprocess.run([*pip, "--no-deps", "--ignore-requires-python", requirement], cwd=ROOT, check=True)
+        stamp.touch()
+    return python
+
+
+def run(name: str, quick: bool) -> dict[str, object]:
+    """Run an example and return its entry of the record.
+
+    Raises:
+        RuntimeError: it fails.
+    """
+    example, python = EXAMPLES[name], python_of(name)
+    folder = BUILD / "work" / name
+    subprocess.run([sys.executable, "-c", f"import shutil; shutil.rmtree({str(folder)!r}, True)"], check=True)
+    folder.mkdir(parents=True)
+    environment = {"OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg", "SDL_VIDEODRIVER": "dummy", **os.environ}
+    done = subprocess.run(
+        [str(python), str(ROOT / "examples" / f"with_{name}.py"), *(["--quick"] if quick else [])],
+        cwd=folder,
+        env={**environment, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    shown = [line.removeprefix("works: ") for line in done.stdout.splitlines() if line.startswith("works: ")]
+    if done.returncode or not shown:
+        raise RuntimeError(f"{name} fails with status {done.returncode}:\n{done.stdout[-4000:]}")
+    wanted = (*example.packages, "gymnasium")
+    versions = subprocess.run([str(python), "-c", VERSIONS, *wanted], capture_output=True, text=True, check=True).stdout
+    today = dt.datetime.now(tz=dt.timezone.utc).date().isoformat()
+    return {"title": example.title, "versions": json.loads(versions), "date": today, "quick": quick, "works": shown[-1]}
+
+
+def table(record: dict[str, dict[str, object]]) -> str:
+    """Return the table of the page."""
+    rows = ["| library | versions | date | what runs | script |", "|---|---|---|---|---|"]
+    for name in EXAMPLES:
+        if entry := record.get(name):
+            versions: object = entry["versions"]
+            assert isinstance(versions, dict)
+            listed = ", ".join(f"{package} {version}" for package, version in versions.items())
+            works = f"{entry['works']}{' (in the quick form)' if entry['quick'] else ''}"
+            rows.append(f"| {entry['title']} | {listed} | {entry['date']} | {works} | `with_{name}.py` |")
+    return "\n".join(rows)
+
+
+def page_with(text: str, record: dict[str, dict[str, object]]) -> str:
+    """Return the page with the table of a record in place of its own."""
+    head, _, rest = text.partition(BEGIN)
+    return f"{head}{BEGIN}\n\n{table(record)}\n\n{END}{rest.partition(END)[2]}"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the examples that are named, or all; return 1 if one fails, else 0."""
+    parser = argparse.ArgumentParser(prog="python -m examples", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of: {', '.join(EXAMPLES)}; without any, all")
+    parser.add_argument("--quick", action="store_true", help="as few steps as show that it runs")
+    chosen = parser.parse_args(arguments)
+    if unknown := [name for name in chosen.names if name not in EXAMPLES]:
+        parser.error(f"unknown example {unknown[0]!r}; allowed are {', '.join(EXAMPLES)}")
+    failed = 0
+    for name in chosen.names or EXAMPLES:
+        try:
+            entry = run(name, chosen.quick)
+        except (RuntimeError, subprocess.CalledProcessError) as error:
+            print(f"{name}: {error}", file=sys.stderr, flush=True)
+            failed += 1
+            continue
+        print(f"{name}: {entry['works']}", flush=True)
+        record = json.loads(RECORD.read_text(encoding="utf-8")) if RECORD.exists() else {}
+        kept = {key: (record | {name: entry})[key] for key in EXAMPLES if key in record or key == name}
+        RECORD.write_text(json.dumps(kept, indent=2) + "\n", encoding="utf-8")
+        PAGE.write_text(page_with(PAGE.read_text(encoding="utf-8"), kept), encoding="utf-8")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
