@@ -12,6 +12,7 @@ from baselines.evaluation.store import Stored, reading, write
 
 PLAIN = ("policy", "fingerprint", "cell_hash", "seconds", "decision_seconds")
 """Fields of a run that are kept as they are."""
+TRACK = fields(Track)  # each an array of its own
 
 
 @dataclass(frozen=True)
@@ -22,12 +23,12 @@ class RowStore:
 
     def save(self, run: Run) -> None:
         """Keep a run; no reader ever sees half of it."""
-        if run.measures is None or run.track is None or run.bands is None:
+        if run.measures is None or not run.tracks or run.bands is None:
             return
         record = {name: getattr(run, name) for name in PLAIN}
-        record |= {"scenario": run.scenario.to_dict(), "warnings": list(run.warnings)}
+        record |= {"scenario": run.scenario.to_dict(), "warnings": list(run.warnings), "tracks": len(run.tracks)}
         arrays = {f"measures_{f.name}": getattr(run.measures, f.name) for f in fields(Measures)}
-        arrays |= {f"track_{f.name}": getattr(run.track, f.name) for f in fields(Track)}
+        arrays |= {f"track{i}_{f.name}": getattr(track, f.name) for i, track in enumerate(run.tracks) for f in TRACK}
         write(self._file(run.key), Stored(record, {**arrays, "bands": run.bands}))
 
     def load(self, key: str) -> Run | None:
@@ -40,7 +41,7 @@ class RowStore:
                     scenario=Scenario.from_dict(record["scenario"]),
                     measures=Measures(*(arrays[f"measures_{f.name}"] for f in fields(Measures))),
                     bands=arrays["bands"],
-                    track=Track(*(arrays[f"track_{f.name}"] for f in fields(Track))),
+                    tracks=tuple(Track(*(arrays[f"track{i}_{f.name}"] for f in TRACK)) for i in range(record["tracks"])),
                     warnings=tuple(map(str, record["warnings"])),
                 )
                 return run if run.key == key else None
