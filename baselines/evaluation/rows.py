@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
 
 from auv_gym.scenario import Scenario
 from baselines.evaluation.metrics import Measures, Track
@@ -41,7 +45,7 @@ class RowStore:
                     scenario=Scenario.from_dict(record["scenario"]),
                     measures=Measures(*(arrays[f"measures_{f.name}"] for f in fields(Measures))),
                     bands=arrays["bands"],
-                    tracks=tuple(Track(*(arrays[f"track{i}_{f.name}"] for f in TRACK)) for i in range(record["tracks"])),
+                    tracks=tuple(_track(arrays, i) for i in range(record["tracks"])),
                     warnings=tuple(map(str, record["warnings"])),
                 )
                 return run if run.key == key else None
@@ -50,3 +54,7 @@ class RowStore:
 
     def _file(self, key: str) -> Path:
         return self.folder / f"{key}.npz"
+
+
+def _track(arrays: Mapping[str, NDArray[Any]], i: int) -> Track:
+    return Track(*(arrays[f"track{i}_{f.name}"] for f in TRACK))

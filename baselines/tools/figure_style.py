@@ -22,13 +22,16 @@ OUTLINES = (
     "M 0 -1.2 L 1.2 0 L 0 1.2 L -1.2 0 Z",
     "M 0 1.1 L 1.1 -0.85 H -1.1 Z",
     "M -0.4 -1.1 H 0.4 V -0.4 H 1.1 V 0.4 H 0.4 V 1.1 H -0.4 V 0.4 H -1.1 V -0.4 H -0.4 Z",
-    "M -1.1 -0.6 L -0.6 -1.1 L 0 -0.5 L 0.6 -1.1 L 1.1 -0.6 L 0.5 0 L 1.1 0.6 L 0.6 1.1 L 0 0.5 L -0.6 1.1 L -1.1 0.6 "
-    "L -0.5 0 Z",
+    "M -0.5 0 L -1 -0.5 L -0.5 -1 L 0 -0.5 L 0.5 -1 L 1 -0.5 L 0.5 0 L 1 0.5 L 0.5 1 L 0 0.5 L -0.5 1 L -1 0.5 Z",
 )
 """The markers as paths of a page's graphics, about a circle of radius 1."""
 DASHES: tuple[tuple[Any, tuple[float, ...]], ...] = (
-    ("-", ()), ("--", (7, 3)), (":", (2, 2)), ("-.", (8, 3, 2, 3)), ((0, (6, 1.5, 1, 1.5, 1, 1.5)), (10, 2, 2, 2, 2, 2)),
-)  # fmt: skip
+    ("-", ()),
+    ("--", (7, 3)),
+    (":", (2, 2)),
+    ("-.", (8, 3, 2, 3)),
+    ((0, (6, 1.5, 1, 1.5, 1, 1.5)), (10, 2, 2, 2, 2, 2)),
+)
 """The dashes of lines in the order of use, for figures, and in pixels for pages."""
 REFERENCE: dict[str, Any] = {"color": "0.45", "linestyle": (0, (4, 2)), "linewidth": 1.2}
 """How the reference is drawn."""

@@ -9,7 +9,7 @@ import numpy as np
 from auv_gym.paths import PAPER_CIRCLE
 from auv_gym.planner import plan
 from auv_gym.vehicle import PAPER_VEHICLE
-from baselines.evaluation.paper.noise_study import POSITION_NOISE, TRANSIENT, NoiseRun, noise_scenario
+from baselines.evaluation.paper.noise_study import TRANSIENT, NoiseRun, noise_scenario
 from baselines.evaluation.paper.numbers import CHOSEN, SIGNS, Reproduction
 from baselines.evaluation.report.page import render
 from baselines.evaluation.stability.closed_loop import Response
@@ -34,9 +34,10 @@ def paper_html(reproduction: Reproduction, command: str) -> str:
         ("Fig. 5: velocity errors", "", ["u_e", "v_e", "r_e", "u_e log", "v_e log", "r_e log"]),
         ("Fig. 6: errors of position and heading", "", ["x_e", "y_e", "psi_e", "x_e log", "y_e log", "psi_e log"]),
     ]
+    rows = {"response": _rows(reproduction.response), **_noise(reproduction.noise)}
     return render(
         "paper.html",
-        {"charts": _charts(reproduction), "rows": {"response": _rows(reproduction.response), **_noise(reproduction.noise)}},
+        {"charts": _charts(), "rows": rows},
         ("figures.js",),
         title="The paper, recomputed",
         command=command,
@@ -61,14 +62,16 @@ def _rows(response: Response) -> list[dict[str, float]]:
     rows = []
     for i in range(len(SIGNS)):
         columns = {"t": response.t, "x": response.state[0, i], "y": response.state[1, i]}
-        columns |= {name: factor * error for (name, _, factor), error in zip(ERRORS, response.errors[:, i], strict=True)}
+        columns |= {
+            name: factor * error for (name, _, factor), error in zip(ERRORS, response.errors[:, i], strict=True)
+        }
         columns |= dict(zip(("F_u", "F_r"), response.force[:, i], strict=True))
         values = [[float(f"{x:.5g}") for x in column[kept].tolist()] for column in columns.values()]
         rows += [{"start": i, **dict(zip(columns, line, strict=True))} for line in zip(*values, strict=True)]
     return rows
 
 
-def _charts(reproduction: Reproduction) -> dict[str, Spec]:
+def _charts() -> dict[str, Spec]:
     """Return the charts by name."""
     F_u, F_r = plan(PAPER_CIRCLE, PAPER_VEHICLE, np.array([0.0, 1.0])).table[0, 6:].tolist()
     circle = PAPER_CIRCLE.derivatives(np.linspace(0.0, 200 * np.pi, 181))[0].T
@@ -82,7 +85,7 @@ def _charts(reproduction: Reproduction) -> dict[str, Spec]:
         charts[name], charts[f"{name} log"] = _over_time(name, unit, level=0.0, end=40.0), _magnitude(name, unit)
     return charts | {
         "noise force": _noise_over_time("F_u", "F_u [N]"),
-        "noise error": _noise_over_time("error", f"position error [cm]; noise on x and y: {100 * POSITION_NOISE:g} cm"),
+        "noise error": _noise_over_time("error", "position error [cm]"),
         "noise trade": _trade(),
     }
 
@@ -111,7 +114,8 @@ def _way(circle: Any, x: tuple[float, float], y: tuple[float, float]) -> Spec:
         [
             {"mark": {**LINE, "color": COLOURS[5], "strokeWidth": 0.8},
              "encoding": {**axes, **order, "detail": {"field": "start", "type": "nominal"}}},
-            {"data": {"values": path}, "mark": {**LINE, "color": GREY, "strokeDash": [5, 3]}, "encoding": {**axes, **order}},
+            {"data": {"values": path}, "mark": {**LINE, "color": GREY, "strokeDash": [5, 3]},
+             "encoding": {**axes, **order}},
             {"transform": [MINE], "mark": {**LINE, "strokeWidth": 2.4}, "encoding": {**axes, **order}},
             {"transform": [MINE, {"filter": "datum.t === 0"}], "mark": {"type": "point", "filled": True, "size": 60,
              "color": COLOURS[0], "clip": True}, "encoding": axes},
@@ -123,14 +127,20 @@ def _over_time(name: str, unit: str, level: float, end: float = 60.0) -> Spec:
     t, y = _axis("t", "time [s]", domain=[0, end], nice=False), _axis(name, f"{name} [{unit}]")
     return _chosen(
         [
-            {"mark": {"type": "rule", "color": GREY, "strokeDash": [5, 3]}, "encoding": {"y": {"datum": round(level, 5)}}},
+            {
+                "mark": {"type": "rule", "color": GREY, "strokeDash": [5, 3]},
+                "encoding": {"y": {"datum": round(level, 5)}},
+            },
             {"transform": [MINE, {"filter": f"datum.t <= {end}"}], "mark": LINE, "encoding": {"x": t, "y": y}},
         ]
     )
 
 
 def _magnitude(name: str, unit: str) -> Spec:
-    t, y = _axis("t", "time [s]", nice=False), _axis("size", f"|{name}| [{unit}]", type="log", domain=[1e-11, 100], clamp=True)
+    t, y = (
+        _axis("t", "time [s]", nice=False),
+        _axis("size", f"|{name}| [{unit}]", type="log", domain=[1e-11, 100], clamp=True),
+    )
     size = {"calculate": f"max(abs(datum['{name}']), 1e-11)", "as": "size"}
     return _chosen(
         [
@@ -142,7 +152,10 @@ def _magnitude(name: str, unit: str) -> Spec:
 
 def _noise(study: list[NoiseRun]) -> dict[str, Any]:
     """Return the rows of the noise study: commands and errors over time, and what a low-pass trades between them."""
-    dt, names = noise_scenario(None).control_dt, [f"{run.cut_off:g} Hz" if run.cut_off else "no filter" for run in study]
+    dt, names = (
+        noise_scenario(None).control_dt,
+        [f"{run.cut_off:g} Hz" if run.cut_off else "no filter" for run in study],
+    )
     steps = range(round(NOISY / dt))
     over_time = [
         {"t": round(dt * (TRANSIENT + 1 + k), 3), "run": name, "F_u": round(float(run.force[0, k, 0]), 2),
@@ -160,7 +173,11 @@ def _noise_over_time(field: str, title: str) -> Spec:
     colour = {"field": "run", "type": "nominal", "sort": None, "scale": {"range": [COLOURS[5], COLOURS[0]]},
               "legend": {"title": None, "orient": "top"}}  # fmt: skip
     step = {"type": "line", "interpolate": "step-before", "strokeWidth": 1.2}
-    encoding = {"x": _axis("t", "time [s]", nice=False), "y": _axis(field, title, zero=field == "error"), "color": colour}
+    encoding = {
+        "x": _axis("t", "time [s]", nice=False),
+        "y": _axis(field, title, zero=field == "error"),
+        "color": colour,
+    }
     return {"data": {"name": "rows"}, "width": "container", "height": 190, "mark": step, "encoding": encoding}
 
 

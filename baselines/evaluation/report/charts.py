@@ -10,6 +10,8 @@ from baselines.tools.figure_style import DASHES, OUTLINES, look
 Spec = dict[str, Any]
 
 ROWS = {"name": "rows"}  # the data set that the page fills
+LINE: Spec = {"type": "line", "strokeWidth": 1.8}
+NAMED = [{"field": "policy", "title": "policy"}]  # what a line says when it is pointed at
 QUIET = "#8a8a8a"  # colour of what only helps to read
 
 
@@ -33,7 +35,10 @@ def rate_chart(policies: Sequence[str]) -> Spec:
     return _frame(
         [
             {"mark": {"type": "rule", "color": QUIET}, "encoding": {"y": {"datum": 0}}},
-            {"mark": {"type": "line", "strokeWidth": 1.8}, "encoding": {"x": x, "y": y, **looks.of("color", "strokeDash")}},
+            {
+                "mark": {"type": "line", "strokeWidth": 1.8},
+                "encoding": {"x": x, "y": y, **looks.of("color", "strokeDash")},
+            },
             {
                 "mark": {"type": "point", "filled": True, "size": 45, "opacity": 1},
                 "encoding": {"x": x, "y": y, **looks.of("color", "shape"), "tooltip": told},
@@ -58,7 +63,9 @@ class _Looks:
     def of(self, *channels: str) -> Spec:
         """Return the encoding of the policy in these channels, without a legend: the leaderboard is the legend."""
         scales = {"color": self.colour, "strokeDash": self.dash, "shape": self.shape}
-        return {name: {"field": "policy", "type": "nominal", "scale": scales[name], "legend": None} for name in channels}
+        return {
+            name: {"field": "policy", "type": "nominal", "scale": scales[name], "legend": None} for name in channels
+        }
 
 
 def _scale(names: list[str], values: list[Any]) -> Spec:
@@ -66,9 +73,14 @@ def _scale(names: list[str], values: list[Any]) -> Spec:
 
 
 def _number(field: str, title: str | None = None, log: bool = False, **scale: Any) -> Spec:
-    kind = {"type": "log"} if log else {}
+    kind = {"zero": False, "nice": True} | ({"type": "log"} if log else {})
     axis = {"title": title, "labelSeparation": 6, "tickCount": 5}
-    return {"field": field, "type": "quantitative", "axis": axis, "scale": {**kind, "zero": False, "nice": True, **scale}}
+    return {
+        "field": field,
+        "type": "quantitative",
+        "axis": axis,
+        "scale": {**kind, "zero": False, "nice": True, **scale},
+    }
 
 
 def _told(*fields: tuple[str, str]) -> list[Spec]:
@@ -84,8 +96,9 @@ def _intervals(looks: _Looks, value: str, group: str, title: str, least: float) 
     """Return a value of each policy with its interval, policies below each other in each group."""
     told = _told(("policy", "policy"), (group, group), ("text", value), ("lost", "lost"))
     x = _number("value", title, domainMin={"expr": f"max({least}, least)"}, domainMax=1.05, nice=False)
+    bands = {"title": None, "grid": True, "tickBand": "extent"}
     place = {
-        "y": {"field": group, "type": "nominal", "sort": None, "axis": {"title": None, "grid": True, "tickBand": "extent"}},
+        "y": {"field": group, "type": "nominal", "sort": None, "axis": bands},
         "yOffset": {"field": "policy", "type": "nominal", "sort": None, "scale": {"paddingOuter": 0.4}},
     }
     lines = [{"datum": at} for at in (0.0, 1.0)]
@@ -136,7 +149,7 @@ def _shares(looks: _Looks) -> Spec:
                 "encoding": {
                     "x": _number("tail", "tail error of an episode [m]; dotted: lost", log=True),
                     "y": {"field": "share", "type": "quantitative", **share},
-                    "tooltip": _told(("policy", "policy")),
+                    "tooltip": NAMED,
                     **looks.of("color", "strokeDash"),
                 },
             },
@@ -162,7 +175,12 @@ def _bands(looks: _Looks) -> Spec:
             },
             {
                 "mark": {"type": "line", "strokeWidth": 1.8},
-                "encoding": {"x": t, "y": error, **looks.of("color", "strokeDash"), "tooltip": _told(("policy", "policy"))},
+                "encoding": {
+                    "x": t,
+                    "y": error,
+                    **looks.of("color", "strokeDash"),
+                    "tooltip": NAMED,
+                },
             },
             {
                 "data": {"name": "tails"},
@@ -182,7 +200,12 @@ def _errors(looks: _Looks) -> Spec:
         [
             {
                 "mark": {"type": "line", "strokeWidth": 1.8},
-                "encoding": {"x": t, "y": error, **looks.of("color", "strokeDash"), "tooltip": _told(("policy", "policy"))},
+                "encoding": {
+                    "x": t,
+                    "y": error,
+                    **looks.of("color", "strokeDash"),
+                    "tooltip": NAMED,
+                },
             },
             {
                 "data": {"values": [{}]},

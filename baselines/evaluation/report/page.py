@@ -13,6 +13,7 @@ import json
 import zlib
 from contextlib import suppress
 from functools import cache
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +84,7 @@ def _library() -> str:
         import vl_convert
     except ImportError as error:
         raise ImportError(MISSING) from error
-    version = f"{vl_convert.__version__} {_SNIPPET}"
+    version = f"{metadata.version('vl-convert-python')} {_SNIPPET}"
     name = f"charts-{hashlib.sha256(version.encode()).hexdigest()[:16]}.txt"
     folders = list(cache_folders())
     for folder in folders:

@@ -84,7 +84,7 @@ def _traced(results: Sequence[Result]) -> int:
 
 
 def _scenario(scenario: Scenario, results: Sequence[Result], traced: int) -> dict[str, Any]:
-    regime = regime_of(scenario.name)
+    regime, known = regime_of(scenario.name), max(len(result.run.tracks) for result in results)
     return {
         "name": scenario.name,
         "regime": regime,
@@ -93,7 +93,7 @@ def _scenario(scenario: Scenario, results: Sequence[Result], traced: int) -> dic
         "cap": LARGEST_TAIL.get(regime or ""),
         "rows": [_row(entry, results) for entry in ranked([result.entry for result in results])],
         "bands": [_band(result, scenario) for result in results if result.run.bands is not None],
-        "episodes": [_episode(results, scenario, i) for i in range(traced) if any(len(r.run.tracks) > i for r in results)],
+        "episodes": [_episode(results, scenario, i) for i in range(min(traced, known))],
     }
 
 

@@ -61,7 +61,9 @@ def error_distribution(results: Sequence[Result], policies: Sequence[str]) -> Fi
             if result.run.scenario.name != name or result.run.measures is None:
                 continue
             tail = np.sort(np.maximum(result.run.measures.tail, 1e-9))
-            ax.step(tail, np.arange(1, len(tail) + 1) / len(tail), where="post", **look(result.run.policy, policies).line)
+            ax.step(
+                tail, np.arange(1, len(tail) + 1) / len(tail), where="post", **look(result.run.policy, policies).line
+            )
         cap = LARGEST_TAIL.get(regime_of(name) or "")
         if cap is not None:
             ax.axvline(cap, color="0.6", linewidth=0.8, linestyle=":")

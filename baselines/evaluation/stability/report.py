@@ -55,7 +55,9 @@ def examine(name: str) -> Stability:
         motions = [[steady_motion(PAPER_VEHICLE, policy, U, turn_rate) for turn_rate in TURN_RATES] for U in SPEEDS]
         periods = certified = None
     else:
-        loops = [[linearise_policy(PAPER_VEHICLE, policy, U, turn_rate, dt) for turn_rate in TURN_RATES] for U in SPEEDS]
+        loops = [
+            [linearise_policy(PAPER_VEHICLE, policy, U, turn_rate, dt) for turn_rate in TURN_RATES] for U in SPEEDS
+        ]
         motions = [[Steady(float(loop.eigenvalues[0].real), 0.0, 0.0) for loop in row] for row in loops]
         periods = [[loop.largest_period() for loop in row] for row in loops]
         certified = certificates(PAPER_VEHICLE, policy, CERTIFIED_SPEEDS, BOXES, dt) if installed() else None
@@ -66,7 +68,7 @@ def examine(name: str) -> Stability:
         [[motion.rate for motion in row] for row in motions],
         [[motion.swing for motion in row] for row in motions],
         periods,
-        limits_of_speed(policy, [motion[0].rate < 0 for motion in motions], periods is None),
+        limits_of_speed(policy, [motion[0].held for motion in motions], periods is None),
         STARTS,
         {label: success(policy, limits, STARTS) for label, limits in LIMITS.items()},
         certified,
@@ -80,7 +82,7 @@ def remembers(policy: Policy, dt: float) -> bool:
         ValueError: the policy looks behind the observation.
     """
     if isinstance(policy, Privileged):
-        raise ValueError("it looks behind the observation, at the sea itself: what it does about steady motion is no law")
+        raise ValueError(PRIVILEGED)
     if preview_of(policy):
         return True
     try:
@@ -102,7 +104,7 @@ def limits_of_speed(policy: Policy, stable: Sequence[bool], memory: bool) -> lis
 
     def at(speed: float) -> bool:
         if memory:
-            return steady_motion(PAPER_VEHICLE, policy, speed, 0.0).rate < 0
+            return steady_motion(PAPER_VEHICLE, policy, speed, 0.0).held
         return bool(linearise_policy(PAPER_VEHICLE, policy, speed, 0.0, dt).eigenvalues[0].real < 0)
 
     for (low, below), (high, above) in itertools.pairwise(zip(SPEEDS, stable, strict=True)):

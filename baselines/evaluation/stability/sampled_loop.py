@@ -11,7 +11,7 @@ out. A rate is that of the loop in continuous time, log(radius) / dt.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -39,6 +39,7 @@ HEADINGS = 12
 """At how many headings of a circle the Jacobian is computed: Fourier's series then has five harmonics."""
 EXACT = 2e-6
 """Difference of an action from the plan's that is none: it has single precision."""
+PRIVILEGED = "it looks behind the observation, at the sea itself: a steady motion in still water says nothing about it"
 AWAY = 5.0
 """Distance [m] from the reference beyond which there is no steady motion about it."""
 WATCHED = 80.0  # [s] how long a nudge is watched, in several parts
@@ -74,6 +75,11 @@ class Steady:
     offset: float  # [m] mean distance to the reference, inf where it leaves it, nan where the limits forbid it
     swing: float  # [m] how far it keeps moving to and fro; 0 where it comes to rest
 
+    @property
+    def held(self) -> bool:
+        """Whether the policy stays with the motion: errors fade, or it swings about it."""
+        return self.rate < 0 or self.swing > 0
+
 
 def steady_motion(vehicle: Vehicle, policy: Policy, speed: float, turn_rate: float) -> Steady:
     """Return what a policy makes of steady motion.
@@ -88,7 +94,7 @@ def steady_motion(vehicle: Vehicle, policy: Policy, speed: float, turn_rate: flo
         ValueError: the policy looks behind the observation, or remembers what is no array of numbers.
     """
     if isinstance(policy, Privileged):
-        raise ValueError("it looks behind the observation, at the sea itself: steady motion says nothing about it")
+        raise ValueError(PRIVILEGED)
     loop = _Loop.of(vehicle, policy, speed, turn_rate)
     if np.abs(loop.steady_action).max() >= 1:
         return Steady(math.nan, math.nan, 0.0)
@@ -102,7 +108,7 @@ def steady_motion(vehicle: Vehicle, policy: Policy, speed: float, turn_rate: flo
     jacobians = _jacobians(loop, orbit)
     radius = _floquet(loop, orbit, jacobians) if turn_rate else float(np.abs(np.linalg.eigvals(jacobians[0])).max())
     rate = math.log(max(radius, 1e-12)) / loop.dt
-    return Steady(_of_a_nudge(loop, orbit, rate) if rate > 0 else rate, orbit.offset, orbit.swing)
+    return Steady(_of_a_nudge(loop, orbit, rate) if rate > 0 else rate, orbit.offset, 0.0)
 
 
 @dataclass(frozen=True)
@@ -135,11 +141,12 @@ class _Loop:
         """The vehicle's part of z without any error, shape (VEHICLE, 1)."""
         return np.concatenate((np.zeros(6), self.steady_action))[:, None]
 
-    def _sample(self, x: Array, y: Array, psi: Array) -> Array:
+    def _sample(self, x: Array, y: Array, psi: Array) -> Any:
         """Return the outside at one time: the reference at a place, nothing else; shape (SAMPLE_ROWS, N)."""
         sample = np.zeros((SAMPLE_ROWS, len(psi)))
-        for k, value in enumerate((x, y, psi, *self.velocities, *self.forces), SAMPLE.x_R):
-            sample[k] = value
+        sample[[SAMPLE.x_R, SAMPLE.y_R, SAMPLE.psi_R]] = x, y, psi
+        sample[[SAMPLE.u_R, SAMPLE.v_R, SAMPLE.r_R]] = np.array(self.velocities)[:, None]
+        sample[[SAMPLE.F_uR, SAMPLE.F_rR]] = np.array(self.forces)[:, None]
         sample[SAMPLE.fix] = 1.0
         return sample
 
@@ -153,7 +160,8 @@ class _Loop:
         n = len(psi)
         rows = encode([np.broadcast_to(term, n) for term in o], ARRAYS)
         if len(self.ahead) > 1:
-            ways = np.array(to_world(*self.ahead[1:].T[:, :, None], np.cos(psi), np.sin(psi))).transpose(1, 0, 2)
+            away = self.ahead[1:].T[:, :, None]
+            ways = np.array(to_world(away[0], away[1], np.cos(psi), np.sin(psi))).transpose(1, 0, 2)
             rows = np.vstack((rows, encode_preview(ways, o, ARRAYS)))
         return plant._replace(a_u=own[6], a_r=own[7]), rows.T
 
@@ -170,9 +178,9 @@ class _Loop:
         """Return vehicle and memory one control period later: F."""
         plant, seen = self.observed(own, psi)
         action, memory = self.acted(seen, memory)
-        x, y = to_world(*self.ahead[0], np.cos(psi), np.sin(psi))
+        x, y = to_world(self.ahead[0, 0], self.ahead[0, 1], np.cos(psi), np.sin(psi))
         later = psi + self.dt * self.velocities[2]
-        after, _, _ = step(plant, action, self._sample(x, y, later), self.parameters, ARRAYS)
+        after, _, _ = step(plant, list(action), self._sample(x, y, later), self.parameters, ARRAYS)
         errors = to_body(after.x - x, after.y - y, np.cos(later), np.sin(later))
         rates = (rate - steady for rate, steady in zip((after.u, after.v, after.r), self.velocities, strict=True))
         return np.array((*errors, after.psi - later, *rates, *action)), memory
@@ -201,7 +209,8 @@ def _followed(loop: _Loop, advance: Callable[..., tuple[Array, Memory]]) -> _Orb
     """Return the motion that begins on the reference after it had time to settle."""
     steps, turn, looked = math.ceil(SETTLING / loop.dt), loop.dt * loop.velocities[2], _headings(loop)
     own, memory = loop.on_reference, None
-    kept, places = [], []
+    kept: list[tuple[float, Array, Memory]] = []
+    places: list[Array] = []
     with np.errstate(all="ignore"):
         for k in range(steps + looked[-1] + 1):
             if k >= 0.9 * steps:

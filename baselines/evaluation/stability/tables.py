@@ -54,7 +54,9 @@ def sheets(s: Stability) -> list[Sheet]:
     found = [Sheet(f"{s.policy}: growth of small errors [1/s]", "about steady motion, by turn rate", names, decay)]
     if s.largest_period is not None:
         periods = [(speed, *map(_period, row)) for speed, row in zip(speeds, s.largest_period, strict=True)]
-        found.append(Sheet("Largest control period with a hold [s]", "about steady motion, by turn rate", names, periods))
+        found.append(
+            Sheet("Largest control period with a hold [s]", "about steady motion, by turn rate", names, periods)
+        )
     share = tuple(f"{100 * share:.0f} %" for share in s.success.values())
     title = f"Converged, of {s.starts} starts at 0.1 m/s"
     found.append(Sheet(title, f"on the paper's circle, up to {DISTANCE:g} m off", tuple(s.success), [share]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 
@@ -20,45 +21,58 @@ def stable(rate: float) -> bool:
     return rate < 0
 
 
+def held(s: Stability) -> list[list[bool]]:
+    """Return whether the policy stays with each motion, a row for each speed: errors fade, or it swings about it."""
+    rows = zip(s.abscissa, s.swing, strict=True)
+    return [[stable(rate) or swing > 0 for rate, swing in zip(*row, strict=True)] for row in rows]
+
+
+def _word(s: Stability) -> str:
+    """Return what a motion is called that the policy stays with."""
+    return "held" if any(swing > 0 for row in s.swing for swing in row) else "stable"
+
+
 def _lines(s: Stability) -> str:
     """Return the verdict on straight lines."""
-    first, last = s.speeds[0], s.speeds[-1]
-    found = [stable(row[0]) for row in s.abscissa]
-    span = f"from {first:g} to {last:g} m/s" if len(s.speeds) > 1 else f"at {first:g} m/s"
+    first, last, word = s.speeds[0], s.speeds[-1], _word(s)
+    found = [row[0] for row in held(s)]
+    span = f"from {first:g} to {last:g} m/s" if len(s.speeds) > 1 else f"{first:g} m/s"
     if all(found):
-        return f"Straight lines are stable at every speed looked at, {span}."
+        return f"Straight lines are {word} at every speed looked at, {span}."
     if not any(found):
-        return f"Straight lines are stable at no speed looked at, {span}."
+        return f"Straight lines are {word} at no speed looked at, {span}."
     if len(s.limiting_speeds) == 1:
         (limit,) = s.limiting_speeds
-        below, above = ("stable", _not(s, -1)) if found[0] else (_not(s, 0), "stable")
-        return f"Straight lines are {below} below {limit:.3g} m/s and {above} above, {span}."
+        below, above = (word, "unstable") if found[0] else ("unstable", word)
+        return f"Straight lines are {below} below {limit:.3g} m/s and {above} above; looked at {span}."
     bounds = (first, *s.limiting_speeds, last)
-    pieces = [f"{a:.3g} to {b:.3g} m/s" for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
-    return f"Straight lines are stable {' and '.join(pieces[0 if found[0] else 1 :: 2])}, and not in between."
-
-
-def _not(s: Stability, row: int) -> str:
-    """Return what straight lines are at one end of the speeds, where they are not stable."""
-    return "not steady" if math.isnan(s.abscissa[row][0]) else "unstable"
+    pieces = [f"from {a:.3g} to {b:.3g} m/s" for a, b in itertools.pairwise(bounds)]
+    return f"Straight lines are {word} {' and '.join(pieces[0 if found[0] else 1 :: 2])}, and unstable in between."
 
 
 def _turns(s: Stability) -> Iterator[str]:
     """Yield the verdict on turns."""
-    cells = [(U, w, rate) for U, row in zip(s.speeds, s.abscissa, strict=True)
-             for w, rate in zip(s.turn_rates[1:], row[1:], strict=True)]  # fmt: skip
-    cells = [cell for cell, swing in zip(cells, (x for row in s.swing for x in row[1:]), strict=True)
-             if not math.isnan(cell[2]) or swing]  # fmt: skip
+    word, rows = _word(s), zip(s.speeds, s.abscissa, s.swing, held(s), strict=True)
+    cells = [
+        (U, w, stays)
+        for U, rates, swings, row in rows
+        for w, rate, swing, stays in list(zip(s.turn_rates, rates, swings, row, strict=True))[1:]
+        if swing > 0 or not math.isnan(rate)  # else the limits forbid it
+    ]
     if not cells:
         return
-    good = [(U, w) for U, w, rate in cells if stable(rate)]
+    good = [(U, w) for U, w, stays in cells if stays]
     span = f"of {s.turn_rates[1]:g} to {s.turn_rates[-1]:g} rad/s"
     if len(good) in (0, len(cells)):
-        yield f"Turns {span} are {'stable at every' if good else 'stable at no'} speed looked at."
+        yield f"Turns {span} are {word} at {'every' if good else 'no'} speed looked at."
         return
     by_rate = {w: [U for U, rate in good if rate == w] for w in s.turn_rates[1:]}
-    fastest = ", ".join(f"{max(speeds):g} m/s at {w:g} rad/s" for w, speeds in by_rate.items() if speeds)
-    yield f"Turns {span} are stable in {len(good)} of {len(cells)} motions looked at, the fastest {fastest}."
+    fastest = {w: max(speeds) for w, speeds in by_rate.items() if speeds}
+    if len(set(fastest.values())) == 1 and len(fastest) == len(by_rate):
+        where = f"none faster than {max(fastest.values()):g} m/s"
+    else:
+        where = "the fastest at " + ", ".join(f"{U:g} m/s with {w:g} rad/s" for w, U in fastest.items())
+    yield f"Turns {span} are {word} in {len(good)} of {len(cells)} motions looked at, {where}."
 
 
 def _decay(s: Stability) -> Iterator[str]:
@@ -66,19 +80,18 @@ def _decay(s: Stability) -> Iterator[str]:
     rates = [(row[0], U) for U, row in zip(s.speeds, s.abscissa, strict=True) if stable(row[0])]
     if rates:
         (slow, at), (fast, where) = max(rates), min(rates)
-        more = f", in {math.log(2) / -fast:.2g} s at {where:g} m/s" if fast < 0.8 * slow else ""
-        yield f"On a straight line a small error halves in {math.log(2) / -slow:.2g} s at {at:g} m/s, where it takes longest{more}."
+        more = f", and in {math.log(2) / -fast:.2g} s at {where:g} m/s" if fast < 0.8 * slow else ""
+        slowest = f"{math.log(2) / -slow:.2g} s at {at:g} m/s, the slowest"
+        yield f"On a straight line a small error halves in {slowest}{more}."
 
 
 def _swings(s: Stability) -> Iterator[str]:
     """Yield where the policy comes to no rest."""
-    swings = [x for row in s.swing for x, rate in zip(row, s.abscissa[s.swing.index(row)], strict=True) if math.isnan(rate)]
-    swings = [x for x in swings if x]
+    swings = [swing for row in s.swing for swing in row if swing > 0]
     if swings:
-        yield (
-            f"In {len(swings)} of {len(s.speeds) * len(s.turn_rates)} motions it stays near but comes to no rest: it swings "
-            f"by {1e3 * min(swings):.2g} to {1e3 * max(swings):.2g} mm."
-        )
+        share = f"{len(swings)} of {len(s.speeds) * len(s.turn_rates)} motions"
+        span = f"{1e3 * min(swings):.2g} to {1e3 * max(swings):.2g} mm"
+        yield f"In {share} it stays near but comes to no rest: it swings by {span}."
     left = sum(math.isinf(rate) for row in s.abscissa for rate in row)
     if left:
         yield f"In {left} motions it leaves the reference."
@@ -99,8 +112,11 @@ def _periods(s: Stability) -> Iterator[str]:
 
 def _starts(s: Stability) -> str:
     """Return from where it converges."""
-    shares = " and ".join(f"{_all_or(share)} {label}" for label, share in s.success.items())
-    return f"Of {s.starts} random starts up to {DISTANCE:g} m off, with any heading, {shares} converge to the paper's circle."
+    shares = " and ".join(
+        f"{_all_or(share)} {label if label.startswith('without') else f'with {label}'}"
+        for label, share in s.success.items()
+    )
+    return f"Of {s.starts} random starts up to {DISTANCE:g} m off, with any heading, {shares} reach the paper's circle."
 
 
 def _all_or(share: float) -> str:
