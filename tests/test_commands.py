@@ -50,6 +50,7 @@ ELSEWHERE = {
     r"python -m rl_zoo3\.train .*": "test_sb3.py reads its format; rl_zoo3 itself is no dependency",
     r"python evaluate\.py --suite (paper|presets)": "`make demo`, below",
     r"python evaluate\.py --stability .*": "test_stability.py",
+    r"python -m baselines\.evaluation\.report\.screenshots": "test_report_page.py::test_pictures_of_the_pages",
 }
 """Lines of the pages that do not run one by one here, and where they do."""
 

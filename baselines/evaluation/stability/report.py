@@ -23,7 +23,7 @@ from baselines.evaluation.runner import drawn
 from baselines.evaluation.stability.analysis import linearise_policy
 from baselines.evaluation.stability.certificate import BOXES, MISSING, certificates, installed
 from baselines.evaluation.stability.page import stability_html
-from baselines.evaluation.stability.sampled_loop import Steady, steady_motion
+from baselines.evaluation.stability.sampled_loop import PRIVILEGED, Steady, steady_motion
 from baselines.evaluation.stability.tables import DISTANCE, Stability, sheets, stability_map, terminal_table
 from baselines.evaluation.stability.verdicts import verdicts
 from baselines.policy import Privileged
