@@ -65,6 +65,7 @@ ELSEWHERE = {
     r"python evaluate\.py .*--submit .*": "test_submission.py::test_the_tutorial_leads_to_the_leaderboard",
     r"python -m baselines\.evaluation\.submission .*": "test_submission.py::test_the_tutorial_leads_to_the_leaderboard",
     r'python evaluate\.py --policy "cmd:.*': "test_programs.py::test_the_examples_do_what_the_class_does",
+    r"python -m baselines\.evaluation\.report\.screenshots": "test_report_page.py::test_pictures_of_the_pages",
 }
 """Lines of the pages that do not run one by one here, and where they do."""
 

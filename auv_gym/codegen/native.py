@@ -62,7 +62,7 @@ def library(source: str) -> ctypes.CDLL | None:
     path, version = found
     key = "\0".join((source, path, version, *FLAGS, *EXACT, *TUNED, platform.machine(), sys.platform, _processor()))
     name = f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
-    for folder in _folders():
+    for folder in cache_folders():
         if (made := _loaded(path, source, folder / name)) is not None:
             return made
     return None
@@ -93,8 +93,8 @@ def _processor() -> str:
     return "\n".join(sorted({line for line in lines if line.startswith(("flags", "Features", "model name"))}))
 
 
-def _folders() -> Iterator[Path]:
-    """Return where compiled code may be kept: the cache, else a folder that ends with the process."""
+def cache_folders() -> Iterator[Path]:
+    """Yield the folders where what is made once may be kept: the cache, else one that ends with the process."""
     if CACHE in os.environ:
         yield Path(os.environ[CACHE])
     elif "XDG_CACHE_HOME" in os.environ:

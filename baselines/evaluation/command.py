@@ -63,13 +63,16 @@ def _write(request: Request, results: list[Result], pooled: list[Entry], reprodu
     from baselines.evaluation.report.figures import evaluation_figures
 
     out, figures = request.options.out, evaluation_figures(results)
+    files: dict[str, str | bytes] = {}
     if reproduction is not None:
         from baselines.evaluation.paper.figures import paper_figures
+        from baselines.evaluation.paper.page import paper_html
 
         figures |= paper_figures(reproduction)
-    files: dict[str, str | bytes] = {f"{name}.png": png for name, png in figures.items()}
+        files["paper.html"] = paper_html(reproduction, request.command)
+    files |= {f"{name}.png": png for name, png in figures.items()}
     files["results.json"] = results_json(request, results, pooled, reproduction)
     files["results.csv"] = results_csv(results)
-    files["report.html"] = report_html(request, results, pooled, figures)
+    files["report.html"] = report_html(request, results, pooled, paper=reproduction is not None)
     for name, content in files.items():
         write_atomically(out / name, content)

@@ -26,11 +26,17 @@ WORST = 0.05
 
 @dataclass(frozen=True)
 class Track:
-    """The way of one episode through the plane, one row per control instant, the start included."""
+    """The way of one episode through the plane, one row for each control instant, the start included."""
 
-    position: Array  # x, y [m], shape (n + 1, 2)
-    reference: Array  # x, y [m], shape (n + 1, 2)
-    current: Array  # mean V_x, V_y [m/s] of the water in the world, shape (2,)
+    position: Array  # x, y [m], shape (n, 2)
+    reference: Array  # x, y [m], shape (n, 2)
+    heading: Array  # psi, psi_R [rad], shape (n, 2)
+    current: Array  # V_x, V_y [m/s] in the world of the water where the vehicle is, shape (n, 2)
+
+    @property
+    def error(self) -> Array:
+        """Distance to the reference [m], shape (n,)."""
+        return np.asarray(np.hypot(*(self.position - self.reference).T))
 
 
 @dataclass(frozen=True)

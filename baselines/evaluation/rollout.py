@@ -25,6 +25,8 @@ from baselines.evaluation.metrics import Array, Measures, Track, effort, rmse, s
 from baselines.policy import Privileged
 
 ENV_ID = "auv_gym:UnderactuatedAUVTrack-v0"  # of the environment that policies are run in
+TRACED = 3
+"""How many episodes of a rollout, the first ones, are traced: drawn from above."""
 PATIENCE = 10
 """Control steps before a policy's speed is judged: the first ones may compile or load."""
 Begun: TypeAlias = tuple[UnderactuatedAUVTrackVectorEnv, Array]
@@ -41,7 +43,7 @@ class Rollout:
 
     measures: Measures
     errors: NDArray[np.float32]  # [m], shape (K, N); where an episode was lost it keeps its last error
-    track: Track  # of the first episode
+    tracks: tuple[Track, ...]  # of the first `TRACED` episodes
     seconds: float  # wall time of all
     decision_seconds: float  # processor time of the policy for one vehicle and control step
 
@@ -180,16 +182,16 @@ def rollout(
     if isinstance(policy, Privileged):
         policy.prepare(scenario, episodes)
     env, observation = beginning([(scenario, episodes)], preview_of(policy))
-    log = _Log(scenario.steps, len(episodes), [_row(env)])
+    log = _Log(scenario.steps, len(episodes), _row(env))
     for k, moment in enumerate(play(policy, (env, observation), scenario.steps, watch)):
         log.add(k, moment)
-        if log.running[0] and k + 1 < scenario.steps:
+        if log.running[:TRACED].any() and k + 1 < scenario.steps:
             log.rows.append(_row(env))
         on_step(k + 1)
     return Rollout(
         log.measures(scenario),
         log.errors.astype(np.float32),
-        _track(log.rows),
+        log.tracks,
         time.perf_counter() - start,
         watch.decision_seconds,
     )
@@ -198,9 +200,9 @@ def rollout(
 class _Log:
     """What K steps of N episodes give, each until its own end."""
 
-    def __init__(self, steps: int, n: int, rows: list[Array]) -> None:
+    def __init__(self, steps: int, n: int, row: Array) -> None:
         self.errors, self._rewards, self._actions = np.zeros((steps, n)), np.zeros((steps, n)), np.zeros((steps, n, 2))
-        self.rows = rows  # of the first episode's track
+        self.rows = [row]  # of the traced episodes, see `_row`
         self.running, self._lost, self._length = np.ones(n, dtype=bool), np.zeros(n, dtype=bool), np.full(n, steps)
 
     def add(self, k: int, m: Moment) -> None:
@@ -212,6 +214,13 @@ class _Log:
         self.running = m.running & ~m.lost
         if not self.running.any():
             self.errors[k + 1 :] = self.errors[k]
+
+    @property
+    def tracks(self) -> tuple[Track, ...]:
+        """The tracks of the traced episodes, each as long as its episode."""
+        table = np.array(self.rows)
+        own = (table[: int(length), :, i] for i, length in enumerate(self._length[: table.shape[2]]))
+        return tuple(Track(rows[:, 0:2], rows[:, 2:4], rows[:, 4:6], rows[:, 6:8]) for rows in own)
 
     def measures(self, scenario: Scenario) -> Measures:
         """Return what is measured of the episodes."""
@@ -254,12 +263,7 @@ def make_env(scenario: Scenario) -> gym.Env[Any, Any]:
     return gym.make(ENV_ID, scenario=scenario, disable_env_checker=True)
 
 
-def _row(env: Any) -> Array:
-    """Return x, y, x_R, y_R [m] and V_x, V_y [m/s] at this time, of the first vehicle."""
-    first = (env.position.T, env.reference[:2], env.current.T)
-    return np.concatenate([np.reshape([np.ravel(value)[0] for value in part], -1) for part in first])
-
-
-def _track(rows: Sequence[Array]) -> Track:
-    table = np.array(rows)
-    return Track(table[:, :2], table[:, 2:4], table[:, 4:].mean(axis=0))
+def _row(env: UnderactuatedAUVTrackVectorEnv) -> Array:
+    """Return x, y, x_R, y_R [m], psi, psi_R [rad] and V_x, V_y [m/s] at this time, of the traced vehicles, (8, n)."""
+    state, current, (x_R, y_R, psi_R, *_) = env.state.T, env.current.T, env.reference
+    return np.stack((*state[:2], x_R, y_R, state[2], psi_R, *current))[:, :TRACED]

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
 
 from auv_gym.scenario import Scenario
 from baselines.evaluation.metrics import Measures, Track
@@ -12,6 +16,7 @@ from baselines.evaluation.store import Stored, reading, write
 
 PLAIN = ("policy", "fingerprint", "cell_hash", "seconds", "decision_seconds")
 """Fields of a run that are kept as they are."""
+TRACK = fields(Track)  # each an array of its own
 
 
 @dataclass(frozen=True)
@@ -22,12 +27,12 @@ class RowStore:
 
     def save(self, run: Run) -> None:
         """Keep a run; no reader ever sees half of it."""
-        if run.measures is None or run.track is None or run.bands is None:
+        if run.measures is None or not run.tracks or run.bands is None:
             return
         record = {name: getattr(run, name) for name in PLAIN}
-        record |= {"scenario": run.scenario.to_dict(), "warnings": list(run.warnings)}
+        record |= {"scenario": run.scenario.to_dict(), "warnings": list(run.warnings), "tracks": len(run.tracks)}
         arrays = {f"measures_{f.name}": getattr(run.measures, f.name) for f in fields(Measures)}
-        arrays |= {f"track_{f.name}": getattr(run.track, f.name) for f in fields(Track)}
+        arrays |= {f"track{i}_{f.name}": getattr(track, f.name) for i, track in enumerate(run.tracks) for f in TRACK}
         write(self._file(run.key), Stored(record, {**arrays, "bands": run.bands}))
 
     def load(self, key: str) -> Run | None:
@@ -40,7 +45,7 @@ class RowStore:
                     scenario=Scenario.from_dict(record["scenario"]),
                     measures=Measures(*(arrays[f"measures_{f.name}"] for f in fields(Measures))),
                     bands=arrays["bands"],
-                    track=Track(*(arrays[f"track_{f.name}"] for f in fields(Track))),
+                    tracks=tuple(_track(arrays, i) for i in range(record["tracks"])),
                     warnings=tuple(map(str, record["warnings"])),
                 )
                 return run if run.key == key else None
@@ -49,3 +54,7 @@ class RowStore:
 
     def _file(self, key: str) -> Path:
         return self.folder / f"{key}.npz"
+
+
+def _track(arrays: Mapping[str, NDArray[Any]], i: int) -> Track:
+    return Track(*(arrays[f"track{i}_{f.name}"] for f in TRACK))

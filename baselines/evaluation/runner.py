@@ -78,7 +78,7 @@ class Run:
     cell_hash: str
     measures: Measures | None = None
     bands: NDArray[np.float32] | None = None  # [m] `QUANTILES` of the position error, shape (3, K)
-    track: Track | None = None  # of the first episode
+    tracks: tuple[Track, ...] = ()  # of the first episodes
     seconds: float = math.nan  # wall time of all episodes, added up over workers
     decision_seconds: float = math.nan  # wall time of the policy for one vehicle and control step
     error: str | None = None
@@ -218,7 +218,7 @@ def _joined(policy: str, cell: Cell, parts: Sequence[Part]) -> Run:
         cell.hash,
         Measures.joined([r.measures for r in rollouts]),
         np.quantile(errors, QUANTILES, axis=1).astype(np.float32),
-        rollouts[0].track,
+        rollouts[0].tracks,
         sum(r.seconds for r in rollouts),
         float(np.mean([r.decision_seconds for r in rollouts])),
         warnings=messages,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from typing import Any
 
 import matplotlib as mpl
@@ -13,8 +15,58 @@ from matplotlib.figure import Figure
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """The palette of M. Okabe and K. Ito (2008), in the order of use."""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")  # of points, in the order of use
+OUTLINES = (
+    "M -1 0 A 1 1 0 1 1 1 0 A 1 1 0 1 1 -1 0 Z",
+    "M -0.9 -0.9 H 0.9 V 0.9 H -0.9 Z",
+    "M 0 -1.1 L 1.1 0.85 H -1.1 Z",
+    "M 0 -1.2 L 1.2 0 L 0 1.2 L -1.2 0 Z",
+    "M 0 1.1 L 1.1 -0.85 H -1.1 Z",
+    "M -0.4 -1.1 H 0.4 V -0.4 H 1.1 V 0.4 H 0.4 V 1.1 H -0.4 V 0.4 H -1.1 V -0.4 H -0.4 Z",
+    "M -0.5 0 L -1 -0.5 L -0.5 -1 L 0 -0.5 L 0.5 -1 L 1 -0.5 L 0.5 0 L 1 0.5 L 0.5 1 L 0 0.5 L -0.5 1 L -1 0.5 Z",
+)
+"""The markers as paths of a page's graphics, about a circle of radius 1."""
+DASHES: tuple[tuple[Any, tuple[float, ...]], ...] = (
+    ("-", ()),
+    ("--", (7, 3)),
+    (":", (2, 2)),
+    ("-.", (8, 3, 2, 3)),
+    ((0, (6, 1.5, 1, 1.5, 1, 1.5)), (10, 2, 2, 2, 2, 2)),
+)
+"""The dashes of lines in the order of use, for figures, and in pixels for pages."""
 REFERENCE: dict[str, Any] = {"color": "0.45", "linestyle": (0, (4, 2)), "linewidth": 1.2}
 """How the reference is drawn."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """What tells one policy from the others, in every figure and on every page."""
+
+    colour: str
+    dash: int  # one of `DASHES`
+    marker: int  # one of `MARKERS`
+
+    @property
+    def line(self) -> dict[str, Any]:
+        """How its lines are drawn."""
+        return {"color": self.colour, "linestyle": DASHES[self.dash][0]}
+
+    @property
+    def point(self) -> dict[str, Any]:
+        """How its points are drawn."""
+        return {"color": self.colour, "marker": MARKERS[self.marker], "markersize": 5, "linestyle": ""}
+
+
+LOOKS = tuple(
+    Look(COLOURS[i % len(COLOURS)], i // len(COLOURS), (i + i // len(COLOURS)) % len(MARKERS))
+    for i in range(len(COLOURS) * len(DASHES))
+)
+"""The looks in the order of use: no two have the same line, no two the same point."""
+
+
+def look(name: str, names: Sequence[str]) -> Look:
+    """Return the look of one of the names; beyond as many as there are they begin anew."""
+    return LOOKS[names.index(name) % len(LOOKS)]
+
 
 _STYLE: Any = {
     "font.size": 9,

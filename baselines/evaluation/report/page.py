@@ -1,57 +1,99 @@
-"""A page that opens from disk: its frame, its tables and its figures."""
+"""A page that opens from disk: a template, its style, scripts and charts, and all of its data in one file.
+
+Vega-Lite draws the charts. Its code comes from vl-convert, once for all charts of a page, and lies in it compressed, as
+the data do; the browser unpacks both. Text goes through Jinja2's escaping, data through JSON: names are users' own.
+"""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
-from html import escape
-from string import Template
+import gzip
+import hashlib
+import json
+import zlib
+from contextlib import suppress
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
 
-_FRAME = Template("""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>$title</title>
-<style>
-body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1240px; margin: 2em auto; padding: 0 1em; }
-h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; border-bottom: 1px solid #ddd; }
-table { border-collapse: collapse; font-size: 0.87em; font-variant-numeric: tabular-nums; }
-th, td { padding: 0.15em 0.7em; text-align: right; white-space: nowrap; }
-th { border-bottom: 2px solid #888; } td.name, th.name { text-align: left; }
-tr.first td { border-top: 1px solid #ccc; }
-.wide { overflow-x: auto; } img { max-width: 100%; } figure { margin: 1.5em 0; }
-figcaption, .note { color: #555; font-size: 0.9em; } code { background: #f3f3f3; padding: 0.1em 0.3em; }
-dt { font-weight: 600; } dd { margin: 0 0 0.5em 1.5em; } .failed { color: #b00; }
-</style>
-</head>
-<body>
-<h1>$title</h1>
-$body
-</body>
-</html>
-""")
+from auv_gym.codegen.native import cache_folders
+from baselines.tools.files import finite, write_atomically
+
+WEB = Path(__file__).parent / "web"
+"""The templates, the style and the scripts."""
+MISSING = "pages need Jinja2 and vl-convert: pip install 'auv-gym[eval]'"
+_WORST, _MIDDLE, _BEST = (217, 128, 50), (250, 250, 248), (60, 130, 190)  # colours of -1, 0 and 1
+_SNIPPET = "window.vegaEmbed = vegaEmbed;"  # what the pages need of the library
 
 
-def page(title: str, body: str) -> str:
-    """Return the text of a page; the body is HTML."""
-    return _FRAME.substitute(title=escape(title), body=body)
+def render(template: str, data: Any, scripts: tuple[str, ...] = (), **context: Any) -> str:
+    """Return the text of a page.
+
+    Args:
+        template: name of a file in `WEB`.
+        data: what the scripts read, plain JSON; null in place of numbers that are not finite.
+        scripts: names of the files in `WEB` that this page has besides `page.js`.
+        context: what the template needs; text in it is escaped.
+
+    Raises:
+        ImportError: a library is missing; the message says which extra has it.
+    """
+    try:
+        import jinja2
+    except ImportError as error:
+        raise ImportError(MISSING) from error
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(WEB), autoescape=True, undefined=jinja2.StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    return environment.get_template(template).render(
+        style=_own("page.css"),
+        script="\n".join(_own(name) for name in ("page.js", *scripts)),
+        library=_library(),
+        data=packed(json.dumps(finite(data), separators=(",", ":"), allow_nan=False)),
+        **context,
+    )
 
 
-def figure(caption: str, png: bytes) -> str:
-    """Return a figure with its picture inside."""
-    data = base64.b64encode(png).decode("ascii")
-    image = f'<img src="data:image/png;base64,{data}" alt="{escape(caption)}">'
-    return f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>"
+def mixed(share: float) -> str:
+    """Return the colour of a value in [-1, 1], what is beyond cut: orange, white, blue, which all eyes tell apart."""
+    share = min(max(share, -1.0), 1.0)
+    end = _BEST if share > 0 else _WORST
+    return "#{:02x}{:02x}{:02x}".format(*(round(a + (b - a) * abs(share)) for a, b in zip(_MIDDLE, end, strict=True)))
 
 
-def table(names: Sequence[str], rows: Sequence[tuple[bool, Sequence[str]]], left: int = 1) -> str:
-    """Return a table; each row says whether a group begins with it; the first `left` columns are names."""
+def packed(text: str) -> str:
+    """Return a text compressed, in characters that mean nothing to HTML; the same text gives the same characters."""
+    return base64.b64encode(gzip.compress(text.encode(errors="backslashreplace"), mtime=0)).decode("ascii")
 
-    def line(cells: Sequence[str], tag: str, first: bool) -> str:
-        kinds = [' class="name"' if i < left else "" for i in range(len(cells))]
-        body = "".join(f"<{tag}{kind}>{escape(cell)}</{tag}>" for cell, kind in zip(cells, kinds, strict=True))
-        return f'<tr class="first">{body}</tr>' if first else f"<tr>{body}</tr>"
 
-    body = "\n".join(line(cells, "td", first) for first, cells in rows)
-    return f"<table>\n{line(names, 'th', False)}\n{body}\n</table>"
+def _own(name: str) -> str:
+    """Return a file of `WEB`, as it stands on the page."""
+    return (WEB / name).read_text(encoding="utf-8")
+
+
+@cache
+def _library() -> str:
+    """Return the code that draws charts, packed; it is made once and kept, since that takes seconds.
+
+    Raises:
+        ImportError: the library is missing.
+    """
+    try:
+        import vl_convert
+    except ImportError as error:
+        raise ImportError(MISSING) from error
+    version = f"{metadata.version('vl-convert-python')} {_SNIPPET}"
+    name = f"charts-{hashlib.sha256(version.encode()).hexdigest()[:16]}.txt"
+    folders = list(cache_folders())
+    for folder in folders:
+        with suppress(OSError, ValueError, EOFError, zlib.error):  # it is not there, or damaged
+            code = (folder / name).read_text(encoding="ascii")
+            gzip.decompress(base64.b64decode(code))
+            return code
+    code = packed(vl_convert.javascript_bundle(_SNIPPET))
+    with suppress(OSError):  # it is made again the next time
+        folders[0].mkdir(parents=True, exist_ok=True, mode=0o700)
+        write_atomically(folders[0] / name, code)
+    return code

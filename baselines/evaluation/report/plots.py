@@ -15,7 +15,7 @@ from auv_gym.scenario import Scenario
 from baselines.evaluation.metrics import Track
 from baselines.evaluation.report.numbers import Result
 from baselines.evaluation.score import regime_of
-from baselines.tools.figure_style import COLOURS, MARKERS, panels
+from baselines.tools.figure_style import COLOURS, look, panels
 
 COLUMNS = 4  # most panels side by side
 BAND: dict[str, Any] = {"color": "0.8", "linewidth": 4.0, "solid_capstyle": "round", "zorder": 1}
@@ -23,28 +23,10 @@ BAND: dict[str, Any] = {"color": "0.8", "linewidth": 4.0, "solid_capstyle": "rou
 LEGEND: dict[str, Any] = {"loc": "outside upper center", "ncols": 4}  # of a figure with several panels
 
 
-def look(policy: str, policies: Sequence[str]) -> dict[str, Any]:
-    """Return colour and line of a policy among all of them."""
-    i = policies.index(policy)
-    return {"color": COLOURS[i % len(COLOURS)], "linestyle": ("-", "--", ":")[i // len(COLOURS) % 3]}
-
-
 def handles(policies: Sequence[str], all_policies: Sequence[str], markers: bool = False) -> list[Line2D]:
     """Return the legend's entries of some of the policies."""
-    return [
-        Line2D([], [], label=policy, **look(policy, all_policies) | (_dot(policy, all_policies) if markers else {}))
-        for policy in policies
-    ]
-
-
-def _dot(policy: str, policies: Sequence[str]) -> dict[str, Any]:
-    return {"linestyle": "", **marker(policies.index(policy))}
-
-
-def marker(i: int) -> dict[str, Any]:
-    """Return the look of the i-th policy's points."""
-    face = {"markerfacecolor": "white"} if i // len(MARKERS) % 2 else {}  # the second seven are hollow
-    return {"marker": MARKERS[i % len(MARKERS)], "markersize": 5, **face}
+    looks = {policy: look(policy, all_policies) for policy in policies}
+    return [Line2D([], [], label=policy, **(own.point if markers else own.line)) for policy, own in looks.items()]
 
 
 def tail_error(results: Sequence[Result], policies: Sequence[str]) -> Figure:
@@ -86,9 +68,9 @@ def _points(ax: Axes, i: int, found: Sequence[Result], policies: Sequence[str]) 
         k, tail = policies.index(result.run.policy), result.entry.summary.tail_rmse_m
         low, high = (value if math.isfinite(value) else tail.mean for value in tail.ci95)
         x = i + 0.6 * ((k + 0.5) / len(policies) - 0.5)
-        colour = COLOURS[k % len(COLOURS)]
-        ax.plot([x, x], [low, high], color=colour, linewidth=1.6)
-        ax.plot(x, tail.mean, color=colour, linestyle="", **marker(k))
+        own = look(result.run.policy, policies)
+        ax.plot([x, x], [low, high], color=own.colour, linewidth=1.6)
+        ax.plot(x, tail.mean, **own.point)
 
 
 def _by_scenario(results: Sequence[Result]) -> list[tuple[Scenario, list[Result]]]:
@@ -119,7 +101,7 @@ def error_over_time(results: Sequence[Result], policies: Sequence[str]) -> Figur
             if result.run.bands is None:
                 continue
             low, median, high = result.run.bands
-            line = look(result.run.policy, policies)
+            line = look(result.run.policy, policies).line
             ax.fill_between(t, low, high, color=line["color"], alpha=0.18, linewidth=0)
             ax.plot(t, median, **line)
         ax.axvline(scenario.duration / 3, color="0.6", linewidth=0.8, linestyle=":")
@@ -138,9 +120,9 @@ def trajectories(results: Sequence[Result], policies: Sequence[str]) -> Figure:
     groups = _by_scenario(results)
     figure, axes = grid(len(groups), 2.6)
     for ax, (scenario, found) in zip(axes, groups, strict=True):
-        tracks = {r.run.policy: r.run.track for r in found if r.run.track is not None}
+        tracks = {r.run.policy: r.run.tracks[0] for r in found if r.run.tracks}
         for policy, track in tracks.items():
-            ax.plot(*track.position.T, **look(policy, policies))
+            ax.plot(*track.position.T, **look(policy, policies).line)
             ax.plot(*track.position[0], color="0.2", marker="o", markersize=3.5)
         longest = max(tracks.values(), key=lambda track: len(track.reference))
         ax.plot(*longest.reference.T, **BAND)
@@ -149,7 +131,7 @@ def trajectories(results: Sequence[Result], policies: Sequence[str]) -> Figure:
         ax.set_title(scenario.name)
     figure.supxlabel("x [m]     (dot: start; arrow: mean current)", fontsize=9)
     figure.supylabel("y [m]", fontsize=9)
-    seen = {result.run.policy for result in results if result.run.track is not None}
+    seen = {result.run.policy for result in results if result.run.tracks}
     lines = handles([p for p in policies if p in seen], policies)
     figure.legend(handles=[Line2D([], [], label="reference", **BAND), *lines], **LEGEND)
     return figure
@@ -157,7 +139,8 @@ def trajectories(results: Sequence[Result], policies: Sequence[str]) -> Figure:
 
 def _current_arrow(ax: Axes, tracks: Sequence[Track]) -> None:
     """Draw the direction of the mean current into the emptiest corner, its speed beside it; nothing in still water."""
-    speed = float(np.hypot(*tracks[0].current))
+    mean = tracks[0].current.mean(axis=0)
+    speed = float(np.hypot(*mean))
     if speed < 1e-6:
         return
     points = np.concatenate([way for track in tracks for way in (track.position, track.reference)])
@@ -166,7 +149,7 @@ def _current_arrow(ax: Axes, tracks: Sequence[Track]) -> None:
     corners = np.array([(x, y) for y in (0.12, 0.88) for x in (0.14, 0.86)])
     x, y = max(corners.tolist(), key=lambda corner: float(np.hypot(*(within - corner).T).min()))
     ax.quiver(
-        x, y, *(tracks[0].current / speed), transform=ax.transAxes, angles="uv", pivot="mid", color=COLOURS[4],
+        x, y, *(mean / speed), transform=ax.transAxes, angles="uv", pivot="mid", color=COLOURS[4],
         scale=6, width=0.018, zorder=4,
     )  # fmt: skip
     inwards = 0.24 if y < 0.5 else -0.24

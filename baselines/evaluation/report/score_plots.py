@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from baselines.evaluation.report.numbers import Result
-from baselines.evaluation.report.plots import LEGEND, grid, handles, look, marker
+from baselines.evaluation.report.plots import LEGEND, grid, handles
 from baselines.evaluation.score import EXPERT, LARGEST_TAIL, ORACLE, regime_of
-from baselines.tools.figure_style import panels
+from baselines.tools.figure_style import look, panels
 
 
 def score_by_case(results: Sequence[Result], policies: Sequence[str]) -> Figure | None:
@@ -38,10 +38,10 @@ def _scores(ax: Axes, regime: str, shown: Sequence[Result], policies: Sequence[s
         assert result.entry.score is not None
         k, i = order.index(result.run.policy), names.index(result.run.scenario.name)
         y = i + 0.7 * ((k + 0.5) / len(order) - 0.5)
-        colour = look(result.run.policy, policies)["color"]
+        own = look(result.run.policy, policies)
         low, high = (end if math.isfinite(end) else result.entry.score.mean for end in result.entry.score.ci95)
-        ax.plot([low, high], [y, y], color=colour, linewidth=1.6)
-        ax.plot(result.entry.score.mean, y, color=colour, linestyle="", **marker(policies.index(result.run.policy)))
+        ax.plot([low, high], [y, y], color=own.colour, linewidth=1.6)
+        ax.plot(result.entry.score.mean, y, **own.point)
     for value in (0.0, 1.0):
         ax.axvline(value, color="0.5", linewidth=0.8)
     ax.set_yticks(range(len(names)), [name.removeprefix(f"{regime}-") for name in names])
@@ -61,7 +61,9 @@ def error_distribution(results: Sequence[Result], policies: Sequence[str]) -> Fi
             if result.run.scenario.name != name or result.run.measures is None:
                 continue
             tail = np.sort(np.maximum(result.run.measures.tail, 1e-9))
-            ax.step(tail, np.arange(1, len(tail) + 1) / len(tail), where="post", **look(result.run.policy, policies))
+            ax.step(
+                tail, np.arange(1, len(tail) + 1) / len(tail), where="post", **look(result.run.policy, policies).line
+            )
         cap = LARGEST_TAIL.get(regime_of(name) or "")
         if cap is not None:
             ax.axvline(cap, color="0.6", linewidth=0.8, linestyle=":")

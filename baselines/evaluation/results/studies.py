@@ -14,7 +14,7 @@ from baselines.evaluation.results.collection import Results
 from baselines.evaluation.results.page import table
 from baselines.evaluation.score import EXPERT, ORACLE, interval_text, lead, score_text, seeds_score
 from baselines.evaluation.study_files import InSuite, Study
-from baselines.tools.figure_style import COLOURS, REFERENCE, panels
+from baselines.tools.figure_style import LOOKS, REFERENCE, panels
 
 RIVAL = "nmpc"
 """The strongest of the controllers that do not learn."""
@@ -127,9 +127,9 @@ def curves_figure(studies: Mapping[str, Study]) -> Figure:
         for i, (name, study) in enumerate(studies.items()):
             x = np.mean([curve[:, column] for curve in study.curves], axis=0) / unit
             scores = np.array([curve[:, 2] for curve in study.curves])
-            colour, dashes = COLOURS[i % len(COLOURS)], ("-", "--", ":")[i // len(COLOURS)]
-            ax.plot(x, scores.mean(axis=0), color=colour, linestyle=dashes, label=name)
-            ax.fill_between(x, scores.min(axis=0), scores.max(axis=0), color=colour, alpha=0.15, linewidth=0)
+            line = LOOKS[i].line
+            ax.plot(x, scores.mean(axis=0), **line, label=name)
+            ax.fill_between(x, scores.min(axis=0), scores.max(axis=0), color=line["color"], alpha=0.15, linewidth=0)
     axes[0].set_ylim(-0.2, 1.02)
     axes[0].set_xscale("log", nonpositive="mask")  # some learn from forty times fewer steps than others
     axes[0].xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import sys
 from collections.abc import Sequence
@@ -11,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from auv_gym.actuators import Actuators
-from auv_gym.policy import Policy
+from auv_gym.policy import Policy, preview_of
 from auv_gym.presets import PAPER_SCENARIO
 from auv_gym.scenario import Start
 from auv_gym.vehicle import PAPER_VEHICLE
@@ -21,14 +22,11 @@ from baselines.evaluation.rollout import PolicyError, rollout
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.stability.analysis import linearise_policy
 from baselines.evaluation.stability.certificate import BOXES, MISSING, certificates, installed
-from baselines.evaluation.stability.tables import (
-    DISTANCE,
-    Stability,
-    sheets,
-    stability_html,
-    stability_map,
-    terminal_table,
-)
+from baselines.evaluation.stability.page import stability_html
+from baselines.evaluation.stability.sampled_loop import PRIVILEGED, Steady, steady_motion
+from baselines.evaluation.stability.tables import DISTANCE, Stability, sheets, stability_map, terminal_table
+from baselines.evaluation.stability.verdicts import verdicts
+from baselines.policy import Privileged
 from baselines.tools.command_line import DONE, FAILED
 from baselines.tools.figure_style import styled, to_png
 from baselines.tools.files import json_text, write_atomically
@@ -41,6 +39,7 @@ LIMITS: dict[str, tuple[float, float]] = {"without limits": (8192.0, 4096.0), "2
 STARTS = 200  # number of random starts
 STEPS = 2000  # control steps from each start
 SUBSTEPS = 10  # integration steps in each: a vehicle without limits can spin fast
+FINE, COARSE = 1e-4, 1e-2  # relative width of the interval in which a limiting speed is found, without and with memory
 SETTLED = 0.05  # [m] position error below which a start has converged after `STEPS`
 
 
@@ -48,23 +47,75 @@ def examine(name: str) -> Stability:
     """Return what is known of a policy.
 
     Raises:
-        ValueError: the policy has a memory.
+        ValueError: the policy looks behind the observation.
         PolicyError: it gives no usable actions.
     """
     policy, dt = make_policy(name), PAPER_SCENARIO.control_dt
-    loops = [
-        [linearise_policy(PAPER_VEHICLE, policy, speed, turn_rate, dt) for turn_rate in TURN_RATES] for speed in SPEEDS
-    ]
+    if remembers(policy, dt):
+        motions = [[steady_motion(PAPER_VEHICLE, policy, U, turn_rate) for turn_rate in TURN_RATES] for U in SPEEDS]
+        periods = certified = None
+    else:
+        loops = [
+            [linearise_policy(PAPER_VEHICLE, policy, U, turn_rate, dt) for turn_rate in TURN_RATES] for U in SPEEDS
+        ]
+        motions = [[Steady(float(loop.eigenvalues[0].real), 0.0, 0.0) for loop in row] for row in loops]
+        periods = [[loop.largest_period() for loop in row] for row in loops]
+        certified = certificates(PAPER_VEHICLE, policy, CERTIFIED_SPEEDS, BOXES, dt) if installed() else None
     return Stability(
         name,
         SPEEDS,
         TURN_RATES,
-        [[float(loop.eigenvalues[0].real) for loop in row] for row in loops],
-        [[loop.largest_period() for loop in row] for row in loops],
+        [[motion.rate for motion in row] for row in motions],
+        [[motion.swing for motion in row] for row in motions],
+        periods,
+        limits_of_speed(policy, [motion[0].held for motion in motions], periods is None),
         STARTS,
         {label: success(policy, limits, STARTS) for label, limits in LIMITS.items()},
-        certificates(PAPER_VEHICLE, policy, CERTIFIED_SPEEDS, BOXES, dt) if installed() else None,
+        certified,
     )
+
+
+def remembers(policy: Policy, dt: float) -> bool:
+    """Return whether a policy has a memory; dt is the control period that it is told [s].
+
+    Raises:
+        ValueError: the policy looks behind the observation.
+    """
+    if isinstance(policy, Privileged):
+        raise ValueError(PRIVILEGED)
+    if preview_of(policy):
+        return True
+    try:
+        linearise_policy(PAPER_VEHICLE, policy, SPEEDS[0], 0.0, dt)
+    except ValueError:
+        return True
+    return False
+
+
+def limits_of_speed(policy: Policy, stable: Sequence[bool], memory: bool) -> list[float]:
+    """Return the speeds [m/s] between which straight lines change between stable and unstable, ascending.
+
+    Args:
+        policy: the policy.
+        stable: whether they are stable at `SPEEDS`.
+        memory: whether the policy has one.
+    """
+    dt, found = PAPER_SCENARIO.control_dt, []
+
+    def at(speed: float) -> bool:
+        if memory:
+            return steady_motion(PAPER_VEHICLE, policy, speed, 0.0).held
+        return bool(linearise_policy(PAPER_VEHICLE, policy, speed, 0.0, dt).eigenvalues[0].real < 0)
+
+    for (low, below), (high, above) in itertools.pairwise(zip(SPEEDS, stable, strict=True)):
+        if below == above:
+            continue
+        a, b = low, high
+        while b - a > (COARSE if memory else FINE) * b:
+            middle = 0.5 * (a + b)
+            a, b = (middle, b) if at(middle) == below else (a, middle)
+        found.append(0.5 * (a + b))
+    return found
 
 
 def success(policy: Policy, limits: tuple[float, float], starts: int) -> float:
@@ -97,6 +148,8 @@ def report(names: Sequence[str], out: Path, command: str) -> int:
         except (ValueError, RuntimeError, PolicyError) as error:
             print(f"{name}: {error}", file=sys.stderr)
             continue
+        for sentence in verdicts(found[-1]):
+            screen.print(f"- {name}: {sentence}", soft_wrap=True, markup=False)
         for sheet in sheets(found[-1]):
             screen.print(terminal_table(sheet))
     if not found:
@@ -105,6 +158,6 @@ def report(names: Sequence[str], out: Path, command: str) -> int:
         png = to_png(stability_map(found))
     write_atomically(out / "stability.json", json_text([asdict(s) for s in found]))
     write_atomically(out / "stability.png", png)
-    write_atomically(out / "stability.html", stability_html(found, png, command))
+    write_atomically(out / "stability.html", stability_html(found, command))
     screen.print(f"Wrote stability.html, stability.json and stability.png to {out}", soft_wrap=True)
     return DONE if len(found) == len(names) else FAILED

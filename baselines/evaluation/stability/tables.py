@@ -1,11 +1,10 @@
-"""What `evaluate.py --stability` finds, as tables on the terminal, as a page and as a picture."""
+"""What `evaluate.py --stability` finds, as tables on the terminal and as a picture."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,9 +12,8 @@ from rich.markup import escape as plain
 from rich.table import Table
 
 from baselines.control.linearisation import LONGEST_PERIOD
-from baselines.evaluation.report.page import figure, page, table
 from baselines.evaluation.report.terminal import LOOK
-from baselines.evaluation.stability.certificate import FINE, MISSING, Certificate
+from baselines.evaluation.stability.certificate import FINE, Certificate
 from baselines.tools.figure_style import panels
 
 DISTANCE = 5.0
@@ -29,11 +27,13 @@ class Stability:
     policy: str
     speeds: tuple[float, ...]  # [m/s]
     turn_rates: tuple[float, ...]  # [rad/s]
-    abscissa: list[list[float]]  # [1/s] largest real part, a row for each speed
-    largest_period: list[list[float]]  # [s] the same; 0 where the continuous loop is unstable
+    abscissa: list[list[float]]  # [1/s] growth of small errors, a row for each speed; see `sampled_loop.Steady.rate`
+    swing: list[list[float]]  # [m] how far it keeps moving to and fro
+    largest_period: list[list[float]] | None  # [s]; 0 where the continuous loop is unstable; None: it has a memory
+    limiting_speeds: list[float]  # [m/s] at which straight lines change between stable and unstable
     starts: int  # random starts behind `success`
     success: dict[str, float]  # share of the starts that converge on the paper's circle, by limits
-    certificates: list[Certificate] | None  # box by box, speed by speed; None: no solver
+    certificates: list[Certificate] | None  # box by box, speed by speed; None: no solver, or it has a memory
 
 
 @dataclass(frozen=True)
@@ -50,19 +50,31 @@ def sheets(s: Stability) -> list[Sheet]:
     """Return all tables about a policy."""
     speeds = [f"{speed:g}" for speed in s.speeds]
     names = ("speed [m/s]", *(f"{turn_rate:g} rad/s" for turn_rate in s.turn_rates))
-    decay = [(speed, *map("{:+.3f}".format, row)) for speed, row in zip(speeds, s.abscissa, strict=True)]
-    periods = [(speed, *map(_period, row)) for speed, row in zip(speeds, s.largest_period, strict=True)]
-    return [
-        Sheet(f"{s.policy}: largest real part [1/s]", "about steady motion, by turn rate", names, decay),
-        Sheet("Largest control period with a hold [s]", "about steady motion, by turn rate", names, periods),
-        Sheet(
-            f"Converged, of {s.starts} starts at 0.1 m/s",
-            f"on the paper's circle, up to {DISTANCE:g} m off",
-            tuple(s.success),
-            [tuple(f"{100 * share:.0f} %" for share in s.success.values())],
-        ),
-        *([] if s.certificates is None else [_certified(s.certificates)]),
-    ]
+    decay = [(speed, *row) for speed, row in zip(speeds, decay_texts(s), strict=True)]
+    found = [Sheet(f"{s.policy}: growth of small errors [1/s]", "about steady motion, by turn rate", names, decay)]
+    if s.largest_period is not None:
+        periods = [(speed, *map(_period, row)) for speed, row in zip(speeds, s.largest_period, strict=True)]
+        found.append(
+            Sheet("Largest control period with a hold [s]", "about steady motion, by turn rate", names, periods)
+        )
+    share = tuple(f"{100 * share:.0f} %" for share in s.success.values())
+    title = f"Converged, of {s.starts} starts at 0.1 m/s"
+    found.append(Sheet(title, f"on the paper's circle, up to {DISTANCE:g} m off", tuple(s.success), [share]))
+    return found if s.certificates is None else [*found, _certified(s.certificates)]
+
+
+def decay_texts(s: Stability) -> list[list[str]]:
+    """Return the growth of small errors as text, a row for each speed."""
+    rows = zip(s.abscissa, s.swing, strict=True)
+    return [[_growth(rate, swing) for rate, swing in zip(rates, swings, strict=True)] for rates, swings in rows]
+
+
+def _growth(rate: float, swing: float) -> str:
+    if math.isfinite(rate):
+        return f"{rate:+.3f}"
+    if math.isinf(rate):
+        return "leaves"
+    return f"swings {1e3 * swing:.1f} mm" if swing else "limits"
 
 
 def _certified(certificates: Sequence[Certificate]) -> Sheet:
@@ -93,33 +105,22 @@ def terminal_table(sheet: Sheet) -> Table:
     return found
 
 
-def stability_html(found: Sequence[Stability], png: bytes, command: str) -> str:
-    """Return the text of the page about some policies."""
-    parts = [f"<p><code>{escape(command)}</code></p>", figure("Largest real part; unstable is red.", png)]
-    for s in found:
-        parts.append(f"<h2>{escape(s.policy)}</h2>")
-        for sheet in sheets(s):
-            caption = f"{sheet.title}; {sheet.note}"
-            parts.append(f"<p class='note'>{escape(caption)}</p>{table(sheet.names, [(False, r) for r in sheet.rows])}")
-        if s.certificates is None:
-            parts.append(f"<p class='note'>{escape(MISSING)}</p>")
-    return page("Stability about steady motion", "\n".join(parts))
-
-
 def stability_map(found: Sequence[Stability]) -> Figure:
-    """Return the largest real part over speed and turn rate, a panel for each policy; unstable is red."""
+    """Return the growth of small errors over speed and turn rate, a panel for each policy; unstable is red."""
     picture, axes = panels(1, len(found), (1.2 + 3.2 * len(found), 3.4), sharey=True)
     for ax, s in zip(axes[0], found, strict=True):
         values = np.array(s.abscissa).T
         image = ax.imshow(values, origin="lower", aspect="auto", cmap="RdBu_r", vmin=-0.4, vmax=0.4)
+        texts = np.array(decay_texts(s)).T
         for (i, j), value in np.ndenumerate(values):
             colour = "white" if abs(value) > 0.28 else "black"
-            ax.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=7, color=colour)
+            text = f"{value:.2f}" if math.isfinite(value) else str(texts[i, j]).replace(" ", "\n")
+            ax.text(j, i, text, ha="center", va="center", fontsize=7 if math.isfinite(value) else 5, color=colour)
         ax.set_xticks(range(len(s.speeds)), [f"{speed:g}" for speed in s.speeds])
         ax.set_yticks(range(len(s.turn_rates)), [f"{turn_rate:g}" for turn_rate in s.turn_rates])
         ax.grid(visible=False)
         ax.set_title(s.policy)
     axes[0][0].set_ylabel("turn rate [rad/s]")
     picture.supxlabel("path speed [m/s]", fontsize=9)
-    picture.colorbar(image, ax=axes[0], label="largest real part [1/s]")
+    picture.colorbar(image, ax=axes[0], label="growth of small errors [1/s]")
     return picture

@@ -1,0 +1,218 @@
+"""The charts of the report's page, as Vega-Lite draws them: their marks and scales; the page hands them their rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from baselines.tools.figure_style import DASHES, OUTLINES, look
+
+Spec = dict[str, Any]
+
+ROWS = {"name": "rows"}  # the data set that the page fills
+LINE: Spec = {"type": "line", "strokeWidth": 1.8}
+NAMED = [{"field": "policy", "title": "policy"}]  # what a line says when it is pointed at
+QUIET = "#8a8a8a"  # colour of what only helps to read
+
+
+def charts(policies: Sequence[str]) -> dict[str, Spec]:
+    """Return the charts of an evaluation by name, every policy with its look."""
+    looks = _Looks(policies)
+    return {
+        "scores": _intervals(looks, "score", "case", "score: 0 the expert, 1 the oracle", -1.0),
+        "tails": _tails(looks),
+        "shares": _shares(looks),
+        "bands": _bands(looks),
+        "errors": _errors(looks),
+    }
+
+
+def rate_chart(policies: Sequence[str]) -> Spec:
+    """Return the growth of small errors over the speed, a line for each policy, for the turn rate that is chosen."""
+    looks, told = _Looks(policies), _told(("policy", "policy"), ("speed", "m/s"), ("rate", "1/s"))
+    x = _number("speed", "path speed [m/s]", zero=True)
+    y = _number("rate", "growth of small errors [1/s]", nice=True, zero=True)
+    return _frame(
+        [
+            {"mark": {"type": "rule", "color": QUIET}, "encoding": {"y": {"datum": 0}}},
+            {
+                "mark": {"type": "line", "strokeWidth": 1.8},
+                "encoding": {"x": x, "y": y, **looks.of("color", "strokeDash")},
+            },
+            {
+                "mark": {"type": "point", "filled": True, "size": 45, "opacity": 1},
+                "encoding": {"x": x, "y": y, **looks.of("color", "shape"), "tooltip": told},
+            },
+        ],
+        params=[{"name": "turn", "value": 0}],
+        transform=[{"filter": "datum.turn === turn"}],
+        height=280,
+    )
+
+
+class _Looks:
+    """The scales that give each policy its colour, its dash and its marker."""
+
+    def __init__(self, policies: Sequence[str]) -> None:
+        own = [look(policy, policies) for policy in policies]
+        names = list(policies)
+        self.colour = _scale(names, [x.colour for x in own])
+        self.dash = _scale(names, [list(DASHES[x.dash][1]) or [1, 0] for x in own])
+        self.shape = _scale(names, [OUTLINES[x.marker] for x in own])
+
+    def of(self, *channels: str) -> Spec:
+        """Return the encoding of the policy in these channels, without a legend: the leaderboard is the legend."""
+        scales = {"color": self.colour, "strokeDash": self.dash, "shape": self.shape}
+        return {
+            name: {"field": "policy", "type": "nominal", "scale": scales[name], "legend": None} for name in channels
+        }
+
+
+def _scale(names: list[str], values: list[Any]) -> Spec:
+    return {"domain": names, "range": values}
+
+
+def _number(field: str, title: str | None = None, log: bool = False, **scale: Any) -> Spec:
+    kind = {"zero": False, "nice": True} | ({"type": "log"} if log else {})
+    axis = {"title": title, "labelSeparation": 6, "tickCount": 5}
+    return {
+        "field": field,
+        "type": "quantitative",
+        "axis": axis,
+        "scale": {**kind, "zero": False, "nice": True, **scale},
+    }
+
+
+def _told(*fields: tuple[str, str]) -> list[Spec]:
+    """Return what a mark says when it is pointed at."""
+    return [{"field": field, "title": title} for field, title in fields]
+
+
+def _frame(layer: list[Spec], **more: Any) -> Spec:
+    return {"data": ROWS, "width": "container", "layer": layer, **more}
+
+
+def _intervals(looks: _Looks, value: str, group: str, title: str, least: float) -> Spec:
+    """Return a value of each policy with its interval, policies below each other in each group."""
+    told = _told(("policy", "policy"), (group, group), ("text", value), ("lost", "lost"))
+    x = _number("value", title, domainMin={"expr": f"max({least}, least)"}, domainMax=1.05, nice=False)
+    bands = {"title": None, "grid": True, "tickBand": "extent"}
+    place = {
+        "y": {"field": group, "type": "nominal", "sort": None, "axis": bands},
+        "yOffset": {"field": "policy", "type": "nominal", "sort": None, "scale": {"paddingOuter": 0.4}},
+    }
+    lines = [{"datum": at} for at in (0.0, 1.0)]
+    return _frame(
+        [
+            *({"mark": {"type": "rule", "color": QUIET, "strokeWidth": 1}, "encoding": {"x": line}} for line in lines),
+            {
+                "mark": {"type": "rule", "strokeWidth": 2.2, "clip": True},
+                "encoding": {"x": {**x, "field": "low"}, "x2": {"field": "high"}, **place, **looks.of("color")},
+            },
+            {
+                "mark": {"type": "point", "filled": True, "size": 42, "opacity": 1, "clip": True},
+                "encoding": {"x": x, **place, **looks.of("color", "shape"), "tooltip": told},
+            },
+        ],
+        params=[{"name": "least", "value": -0.1}],
+        height={"step": 9, "for": "offset"},
+    )
+
+
+def _tails(looks: _Looks) -> Spec:
+    """Return the mean tail error of each policy in a scenario with its interval, each named at its line."""
+    told = _told(("policy", "policy"), ("text", "tail [m]"), ("lost", "lost"))
+    x = _number("value", "mean tail error [m], 95 % interval", log=True)
+    y = {"field": "policy", "type": "nominal", "sort": None, "axis": {"title": None, "labelLimit": 150, "grid": True}}
+    return _frame(
+        [
+            {
+                "mark": {"type": "rule", "strokeWidth": 2.2},
+                "encoding": {"x": {**x, "field": "low"}, "x2": {"field": "high"}, "y": y, **looks.of("color")},
+            },
+            {
+                "mark": {"type": "point", "filled": True, "size": 55, "opacity": 1},
+                "encoding": {"x": x, "y": y, **looks.of("color", "shape"), "tooltip": told},
+            },
+        ],
+        height={"step": 19},
+    )
+
+
+def _shares(looks: _Looks) -> Spec:
+    """Return the share of a scenario's episodes whose tail error is at most x."""
+    share = {"axis": {"title": "share of the episodes", "format": "%", "tickCount": 5}, "scale": {"domain": [0, 1]}}
+    return _frame(
+        [
+            {
+                "mark": {"type": "line", "interpolate": "step-after", "strokeWidth": 1.8},
+                "encoding": {
+                    "x": _number("tail", "tail error of an episode [m]; dotted: lost", log=True),
+                    "y": {"field": "share", "type": "quantitative", **share},
+                    "tooltip": NAMED,
+                    **looks.of("color", "strokeDash"),
+                },
+            },
+            {
+                "data": {"name": "caps"},
+                "mark": {"type": "rule", "strokeDash": [2, 3], "color": QUIET},
+                "encoding": {"x": {"field": "cap", "type": "quantitative"}},
+            },
+        ],
+        height=300,
+    )
+
+
+def _bands(looks: _Looks) -> Spec:
+    """Return the position error over time: median and band of the episodes."""
+    t = _number("t", "time [s]; dotted: the tail begins", zero=True, nice=False)
+    error = _number("middle", "position error [m]", log=True, clamp=True)
+    return _frame(
+        [
+            {
+                "mark": {"type": "area", "opacity": 0.16},
+                "encoding": {"x": t, "y": {**error, "field": "low"}, "y2": {"field": "high"}, **looks.of("color")},
+            },
+            {
+                "mark": {"type": "line", "strokeWidth": 1.8},
+                "encoding": {
+                    "x": t,
+                    "y": error,
+                    **looks.of("color", "strokeDash"),
+                    "tooltip": NAMED,
+                },
+            },
+            {
+                "data": {"name": "tails"},
+                "mark": {"type": "rule", "strokeDash": [2, 3], "color": QUIET},
+                "encoding": {"x": {"field": "t", "type": "quantitative"}},
+            },
+        ],
+        height=260,
+    )
+
+
+def _errors(looks: _Looks) -> Spec:
+    """Return the position error of one episode over time, with a cursor at the time that is played."""
+    t = _number("t", "time [s]", zero=True, nice=False)
+    error = _number("error", "position error [m]", log=True, clamp=True)
+    return _frame(
+        [
+            {
+                "mark": {"type": "line", "strokeWidth": 1.8},
+                "encoding": {
+                    "x": t,
+                    "y": error,
+                    **looks.of("color", "strokeDash"),
+                    "tooltip": NAMED,
+                },
+            },
+            {
+                "data": {"values": [{}]},
+                "mark": {"type": "rule", "color": QUIET, "strokeWidth": 1.5},
+                "encoding": {"x": {"datum": {"expr": "now"}, "type": "quantitative"}},
+            },
+        ],
+        params=[{"name": "now", "value": 0}],
+        height=220,
+    )

@@ -1,0 +1,181 @@
+"""What the scripts of the report's page read: plain lists of numbers, few enough for the page to stay small."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from auv_gym.scenario import Scenario
+from baselines.evaluation.metrics import Array, Track
+from baselines.evaluation.report.charts import charts
+from baselines.evaluation.report.columns import digits, ends, lost_text, ranked
+from baselines.evaluation.report.numbers import Entry, Result
+from baselines.evaluation.rollout import TRACED
+from baselines.evaluation.score import EXPERT, LARGEST_TAIL, ORACLE, fixed, fixed_ends, regime_of
+from baselines.tools.figure_style import DASHES, OUTLINES, look
+
+FEW = 10
+"""Most policies that a page shows at first; the others can be switched on."""
+LEVELS = np.linspace(0.0, 1.0, 41)
+"""Shares of the episodes at which a distribution of many of them is kept."""
+INSTANTS = 120
+"""Most instants of an error over time."""
+FRAMES = 150
+"""Most instants of an episode that is played."""
+LEAST = 1e-9
+"""Smallest error [m] on a logarithmic axis."""
+LARGEST_TRACES = 60_000
+"""Most instants of all episodes together: with many policies in many scenarios fewer episodes are played."""
+
+
+def page_data(results: Sequence[Result], pooled: Sequence[Entry]) -> dict[str, Any]:
+    """Return the data of the page about an evaluation."""
+    done = [result for result in results if result.entry.summary is not None]
+    policies = list(dict.fromkeys(result.run.policy for result in done))
+    shown, scenarios = at_first(done, pooled), by_scenario(done)
+    return {
+        "policies": [{"name": policy, **look_of(policy, policies), "on": policy in shown} for policy in policies],
+        "charts": charts(policies),
+        "first": max(range(len(scenarios)), key=lambda i: _worst(scenarios[i][1]), default=0),
+        "scenarios": [_scenario(scenario, own, _traced(done)) for scenario, own in scenarios],
+    }
+
+
+def _worst(results: Sequence[Result]) -> float:
+    """Return the mean tail error [m] of a scenario's first policy, the expert: where it is largest is most to see."""
+    return results[0].entry.summary.tail_rmse_m.mean if results[0].entry.summary else 0.0
+
+
+def look_of(policy: str, policies: Sequence[str]) -> dict[str, Any]:
+    """Return a policy's look as the page draws it: colour, dash in pixels, outline of the marker."""
+    own = look(policy, policies)
+    return {"colour": own.colour, "dash": list(DASHES[own.dash][1]), "outline": OUTLINES[own.marker]}
+
+
+def by_scenario(results: Iterable[Result]) -> list[tuple[Scenario, list[Result]]]:
+    """Return the results of each scenario, the scenarios in their order."""
+    groups: dict[str, list[Result]] = {}
+    for result in results:
+        groups.setdefault(result.run.scenario.name, []).append(result)
+    return [(own[0].run.scenario, own) for own in groups.values()]
+
+
+def at_first(results: Sequence[Result], pooled: Sequence[Entry]) -> set[str]:
+    """Return the policies that are shown at first: all if they are few, else those that ran now and the best ones."""
+    live = [result.run.policy for result in results if result.run.recorded is None]
+    entries = [entry for entry in pooled or [result.entry for result in results] if entry.summary is not None]
+    groups = [ranked([e for e in entries if e.place == place]) for place in dict.fromkeys(e.place for e in entries)]
+    deepest = max(map(len, groups), default=0)
+    best = [group[i].policy for i in range(deepest) for group in groups if i < len(group)]
+    order = list(dict.fromkeys((EXPERT, ORACLE, *live, *best)))
+    known = {result.run.policy for result in results}
+    named = [policy for policy in order if policy in known]
+    return set(named if len(named) <= 1.3 * FEW else named[:FEW])
+
+
+def _traced(results: Sequence[Result]) -> int:
+    """Return how many episodes of each scenario can be played."""
+    most = max((len(result.run.tracks) for result in results), default=0)
+    runs = sum(1 for result in results if result.run.tracks)
+    return min(most, max(1, LARGEST_TRACES // (FRAMES * runs))) if runs else TRACED
+
+
+def _scenario(scenario: Scenario, results: Sequence[Result], traced: int) -> dict[str, Any]:
+    regime, known = regime_of(scenario.name), max(len(result.run.tracks) for result in results)
+    return {
+        "name": scenario.name,
+        "regime": regime,
+        "case": scenario.name.removeprefix(f"{regime}-"),
+        "duration": scenario.duration,
+        "cap": LARGEST_TAIL.get(regime or ""),
+        "rows": [_row(entry, results) for entry in ranked([result.entry for result in results])],
+        "bands": [_band(result, scenario) for result in results if result.run.bands is not None],
+        "episodes": [_episode(results, scenario, i) for i in range(min(traced, known))],
+    }
+
+
+def _row(entry: Entry, results: Sequence[Result]) -> dict[str, Any]:
+    """Return what the charts of a scenario show of a policy."""
+    (run,) = (result.run for result in results if result.entry is entry)
+    assert entry.summary is not None
+    assert run.measures is not None
+    tail, score = entry.summary.tail_rmse_m, entry.score
+    return {
+        "policy": entry.policy,
+        "tail": _positive(_interval(tail.mean, tail.ci95, digits(3), ends)),
+        "score": _interval(score.mean, score.ci95, fixed, fixed_ends) if score and math.isfinite(score.mean) else None,
+        "lost": lost_text(entry.lost, entry.summary.episodes),
+        "tails": _distribution(run.measures.tail),
+    }
+
+
+def _interval(mean: float, ci95: tuple[float, float], form: Any, form_ends: Any) -> dict[str, Any]:
+    """Return a value with its interval, as numbers and in words; without an interval it is a point."""
+    known = all(map(math.isfinite, ci95))
+    low, high = ci95 if known else (mean, mean)
+    text = f"{form(mean)} ({form_ends(ci95)})" if known else form(mean)
+    return {"value": _short(mean), "low": _short(low), "high": _short(high), "text": text}
+
+
+def _positive(interval: dict[str, Any]) -> dict[str, Any]:
+    """Return an interval that a logarithmic axis can show."""
+    return {key: value if key == "text" else max(value, LEAST) for key, value in interval.items()}
+
+
+def _distribution(values: Array) -> list[list[float]]:
+    """Return values and the shares that are at most as large, all of a few values and some of many."""
+    few = len(values) <= len(LEVELS)
+    shares = np.arange(1, len(values) + 1) / len(values) if few else LEVELS
+    levels = np.sort(values) if few else np.quantile(values, LEVELS)
+    return [_shortened(np.maximum(levels, LEAST)), _shortened(shares)]
+
+
+def _band(result: Result, scenario: Scenario) -> dict[str, Any]:
+    """Return the band of the position error over time, one value of each few steps."""
+    assert result.run.bands is not None
+    kept = _kept(result.run.bands.shape[1], INSTANTS)
+    low, middle, high = (_shortened(np.maximum(row[kept], LEAST)) for row in result.run.bands)
+    t = _shortened(scenario.control_dt * (kept + 1))
+    return {"policy": result.run.policy, "t": t, "low": low, "middle": middle, "high": high}
+
+
+def _episode(results: Sequence[Result], scenario: Scenario, i: int) -> dict[str, Any]:
+    """Return the i-th episode as it is played: the reference, and every policy's way, heading, error and current."""
+    tracks = {r.run.policy: r.run.tracks[i] for r in results if len(r.run.tracks) > i}
+    longest = max(tracks.values(), key=lambda track: len(track.position))
+    kept = _kept(len(longest.position), FRAMES)
+    return {
+        "dt": scenario.control_dt * float(kept[1] - kept[0]) if len(kept) > 1 else scenario.control_dt,
+        "reference": _pose(longest.reference, longest.heading[:, 1], kept),
+        "vehicles": [{"policy": policy, **_vehicle(track, kept)} for policy, track in tracks.items()],
+    }
+
+
+def _vehicle(track: Track, kept: Array) -> dict[str, Any]:
+    own = kept[kept < len(track.position)]
+    current = [_shortened(row, 2) for row in track.current[own].T]
+    pose = _pose(track.position, track.heading[:, 0], own)
+    still = not np.any(track.current)
+    return {**pose, "error": _shortened(np.maximum(track.error[own], LEAST)), "current": None if still else current}
+
+
+def _pose(position: Array, heading: Array, kept: Array) -> dict[str, Any]:
+    """Return a way in centimetres and hundredths of a radian, which is finer than a screen."""
+    x, y = np.round(100 * position[kept].T).astype(int).tolist()
+    return {"x": x, "y": y, "psi": np.round(100 * heading[kept]).astype(int).tolist()}
+
+
+def _kept(count: int, most: int) -> Any:
+    """Return at most so many of the first `count` numbers, equally far apart, 0 among them."""
+    return np.arange(0, count, math.ceil(count / most))
+
+
+def _short(value: float, digits: int = 4) -> float:
+    return float(f"{value:.{digits}g}")
+
+
+def _shortened(values: Any, digits: int = 3) -> list[float]:
+    return [_short(value, digits) for value in np.asarray(values, dtype=np.float64).tolist()]
