@@ -68,10 +68,11 @@ class Watch:
         """Begin at nothing.
 
         Args:
-            limit: the largest time for a decision of one vehicle [s], on average since the beginning.
+            limit: the largest time for a decision of one vehicle [s], on average after the first `PATIENCE` steps.
             elsewhere: whether the policy computes outside of this process, whose processor time then says nothing.
         """
         self.limit, self.elsewhere, self.decisions, self._wall, self._processor = limit, elsewhere, 0, 0.0, 0.0
+        self._unjudged = 0, 0.0  # decisions, and their time, before the speed is judged
 
     @property
     def decision_seconds(self) -> float:
@@ -88,8 +89,10 @@ class Watch:
     def count(self, n: int, k: int) -> None:
         """Count the decisions of n vehicles at step k; raise PolicyError where they took too long."""
         self.decisions += n
-        if k >= PATIENCE and self._wall / self.decisions > self.limit:
-            raise PolicyError(f"a decision takes {self._wall / self.decisions:.3g} s; allowed are {self.limit:g} s")
+        if k < PATIENCE:
+            self._unjudged = self.decisions, self._wall
+        elif (mean := (self._wall - self._unjudged[1]) / (self.decisions - self._unjudged[0])) > self.limit:
+            raise PolicyError(f"a decision takes {mean:.3g} s; allowed are {self.limit:g} s")
 
 
 def play(policy: Policy, begun: Begun, steps: int, watch: Watch | None = None) -> Iterator[Moment]:
