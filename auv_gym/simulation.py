@@ -175,22 +175,17 @@ def step(
         ns: the namespace of the numbers.
     """
     x, y, psi, u, v, r, F_u, F_r, a_u0, a_r0, memory = plant
-    x_R, y_R, _, _, _, _, _, _, V_x, V_y, X, Y, N, _, _, _, _, _, _, _ = sample
-    h, coefficients, parts = p.h, p.coefficients, p.parts
+    parts = p.parts
     a_u, a_r = ns.clip(action[0], -1.0, 1.0), ns.clip(action[1], -1.0, 1.0)
     command_u, command_r = a_u, a_r
     if parts.delayed:
         command_u, command_r, memory = _late((a_u, a_r), (a_u0, a_r0), memory, p.delay, ns)
     if parts.weak:
         command_u, command_r = ns.clip(command_u, -p.reach_u, p.reach_u), ns.clip(command_r, -p.reach_r, p.reach_r)
-    (mean_u, mean_r), (F_u, F_r) = respond((F_u, F_r), (command_u * p.thrust_u, command_r * p.thrust_r), p.response, ns)
-    load, current = (mean_u + X, Y, mean_r + N), current_at(x, y, (V_x, V_y), p, ns)
-    state = rk4_step((x, y, psi, u, v, r), load, coefficients, h, current, ns)
-    for _ in range(parts.substeps - 1):
-        state = rk4_step(state, load, coefficients, h, current, ns)
+    state, (F_u, F_r) = moved((x, y, psi, u, v, r), (F_u, F_r), (command_u, command_r), sample, p, ns)
     memory, terms = _observe(state, (a_u, a_r), memory, sample, p, ns)
     x, y, psi, u, v, r = state
-    e_x, e_y, d_u, d_r = x - x_R, y - y_R, a_u - a_u0, a_r - a_r0
+    e_x, e_y, d_u, d_r = x - sample[SAMPLE.x_R], y - sample[SAMPLE.y_R], a_u - a_u0, a_r - a_r0
     squared_error = e_x * e_x + e_y * e_y
     outcome = (
         reward(squared_error, d_u * d_u + d_r * d_r, p.error_scale, p.rate_weight, ns),
@@ -199,6 +194,28 @@ def step(
         (abs(a_u) >= 1.0) | (abs(a_r) >= 1.0),
     )
     return _new(Plant, (x, y, psi, u, v, r, F_u, F_r, a_u, a_r, memory)), terms, outcome
+
+
+def moved(
+    state: State, force: Force, command: Force, sample: Sequence[Number], p: Parameters, ns: Namespace
+) -> tuple[State, Force]:
+    """Return state and actuators' forces [N], [N m] one control period later.
+
+    Args:
+        state: x, y, psi, u, v, r, relative to the water.
+        force: of the actuators.
+        command: what reaches the actuators, as fractions of what action 1 gives.
+        sample: the numbers of a `Sample`, see `step`.
+        p: the episode's constants.
+        ns: the namespace of the numbers.
+    """
+    x, y, *_ = state
+    _, _, _, _, _, _, _, _, V_x, V_y, X, Y, N, *_ = sample
+    mean, force = respond(force, (command[0] * p.thrust_u, command[1] * p.thrust_r), p.response, ns)
+    load, current = (mean[0] + X, Y, mean[1] + N), current_at(x, y, (V_x, V_y), p, ns)
+    for _ in range(p.parts.substeps):
+        state = rk4_step(state, load, p.coefficients, p.h, current, ns)
+    return state, force
 
 
 def current_at(x: Number, y: Number, current: Current, p: Parameters, ns: Namespace) -> Current:

@@ -34,11 +34,11 @@ def test_fast_vehicles_behind_slow_actuators_do_not_spin():
     firm = regulators(episodes, plan)
     gains = settling_gains(scenario, episodes, plan)
     np.testing.assert_array_equal((gains != firm).any(axis=(1, 2)), [True] * len(SPINS) + [False] * 3)
-    foreseen = rehearsed(plan, firm, episodes)
+    foreseen = rehearsed(plan, firm, episodes).error
     assert foreseen[: len(SPINS)].min() > ASTRAY
     run = rollout(make_policy("oracle"), scenario, episodes, 1.0)
     assert run.measures.tail.max() < 0.01
-    np.testing.assert_allclose(run.measures.rmse, rehearsed(plan, gains, episodes), rtol=1e-4)
+    np.testing.assert_allclose(run.measures.rmse, rehearsed(plan, gains, episodes).error, rtol=1e-4)
 
 
 def test_the_true_plan_is_followed_open_loop():

@@ -20,6 +20,7 @@ from baselines.evaluation.recorded import DIGITS
 from baselines.evaluation.report.numbers import compare, pool
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Cell, drawn, run_all
+from baselines.evaluation.suites import sealed
 from baselines.evaluation.suites.__main__ import main
 from baselines.evaluation.suites.builder import FAMILIES, SUITES, build
 from baselines.evaluation.suites.yardsticks import FILE, keep, kept
@@ -40,7 +41,8 @@ def small(tmp_path_factory):
 
 
 def test_every_suite_has_its_file():
-    assert set(NAMES) == set(SUITES)
+    closed = {name for name, seal in sealed.seals().items() if seal.secret is None}
+    assert set(NAMES) == set(SUITES) - closed
     for name in NAMES:
         file = suites.FOLDER / f"{name}.json.bz2"
         assert file.stat().st_size < 3e6

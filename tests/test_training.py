@@ -27,16 +27,14 @@ from baselines.agents.names import AGENTS
 from baselines.evaluation.runner import drawn
 from baselines.tools import command_line
 from baselines.tools.command_line import UsageError, parse, run
+from baselines.tools.seeds import TRAINING
 from baselines.training import command, request, shipped
-from baselines.training.config import ALGORITHMS, LARGEST_SEED, TRAINING_SEED, Config
+from baselines.training.config import ALGORITHMS, LARGEST_SEED, Config
 from baselines.training.hyperparameters import ENV_ID, changes_of, load_hyperparameters, words_of
 from baselines.training.hyperparameters import shipped as shipped_file
 from baselines.training.options import Options
 from baselines.training.run_folder import Run, locked, read_config, read_progress
 from baselines.training.trainings import SHIPPED, training
-from baselines.training.validation import VALIDATION_SEED
-from baselines.tuning.search import VALIDATION_EPISODES
-from baselines.tuning.search import VALIDATION_SEED as TUNING_VALIDATION_SEED
 
 torch.set_num_threads(1)
 ROOT = Path(__file__).parents[1]
@@ -490,9 +488,9 @@ def test_words_that_name_no_scenario_are_refused(word):
         request.resolved([f"no-{word}"])
 
 
-def test_no_episode_of_training_is_one_of_tuning_or_validation():
-    assert VALIDATION_SEED > TUNING_VALIDATION_SEED + VALIDATION_EPISODES
-    assert configuration().episode_seed == TRAINING_SEED > VALIDATION_SEED + 10**6
+def test_runs_draw_from_seeds_of_their_own():
+    assert TRAINING.holds(configuration().episode_seed)
+    assert TRAINING.holds(configuration(seed=LARGEST_SEED).episode_seed)
     assert configuration(seed=1).episode_seed - configuration().episode_seed >= 2**20
 
 

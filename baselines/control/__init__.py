@@ -9,6 +9,7 @@ from typing import Any
 from auv_gym.policy import Policy
 from auv_gym.vehicle import Vehicle
 from baselines.control.backstepping import Backstepping
+from baselines.control.clairvoyant.policy import Clairvoyant
 from baselines.control.current_observer import make_current_observer
 from baselines.control.ekf_law import make_ekf_law
 from baselines.control.integral import make_integral, make_integral_normalised
@@ -43,6 +44,11 @@ POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
     "ekf": (make_ekf_law, {}, "the same on an extended Kalman filter of vehicle, actuators and sea"),
     "nmpc": (make_nmpc, {}, "nonlinear model predictive control on the same filter, with a preview of the path"),
     "oracle": (Oracle, {}, "knows plant, current, waves and lag, now and in future: the score's 1; evaluation only"),
+    "clairvoyant": (
+        Clairvoyant,
+        {},
+        "the best that anybody could do, found by optimisation over the whole episode: an upper bound; evaluation only",
+    ),
     "open-loop": (OpenLoop, {}, "the planner's forces alone"),
 }
 """Controllers by name: (factory, its options, one line about it). Add an entry here to use it everywhere by name."""

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,10 +29,10 @@ from auv_gym.paths import evaluate
 from auv_gym.planner import assemble
 from auv_gym.scenario import Scenario
 from auv_gym.sideslip import PathRates, path_rates, sideslip_rest, sideslip_step, sideslip_terms, slow_sideslip
-from auv_gym.simulation import start, step
+from auv_gym.simulation import CURRENT, LOAD, start, step
 from auv_gym.vehicle import Coefficients, Vehicle
 from baselines.control.linearisation import error_dynamics
-from baselines.control.truth import CURRENT, LOAD, Array, Truth, nothing_sent
+from baselines.control.truth import Array, Truth, nothing_sent
 from baselines.estimation.water_frame import braked
 from baselines.policy import is_fast
 
@@ -147,7 +147,7 @@ def settling_gains(scenario: Scenario, episodes: Sequence[Episode], plan: TruePl
     sees that coming, as it can rehearse the episode.
     """
     gains = regulators(episodes, plan)
-    error = rehearsed(plan, gains, episodes)
+    error = rehearsed(plan, gains, episodes).error
     for softer in SOFTER:
         few = np.flatnonzero(error > ASTRAY)
         if not few.size:
@@ -155,7 +155,7 @@ def settling_gains(scenario: Scenario, episodes: Sequence[Episode], plan: TruePl
         chosen = [episodes[i] for i in few.tolist()]
         part = true_plan(scenario, chosen)
         tried = regulators(chosen, part, softer)
-        found = rehearsed(part, tried, chosen)
+        found = rehearsed(part, tried, chosen).error
         settled = found < ASTRAY
         gains[few[settled]], error[few[settled]] = tried[settled], found[settled]
     return gains
@@ -172,21 +172,28 @@ def regulators(episodes: Sequence[Episode], plan: TruePlan, softer: float = 1.0)
     return np.array(gains)
 
 
-def rehearsed(plan: TruePlan, gains: Array, episodes: Sequence[Episode]) -> Array:
-    """Return the root mean square [m] of the position errors of N whole episodes, shape (N,), as they will come."""
+class Rehearsal(NamedTuple):
+    """What will come of N whole episodes, K control periods each."""
+
+    error: Array  # [m] root mean square of the position errors, shape (N,)
+    actions: Array  # shape (K, 2, N)
+
+
+def rehearsed(plan: TruePlan, gains: Array, episodes: Sequence[Episode]) -> Rehearsal:
+    """Return what the regulators of these gains, shape (N, 2, 6), will do in N whole episodes."""
     p, samples = plan.truth.parameters, plan.truth.samples
     begun = [e.initial_state(R) for e, R in zip(episodes, samples[0, :4].T.tolist(), strict=True)]
     plant, _ = start(cast(State, tuple(np.array(begun).T)), tuple(samples[0]), p, ARRAYS)
-    sent, square = nothing_sent(len(episodes)), np.zeros(len(episodes))
+    sent, square, actions = nothing_sent(len(episodes)), np.zeros(len(episodes)), np.empty_like(plan.force)
     with np.errstate(over="ignore", invalid="ignore"):  # a vehicle that is lost goes on here
         for k in range(len(plan.force)):
             x, y, psi, u, v, r, F_u, F_r, *_ = plant
             now = np.full(len(episodes), k)
             action = decided(plan, gains, (x, y, psi, u, v, r), np.stack((F_u, F_r)), sent, now)
-            sent = np.concatenate((action[None], sent[:-1]))
+            sent, actions[k] = np.concatenate((action[None], sent[:-1])), action
             plant, _, _ = step(plant, tuple(action), tuple(samples[k + 1]), p, ARRAYS)
             square += ((np.stack(plant[:2]) - plan.state[k + 1, :2]) ** 2).sum(axis=0)
-    return np.where(np.isfinite(square), np.sqrt(square / len(plan.force)), np.inf)
+    return Rehearsal(np.where(np.isfinite(square), np.sqrt(square / len(plan.force)), np.inf), actions)
 
 
 def true_plan(scenario: Scenario, episodes: Sequence[Episode]) -> TruePlan:

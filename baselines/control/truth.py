@@ -20,8 +20,6 @@ from auv_gym.tape import Tape
 
 Array = NDArray[np.float64]
 
-CURRENT = slice(8, 10)  # where V_x, V_y stand in a `Sample`
-LOAD = slice(10, 13)  # where X, Y, N stand in a `Sample`
 BODY = 8  # the first entries of a `Plant`: the state and the forces that the actuators apply
 
 

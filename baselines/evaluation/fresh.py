@@ -25,12 +25,12 @@ from baselines.evaluation.score import EXPERT, ORACLE, regime_of
 from baselines.evaluation.suites import Suite
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse, run
 from baselines.tools.files import versions
+from baselines.tools.seeds import FRESH
 from baselines.tools.workers import Workers
 
 PROGRAM = "python -m baselines.evaluation.fresh"
 FOLDER = Path(__file__).parent / "data" / "fresh"
-SEED = 70_000_000
-"""Seed of each case's first episode: no tuning, training or validation episode and no suite has one near it."""
+SEED = FRESH.first  # of the first episode of each case
 EPISODES = {"benchmark-v1": 64, "unmodelled-v1": 24}
 """Episodes drawn in each case, by suite."""
 AGENTS = ("apg", "apg-preview", "apg-adverse", "apg-scratch")

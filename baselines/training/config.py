@@ -16,6 +16,7 @@ from auv_gym.vehicle import Vehicle
 from baselines import common_vehicle
 from baselines.agents.agent import make_expert
 from baselines.evaluation.score import EXPERT
+from baselines.tools.seeds import TRAINING
 
 ALGORITHMS: Mapping[str, str] = {
     "apg": "baselines.training.apg.trainer",
@@ -28,8 +29,6 @@ ALGORITHMS: Mapping[str, str] = {
 
 apg: analytic policy gradient, back-propagation through the simulator; the others are Stable-Baselines3's.
 """
-TRAINING_SEED = 1_000_000_000
-"""First seed of all episodes that are trained on; those of tuning, validation and evaluation begin far below."""
 LARGEST_SEED = 10_000  # of a run
 _LANES = 2**20  # seeds reserved for the vehicles of one run
 
@@ -82,7 +81,7 @@ class Config:
     @property
     def episode_seed(self) -> int:
         """The seed of the training environment: vehicle i gets this + i, no other run or suite the same."""
-        return TRAINING_SEED + self.seed * _LANES
+        return TRAINING.first + self.seed * _LANES
 
     def lanes(self, n: int) -> list[Scenario]:
         """Return the scenarios of n vehicles side by side, in proportion to their weights, each at least once.

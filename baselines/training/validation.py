@@ -26,9 +26,9 @@ from baselines.evaluation.score import cut, is_lost, largest_tail, regime_of
 from baselines.evaluation.suites import load
 from baselines.evaluation.suites.yardsticks import Yardstick, kept, measured
 from baselines.tools.files import guarded, json_text, read_json, write_atomically
+from baselines.tools.seeds import VALIDATION
 
 SUITE = "benchmark-v1-validation"  # whose episodes agents are validated in
-VALIDATION_SEED = 30_000_000  # first seed of the episodes of scenarios that the suite does not hold
 EPISODES = 64  # of each scenario that the suite does not hold
 SEEN = 0.999
 """Share of the control steps of the validation episodes whose errors an agent's region holds."""
@@ -49,7 +49,7 @@ class Verdict:
 def validation_cell(scenario: Scenario) -> Cell:
     """Return the validation episodes of a scenario: those of the frozen suite for its scenarios, else drawn ones."""
     frozen = next((cell for cell in load(SUITE).cells if cell.scenario == scenario), None)
-    return frozen or drawn(scenario, EPISODES, VALIDATION_SEED)
+    return frozen or drawn(scenario, EPISODES, VALIDATION.first)
 
 
 class Validation:

@@ -161,14 +161,31 @@ def descended(
     columns = list(zip(*stage_jacobian(state, command, known, coefficients), strict=True))
     Q_1 = _sum([dot(column, V_x) for column in columns], gradient([effort], [1.0], both))
     Q_2 = [_sum(*rows) for rows in zip(congruence(columns, V_xx), _hessian(effort, both), strict=True)]
-    Q_u, Q_uu, Q_ux = Q_1[STATES:], [row[STATES:] for row in Q_2[STATES:]], [row[:STATES] for row in Q_2[STATES:]]
+    return feedback_law(Q_1, Q_2, command, limits)
+
+
+def feedback_law(
+    Q_1: Sequence[Any], Q_2: Matrix, command: Sequence[Any], limits: Sequence[Any]
+) -> tuple[list[Any], Matrix, Sequence[Any], Matrix, Any]:
+    """Return V_x and V_xx, step and feedback of the command, and what they promise, from Q_1 and Q_2; on symbols.
+
+    See `descended`. The state comes first in Q_1 and Q_2, then the command, two numbers.
+
+    Args:
+        Q_1: first derivatives of the cost to go, n + 2 symbols.
+        Q_2: second derivatives, n + 2 rows.
+        command: now.
+        limits: of its two numbers, either way.
+    """
+    n = len(Q_1) - COMMANDS
+    Q_u, Q_uu, Q_ux = Q_1[n:], [row[n:] for row in Q_2[n:]], [row[:n] for row in Q_2[n:]]
     low, high = [-limit - c for limit, c in zip(limits, command, strict=True)], _sum(limits, [-c for c in command])
     k, free = bounded_minimum((Q_uu[0][0], Q_uu[0][1], Q_uu[1][1]), Q_u, low, high, SYMBOLS)
     K = feedback_of(Q_uu, Q_ux, free)
     gained = -dot(_sum(Q_u, [0.5 * dot(row, k) for row in Q_uu]), k)
     Q_xu, followed = list(zip(*Q_ux, strict=True)), list(zip(*K, strict=True))
-    V_x = [q + dot(row, k) for q, row in zip(Q_1[:STATES], Q_xu, strict=True)]
-    V_xx = symmetric([Q_2[i][j] + dot(Q_xu[i], followed[j]) for i in range(STATES) for j in range(i + 1)])
+    V_x = [q + dot(row, k) for q, row in zip(Q_1[:n], Q_xu, strict=True)]
+    V_xx = symmetric([Q_2[i][j] + dot(Q_xu[i], followed[j]) for i in range(n) for j in range(i + 1)])
     return V_x, V_xx, k, K, gained
 
 

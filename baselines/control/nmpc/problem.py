@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 from functools import cache
 from types import SimpleNamespace
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,14 +99,15 @@ class Descent(NamedTuple):
     promise: Array  # [m^2 s] how much lower the cost would be if all were linear, shape (N,)
 
 
-Rows = TypeVar("Rows", Horizon, Plan, Descent)
+Rows = TypeVar("Rows", bound=Any)
+"""A named tuple of arrays whose last axis goes through vehicles, as `Horizon`, `Plan` and `Descent` are."""
 
 
 def taken(rows: Rows, few: Integers) -> Rows:
     """Return what belongs to a few of the vehicles; the arrays may be the given ones where that is all of them."""
     if len(few) == rows[0].shape[-1]:
         return rows
-    return type(rows)(*(np.take(a, few, axis=-1) for a in rows))
+    return cast(Rows, rows._make(np.take(a, few, axis=-1) for a in rows))
 
 
 def replaced(rows: Rows, few: Integers, others: Rows) -> Rows:
@@ -116,7 +117,7 @@ def replaced(rows: Rows, few: Integers, others: Rows) -> Rows:
     copies = [a.copy() for a in rows]
     for a, b in zip(copies, others, strict=True):
         a[..., few] = b
-    return type(rows)(*copies)
+    return cast(Rows, rows._make(copies))
 
 
 def actuated(state: Sequence[Number], command: Sequence[Number], known: Stage) -> tuple[Number, Number, Number, Number]:

@@ -1,7 +1,8 @@
-"""Build, check, measure, record and verify the frozen suites: `auv-gym suites --help`."""
+"""Build, check, seal, open, measure, record and verify the frozen suites: `auv-gym suites --help`."""
 
 from __future__ import annotations
 
+import secrets
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from baselines.evaluation import recorded, suites
 from baselines.evaluation.progress import progress
 from baselines.evaluation.runner import STEP_LIMIT, Cell, Run, runs
 from baselines.evaluation.score import regime_of
+from baselines.evaluation.suites import sealed
 from baselines.evaluation.suites.builder import SUITES, build
 from baselines.evaluation.suites.verify import Verdict, cells_to_run, told
 from baselines.evaluation.suites.yardsticks import keep
@@ -31,8 +33,12 @@ class Options:
     Exit status: 0 done, 1 a suite is damaged, episodes or rows differ, or a policy failed, 2 wrong usage.
     """
 
-    action: Annotated[Positional[Literal["build", "check", "yardsticks", "record", "verify"]], arg(metavar="ACTION")]
-    """build: replace a suite's file and its hash. check: compare every episode with what it generated. yardsticks:
+    action: Annotated[
+        Positional[Literal["build", "check", "seal", "open", "yardsticks", "record", "verify"]], arg(metavar="ACTION")
+    ]
+    """build: replace a suite's file and its hash. check: compare every episode with what it generated. seal: draw a
+    secret that a suite's episodes will be drawn from, keep its hash and print it, once. open: check a secret against
+    the hash that was kept, publish it and build the suite; when everything that will run in it is frozen. yardsticks:
     measure what expert and oracle do, for the scores of validations. record: keep the policies' results. verify: run
     what is recorded again and compare every number with the recorded one, to the last bit that is kept."""
     name: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME ...]")] = ()
@@ -43,6 +49,8 @@ class Options:
     """Record the first episodes of each cell only, for a policy that is too slow for all."""
     cells: Annotated[tuple[str, ...], arg(metavar="C [C ...]", help_behavior_hint="")] = ()
     """Verify in the cells of these scenarios only. Whole cells: a few of the episodes give other last bits."""
+    secret: Annotated[str | None, arg(metavar="WORDS", help_behavior_hint="")] = None
+    """The secret to open a suite with."""
     stamp: bool = False
     """Write down for the policies whose rows are equal that these are what they give now, so that they count again."""
     step_limit: float = STEP_LIMIT
@@ -60,16 +68,26 @@ def main(arguments: Sequence[str]) -> int:
     options = parse(Options, arguments, PROGRAM)
     if unknown := [name for name in options.name if name not in SUITES]:
         raise UsageError(f"unknown suite {unknown[0]!r}; allowed are {', '.join(SUITES)}")
-    if not options.name and options.action in ("build", "yardsticks", "record"):
+    if not options.name and options.action in ("build", "seal", "open", "yardsticks", "record"):
         raise UsageError(f"name the suite to {options.action}: {', '.join(SUITES)}")
     if unknown := [policy for policy in options.policy if policy not in list_policies()]:
         raise UsageError(f"{unknown[0]!r} is not the name of a policy; allowed are {', '.join(list_policies())}")
     if options.episodes is not None and (options.episodes < 1 or options.action != "record"):
         raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more, and is for record")
-    actions = {"build": _build, "check": _check, "yardsticks": _measure, "record": _record, "verify": _verify}
+    if (options.secret is None) == (options.action == "open"):
+        raise UsageError("open needs --secret WORDS, what seal has printed; no other action takes it")
+    actions = {
+        "build": _build,
+        "check": _check,
+        "seal": _seal,
+        "open": _open,
+        "yardsticks": _measure,
+        "record": _record,
+        "verify": _verify,
+    }
     action = actions[options.action]
     try:
-        return max([action(name, options) for name in options.name or SUITES])
+        return max([action(name, options) for name in options.name or suites.list_suites()])
     except suites.SuiteError as error:
         print(f"{called(PROGRAM)}: {error}", file=sys.stderr)
         return FAILED
@@ -78,6 +96,28 @@ def main(arguments: Sequence[str]) -> int:
 def _build(name: str, _: Options) -> int:
     print(f"{suites.save(name, build(name))}  {name}")
     return DONE
+
+
+def _seal(name: str, _: Options) -> int:
+    _check_sealed(name)
+    secret = secrets.token_urlsafe(24)
+    sealed.keep(name, sealed.Seal(sealed.sha256(secret)))
+    print(f"the secret of {name}, which is kept nowhere: {secret}")
+    return DONE
+
+
+def _open(name: str, options: Options) -> int:
+    _check_sealed(name)
+    if name not in (kept := sealed.seals()):
+        raise UsageError(f"{name} has no seal; make one with: {PROGRAM} seal {name}")
+    sealed.keep(name, kept[name].opened(options.secret or ""))
+    return _build(name, options)
+
+
+def _check_sealed(name: str) -> None:
+    """Raise UsageError if a suite is none that is sealed."""
+    if SUITES[name][0] is not None:
+        raise UsageError(f"{name} is not a suite that is sealed")
 
 
 def _check(name: str, _: Options) -> int:

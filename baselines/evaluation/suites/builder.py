@@ -19,13 +19,14 @@ from auv_gym.presets import CASES, PRESETS, REGIMES
 from auv_gym.scenario import RandomPath, Scenario
 from auv_gym.sideslip import path_rates
 from baselines.evaluation.runner import Cell
-from baselines.evaluation.suites import rounded
+from baselines.evaluation.suites import rounded, sealed
 
 FAMILIES = ("line", "circle", "sine", "figure_eight", "random_smooth")
 """Path families that agents train on; each has the same number of episodes in a cell."""
 EPISODES = 52  # of a path family in a cell of benchmark-v1 and ood-v1
 VALIDATION_EPISODES = 10  # of a path family in a cell of benchmark-v1-validation
 UNMODELLED_EPISODES = 30  # of a path family in a cell of unmodelled-v1
+SEALED_EPISODES = 64  # in a cell of a sealed suite
 STRONGER = 1.5  # factor out of distribution on current and waves
 FARTHER = 1.3  # factor out of distribution on the range of the mismatch about 1
 
@@ -113,6 +114,14 @@ def _unmodelled() -> list[Recipe]:
     return recipes
 
 
+def _sealed() -> list[Recipe]:
+    """Return the worlds of a sealed suite: missions follow waypoints, the others take turns among the families."""
+    return [
+        Recipe(scenario, (*FAMILIES, "lawnmower"), SEALED_EPISODES, waypoints if roams else Recipe.path)
+        for scenario, roams in sealed.worlds()
+    ]
+
+
 def _sheared(scenario: Scenario, regime: str) -> RandomCurrent:
     """Return the scenario's current with a shear."""
     assert isinstance(scenario.current, RandomCurrent)
@@ -167,18 +176,25 @@ def waypoints(rng: np.random.Generator, path: RandomPath, duration: float) -> Pa
             return spline
 
 
-SUITES: dict[str, tuple[int, Callable[[], list[Recipe]]]] = {
+SUITES: dict[str, tuple[int | None, Callable[[], list[Recipe]]]] = {
     "benchmark-v1": (1_000_001, lambda: _benchmark(EPISODES)),
     "benchmark-v1-validation": (1_000_002, lambda: _benchmark(VALIDATION_EPISODES)),
     "ood-v1": (1_000_003, _out_of_distribution),
     "unmodelled-v1": (1_000_004, _unmodelled),
+    "sealed-v1": (None, _sealed),
 }
-"""Suites by name: the seed, and what makes its recipes. Training selects on the validation split, never on a test."""
+"""Suites by name: the seed, None for that of a secret, and what makes its recipes. Training selects on the validation
+split, never on a test."""
 
 
 def build(name: str) -> list[Cell]:
-    """Return the cells of a suite, drawn anew: the same wherever the random streams are."""
-    seed, recipes = SUITES[name]
+    """Return the cells of a suite, drawn anew: the same wherever the random streams are.
+
+    Raises:
+        SuiteError: it is sealed.
+    """
+    known, recipes = SUITES[name]
+    seed = sealed.seed(name) if known is None else known
     return [rounded(_cell(recipe, seed, i)) for i, recipe in enumerate(recipes())]
 
 

@@ -1,0 +1,88 @@
+"""The Gauss-Newton iteration through whole episodes, each with a damping of its own.
+
+It is the method of `baselines.control.nmpc.gauss_newton` over all of an episode, with the damping of K. Levenberg
+(Quarterly of Applied Mathematics 2(2):164-168, 1944): a step that disappoints makes the next one shorter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.control.clairvoyant.problem import Array, Course, Problem, Way
+from baselines.control.nmpc.problem import replaced, taken
+
+TOLERANCE = 1e-5
+"""[m] of the tail's root mean square: an episode is solved when a step that is hardly damped gains less."""
+LENGTHS = (1.0, 0.5, 0.2, 0.05, 0.01)
+"""Parts of a step that are tried until one lowers the cost."""
+DAMPING = 1e-6  # [m^2] at the start
+LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e3  # [m^2]
+HARDLY_DAMPED = 1e-9
+"""[m^2] damping up to which a step that gains nothing means that nothing is left to gain."""
+STIFFER, LOOSER = 10.0, 0.1
+"""Factors on the damping where no part of a step lowers the cost, and where all of it does."""
+MOST_STEPS = 200  # for an episode
+GOOD = 0.002
+"""[m] tail from which other commands to begin with are tried."""
+
+
+def solved(problem: Problem, guesses: Iterable[Array]) -> Course:
+    """Return the best course of N episodes that is found from commands to begin with.
+
+    Args:
+        problem: see `Problem`.
+        guesses: commands, shape (K, ACTIONS, N), in the order in which they are tried: the first ones in all episodes,
+            others where the tail is not `GOOD`.
+    """
+    best: Course | None = None
+    for guess in guesses:
+        if best is None:
+            best = refined(problem, problem.standing(guess))
+            continue
+        few = np.flatnonzero(~(best.tail < GOOD))
+        if not few.size:
+            break
+        part = problem.taken(few)
+        found = refined(part, part.standing(np.ascontiguousarray(guess[..., few])))
+        better = np.flatnonzero(found.cost < best.cost[few])
+        best = replaced(best, few[better], taken(found, better))
+    if best is None:
+        raise ValueError("there must be commands to begin with")
+    return best
+
+
+def refined(problem: Problem, course: Course) -> Course:
+    """Return a course after as many steps as each episode takes, at most `MOST_STEPS`."""
+    damping, few = np.full(len(course.cost), DAMPING), np.arange(len(course.cost))
+    for _ in range(MOST_STEPS):
+        part, now = problem.taken(few), taken(course, few)
+        then, whole = _stepped(part, now, part.way(now, damping[few]))
+        gained = np.sqrt(now.cost) - np.sqrt(then.cost)
+        idle = ~(then.cost < now.cost)
+        own = damping[few]
+        done = ~(gained > TOLERANCE) & ((whole & (own <= HARDLY_DAMPED)) | (idle & (own >= MOST_DAMPING)))
+        damping[few] = np.clip(np.where(idle, STIFFER, np.where(whole, LOOSER, 1.0)) * own, LEAST_DAMPING, MOST_DAMPING)
+        course = replaced(course, few, then)
+        few = few[~done]
+        if not few.size:
+            break
+    return course
+
+
+def _stepped(problem: Problem, course: Course, way: Way) -> tuple[Course, NDArray[np.bool_]]:
+    """Return the course after the longest part of a step that lowers the cost, and whether that is all of it."""
+    best, whole = course, np.zeros(len(course.cost), dtype=bool)
+    few = np.arange(len(course.cost))
+    for length in LENGTHS:
+        now, part = taken(course, few), problem.taken(few)
+        trial = part.played(now, taken(way, few), length)
+        better = trial.cost < now.cost
+        best = replaced(best, few[better], taken(trial, np.flatnonzero(better)))
+        whole[few[better]] = length == LENGTHS[0]
+        few = few[~better]
+        if not few.size:
+            break
+    return best, whole

@@ -1,0 +1,37 @@
+"""Who draws episodes from which seeds: one table, so that nobody is judged on what he was made on.
+
+Episodes of the same scenario from different seeds have nothing in common. The frozen suites draw theirs from keys of
+their own (`baselines.evaluation.suites.builder`), which no range here meets.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Seeds(NamedTuple):
+    """A range of seeds and whose it is."""
+
+    first: int
+    end: int  # the first one that is no longer in it
+    reader: str  # the module that draws from it; "" for users of the commands
+    purpose: str
+
+    def holds(self, first: int, count: int = 1) -> bool:
+        """Return whether so many seeds from a first one on are all in it."""
+        return self.first <= first and first + count <= self.end
+
+
+USERS = Seeds(0, 10_000_000, "", "evaluations with --seed, examples, and what users draw themselves")
+TUNING = Seeds(10_000_000, 20_000_000, "baselines.tuning.search", "gains are searched for on these")
+TUNING_CHECK = Seeds(20_000_000, 30_000_000, "baselines.tuning.search", "gains that were found are compared on these")
+VALIDATION = Seeds(
+    30_000_000, 40_000_000, "baselines.training.validation", "agents are chosen on these, where the suite has none"
+)
+FRESH = Seeds(
+    70_000_000, 80_000_000, "baselines.evaluation.fresh", "policies are compared on these; nothing is chosen on them"
+)
+TRAINING = Seeds(1_000_000_000, 2**62, "baselines.training.config", "agents are trained on these")
+
+TABLE = (USERS, TUNING, TUNING_CHECK, VALIDATION, FRESH, TRAINING)
+"""Every range, in order; none overlaps another."""

@@ -1,0 +1,96 @@
+"""The clairvoyant optimum: another optimiser finds nothing better, and the environment gives what was planned."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from auv_gym.namespaces import FLOATS
+from auv_gym.presets import CASES, PRESETS
+from auv_gym.rows import leaves
+from auv_gym.simulation import Parameters, start, step
+from baselines import make_policy
+from baselines.control.clairvoyant.policy import arriving, oracle_actions
+from baselines.control.clairvoyant.problem import HEAD, PRICE, Problem
+from baselines.control.clairvoyant.solver import TOLERANCE, solved
+from baselines.control.truth import Truth
+from baselines.evaluation.rollout import rollout
+from baselines.evaluation.runner import drawn
+from baselines.evaluation.suites import load
+from baselines.policy import Privileged
+
+
+def optimum(scenario, episodes):
+    problem = Problem.of(scenario, episodes)
+    return problem, solved(problem, [arriving(oracle_actions(scenario, episodes), problem.delay)])
+
+
+@pytest.mark.parametrize("regime", ["slow", "cruise"])
+@pytest.mark.parametrize("case", CASES)
+def test_at_least_as_good_as_the_oracle_in_every_episode(regime, case):
+    scenario = PRESETS[f"{regime}-{case}"]
+    episodes = drawn(scenario, 12, 100).episodes
+    best, oracle = (rollout(make_policy(p), scenario, episodes, 10.0).measures for p in ("clairvoyant", "oracle"))
+    assert not best.lost.any()
+    assert (best.tail < oracle.tail + TOLERANCE).all()
+    assert best.tail.max() < 0.001
+
+
+@pytest.mark.parametrize("cell", ["slow-delay", "cruise-sluggish", "cruise-short-limits", "slow-everything"])
+def test_the_environment_gives_what_was_planned(cell):
+    """Late commands, slow and short actuators, a current that varies in space; actions are rounded on the way."""
+    own = next(c for c in load("unmodelled-v1").cells if c.scenario.name == cell)
+    episodes = own.episodes[:6]
+    _, course = optimum(own.scenario, episodes)
+    run = rollout(make_policy("clairvoyant"), own.scenario, episodes, 10.0)
+    np.testing.assert_allclose(run.measures.tail, course.tail, rtol=1e-3, atol=TOLERANCE)
+
+
+def test_scipy_finds_no_better_commands():
+    """Over a short episode, on the simulation in plain Python, from the optimum and from elsewhere."""
+    scenario = replace(PRESETS["cruise-storm"], steps=24)
+    episodes = drawn(scenario, 1, 3).episodes
+    problem, course = optimum(scenario, episodes)
+    truth = Truth.of(scenario, episodes)
+    rows = [float(np.ravel(row)[0]) for row in leaves(truth.parameters)]
+    p, samples = Parameters.of(rows, scenario.parts), truth.samples[..., 0].tolist()
+    begun, _ = start(tuple(problem.begun[:6, 0].tolist()), samples[0], p, FLOATS)
+    weight = problem.weight[:, 0, 0]
+
+    def cost(flat):
+        plant, total = begun, 0.0
+        for w, action, sample in zip(weight, flat.reshape(-1, 2).tolist(), samples[1:], strict=True):
+            plant, _, (_, _, squared, _) = step(plant, action, sample, p, FLOATS)
+            total += w * squared + PRICE * (action[0] ** 2 + action[1] ** 2)
+        return total
+
+    mine = course.commands[..., 0].ravel()
+    assert cost(mine) == pytest.approx(course.cost[0], rel=1e-9)
+    assert weight.sum() == pytest.approx(1.0 + HEAD * 8 / 24)
+    elsewhere = np.clip(mine + 0.3 * np.random.default_rng(0).standard_normal(len(mine)), -1, 1)
+    for guess in (mine, elsewhere):
+        theirs = minimize(cost, guess, method="L-BFGS-B", bounds=[(-1, 1)] * len(mine), options={"maxfun": 10_000})
+        assert np.sqrt(theirs.fun) > np.sqrt(course.cost[0]) - TOLERANCE
+
+
+def test_commands_arrive_late():
+    actions = np.arange(12.0).reshape(3, 2, 2)
+    late = arriving(actions, np.array([0, 2]))
+    np.testing.assert_array_equal(late[..., 0], actions[..., 0])
+    np.testing.assert_array_equal(late[..., 1], [[0, 0], [0, 0], actions[0, :, 1]])
+
+
+def test_it_is_privileged_and_says_so():
+    best = make_policy("clairvoyant")
+    assert isinstance(best, Privileged)
+    with pytest.raises(RuntimeError, match="needs prepare"):
+        best.predict(np.zeros((1, 18)))
+    with pytest.raises(RuntimeError, match="needs prepare"):
+        best.observe(None)
+
+
+def test_there_must_be_a_beginning():
+    scenario = PRESETS["slow-calm"]
+    with pytest.raises(ValueError, match="commands to begin with"):
+        solved(Problem.of(scenario, drawn(scenario, 1, 0).episodes), [])

@@ -1,0 +1,89 @@
+"""Sealed suites: nobody knows their episodes before the secret is out, and their worlds lie outside of training."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from baselines.evaluation import suites
+from baselines.evaluation.suites import SuiteError, builder, sealed
+from baselines.evaluation.suites.__main__ import main
+from baselines.tools.command_line import DONE, UsageError
+from baselines.training.mixtures import MIXTURES
+
+
+@pytest.fixture
+def empty(monkeypatch, tmp_path):
+    """No seal, and a folder for suites."""
+    file = tmp_path / "seals.json"
+    file.write_text("{}")
+    monkeypatch.setattr(sealed, "SEALS", file)
+    monkeypatch.setattr(suites, "save", partial(suites.save, folder=tmp_path))
+    return tmp_path
+
+
+def test_from_a_seal_to_a_suite(empty, capsys, monkeypatch):
+    monkeypatch.setattr(builder, "SEALED_EPISODES", 1)
+    assert main(["seal", "sealed-v1"]) == DONE
+    secret = capsys.readouterr().out.split()[-1]
+    assert sealed.seals()["sealed-v1"] == sealed.Seal(sealed.sha256(secret))
+    assert secret not in (empty / "seals.json").read_text()
+    with pytest.raises(SuiteError, match="is sealed"):
+        builder.build("sealed-v1")
+    assert main(["open", "sealed-v1", "--secret", secret + "?"]) != DONE
+    assert "not the secret" in capsys.readouterr().err
+    assert main(["open", "sealed-v1", "--secret", secret]) == DONE
+    suite = suites.load("sealed-v1", empty)
+    assert [cell.scenario for cell in suite.cells] == [scenario for scenario, _ in sealed.worlds()]
+    again = builder.build("sealed-v1")
+    assert all(a.episodes == b.episodes for a, b in zip(suite.cells, again, strict=True))
+
+
+def test_a_seal_is_not_replaced(empty):
+    sealed.keep("sealed-v1", sealed.Seal(sealed.sha256("one")))
+    with pytest.raises(SuiteError, match="sealed already"):
+        sealed.keep("sealed-v1", sealed.Seal(sealed.sha256("two")))
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["seal", "ood-v1"], "not a suite that is sealed"),
+        (["open", "sealed-v1"], "needs --secret"),
+        (["check", "ood-v1", "--secret", "x"], "no other action"),
+        (["open", "sealed-v1", "--secret", "x"], "has no seal"),
+        (["seal"], "name the suite"),
+    ],
+)
+def test_wrong_usage(empty, words, message):
+    with pytest.raises(UsageError, match=message):
+        main(words)
+
+
+def test_without_a_seal_there_is_no_seed(empty):
+    with pytest.raises(SuiteError, match="has no seal"):
+        builder.build("sealed-v1")
+
+
+def test_secrets_stand_for_seeds_of_their_own():
+    assert sealed.seed_of("a") != sealed.seed_of("b")
+    assert 0 <= sealed.seed_of("a") < 2**64
+
+
+def test_every_world_has_something_that_training_never_draws():
+    """A speed, a length, a rate limit, an outage, a start or a hull that no mixture has."""
+    trained = [scenario for mixture in MIXTURES.values() for scenario, _ in mixture]
+    speeds = [s.path.speed for s in trained]
+    assert all(s.mismatch is None or s.mismatch.mass[0] > sealed.HULL[0] for s in trained)
+    for scenario, _ in sealed.worlds():
+        low, high = scenario.path.speed
+        other = {
+            "speed": all(high <= a or b <= low for a, b in speeds),
+            "length": all(scenario.duration > s.duration for s in trained),
+            "slew": np.isfinite(scenario.actuators.F_u_rate) and all(np.isinf(s.actuators.F_u_rate) for s in trained),
+            "outages": scenario.sensors.outages > 0
+            and all(scenario.sensors.outage_time[0] >= s.sensors.outage_time[1] for s in trained if s.sensors.outages),
+            "start": all(scenario.start.x_e[1] > s.start.x_e[1] for s in trained),
+            "hull": scenario.mismatch.mass == sealed.HULL,
+        }
+        assert any(other.values()), scenario.name
