@@ -11,8 +11,18 @@ from baselines.evaluation import fresh, recorded, silence
 from baselines.evaluation.metrics import Array, most_lost
 from baselines.evaluation.results.collection import Results
 from baselines.evaluation.results.page import table
-from baselines.evaluation.results.studies import RIVAL, SHORT
-from baselines.evaluation.score import EXPERT, ORACLE, Score, interval_text, lead, regime_of, score_text, seeds_score
+from baselines.evaluation.results.studies import SHORT
+from baselines.evaluation.score import (
+    EXPERT,
+    ORACLE,
+    RIVAL,
+    Score,
+    interval_text,
+    lead,
+    regime_of,
+    score_text,
+    seeds_score,
+)
 from baselines.evaluation.study_files import Study
 
 BASE = "short-cruise"
