@@ -19,6 +19,7 @@ from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.codegen.matrices import symmetric
 from auv_gym.intervals import check_number
+from auv_gym.namespaces import ARRAYS, Namespace, Number
 from auv_gym.task import Observation
 from auv_gym.vehicle import Coefficients, Vehicle
 from baselines.estimation.faults import FAULTS, LATE, Faults, arrived
@@ -94,7 +95,7 @@ class ExtendedKalmanFilter:
         rough = np.array(astuple(tuning))
         calm = rough.copy()
         calm[SCALED] *= tuning.calm
-        self._known = [np.array((*vehicle.coefficients, *values))[:, None] for values in (rough, calm)]
+        self.known = [np.array((*vehicle.coefficients, *values))[:, None] for values in (rough, calm)]
 
     def start(self, n: int) -> Memory:
         """Return the memory at the start of n episodes, which must not be changed in place."""
@@ -114,12 +115,23 @@ class ExtendedKalmanFilter:
         kernel, n = filter_kernel(self.faults), o.shape[1]
         rows = [
             kernel(o=o, known=repeated(known, n), memory=before.T)["after"]
-            for known, before in zip(self._known, memory, strict=True)
+            for known, before in zip(self.known, memory, strict=True)
         ]
         rough, calm = (Belief.of(after, self.faults) for after in rows)
-        share = 1.0 / (1.0 + np.exp(np.clip(rough.fit[0] - calm.fit[0] + ODDS, -50.0, 50.0)))
-        state = rough.state + share * (calm.state - rough.state)
+        state = np.array(averaged((rough.fit[0], calm.fit[0]), (rough.state, calm.state), ARRAYS))
         return tuple(after.T for after in rows), np.concatenate((state, rough.actions)) if self.faults else state
+
+
+def averaged(fits: Sequence[Number], states: Sequence[Sequence[Number]], ns: Namespace) -> list[Number]:
+    """Return the state that two filters believe in together, that of a rough sea and that of a calm one.
+
+    Args:
+        fits: logarithms of the likelihoods of what was measured.
+        states: rows of their states.
+        ns: the namespace of the numbers.
+    """
+    share = 1.0 / (1.0 + ns.exp(ns.clip(fits[0] - fits[1] + ODDS, -50.0, 50.0)))
+    return [rough + share * (calm - rough) for rough, calm in zip(*states, strict=True)]
 
 
 def arrival(o: Array, z: Array, vehicle: Vehicle) -> Array:
