@@ -94,7 +94,7 @@ class ExtendedKalmanFilter:
         rough = np.array(astuple(tuning))
         calm = rough.copy()
         calm[SCALED] *= tuning.calm
-        self._known = [np.array((*vehicle.coefficients, *values))[:, None] for values in (rough, calm)]
+        self.known = [np.array((*vehicle.coefficients, *values))[:, None] for values in (rough, calm)]
 
     def start(self, n: int) -> Memory:
         """Return the memory at the start of n episodes, which must not be changed in place."""
@@ -114,12 +114,26 @@ class ExtendedKalmanFilter:
         kernel, n = filter_kernel(self.faults), o.shape[1]
         rows = [
             kernel(o=o, known=repeated(known, n), memory=before.T)["after"]
-            for known, before in zip(self._known, memory, strict=True)
+            for known, before in zip(self.known, memory, strict=True)
         ]
         rough, calm = (Belief.of(after, self.faults) for after in rows)
-        share = 1.0 / (1.0 + np.exp(np.clip(rough.fit[0] - calm.fit[0] + ODDS, -50.0, 50.0)))
-        state = rough.state + share * (calm.state - rough.state)
+        fits = np.concatenate((rough.fit, calm.fit))
+        state = average_kernel(len(rough.state))(rough=rough.state, calm=calm.state, fits=fits)["state"]
         return tuple(after.T for after in rows), np.concatenate((state, rough.actions)) if self.faults else state
+
+
+@cache
+def average_kernel(size: int) -> Kernel:
+    """Return the kernel of the average of two states of so many rows, with their likelihoods."""
+
+    def equation(
+        rough: Sequence[Symbol], calm: Sequence[Symbol], fits: Sequence[Symbol]
+    ) -> Mapping[str, Sequence[Any]]:
+        odds = SYMBOLS.clip(fits[0] - fits[1] + ODDS, -50.0, 50.0)
+        share = 1.0 / (1.0 + SYMBOLS.exp(odds))
+        return {"state": [a + share * (b - a) for a, b in zip(rough, calm, strict=True)]}
+
+    return Kernel.traced(equation, {"rough": size, "calm": size, "fits": HYPOTHESES})
 
 
 def arrival(o: Array, z: Array, vehicle: Vehicle) -> Array:

@@ -32,7 +32,8 @@ from auv_gym.tape import (
 )
 from auv_gym.task import SIZE
 from baselines.control.ekf_law import EKF_GAINS, LAW_GAINS
-from baselines.estimation.kalman import TUNING, ExtendedKalmanFilter
+from baselines.estimation.filter_equations import Belief
+from baselines.estimation.kalman import ExtendedKalmanFilter, tuning_of
 from baselines.estimation.sea_model import AT
 from baselines.export.parts import Exported
 from baselines.gains.loading import load_gains
@@ -194,11 +195,14 @@ def _constants(regime: str, case: str, path: Path, seed: int) -> list[float]:
 def ekf_record(regime: str) -> dict[str, Any]:
     """Return what the law on the filter knows, and the filter's memory at an episode's start."""
     vehicle, gains = PRESETS[f"{regime}-calm"].vehicle, load_gains("ekf", regime, EKF_GAINS)
+    estimator = ExtendedKalmanFilter(vehicle, tuning_of(gains))
+    places = Belief.of(range(sum(Belief.sizes())))
     return {
-        "filter": [*vehicle.coefficients, *(gains[name] for name in TUNING)],
+        "filters": [known[:, 0].tolist() for known in estimator.known],  # of a rough sea and of a calm one
         "law": [*vehicle.coefficients, *(gains[name] for name in LAW_GAINS)],
-        "memory": ExtendedKalmanFilter(vehicle).start(1)[0][0].tolist(),
-        "state": 1,  # where the estimate begins in it
+        "memory": estimator.start(1)[0][0].tolist(),
+        "state": places.state[0],  # where the estimate begins in it
+        "fit": places.fit[0],
         "plan": 7,
     }
 

@@ -18,7 +18,8 @@ from auv_gym.task import SIZE, Observation, action_of, decode
 from baselines.control.backstepping import Backstepping
 from baselines.control.ekf_law import law_kernel
 from baselines.control.open_loop import OpenLoop
-from baselines.estimation.kalman import filter_kernel
+from baselines.estimation.kalman import average_kernel, filter_kernel
+from baselines.estimation.sea_model import Estimate
 from baselines.export.parts import Exported, network_program
 
 COMPONENTS = 6
@@ -60,6 +61,7 @@ def kernels() -> dict[str, Kernel]:
         "decoded": Kernel.traced(lambda seen: {"terms": decode(seen, SYMBOLS)}, {"seen": SIZE}),
         "forcesToAction": Kernel.traced(_action, {"terms": SIZE, "force": 2}),
         "filter": filter_kernel(),
+        "averaged": average_kernel(len(Estimate._fields)),
         "ekfLaw": law_kernel(),
         **{name: _law_kernel(law) for name, law in LAWS.items()},
     }

@@ -78,16 +78,21 @@ const ENGINE = (() => {
   };
 
   function ekfController(name, regime) {
-    const { filter, law, memory, state, plan } = DATA.regimes[regime].ekf;
-    const belief = Float64Array.from(memory), planned = zeros(plan), terms = zeros(sizes.seen), force = zeros(2);
-    const known = [Float64Array.from(filter), Float64Array.from(law)];
-    const estimate = belief.subarray(state, state + Object.keys(at.estimate).length);
+    const { filters, law, memory, state, fit, plan } = DATA.regimes[regime].ekf, count = Object.keys(at.estimate).length;
+    const seas = filters.map((known) => ({ known: Float64Array.from(known), belief: Float64Array.from(memory) }));
+    const states = seas.map(({ belief }) => belief.subarray(state, state + count)), fits = zeros(seas.length);
+    const planned = zeros(plan), terms = zeros(sizes.seen), force = zeros(2), estimate = zeros(count);
+    const lawKnown = Float64Array.from(law);
     return {
       estimate,
       act(seen, action) {
         EQUATIONS.decoded(seen, terms);
-        EQUATIONS.filter(terms, known[0], belief, belief);
-        EQUATIONS.ekfLaw(terms, known[1], estimate, planned, force);
+        seas.forEach(({ known, belief }, i) => {
+          EQUATIONS.filter(terms, known, belief, belief);
+          fits[i] = belief[fit];
+        });
+        EQUATIONS.averaged(states[0], states[1], fits, estimate);
+        EQUATIONS.ekfLaw(terms, lawKnown, estimate, planned, force);
         EQUATIONS.forcesToAction(terms, force, action);
       },
     };
