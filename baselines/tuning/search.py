@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from auv_gym.installation import install
 from auv_gym.policy import Policy
 from baselines.policy import Array
 from baselines.tools.seeds import TUNING, TUNING_CHECK
@@ -109,7 +110,7 @@ def _strategies() -> Any:
     try:
         import cma
     except ImportError as error:
-        raise ImportError("tuning needs an evolution strategy: pip install 'auv-gym[tuning]'") from error
+        raise ImportError(f"tuning needs an evolution strategy: {install('tuning')}") from error
     return cma
 
 
