@@ -288,9 +288,7 @@ def test_a_cluster_that_is_lost_is_one_line(call, ray, capsys, monkeypatch):
 
     monkeypatch.setattr(ray, "wait", lost)
     assert call(*tiny("ppo"), "--cluster", "local") == 1
-    err = (
-        "the Ray cluster failed, with 1 tasks left: RuntimeError: gone; the same command with --resume goes on\n"
-    )
+    err = "the Ray cluster failed, with 1 tasks left: RuntimeError: gone; the same command with --resume goes on\n"
     assert capsys.readouterr().err == err
 
 
