@@ -30,7 +30,7 @@ VERBS = {
     "train": Verb("baselines.training.entry", "train"),
     "train-all": Verb("baselines.training.shipped", "train"),
     "study": Verb("baselines.training.study.command", "train"),
-    "tune": Verb("baselines.tuning.search", "eval"),
+    "tune": Verb("baselines.tuning.command", "tuning"),
     "suites": Verb("baselines.evaluation.suites.__main__", "eval"),
     "fresh": Verb("baselines.evaluation.fresh", "eval"),
     "silence": Verb("baselines.evaluation.silence", "eval"),

@@ -110,7 +110,7 @@ def test_equals_the_policy_in_the_environment(expert, memory, inputs):
             action, memory = policy.predict(observation, memory)
             observation, *_, info = env.step(action)
         terms = observation[:, : len(TERMS)]
-        np.testing.assert_allclose(setting.carried.observation.T, terms, atol=1e-5)  # actions are in float32
+        np.testing.assert_allclose(setting.carried.observation.T, terms, atol=3e-5)  # actions are in float32
         np.testing.assert_allclose(np.sqrt(squared_error), info["position_error"], atol=1e-5)
 
 

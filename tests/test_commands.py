@@ -59,6 +59,7 @@ ELSEWHERE = {
     r"pip install .*": "`make`'s stamps, and the extras exist, below",
     r"python train\.py.*": "test_training.py::test_documented_commands_run",
     r"python -m baselines\.evaluation\.suites check .*": "test_suites.py::test_episodes_generate_what_they_did",
+    r"python -m baselines\.tuning .*": "test_tuning.py, with few evaluations",
     r"python -m rl_zoo3\.train .*": "test_sb3.py reads its format; rl_zoo3 itself is no dependency",
     r"python evaluate\.py --suite (paper|presets)": "`make demo`, below",
     r"python evaluate\.py --stability .*": "test_stability.py",

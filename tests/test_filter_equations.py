@@ -119,7 +119,7 @@ def test_covariance_is_foreseen_by_the_jacobian():
     z, o, P = random_state(rng, 3), observed(rng, 3), random_covariance(rng, 3)
 
     def equation(z, o, P):
-        z, P = foreseen(Estimate(*z), symmetric(P), (0.1, 0.05), Observation(*o), Coefficients(*DRAGGY.coefficients))
+        z, P = foreseen(z, symmetric(P), [], (0.1, 0.05), Observation(*o), Coefficients(*DRAGGY.coefficients))
         return {"z": z, "P": triangle(P)}
 
     rows = {"z": SIZE, "o": len(o), "P": len(TRIANGLE[0])}
@@ -135,7 +135,7 @@ def test_measurements_one_by_one_are_all_at_once():
     innovation, noise = rng.normal(0, 0.1, (6, 3)), rng.uniform(1e-4, 1e-1, (6, 3))
 
     def equation(z, P, innovation, noise):
-        z, P = corrected(Estimate(*z), symmetric(P), innovation, noise)
+        z, P, _ = corrected(z, symmetric(P), innovation, noise, False)
         return {"z": z, "P": triangle(P)}
 
     rows = {"z": SIZE, "P": len(TRIANGLE[0]), "innovation": 6, "noise": 6}

@@ -112,7 +112,8 @@ def test_a_new_column_is_one_entry(monkeypatch):
     assert columns.record(entry)["largest_m"] == columns.line(entry)["largest_m"] == pytest.approx(0.4875)
     assert columns.used([entry])[-1].text(entry) == "0.49"
     assert columns.definitions()["largest [m]"] == "the largest"
-    for place in (console_text([entry]), html._table([entry])):
+    (board,) = html._boards([entry], ["backstepping"], {"backstepping"})
+    for place in (console_text([entry]), str(board)):
         assert "largest [m]" in place
         assert "0.49" in place
 

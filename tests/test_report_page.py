@@ -1,6 +1,8 @@
 """The pages of an evaluation in a browser: on a desk, on a telephone, in print, without a script, and under attack."""
 
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -192,9 +194,11 @@ def test_other_pages(browser, others):
             page.wait_for_function(changed, arg=before, timeout=PATIENCE)
 
 
-def test_pictures_of_the_pages(browser, others, tmp_path, capsys):
+def test_pictures_of_the_pages(browser, others, tmp_path):
+    """In a process of its own: Playwright runs once in each."""
     del browser  # it is there
-    assert screenshots.main(["--pages", str(others), "--out", str(tmp_path)]) == 0
+    words = ["-m", screenshots.__name__, "--pages", str(others), "--out", str(tmp_path)]
+    subprocess.run([sys.executable, *words], check=True, cwd=ROOT)
     shown = re.findall(r"images/(report-.+?\.png)", (ROOT / "docs" / "report.md").read_text(encoding="utf-8"))
     assert sorted(shown) == sorted(file.name for file in tmp_path.iterdir())
     for name in shown:

@@ -177,6 +177,7 @@ def test_a_policy_with_memory_as_computed_by_hand(speed, turn_rate):
         assert (found.offset, found.swing, found.held) == (0.0, 0.0, True)
 
 
+@pytest.mark.filterwarnings("ignore::baselines.control.backstepping.StabilityWarning")
 @pytest.mark.parametrize(("speed", "turn_rate"), [(0.2, 0.0), (0.6, 0.0), (0.6, 0.2)])
 def test_a_law_without_memory_as_the_held_loop(speed, turn_rate):
     """Stable or not."""

@@ -40,10 +40,9 @@ LONGEST_WAIT = 3600.0  # [s] for an answer, where the limit of a decision is inf
 FAREWELL = 0.5  # [s] that a program has to end by itself once its standard input is closed
 LAST_WORDS = 300  # bytes of its standard error that are told
 
-_EXAMPLE = Observation(
-    e_x=0.1, e_y=-0.1, psi_e=0.05, u_e=0.0, v_e=0.0, r_e=0.0, u_R=0.5, v_R=0.0, r_R=0.0, F_uR=35.0, F_rR=0.0,
-    cos_psi=1.0, sin_psi=0.0, F_u_max=400.0, F_r_max=200.0, a_u=0.0, a_r=0.0, dt=0.1,
-)  # fmt: skip
+_EXAMPLE = Observation(*(0.0 for _ in Observation._fields))._replace(
+    e_x=0.1, e_y=-0.1, psi_e=0.05, u_R=0.5, F_uR=35.0, cos_psi=1.0, F_u_max=400.0, F_r_max=200.0, dt=0.1
+)
 """What a program is asked once before anything runs: a vehicle that moves straight on, nearly on its path."""
 
 

@@ -8,16 +8,20 @@ from typing import Any
 
 from auv_gym.policy import Policy
 from auv_gym.vehicle import Vehicle
+from baselines.control.adaptive import make_adaptive
 from baselines.control.backstepping import Backstepping
+from baselines.control.backstepping_tuned import make_backstepping_tuned, make_normalised_tuned
 from baselines.control.clairvoyant.policy import Clairvoyant
 from baselines.control.current_observer import make_current_observer
-from baselines.control.ekf_law import make_ekf_law
+from baselines.control.ekf_law import make_ekf_adverse, make_ekf_law
+from baselines.control.ilos import make_ilos
 from baselines.control.integral import make_integral, make_integral_normalised
 from baselines.control.los_pid import make_los_pid
 from baselines.control.lqi import make_lqi
-from baselines.control.nmpc.controller import make_nmpc
+from baselines.control.nmpc.controller import make_nmpc, make_nmpc_adverse
 from baselines.control.open_loop import OpenLoop
 from baselines.control.oracle import Oracle
+from baselines.control.smc_dob import make_smc_dob
 
 POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
     "backstepping": (
@@ -28,14 +32,23 @@ POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
     "backstepping-paper": (Backstepping, {"gains": "paper"}, "the paper's law with the paper's gains at every speed"),
     "backstepping-robust": (Backstepping, {"gains": "robust"}, "the paper's law, gains tuned for decay up to 2 m/s"),
     "backstepping-normalised": (Backstepping, {"gains": "normalised"}, "the speed-normalised law, spin-safe gains"),
+    "backstepping-tuned": (make_backstepping_tuned, {}, "the paper's law, its gains tuned as everybody's"),
+    "backstepping-normalised-tuned": (
+        make_normalised_tuned,
+        {},
+        "the speed-normalised law, its gains tuned as everybody's",
+    ),
     "integral": (make_integral, {}, "the paper's law with the position error's integral"),
     "integral-normalised": (
         make_integral_normalised,
         {},
         "the speed-normalised law with the position error's integral",
     ),
+    "ilos": (make_ilos, {}, "integral line-of-sight guidance with a sway observer, for trajectories"),
     "los-pid": (make_los_pid, {}, "line-of-sight guidance, PID autopilots and the planner's feed-forward"),
+    "smc-dob": (make_smc_dob, {}, "sliding-mode control with a disturbance observer and boundary layers"),
     "lqi": (make_lqi, {}, "linear-quadratic control with integral action, gains scheduled with speed and turn rate"),
+    "adaptive": (make_adaptive, {}, "the speed-normalised law in the water frame with L1 adaptive augmentation"),
     "current-observer": (
         make_current_observer,
         {},
@@ -43,6 +56,8 @@ POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
     ),
     "ekf": (make_ekf_law, {}, "the same on an extended Kalman filter of vehicle, actuators and sea"),
     "nmpc": (make_nmpc, {}, "nonlinear model predictive control on the same filter, with a preview of the path"),
+    "ekf-adverse": (make_ekf_adverse, {}, "the law of ekf on a filter of biased sensors and weak, late actuators too"),
+    "nmpc-adverse": (make_nmpc_adverse, {}, "the control of nmpc on that filter"),
     "oracle": (Oracle, {}, "knows plant, current, waves and lag, now and in future: the score's 1; evaluation only"),
     "clairvoyant": (
         Clairvoyant,

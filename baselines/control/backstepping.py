@@ -7,6 +7,7 @@ gains contradict each other, so no form of the law is claimed to be globally sta
 
 from __future__ import annotations
 
+import json
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -18,7 +19,11 @@ from auv_gym.namespaces import FLOATS, Namespace, Number
 from auv_gym.policy import Law
 from auv_gym.scenario import as_vehicle
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from baselines.gains.loading import FOLDER
 from baselines.policy import U_R, V_R, is_fast, reference_speed, squared_speed
+
+NAME = "backstepping"  # that the file of its gains begins with
+SETS = FOLDER / f"{NAME}-sets.json"  # the sets of gains that have names
 
 
 class StabilityWarning(UserWarning):
@@ -50,21 +55,17 @@ class Gains:
             check_number("gain reference_speed", self.reference_speed, 1e-6, 1e6)
 
 
-GAINS = {
-    # Section V. Straight lines are stable up to 0.4970 m/s.
-    "paper": Gains(k=0.5, k1=0.7, cu=0.5, ku=0.7, c=0.6, kc=0.6, cr=0.1, max_speed=0.49),
-    # Tuned for the smallest tail error over the cruise scenarios.
-    "cruise": Gains(k=0.918, k1=0.335, cu=0.028, ku=1.016, c=1.189, kc=0.102, cr=0.478, max_speed=2.0),
-    # Tuned for the largest decay rate over speeds of 0.1 ... 2 m/s and turn rates up to 0.3 rad/s.
-    "robust": Gains(k=0.1408, k1=1.1192, cu=0.0059, ku=0.0731, c=1.1634, kc=0.0032, cr=0.5062, max_speed=2.0),
-    # The paper's gains at the paper's speed of 0.1 m/s, and the same scaled error dynamics at every other speed.
-    "normalised-paper": Gains(k=0.5, k1=0.7, cu=0.5, ku=0.7, c=0.6, kc=0.6, cr=0.1, reference_speed=0.1),
-    # Sway-yaw loop stable at every speed, so that an error cannot spin the vehicle up: (c + cr) d22/m22 > 1/(4 c cr).
-    "normalised": Gains(k=0.4, k1=0.7, cu=0.23, ku=0.0, c=2.0, kc=0.0, cr=0.155, reference_speed=0.1),
-}
-"""Gain sets by name, each with its origin."""
+def _gain_sets() -> dict[str, Gains]:
+    record = json.loads(SETS.read_text(encoding="utf-8"))
+    return {name: Gains(**s["gains"], max_speed=s["max_speed"] or math.inf) for name, s in record.items()}
+
+
+GAINS = _gain_sets()
+"""Gain sets by name; `SETS` has the numbers, each set with its origin."""
 LAW_GAINS = ("k", "k1", "cu", "ku", "c", "kc", "cr")
 """Names of the gains of the law as printed."""
+SCALED_GAINS = (*LAW_GAINS, "reference_speed")
+"""Names of those of the speed-normalised form."""
 UNDAMPED_GAINS = ("k", "cu", "c", "cr", "reference_speed")
 """Names of those of the speed-normalised form without nonlinear damping, for laws that know what disturbs them."""
 
@@ -139,8 +140,8 @@ class Backstepping(Law):
     """The tracking law as a policy with Stable-Baselines3's `predict`, for one observation or a batch.
 
     Args:
-        gains: a `Gains`, a name in `GAINS`, or "auto": the cruise gains where the reference is faster
-            than `policy.CRUISE_SPEED`, the paper's gains elsewhere.
+        gains: a `Gains`, a name in `GAINS`, or two `Gains`: the first for references slower than
+            `policy.CRUISE_SPEED`, the second for faster ones; "auto": the paper's gains and the cruise gains.
         vehicle: the vehicle that the law believes in; an object, a name or a dict.
         horizon: bound on the position error as a travel time [s], see `bounded_error`; None: no bound.
 
@@ -150,16 +151,15 @@ class Backstepping(Law):
 
     def __init__(
         self,
-        gains: Gains | str = "auto",
+        gains: Gains | tuple[Gains, Gains] | str = "auto",
         vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE,
         horizon: float | None = None,
     ) -> None:
         if isinstance(gains, str):
             if gains not in GAINS and gains != "auto":
                 raise ValueError(f"unknown gains {gains!r}; allowed are a Gains, auto, {', '.join(GAINS)}")
-            self._slow, self._fast = (GAINS["paper"], GAINS["cruise"]) if gains == "auto" else (GAINS[gains],) * 2
-        else:
-            self._slow = self._fast = gains
+            gains = (GAINS["paper"], GAINS["cruise"]) if gains == "auto" else GAINS[gains]
+        self._slow, self._fast = (gains, gains) if isinstance(gains, Gains) else gains
         self.vehicle = as_vehicle(vehicle)
         if horizon is not None:
             check_number("horizon", horizon, 1e-3, 1e6)

@@ -19,17 +19,32 @@ from auv_gym.errors import to_body
 from auv_gym.namespaces import Namespace, Number
 from auv_gym.task import Observation
 from auv_gym.vehicle import Coefficients, Vehicle
-from baselines.control.backstepping import UNDAMPED_GAINS, Gains, tracking_forces, undamped
-from baselines.estimation.kalman import TUNING, VEHICLE_ROWS, ExtendedKalmanFilter, Tuning, repeated
+from baselines.control.backstepping import GAINS, UNDAMPED_GAINS, Gains, bounded_error, tracking_forces, undamped
+from baselines.estimation.faults import arrived
+from baselines.estimation.kalman import (
+    BELIEVED,
+    FAULT_TUNING,
+    TUNING,
+    VEHICLE_ROWS,
+    ExtendedKalmanFilter,
+    parts,
+    repeated,
+    tuning_of,
+)
 from baselines.estimation.sea_model import SIZE, WAVE_FREQUENCY, Estimate, wave_transition, waves_after
 from baselines.estimation.water_frame import Planned, Sea, planned, reference_motion, water_errors
 from baselines.gains.loading import tuned_policy
-from baselines.policy import Array, Memory
+from baselines.policy import Array, Memory, is_fast, squared_speed
 
+NEAR = 3.0  # [s] bound of the position error that the tuned gains see, see `backstepping.bounded_error`
+FAR = 8.0  # [s] travel time of the position error from which the expert's gains have most of the say
+FAR_HEADING = 1.0  # [rad] heading error from which they have
 LAW_GAINS = (*UNDAMPED_GAINS, "lead")  # names of the law's own gains
 EKF_GAINS = (*LAW_GAINS, *TUNING)
 """Names of the gains: the law's, see `backstepping.undamped`; `lead` [1/s], how fast the actuators' force is to
 approach what the law asks for; and the filter's `Tuning`."""
+ADVERSE_GAINS = (*LAW_GAINS, *FAULT_TUNING)
+"""Names of the gains where the filter believes in faults: its `FaultTuning` in place of the `Tuning`."""
 
 
 class EkfLaw:
@@ -40,9 +55,9 @@ class EkfLaw:
     """
 
     def __init__(self, gains: Mapping[str, float], vehicle: Vehicle) -> None:
-        """Make the controller; its gains are named in `EKF_GAINS`."""
+        """Make the controller; its gains are named in `EKF_GAINS`, or in `ADVERSE_GAINS`."""
         self.vehicle, self.gains = vehicle, undamped(gains)
-        self.filter = ExtendedKalmanFilter(vehicle, Tuning(**{name: gains[name] for name in TUNING}))
+        self.filter = ExtendedKalmanFilter(vehicle, tuning_of(gains))
         self._known = np.array((*vehicle.coefficients, *(gains[name] for name in LAW_GAINS)))[:, None]
 
     def start(self, n: int) -> Memory:
@@ -54,13 +69,13 @@ class EkfLaw:
         *believed, plan = memory
         terms = np.array(o)
         after, z = self.filter.update(tuple(believed), terms)
-        found = law_kernel()(o=terms, known=repeated(self._known, terms.shape[1]), z=z, plan=plan.T)
+        found = law_kernel(self.filter.faults)(o=terms, known=repeated(self._known, terms.shape[1]), z=z, plan=plan.T)
         F_u, F_r = found["force"]
         return F_u, F_r, (*after, found["plan"].T)
 
 
 @cache
-def law_kernel() -> Kernel:
+def law_kernel(faults: bool = False) -> Kernel:
     """Return the kernel of the law, which takes observation, vehicle and gains, the filter's state and the plan."""
 
     def equation(
@@ -68,11 +83,11 @@ def law_kernel() -> Kernel:
     ) -> Mapping[str, Sequence[Any]]:
         coefficients = Coefficients(*known[:VEHICLE_ROWS])
         *gains, lead = known[VEHICLE_ROWS:]
-        law = undamped_symbols(gains)
-        after, force = law_forces(Observation(*o), Estimate(*z), Planned(*plan), coefficients, law, lead, SYMBOLS)
+        law, memory = undamped_symbols(gains), Planned(*plan)
+        after, force = law_forces(Observation(*o), z, memory, coefficients, law, lead, SYMBOLS)
         return {"plan": after, "force": force}
 
-    rows = {"o": len(Observation._fields), "known": VEHICLE_ROWS + len(LAW_GAINS), "z": SIZE}
+    rows = {"o": len(Observation._fields), "known": VEHICLE_ROWS + len(LAW_GAINS), "z": BELIEVED if faults else SIZE}
     return Kernel.traced(equation, {**rows, "plan": len(Planned._fields)}, structural=True, blocked=True)
 
 
@@ -84,7 +99,7 @@ def undamped_symbols(gains: Sequence[Symbol]) -> Gains:
 
 def law_forces(
     o: Observation,
-    z: Estimate,
+    state: Sequence[Number],
     plan: Planned,
     coefficients: Coefficients,
     gains: Gains,
@@ -95,21 +110,50 @@ def law_forces(
 
     Args:
         o: the observation in SI units.
-        z: what the filter believes with it.
+        state: what the filter believes with it, an `Estimate` and perhaps `Faults`.
         plan: what the planner remembers.
         coefficients: of the vehicle.
         gains: of the law.
         lead: [1/s], see `EKF_GAINS`.
         ns: the namespace of the numbers.
     """
+    z, faults, actions = parts(state)
     X, N, sea = foreseen_sea(z, o.dt, ns)
-    plan, R = planned(plan, reference_motion(o, coefficients, ns), sea, o.dt, coefficients, ns)
-    e_x, e_y = to_body(z.x_e, z.y_e, ns.cos(z.psi), ns.sin(z.psi))
+    motion = reference_motion(o, coefficients, ns)
+    plan, R = planned(plan, motion, sea, o.dt, coefficients, ns)
+    if actions:
+        z = arrived(z, faults, actions, (o.F_u_max, o.F_r_max), o.dt, coefficients, ns)
+    late = faults.delay * o.dt
+    x_e, y_e = (
+        z.x_e - late * (motion.v_x + 0.5 * late * motion.a_x),
+        z.y_e - late * (motion.v_y + 0.5 * late * motion.a_y),
+    )
+    R = R._replace(psi=R.psi + late * R.r_R)
+    e_x, e_y = to_body(x_e, y_e, ns.cos(z.psi), ns.sin(z.psi))
     errors = water_errors((e_x, e_y, z.psi, z.u, z.v, z.r), R, ns)
-    F_u, F_r = tracking_forces(errors, cast(Vehicle, coefficients), gains, ns)
+    F_u, F_r = _from_near_and_far(errors, coefficients, gains, ns)
     F_u, F_r = F_u - X, F_r - N
     ahead = lead * z.lag
-    return plan, (F_u + ahead * (F_u - z.F_u), F_r + ahead * (F_r - z.F_r))
+    F_u, F_r = F_u + ahead * (F_u - z.F_u), F_r + ahead * (F_r - z.F_r)
+    return plan, (F_u / faults.surge_share, F_r / faults.yaw_share)
+
+
+def _from_near_and_far(
+    errors: Sequence[Number], coefficients: Coefficients, gains: Gains, ns: Namespace
+) -> tuple[Number, Number]:
+    """Return F_u [N], F_r [N m] of the law on errors in the water frame.
+
+    With gains that suit small errors it spins or goes astern where errors are large. There the expert's gains take
+    over, and near by they have no share in it.
+    """
+    e_x, e_y, psi_e, _, _, _, u_R, v_R, *_ = errors
+    vehicle = cast(Vehicle, coefficients)
+    far = (e_x * e_x + e_y * e_y) / (FAR * FAR * squared_speed(u_R, v_R, ns)) + (psi_e / FAR_HEADING) ** 2
+    share = far * far / (1 + far * far)
+    u, r = tracking_forces(bounded_error(errors, NEAR, ns), vehicle, gains, ns)
+    slow, fast = (tracking_forces(errors, vehicle, GAINS[name], ns) for name in ("paper", "cruise"))
+    safe_u, safe_r = (ns.where(is_fast(u_R, v_R), b, a) for a, b in zip(slow, fast, strict=True))
+    return u + share * (safe_u - u), r + share * (safe_r - r)
 
 
 def foreseen_sea(z: Estimate, dt: Number, ns: Namespace) -> tuple[Number, Number, Sea]:
@@ -120,4 +164,5 @@ def foreseen_sea(z: Estimate, dt: Number, ns: Namespace) -> tuple[Number, Number
 
 
 make_ekf_law = partial(tuned_policy, "ekf", EKF_GAINS, EkfLaw)
-"""Returns the controller as a policy; its arguments `gains` and `vehicle` are those of `tuned_policy`."""
+make_ekf_adverse = partial(tuned_policy, "ekf-adverse", ADVERSE_GAINS, EkfLaw)
+"""Return the controller as a policy, the second one believing in faults; see `tuned_policy` for the arguments."""

@@ -1,8 +1,9 @@
 """The equations of the extended Kalman filter, on symbols: foreseen by the model, corrected by the measurements.
 
-The derivatives are those that the graph has of the model itself. The measurements are taken up one after the other, as
-their errors are independent: the same as all at once, without a system of equations to solve. Of the covariance the
-lower triangle is computed and nothing else, so that it is always symmetric.
+The derivatives are those that the graph has of the model itself. The state is an `Estimate`; where sensors and
+actuators may be wrong, `Faults` follow it. The measurements are taken up one after the other, as their errors are
+independent: the same as all at once, without a system of equations to solve. Of the covariance the lower triangle is
+computed and nothing else, so that it is always symmetric.
 """
 
 from __future__ import annotations
@@ -18,6 +19,17 @@ from auv_gym.errors import to_world
 from auv_gym.namespaces import Number, wrap_angle
 from auv_gym.task import Observation
 from auv_gym.vehicle import Coefficients
+from baselines.estimation.faults import (
+    DRIFT,
+    FAULTS,
+    LATE,
+    NO_FAULTS,
+    Faults,
+    acting,
+    biases,
+    prior_faults,
+    within_bounds,
+)
 from baselines.estimation.sea_model import (
     AT,
     BIAS,
@@ -46,6 +58,9 @@ FIRST_NOISE = (0.05, 0.05, 0.015, 0.02, 0.02, 0.005)
 until there are enough of them to tell."""
 LEAST_NOISE = (1e-4, 1e-4, 3e-5, 3e-5, 3e-5, 3e-5)
 """Lower bounds of the standard deviations that are found, in the same order and units."""
+FINE_NOISE = tuple(0.4 * deviation for deviation in FIRST_NOISE)
+"""Standard deviations, in the same order and units, below which noise tells seas apart less and less: with fine sensors
+it costs nothing to believe in a rough one."""
 NOISE_MEMORY = 5.0  # [s] over which the noise is averaged
 HULL_DRIFT = 1e-5  # of position [m] and heading [rad] that no velocity explains, after one second
 FORCE_DRIFT = 1e-3  # of the actuators' forces, as a share of their limits, after one second
@@ -56,6 +71,8 @@ FIRST_LAG = 0.2  # [s] lag that is expected before the first measurement, and th
 FIRST_SURGE = 1.0  # deviation of the surge velocity before the first measurement over the reference's speed
 FIRST_SWAY = 0.3  # deviation of the sway velocity before the first measurement over the reference's speed
 FIRST_CURRENT = 0.3  # deviation of the current on each axis before the first measurement over the reference's speed
+HELD = 1e-4  # [m] of which a measured position moves less in a period: there was no new fix
+FIT_MEMORY = 20.0  # [s] over which the fit of a filter's measurements is added up
 FIRST_BIAS = 0.2  # deviation of the slowly varying load before the first measurement, in the units of `Tuning`
 
 Matrix = Sequence[Sequence[Any]]
@@ -65,23 +82,31 @@ class Belief(NamedTuple):
     """What the filter remembers, as rows."""
 
     count: Any  # of the updates so far, 1 row
-    state: Any  # an `Estimate`
+    state: Any  # an `Estimate`, and `Faults` behind it
     covariance: Any  # of the state, the lower triangle row by row
     motion: Any  # velocity [m/s] and acceleration [m/s^2] of the reference in the world, 4 rows
+    fix: Any  # x_e, y_e [m] as measured last
     past: Any  # the last three measurements, carried along with the motion foreseen since
     noise: Any  # variances of the measurements
+    fit: Any  # logarithm of the likelihood of the measurements so far, the last ones above all, 1 row
+    actions: Any  # the last but one and those before, surge and yaw of each
 
     @classmethod
-    def of(cls, rows: Any) -> Belief:
-        """Return the parts of a filter's memory; `rows` are a sequence, or an array whose first axis counts them."""
-        return cls(*(rows[part] for part in _PARTS))
+    def of(cls, rows: Any, faults: bool = False) -> Belief:
+        """Return the parts of a filter's memory.
 
+        Args:
+            rows: a sequence, or an array whose first axis counts them.
+            faults: whether faults are believed in.
+        """
+        sizes = cls.sizes(faults)
+        return cls(*(rows[sum(sizes[:i]) : sum(sizes[: i + 1])] for i in range(len(sizes))))
 
-BELIEF = Belief(1, SIZE, SIZE * (SIZE + 1) // 2, 4, 3 * SENSORS, SENSORS)
-"""How many rows each part has."""
-BELIEF_ROWS = sum(BELIEF)
-"""How many rows all of them have."""
-_PARTS = [slice(sum(BELIEF[:i]), sum(BELIEF[: i + 1])) for i in range(len(BELIEF))]
+    @staticmethod
+    def sizes(faults: bool = False) -> Belief:
+        """Return how many rows each part has."""
+        size = SIZE + FAULTS * faults
+        return Belief(1, size, size * (size + 1) // 2, 4, 2, 3 * SENSORS, SENSORS, 1, 2 * LATE * faults)
 
 
 class Units(NamedTuple):
@@ -105,27 +130,46 @@ def updated(o: Observation, coefficients: Coefficients, tuning: Any, memory: Bel
     Args:
         o: the observation in SI units.
         coefficients: of the vehicle as it is known.
-        tuning: the fields of a `kalman.Tuning`, as symbols.
+        tuning: the fields of a `kalman.Tuning`, and those of a `kalman.FaultTuning` if faults are believed in, as
+            symbols.
         memory: zeros at the start of an episode but for the noise, or as the last call returned it.
     """
     motion, units, fresh = reference_motion(o, coefficients, SYMBOLS), Units.of(o, coefficients), memory.count[0] <= 0.0
-    measured = _measured(o, motion)
-    before = Estimate(*memory.state)
-    z, P = foreseen(before, symmetric(memory.covariance), _step(memory.motion, motion, o.dt), o, coefficients)
-    P = _sum(P, excitation(o.dt, units, tuning))
-    moved = [a - b for a, b in zip(measurement(z, SYMBOLS), measurement(before, SYMBOLS), strict=True)]
-    past = [x + moved[i % SENSORS] for i, x in enumerate(memory.past)]
-    first, deviation = prior(measured, units, tuning)
-    z = Estimate(*(SYMBOLS.where(fresh, a, b) for a, b in zip(first, z, strict=True)))
+    measured, step = _measured(o, motion), _step(memory.motion, motion, o.dt)
+    moved = [a - b + c for a, b, c in zip(measured, memory.fix, step, strict=False)]
+    held = ~fresh & (moved[0] * moved[0] + moved[1] * moved[1] < HELD * HELD)
+    actions = [(o.a_u, o.a_r), *zip(memory.actions[::2], memory.actions[1::2], strict=True)]
+    first, deviation = prior(measured, units, tuning, len(memory.state) > SIZE)
+    z, P = foreseen(memory.state, symmetric(memory.covariance), actions, step, o, coefficients)
+    P = _sum(P, excitation(o.dt, units, tuning, len(z)))
+    shown = [a - b for a, b in zip(shows(z), shows(memory.state), strict=True)]
+    past = [x + shown[i % SENSORS] for i, x in enumerate(memory.past)]
+    z = [SYMBOLS.where(fresh, a, b) for a, b in zip(first, z, strict=True)]
     prior_P = diagonal([d * d for d in deviation])
     P = symmetric([SYMBOLS.where(fresh, a, b) for a, b in zip(triangle(prior_P), triangle(P), strict=True)])
-    innovation = [a - b for a, b in zip(measured, measurement(z, SYMBOLS), strict=True)]
+    expected = shows(z)
+    fix = measured[:2]
+    measured = [*(SYMBOLS.where(held, a, b) for a, b in zip(expected[:2], fix, strict=True)), *measured[2:]]
+    innovation = [a - b for a, b in zip(measured, expected, strict=True)]
     innovation[AT.psi] = wrap_angle(innovation[AT.psi], SYMBOLS)
-    measured[AT.psi] = z.psi + innovation[AT.psi]  # continuous, for the differences
-    noise = found_noise(measured, past, memory.noise, memory.count[0], o.dt)
-    z, P = corrected(z, P, innovation, noise)
+    measured[AT.psi] = expected[AT.psi] + innovation[AT.psi]  # continuous, for the differences
+    noise = found_noise(measured, past, memory.noise, memory.count[0], o.dt, held)
+    z, P, fits = corrected(z, P, innovation, noise, held)
+    fit = SYMBOLS.where(fresh, 0.0, SYMBOLS.exp(-o.dt / FIT_MEMORY) * memory.fit[0] + fits)
     past = [*measured, *past[: 2 * SENSORS]]
-    return Belief([memory.count[0] + 1.0], z, triangle(P), motion[1:], past, noise)
+    kept = [a for pair in actions[:LATE] for a in pair] if memory.actions else []
+    return Belief([memory.count[0] + 1.0], z, triangle(P), motion[1:], fix, past, noise, [fit], kept)
+
+
+def split(z: Sequence[Any]) -> tuple[Estimate, Faults]:
+    """Return the parts of a filter's state; without faults those of sound sensors and actuators."""
+    return Estimate(*z[:SIZE]), Faults(*z[SIZE:]) if len(z) > SIZE else NO_FAULTS
+
+
+def shows(z: Sequence[Any]) -> list[Any]:
+    """Return what the sensors should show, their biases included."""
+    estimate, faults = split(z)
+    return [a + b for a, b in zip(measurement(estimate, SYMBOLS), biases(faults), strict=True)]
 
 
 def _measured(o: Observation, motion: Motion) -> list[Number]:
@@ -145,25 +189,42 @@ def _step(before: Sequence[Number], motion: Motion, dt: Number) -> tuple[Number,
 
 
 def foreseen(
-    z: Estimate, P: Matrix, reference_step: tuple[Number, Number], o: Observation, coefficients: Coefficients
-) -> tuple[Estimate, Matrix]:
-    """Return state and covariance one control period later, without excitation; the command is in the observation.
+    z: Sequence[Any],
+    P: Matrix,
+    actions: Sequence[Sequence[Number]],
+    reference_step: tuple[Number, Number],
+    o: Observation,
+    coefficients: Coefficients,
+) -> tuple[Sequence[Any], Matrix]:
+    """Return state and covariance one control period later, without excitation.
 
     The hull's motion depends on eleven things alone: its covariance goes by way of theirs.
+
+    Args:
+        z: the state.
+        P: its covariance.
+        actions: the last one, which has acted since; and if faults are believed in, those before it.
+        reference_step: how far the reference has moved meanwhile in the world [m].
+        o: the observation with which the period ends.
+        coefficients: of the vehicle as it is known.
     """
-    z = z._replace(lag=SYMBOLS.clip(z.lag, SHORTEST_LAG, math.inf))  # not zero, where an episode begins
-    command = o.a_u * o.F_u_max, o.a_r * o.F_r_max
-    after = transition(z, command, reference_step, o.dt, coefficients, SYMBOLS)
-    load, _ = mean_load(z, command, o.dt, SYMBOLS)
-    others = [x for i, x in enumerate(after) if not HULL.start <= i < HULL.stop]
-    acting = [*z[HULL], *load, *after[CURRENT]]
-    P = congruence(jacobian([*acting, *others], z), P)
-    hull = [[*row, *[0.0] * len(others)] for row in jacobian(after[HULL], acting)]
-    return after, congruence([*hull, *diagonal([1.0] * len(P))[len(acting) :]], P)
+    estimate, faults = split(z)
+    estimate = estimate._replace(lag=SYMBOLS.clip(estimate.lag, SHORTEST_LAG, math.inf))  # not zero in the beginning
+    wrong = [*z[SIZE:]]
+    command = (o.a_u * o.F_u_max, o.a_r * o.F_r_max)
+    if wrong:
+        command = acting(faults, actions, (o.F_u_max, o.F_r_max), SYMBOLS)
+    after = transition(estimate, command, reference_step, o.dt, coefficients, SYMBOLS)
+    load, _ = mean_load(estimate, command, o.dt, SYMBOLS)
+    others = [*(x for i, x in enumerate(after) if not HULL.start <= i < HULL.stop), *wrong]
+    moving = [*estimate[HULL], *load, *after[CURRENT]]
+    P = congruence(jacobian([*moving, *others], [*estimate, *wrong]), P)
+    hull = [[*row, *[0.0] * len(others)] for row in jacobian(after[HULL], moving)]
+    return [*after, *wrong], congruence([*hull, *diagonal([1.0] * len(P))[len(moving) :]], P)
 
 
-def excitation(dt: Number, units: Units, tuning: Any) -> Matrix:
-    """Return the covariance that one control period adds."""
+def excitation(dt: Number, units: Units, tuning: Any, size: int = SIZE) -> Matrix:
+    """Return the covariance that one control period adds, for a state of so many rows."""
     speed, drag, limits = units
     drift: list[Any] = [HULL_DRIFT] * SIZE
     drift[AT.u] = drift[AT.v] = tuning.acceleration * speed
@@ -174,6 +235,7 @@ def excitation(dt: Number, units: Units, tuning: Any) -> Matrix:
     shares = tuning.surge_bias, tuning.sway_bias, tuning.yaw_bias
     drift[BIAS] = [share * unit for share, unit in zip(shares, drag, strict=True)]
     drift[AT.lag] = LAG_DRIFT
+    drift = [*drift, *DRIFT][:size]
     Q = diagonal([d * d * dt for d in drift])
     A = wave_transition(dt, SYMBOLS)
     for pair, deviation in zip(WAVE_PAIRS, _waves(units, tuning), strict=True):
@@ -189,7 +251,9 @@ def _waves(units: Units, tuning: Any) -> list[Number]:
     return [share * unit for share, unit in zip(shares, units.drag, strict=True)]
 
 
-def prior(measured: Sequence[Number], units: Units, tuning: Any) -> tuple[Estimate, Sequence[Number]]:
+def prior(
+    measured: Sequence[Number], units: Units, tuning: Any, faults: bool
+) -> tuple[Sequence[Any], Sequence[Number]]:
     """Return the state before the first measurement, centred on it, and its standard deviations, which are wide."""
     speed, drag, limits = units
     z: list[Any] = [0.0] * SIZE
@@ -200,16 +264,25 @@ def prior(measured: Sequence[Number], units: Units, tuning: Any) -> tuple[Estima
     deviation[CURRENT], deviation[GUST] = [FIRST_CURRENT * speed] * 2, [tuning.gust * speed] * 2
     deviation[BIAS], deviation[AT.lag] = [FIRST_BIAS * unit for unit in drag], FIRST_LAG
     deviation[WAVES] = [x for wave in _waves(units, tuning) for x in (wave, wave)]
-    return Estimate(*z), deviation
+    if not faults:
+        return z, deviation
+    expected, unsure = prior_faults(tuning)
+    return [*z, *expected], [*deviation, *unsure]
 
 
 def found_noise(
-    measured: Sequence[Number], past: Sequence[Number], noise: Sequence[Number], count: Number, dt: Number
+    measured: Sequence[Number],
+    past: Sequence[Number],
+    noise: Sequence[Number],
+    count: Number,
+    dt: Number,
+    held: Any = False,
 ) -> list[Number]:
     """Return the variances of the measurements with one more of them.
 
     The third difference of white noise has 20 times its variance, and hardly any motion is left in it: `past` holds the
-    last three measurements plus what the model foresaw of the motion since.
+    last three measurements plus what the model foresaw of the motion since. Where the position is `held`, nothing is
+    learned of its noise.
     """
     last, second, third = (past[i * SENSORS : (i + 1) * SENSORS] for i in range(3))
     difference = [a - 3 * b + 3 * c - d for a, b, c, d in zip(measured, last, second, third, strict=True)]
@@ -218,23 +291,43 @@ def found_noise(
         square[i] = square[j] = 0.5 * (square[i] + square[j])
     weight = SYMBOLS.clip(1.0 / SYMBOLS.clip(count, 1.0, math.inf), dt / NOISE_MEMORY, math.inf)
     weight = SYMBOLS.where(count < 3.0, 0.0, SYMBOLS.clip(weight, 0.0, 1.0))
+    weights = [SYMBOLS.where(held, 0.0, weight)] * 2 + [weight] * (SENSORS - 2)
     return [
-        SYMBOLS.clip(variance + weight * (new - variance), least * least, math.inf)
-        for variance, new, least in zip(noise, square, LEAST_NOISE, strict=True)
+        SYMBOLS.clip(variance + w * (new - variance), least * least, math.inf)
+        for variance, new, least, w in zip(noise, square, LEAST_NOISE, weights, strict=True)
     ]
 
 
-def corrected(z: Estimate, P: Matrix, innovation: Sequence[Number], noise: Sequence[Number]) -> tuple[Estimate, Matrix]:
-    """Return state and covariance after measurements with independent errors."""
-    change: list[Any] = [0.0] * SIZE
-    for h, surprise, variance in zip(jacobian(measurement(z, SYMBOLS), z), innovation, noise, strict=True):
+def corrected(
+    z: Sequence[Any], P: Matrix, innovation: Sequence[Number], noise: Sequence[Number], held: Any
+) -> tuple[Sequence[Any], Matrix, Any]:
+    """Return state and covariance after measurements with independent errors, and the logarithm of their likelihood.
+
+    Args:
+        z: the state.
+        P: its covariance.
+        innovation: measurements less what the state makes expect.
+        noise: variances of their errors.
+        held: whether there is no new position.
+    """
+    size = len(z)
+    change: list[Any] = [0.0] * size
+    fit: Any = 0.0
+    for i, h in enumerate(jacobian(shows(z), z)):
         Ph = [dot(h, column) for column in P]
-        share = 1.0 / (dot(h, Ph) + variance)
-        gain, left = [x * share for x in Ph], surprise - dot(h, change)
+        share = 1.0 / (dot(h, Ph) + noise[i])
+        left = innovation[i] - dot(h, change)
+        coarseness = (noise[i] / FINE_NOISE[i] ** 2) ** 2
+        telling = coarseness / (1.0 + coarseness)
+        fits = 0.5 * telling * (SYMBOLS.log(share) - left * left * share)
+        if i < AT.psi:
+            share, fits = SYMBOLS.where(held, 0.0, share), SYMBOLS.where(held, 0.0, fits)
+        gain, fit = [x * share for x in Ph], fit + fits
         change = [x + k * left for x, k in zip(change, gain, strict=True)]
-        P = symmetric([P[i][j] - gain[i] * Ph[j] for i in range(SIZE) for j in range(i + 1)])
-    z = Estimate(*(x + d for x, d in zip(z, change, strict=True)))
-    return z._replace(lag=SYMBOLS.clip(z.lag, SHORTEST_LAG, LONGEST_LAG)), P
+        P = symmetric([P[i][j] - gain[i] * Ph[j] for i in range(size) for j in range(i + 1)])
+    estimate, faults = split([x + d for x, d in zip(z, change, strict=True)])
+    estimate = estimate._replace(lag=SYMBOLS.clip(estimate.lag, SHORTEST_LAG, LONGEST_LAG))
+    return [*estimate, *(within_bounds(faults, SYMBOLS) if size > SIZE else ())], P, fit
 
 
 def _sum(A: Matrix, B: Matrix) -> Matrix:

@@ -21,7 +21,7 @@ from auv_gym.presets import REGIMES
 from baselines import list_policies
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.runner import drawn, run_all
-from baselines.evaluation.score import EXPERT, ORACLE, regime_of
+from baselines.evaluation.score import ADVERSE_RIVAL, EXPERT, ORACLE, RIVAL, regime_of
 from baselines.evaluation.suites import Suite
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse, run
 from baselines.tools.files import versions
@@ -35,8 +35,15 @@ EPISODES = {"benchmark-v1": 64, "unmodelled-v1": 24}
 """Episodes drawn in each case, by suite."""
 AGENTS = ("apg", "apg-preview", "apg-adverse", "apg-scratch")
 """Families of agents that are compared, each with one for every regime."""
-POLICIES = (EXPERT, ORACLE, "ekf", *(f"{family}-{regime}" for family in AGENTS for regime in REGIMES), "nmpc")
-"""What runs, the slowest one last."""
+POLICIES = (
+    EXPERT,
+    ORACLE,
+    "ekf",
+    *(f"{family}-{regime}" for family in AGENTS for regime in REGIMES),
+    ADVERSE_RIVAL,
+    RIVAL,
+)
+"""What runs, the slowest ones last."""
 
 
 @dataclass(frozen=True)

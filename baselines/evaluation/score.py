@@ -20,6 +20,11 @@ from baselines.evaluation.metrics import RESAMPLES, Array, Measures
 
 EXPERT = "backstepping"  # the policy that scores 0
 ORACLE = "oracle"  # the policy that scores 1
+BOUND = "clairvoyant"  # the policy that nobody can be better than
+FORESIGHTED = (ORACLE, BOUND)
+"""Policies that know what no competitor may know."""
+RIVAL = "nmpc"  # the strongest policy that does not learn, where sensors and actuators are as told
+ADVERSE_RIVAL = "nmpc-adverse"  # the strongest one where they are not
 LARGEST_TAIL: Mapping[str, float] = {"slow": 0.6, "cruise": 2.0}
 """Tail RMSE [m] from which an episode counts as lost; the capped score counts no more than that for it."""
 

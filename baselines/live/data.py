@@ -32,7 +32,7 @@ from auv_gym.tape import (
 )
 from auv_gym.task import SIZE
 from baselines.control.ekf_law import EKF_GAINS, LAW_GAINS
-from baselines.estimation.kalman import TUNING, ExtendedKalmanFilter
+from baselines.estimation.kalman import ExtendedKalmanFilter, tuning_of
 from baselines.estimation.sea_model import AT
 from baselines.export.parts import Exported
 from baselines.gains.loading import load_gains
@@ -194,11 +194,11 @@ def _constants(regime: str, case: str, path: Path, seed: int) -> list[float]:
 def ekf_record(regime: str) -> dict[str, Any]:
     """Return what the law on the filter knows, and the filter's memory at an episode's start."""
     vehicle, gains = PRESETS[f"{regime}-calm"].vehicle, load_gains("ekf", regime, EKF_GAINS)
+    kalman = ExtendedKalmanFilter(vehicle, tuning_of(gains))
     return {
-        "filter": [*vehicle.coefficients, *(gains[name] for name in TUNING)],
+        "filters": [known[:, 0].tolist() for known in kalman.known],  # for a rough sea, for a calm one
         "law": [*vehicle.coefficients, *(gains[name] for name in LAW_GAINS)],
-        "memory": ExtendedKalmanFilter(vehicle).start(1)[0][0].tolist(),
-        "state": 1,  # where the estimate begins in it
+        "memory": kalman.start(1)[0][0].tolist(),  # of each of them
         "plan": 7,
     }
 

@@ -18,7 +18,8 @@ from auv_gym.task import SIZE, Observation, action_of, decode
 from baselines.control.backstepping import Backstepping
 from baselines.control.ekf_law import law_kernel
 from baselines.control.open_loop import OpenLoop
-from baselines.estimation.kalman import filter_kernel
+from baselines.estimation.filter_equations import Belief
+from baselines.estimation.kalman import averaged, filter_kernel
 from baselines.export.parts import Exported, network_program
 
 COMPONENTS = 6
@@ -27,6 +28,7 @@ PARTS = Parts()
 """What the page's simulation uses: what the presets do, one integration step and no further trouble."""
 LAWS: Mapping[str, Law] = {"backstepping": Backstepping(), "openLoop": OpenLoop()}
 """Laws without memory by the names of their functions on the page."""
+FILTER = sum(Belief.sizes())  # how many numbers a filter remembers
 TANGENT = "tangent"
 """Name of the hyperbolic tangent's function."""
 
@@ -60,9 +62,16 @@ def kernels() -> dict[str, Kernel]:
         "decoded": Kernel.traced(lambda seen: {"terms": decode(seen, SYMBOLS)}, {"seen": SIZE}),
         "forcesToAction": Kernel.traced(_action, {"terms": SIZE, "force": 2}),
         "filter": filter_kernel(),
+        "believed": Kernel.traced(_believed, {"rough": FILTER, "calm": FILTER}),
         "ekfLaw": law_kernel(),
         **{name: _law_kernel(law) for name, law in LAWS.items()},
     }
+
+
+def _believed(rough: Any, calm: Any) -> dict[str, Any]:
+    """Return the state that the filters for a rough and a calm sea believe in together."""
+    beliefs = Belief.of(rough), Belief.of(calm)
+    return {"state": averaged([b.fit[0] for b in beliefs], [b.state for b in beliefs], SYMBOLS)}
 
 
 def _action(terms: Any, force: Any) -> dict[str, Any]:

@@ -23,15 +23,21 @@ class Seeds(NamedTuple):
 
 
 USERS = Seeds(0, 10_000_000, "", "evaluations with --seed, examples, and what users draw themselves")
+"""Anybody's."""
 TUNING = Seeds(10_000_000, 20_000_000, "baselines.tuning.search", "gains are searched for on these")
+"""Those that gains are tuned on."""
 TUNING_CHECK = Seeds(20_000_000, 30_000_000, "baselines.tuning.search", "gains that were found are compared on these")
+"""Those that tuned gains are compared on."""
 VALIDATION = Seeds(
     30_000_000, 40_000_000, "baselines.training.validation", "agents are chosen on these, where the suite has none"
 )
+"""Those that agents are validated on."""
 FRESH = Seeds(
     70_000_000, 80_000_000, "baselines.evaluation.fresh", "policies are compared on these; nothing is chosen on them"
 )
+"""Those of fresh episodes."""
 TRAINING = Seeds(1_000_000_000, 2**62, "baselines.training.config", "agents are trained on these")
+"""Those that agents are trained on."""
 
 TABLE = (USERS, TUNING, TUNING_CHECK, VALIDATION, FRESH, TRAINING)
 """Every range, in order; none overlaps another."""

@@ -3,6 +3,6 @@
 import sys
 
 from baselines.tools.command_line import run
-from baselines.tuning.search import PROGRAM, main
+from baselines.tuning.command import PROGRAM, main
 
 sys.exit(run(main, PROGRAM))

@@ -1,8 +1,9 @@
-"""A course: episodes of all cases of a regime, side by side, that policies run one after the other to be compared."""
+"""A course: episodes of a mixture of scenarios, side by side, that policies run one after the other to be compared."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -10,39 +11,56 @@ import numpy as np
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.policy import Policy
 from auv_gym.presets import CASES, PRESETS
+from auv_gym.scenario import Scenario
 from baselines.evaluation.metrics import effort, smoothness, tail_rmse
 from baselines.evaluation.rollout import Begun, Repeatable
 from baselines.evaluation.score import LARGEST_TAIL, cut, is_lost
+from baselines.training.mixtures import adverse
+
+WORLDS = ("plain", "adverse")
+"""What controllers are tuned for: a regime's eight cases alone, or those and, as often, the adverse storm."""
 
 
 @dataclass(frozen=True)
 class Result:
     """What a policy does in a regime."""
 
-    error_m: float  # mean over cases of the capped tail RMSE
+    error_m: float  # mean over scenarios of the capped tail RMSE, each counted as often as it is in the course
     case_error_m: dict[str, float]  # the same by case
     lost: float  # share of the episodes whose tail RMSE reaches the cap
     effort: float  # mean square command
     smoothness: float  # mean squared change of the command
 
 
-class Course:
-    """Episodes of the eight cases of a regime, side by side, to be run again and again by different policies.
+def scenarios_of(regime: str, world: str) -> tuple[Scenario, ...]:
+    """Return the scenarios of a course's first episodes, in their order, which then begins anew.
 
     Args:
         regime: "slow" or "cruise".
-        episodes: how many, a multiple of eight; episode i is of case i modulo 8.
+        world: one of `WORLDS`.
+    """
+    cases = tuple(PRESETS[f"{regime}-{case}"] for case in CASES)
+    return cases if world == "plain" else (*cases, *(adverse(regime),) * len(cases))
+
+
+class Course:
+    """Episodes of a regime, side by side, to be run again and again by different policies.
+
+    Args:
+        regime: "slow" or "cruise".
+        episodes: how many, a multiple of sixteen; they take turns over `scenarios_of`.
         seed: episode i is drawn with seed + i.
+        world: one of `WORLDS`.
     """
 
-    def __init__(self, regime: str, episodes: int, seed: int) -> None:
-        self.cases = np.arange(episodes) % len(CASES)
+    def __init__(self, regime: str, episodes: int, seed: int, world: str = "plain") -> None:
+        turns = scenarios_of(regime, world)
+        self._names = [turns[i % len(turns)].name.removeprefix(f"{regime}-") for i in range(episodes)]
         self.cap = LARGEST_TAIL[regime]
-        presets = [PRESETS[f"{regime}-{case}"] for case in CASES]
-        self.steps, self.lost_distance = presets[0].steps, presets[0].lost_distance
+        self.steps, self.lost_distance = turns[0].steps, turns[0].lost_distance
         # Nothing ends or begins within the run: one step more than are run, and vehicles go on when they are lost.
-        scenarios = [replace(s, steps=s.steps + 1, lost_distance=64.0) for s in presets]
-        lanes = [scenarios[i] for i in self.cases.tolist()]
+        scenarios = [replace(s, steps=s.steps + 1, lost_distance=64.0) for s in turns]
+        lanes = [scenarios[i % len(turns)] for i in range(episodes)]
 
         def begin(preview: tuple[int, ...]) -> Begun:
             env = UnderactuatedAUVTrackVectorEnv(len(lanes), lanes, preview=preview)
@@ -60,14 +78,20 @@ class Course:
         errors, actions = (np.array([getattr(m, key) for m in moments]) for key in ("error", "command"))
         tail, farther = tail_rmse(errors), errors.max(axis=0) > self.lost_distance
         tail = cut(tail, farther, self.cap)
-        means = [float(tail[self.cases == i].mean()) for i in range(len(CASES))]
+        names = np.array(self._names)
         return Result(
-            error_m=float(np.mean(means)),
-            case_error_m=dict(zip(CASES, means, strict=True)),
+            error_m=float(tail.mean()),
+            case_error_m={name: float(tail[names == name].mean()) for name in dict.fromkeys(self._names)},
             lost=float(np.mean(is_lost(tail, farther, self.cap))),
             effort=effort(actions),
             smoothness=smoothness(actions),
         )
+
+
+@lru_cache(maxsize=2)
+def course(regime: str, episodes: int, seed: int, world: str) -> Course:
+    """Return a course; the last ones that were asked for are kept."""
+    return Course(regime, episodes, seed, world)
 
 
 def compared(result: Result, expert: Result) -> dict[str, Any]:

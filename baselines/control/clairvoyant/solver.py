@@ -19,11 +19,12 @@ TOLERANCE = 1e-5
 LENGTHS = (1.0, 0.5, 0.2, 0.05, 0.01)
 """Parts of a step that are tried until one lowers the cost."""
 DAMPING = 1e-6  # [m^2] at the start
-LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e3  # [m^2]
+LEAST_DAMPING = 1e-12  # [m^2]
+MOST_DAMPING = 1e3  # [m^2]
 HARDLY_DAMPED = 1e-9
 """[m^2] damping up to which a step that gains nothing means that nothing is left to gain."""
-STIFFER, LOOSER = 10.0, 0.1
-"""Factors on the damping where no part of a step lowers the cost, and where all of it does."""
+STIFFER = 10.0  # factor on the damping where no part of a step lowers the cost
+LOOSER = 0.1  # factor on the damping where all of a step does
 MOST_STEPS = 200  # for an episode
 GOOD = 0.002
 """[m] tail from which other commands to begin with are tried."""

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
@@ -34,8 +35,8 @@ from baselines.control.nmpc.problem import (
     replaced,
     taken,
 )
-from baselines.estimation.filter_equations import Belief
-from baselines.estimation.kalman import TUNING, ExtendedKalmanFilter, Tuning
+from baselines.estimation.faults import FAULTS, LATE, Faults
+from baselines.estimation.kalman import FAULT_TUNING, TUNING, ExtendedKalmanFilter, arrival, tuning_of
 from baselines.estimation.sea_model import SIZE, Estimate, current_after, lag_response, wave_transition, waves_after
 from baselines.gains.loading import tuned_policy
 from baselines.policy import Array, Memory, Remembering
@@ -48,6 +49,8 @@ COST_GAINS = ("huber", "surge", "yaw", "sway", "terminal")  # names of the gains
 NMPC_GAINS = (*COST_GAINS, *TUNING)
 """Names of the gains: those of `CostWeights`, with `surge` and `yaw` for 100 N and 100 N m; and the filter's
 `Tuning`."""
+ADVERSE_GAINS = (*COST_GAINS, *FAULT_TUNING)
+"""Names of the gains where the filter believes in faults: its `FaultTuning` in place of the `Tuning`."""
 
 Solver = Callable[[Plan, Horizon, Integers], Plan]
 """Returns a better plan than the first one, after at most so many steps, shape (N,)."""
@@ -65,12 +68,12 @@ class PredictiveControl:
         """Make the controller.
 
         Args:
-            gains: named in `NMPC_GAINS`.
+            gains: named in `NMPC_GAINS`, or in `ADVERSE_GAINS`.
             vehicle: that it believes in.
             solver: one of `SOLVERS`.
         """
         self.vehicle = vehicle
-        self.filter = ExtendedKalmanFilter(vehicle, Tuning(**{name: gains[name] for name in TUNING}))
+        self.filter = ExtendedKalmanFilter(vehicle, tuning_of(gains))
         scale = {"surge": 0.01, "yaw": 0.01}
         weights = CostWeights(**{name: scale.get(name, 1.0) * gains[name] for name in COST_GAINS})
         self.problem = OptimalControl(vehicle, weights)
@@ -84,16 +87,21 @@ class PredictiveControl:
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
         """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
         *believed, planned = memory
-        fresh = Belief.of(believed[0].T).count[0] == 0
+        fresh = believed[0].T[0] == 0  # the filter's count of updates
         after, z = self.filter.update(tuple(believed), terms := np.array(o))
-        ahead = horizon(terms, z, extra)
+        aim, share = aims(extra), np.ones((COMMANDS, len(fresh)))
+        if self.filter.faults:
+            faults = Faults(*z[SIZE : SIZE + FAULTS])
+            aim, share = later(aim, faults.delay), np.array((faults.surge_share, faults.yaw_share))
+            z = arrival(terms, z, self.vehicle)
+        ahead = horizon(terms, z, aim, share)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             guess = self._guess(z, o, np.einsum("jk,nki->jin", self._next, planned), fresh, ahead)
             plan = self._solve(guess, ahead, np.where(fresh, FIRST_STEPS, STEPS))
         # A vehicle that spins too fast for the prediction is left to the law that is safe from that.
         law = np.array(tracking_forces(o, self.vehicle, GAINS["normalised"], ARRAYS))
         commands = np.where(np.isfinite(plan.cost), plan.commands, law)
-        F_u, F_r = commands[0]
+        F_u, F_r = commands[0] / share
         return F_u, F_r, (*after, np.ascontiguousarray(commands.transpose(2, 0, 1)))
 
     def _guess(self, z: Array, o: Observation, warm: Array, fresh: NDArray[np.bool_], ahead: Horizon) -> Plan:
@@ -106,22 +114,53 @@ class PredictiveControl:
         return replaced(plan, few, taken(last, few))
 
 
-def horizon(o: Array, z: Array, extra: Array) -> Horizon:
+def aims(extra: Array) -> Array:
+    """Return where the reference will be at the stages' ends [m], shape (K, 2, N); from where it is now, in the body.
+
+    Args:
+        extra: the preview, shape (N, 2 K) or wider.
+    """
+    stages = len(PREVIEW)
+    return extra[:, : 2 * stages].reshape(len(extra), stages, 2).transpose(1, 2, 0)
+
+
+def later(aim: Array, delay: Array) -> Array:
+    """Return where the reference will be at the stages' ends and a delay behind each, as `aims` does.
+
+    Args:
+        aim: without the delay.
+        delay: [periods], shape (N,), at most `LATE`; between whole numbers of periods the place is interpolated.
+    """
+    weights = np.clip(1.0 - np.abs(delay - np.arange(LATE + 1.0)[:, None]), 0.0, 1.0)
+    return np.asarray(np.einsum("dkj,jin,dn->kin", _SHIFTS, aim, weights))
+
+
+def _shifts() -> Array:
+    """Return the matrices that take places at the stages' ends to those d periods later, shape (1 + LATE, K, K)."""
+    ends = np.array((0.0, *PREVIEW))
+    spline = CubicSpline(ends, np.eye(len(ends)))  # of each place's share; that of now is the origin
+    return np.stack([spline(ends[1:] + d)[:, 1:] for d in range(LATE + 1)])
+
+
+_SHIFTS = _shifts()
+
+
+def horizon(o: Array, z: Array, aim: Array, share: Array) -> Horizon:
     """Return the stages ahead.
 
     Args:
         o: the rows of an `Observation`, shape (SIZE, N).
         z: the rows of an `Estimate`, shape (22, N).
-        extra: the preview, from the vehicle's own place in the body frame, shape (N, 2 K) or wider.
+        aim: see `aims`.
+        share: of the commanded forces that act, shape (2, N).
     """
     stages, n = len(PREVIEW), o.shape[1]
     ends = np.array(PREVIEW, dtype=np.float64)
     lengths = np.diff(ends, prepend=0.0)
     periods = np.array((lengths, ends - 0.5 * lengths, np.arange(stages) == stages - 1)).T[:, :, None]
-    aim = extra[:, : 2 * stages].reshape(n, stages, 2).transpose(1, 2, 0)
     known = horizon_kernel()(stages, o=o, z=z, aim=aim, periods=np.broadcast_to(periods, (stages, 3, n)))["known"]
     first = Observation._fields.index("F_u_max")
-    return Horizon(known, o[first : first + COMMANDS])
+    return Horizon(known, share * o[first : first + COMMANDS])
 
 
 @cache
@@ -190,17 +229,25 @@ def make_nmpc(
     gains: Mapping[str, float] | None = None,
     vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE,
     solver: str = "batch",
+    adverse: bool = False,
 ) -> Remembering:
     """Return the controller as a policy; it needs the preview `PREVIEW`.
 
     Args:
-        gains: at every speed, in place of the tuned ones, which depend on the speed; their names are in `NMPC_GAINS`.
+        gains: at every speed, in place of the tuned ones, which depend on the speed; their names are in `NMPC_GAINS`,
+            or in `ADVERSE_GAINS`.
         vehicle: the vehicle that it believes in; an object, a name or a dict.
         solver: "batch", or "casadi" for an independent one that takes one vehicle after the other, to convergence.
+        adverse: whether its filter believes in faults of sensors and actuators.
 
     Raises:
         ValueError: unknown vehicle or solver, wrong gains, or CasADi is not installed.
     """
     if solver not in SOLVERS:
         raise ValueError(f"unknown solver {solver!r}; allowed are {', '.join(SOLVERS)}")
-    return tuned_policy("nmpc", NMPC_GAINS, partial(PredictiveControl, solver=solver), gains, vehicle)
+    name, names = ("nmpc-adverse", ADVERSE_GAINS) if adverse else ("nmpc", NMPC_GAINS)
+    return tuned_policy(name, names, partial(PredictiveControl, solver=solver), gains, vehicle)
+
+
+make_nmpc_adverse = partial(make_nmpc, adverse=True)
+"""Returns the controller whose filter believes in faults; see `make_nmpc` for the arguments."""

@@ -101,8 +101,9 @@ def _chosen(layer: list[Spec], **more: Any) -> Spec:
     return {"data": {"name": "rows"}, "width": "container", "height": 170, "params": [start], "layer": layer, **more}
 
 
-MINE: Spec = {"filter": "datum.start === start"}
+MINE: Spec = {"filter": "datum.start === start"}  # what belongs to the start that is chosen
 LINE: Spec = {"type": "line", "color": COLOURS[0], "strokeWidth": 1.8, "clip": True}
+"""The look of a curve."""
 
 
 def _way(circle: Any, x: tuple[float, float], y: tuple[float, float]) -> Spec:

@@ -10,7 +10,7 @@ from baselines.tools.figure_style import DASHES, OUTLINES, look
 Spec = dict[str, Any]
 
 ROWS = {"name": "rows"}  # the data set that the page fills
-LINE: Spec = {"type": "line", "strokeWidth": 1.8}
+LINE: Spec = {"type": "line", "strokeWidth": 1.8}  # the look of a curve
 NAMED = [{"field": "policy", "title": "policy"}]  # what a line says when it is pointed at
 QUIET = "#8a8a8a"  # colour of what only helps to read
 

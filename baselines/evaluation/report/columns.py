@@ -12,7 +12,7 @@ from typing import Any
 
 from baselines.evaluation.metrics import WORST, Summary, most_lost
 from baselines.evaluation.report.numbers import Entry
-from baselines.evaluation.score import LARGEST_TAIL, fixed, fixed_ends
+from baselines.evaluation.score import LARGEST_TAIL, RIVAL, fixed, fixed_ends
 
 NONE = "-"
 """Shown where there is no value."""
@@ -98,6 +98,9 @@ COLUMNS = (
     Column("capped.mean", "capped", f"the score with no tail counted above {_CAPS}",
            lambda e, _: e.capped and e.capped.mean, fixed, 2),
     Column("capped.ci95", "", "95 % interval of that", lambda e, _: e.capped and list(e.capped.ci95)),
+    Column("error_ratio", f"error / {RIVAL}",
+           f"mean tail, counted as for the capped score, over that of {RIVAL} in the same episodes: below 1 is nearer",
+           lambda e, _: e.error_ratio, ratio_text, 1),
     Column("lost", "lost",
            f"episodes that ended beyond the lost distance or whose tail reaches {_CAPS}; behind them the largest share "
            "that is meant, see `lost_at_most`",

@@ -13,7 +13,7 @@ from baselines.evaluation.report.numbers import Entry, Result, recordings
 from baselines.evaluation.report.page import mixed, render
 from baselines.evaluation.report.page_data import at_first, by_scenario, look_of, page_data
 from baselines.evaluation.request import Request
-from baselines.evaluation.score import EXPERT, ORACLE, Score, fixed, fixed_ends, score_text
+from baselines.evaluation.score import EXPERT, FORESIGHTED, Score, fixed, fixed_ends, score_text
 from baselines.tools.figure_style import look
 from baselines.tools.files import versions
 
@@ -146,8 +146,8 @@ def _place(score: float) -> float:
 
 
 def _lead(order: Sequence[Entry]) -> str:
-    """Return a sentence about the best of some policies, the oracle apart; "" if there is nothing to compare."""
-    best = next((e for e in order if e.policy != ORACLE and e.summary is not None), None)
+    """Return a sentence about the best policy of those that foresee nothing; "" if there is nothing to compare."""
+    best = next((e for e in order if e.policy not in FORESIGHTED and e.summary is not None), None)
     if best is None or best.summary is None or len(order) < 2:
         return ""
     lost = f"{lost_text(best.lost, best.summary.episodes)} episodes lost"

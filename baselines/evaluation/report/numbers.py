@@ -11,7 +11,7 @@ import numpy as np
 from auv_gym.presets import REGIMES
 from baselines.evaluation.metrics import Measures, Summary, ratio, summarise
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import EXPERT, ORACLE, Score, capped, losses, paired, regime_of, score
+from baselines.evaluation.score import EXPERT, ORACLE, RIVAL, Score, capped, losses, paired, regime_of, score
 
 Case = Mapping[str, Measures]
 """What was measured in a scenario, by policy."""
@@ -31,6 +31,7 @@ class Entry:
     score: Score | None = None  # None: expert or oracle are missing
     capped: Score | None = None  # with every tail RMSE at most `score.LARGEST_TAIL`
     lost: int = 0  # episodes, see `score.is_lost`
+    error_ratio: float = math.nan  # mean capped tail over that of `score.RIVAL`; nan if it is missing
 
 
 @dataclass(frozen=True)
@@ -82,8 +83,12 @@ def _entry(place: str, runs: Sequence[Run], cases: Sequence[Case]) -> Entry:
             three = list(zip(*(paired(c[EXPERT], c[policy], c[ORACLE]) for c in cases), strict=True))
             plain = score(*([m.tail for m in column] for column in three))
             cut = score(*([capped(m, regime) for m in column] for column in three))
+    error_ratio = math.nan
+    if all(RIVAL in case for case in cases):
+        columns = zip(*(paired(case[policy], case[RIVAL]) for case in cases), strict=True)
+        error_ratio = ratio(*(float(np.concatenate([capped(m, regime) for m in column]).mean()) for column in columns))
     lost, summary = sum(losses(m, regime) for m in own), summarise(Measures.joined(own), interval=len(own) == 1)
-    return Entry(policy, place, recorded, seconds, summary, effort, smoothness, plain, cut, lost)
+    return Entry(policy, place, recorded, seconds, summary, effort, smoothness, plain, cut, lost, error_ratio)
 
 
 def measures_of(runs: Sequence[Run]) -> dict[str, dict[str, Measures]]:

@@ -18,11 +18,12 @@ from pathlib import Path
 from typing import Any
 
 from auv_gym.codegen.native import cache_folders
+from auv_gym.installation import install
 from baselines.tools.files import finite, write_atomically
 
 WEB = Path(__file__).parent / "web"
 """The templates, the style and the scripts."""
-MISSING = "pages need Jinja2 and vl-convert: pip install 'auv-gym[eval]'"
+MISSING = f"pages need Jinja2 and vl-convert: {install('eval')}"  # said where they are not there
 _WORST, _MIDDLE, _BEST = (217, 128, 50), (250, 250, 248), (60, 130, 190)  # colours of -1, 0 and 1
 _SNIPPET = "window.vegaEmbed = vegaEmbed;"  # what the pages need of the library
 

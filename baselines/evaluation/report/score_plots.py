@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 
 from baselines.evaluation.report.numbers import Result
 from baselines.evaluation.report.plots import LEGEND, grid, handles
-from baselines.evaluation.score import EXPERT, LARGEST_TAIL, ORACLE, regime_of
+from baselines.evaluation.score import EXPERT, FORESIGHTED, LARGEST_TAIL, regime_of
 from baselines.tools.figure_style import look, panels
 
 
 def score_by_case(results: Sequence[Result], policies: Sequence[str]) -> Figure | None:
     """Return the scores in each scenario with their intervals, a panel for each regime; None if there are none."""
-    shown = [r for r in results if r.entry.score is not None and r.run.policy not in (EXPERT, ORACLE)]
+    shown = [r for r in results if r.entry.score is not None and r.run.policy not in (EXPERT, *FORESIGHTED)]
     shown = [r for r in shown if r.entry.score is not None and math.isfinite(r.entry.score.mean)]
     if not shown:
         return None

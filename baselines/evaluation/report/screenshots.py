@@ -17,12 +17,12 @@ from baselines.tools.command_line import DONE, FAILED, UsageError, parse, run
 from baselines.tools.files import write_atomically
 
 PROGRAM = "python -m baselines.evaluation.report.screenshots"
-IMAGES = Path(__file__).parents[3] / "docs" / "images"
+IMAGES = Path(__file__).parents[3] / "docs" / "images"  # folder of the pictures
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 """Programs that can take the pictures."""
 POLICIES = ("ekf", "apg-cruise", "lqi")
 """What runs besides the expert."""
-READY = "document.documentElement.dataset.ready === 'charts'"
+READY = "document.documentElement.dataset.ready === 'charts'"  # in the browser, once everything is drawn
 PATIENCE = 120_000  # milliseconds that a page may take
 
 

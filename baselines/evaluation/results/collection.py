@@ -9,7 +9,7 @@ from baselines.evaluation import recorded, suites
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.report.numbers import Entry, measures_of, pool
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import EXPERT, ORACLE, Score, paired, regime_of, score
+from baselines.evaluation.score import BOUND, EXPERT, ORACLE, Score, paired, regime_of, score
 from baselines.evaluation.suites import Suite
 
 SUITES = recorded.SUITES
@@ -17,6 +17,8 @@ SUITES = recorded.SUITES
 TOLERANCE = {"benchmark-v1": 2e-3, "ood-v1": 1e-2, "unmodelled-v1": 1e-2}
 """Mean tail error [m] by which another policy may be better than the oracle in a case, by suite: where a current is
 nearly as fast as the path, the oracle's plan through the water turns sharply, and a few episodes settle late."""
+ROUNDING = 1e-5
+"""[m] by which another policy may be better than the bound in a case: the tolerance to which that is solved."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,6 @@ class Results:
     pooled: list[Entry]
     scores: dict[str, dict[str, Score]]  # of each policy in each case alone, by policy, by case
     tails: dict[str, dict[str, float]]  # [m] mean tail error of each policy in each case alone, by policy, by case
-    gains: dict[str, dict[str, float]]  # [m] by how much that is smaller than the oracle's in the same episodes
 
     @classmethod
     def of(cls, suite: Suite, runs: Sequence[Run]) -> Results:
@@ -36,14 +37,12 @@ class Results:
         cases = measures_of(runs)
         scores: dict[str, dict[str, Score]] = {}
         tails: dict[str, dict[str, float]] = {}
-        gains: dict[str, dict[str, float]] = {}
         for run_ in runs:
             policy, name = run_.policy, run_.scenario.name
             three = paired(*(cases[name][key] for key in (EXPERT, policy, ORACLE)))
             scores.setdefault(policy, {})[name] = score(*([m.tail] for m in three))
             tails.setdefault(policy, {})[name] = float(cases[name][policy].tail.mean())
-            gains.setdefault(policy, {})[name] = float((three[2].tail - three[1].tail).mean())
-        return cls(suite, tuple(runs), pool(runs), scores, tails, gains)
+        return cls(suite, tuple(runs), pool(runs), scores, tails)
 
     @property
     def policies(self) -> list[str]:
@@ -56,10 +55,18 @@ class Results:
         return [run_.measures for run_ in own if run_.measures is not None]
 
 
-def better_than_oracle(results: Results) -> list[tuple[str, str, float]]:
-    """Return case, policy and by how much [m] its mean tail error is smaller than the oracle's, wherever it is."""
-    gains = [(case, policy, gain) for policy, cases in results.gains.items() for case, gain in cases.items()]
-    return [found for found in gains if found[2] > 0]
+def better_than(best: str, results: Results) -> list[tuple[str, str, float]]:
+    """Return case, policy and by how much [m] its mean tail error is smaller than that of `best`, wherever it is.
+
+    The errors are those of the same episodes. That `BOUND` is better than another is no fault, and left out.
+    """
+    found = []
+    for case, measures in measures_of(results.runs).items():
+        for policy in sorted(set(measures) - {best, BOUND}) if best in measures else ():
+            own, its = paired(measures[policy], measures[best])
+            if (gain := float((its.tail - own.tail).mean())) > 0:
+                found.append((case, policy, gain))
+    return found
 
 
 def collected(name: str) -> tuple[Results | None, dict[str, str]]:

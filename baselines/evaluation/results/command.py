@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from auv_gym.installation import checkout, left_out
-from baselines.evaluation.results.collection import SUITES, TOLERANCE, better_than_oracle, collected
+from baselines.evaluation.results.collection import ROUNDING, SUITES, TOLERANCE, better_than, collected
 from baselines.evaluation.results.figures import results_figures
 from baselines.evaluation.results.findings import findings, fresh_results
 from baselines.evaluation.results.page import page
 from baselines.evaluation.results.studies import curves_figure, figures_of, section
+from baselines.evaluation.score import BOUND, ORACLE
 from baselines.evaluation.study_files import load_all
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
 from baselines.tools.figure_style import to_png
@@ -55,10 +56,11 @@ def main(arguments: Sequence[str]) -> int:
             missing.append(name)
             continue
         found.append(results)
-        for case, policy, gain in better_than_oracle(results):
-            if gain > TOLERANCE[name]:
-                print(f"{program}: {policy} is better than the oracle in {case} by {gain:.3g} m", file=sys.stderr)
-                failed = True
+        for best, tolerance in ((ORACLE, TOLERANCE[name]), (BOUND, ROUNDING)):
+            for case, policy, gain in better_than(best, results):
+                if gain > tolerance:
+                    print(f"{program}: {policy} is better than {best} in {case} by {gain:.3g} m", file=sys.stderr)
+                    failed = True
     try:
         (options.out / "images").mkdir(parents=True, exist_ok=True)
         studies = load_all()

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 
 from baselines.evaluation.report.numbers import Entry
 from baselines.evaluation.results.collection import Results
-from baselines.evaluation.score import EXPERT, ORACLE, score_text
+from baselines.evaluation.score import EXPERT, FORESIGHTED, score_text
 from baselines.tools.figure_style import COLOURS, MARKERS, panels, styled, to_png
 
 LOWEST = -1.0
@@ -69,7 +69,7 @@ def _point(ax: Axes, y: float, entry: Entry, k: int) -> None:
 
 def case_figure(results: Results) -> Figure:
     """Return a map of the scores, a row for each policy and a column for each case; below -1 all are alike."""
-    policies = [policy for policy in results.policies if policy not in (EXPERT, ORACLE)]
+    policies = [policy for policy in results.policies if policy not in (EXPERT, *FORESIGHTED)]
     cases = [cell.scenario.name for cell in results.suite.cells]
     scores = [[results.scores[policy].get(case) for case in cases] for policy in policies]
     values = np.array([[math.nan if s is None else s.mean for s in row] for row in scores])

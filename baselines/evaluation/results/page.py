@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from baselines.evaluation.report.columns import ranked, used
-from baselines.evaluation.results.collection import TOLERANCE, Results, better_than_oracle
-from baselines.evaluation.score import ORACLE, regime_of, score_text
+from baselines.evaluation.results.collection import ROUNDING, TOLERANCE, Results, better_than
+from baselines.evaluation.score import BOUND, ORACLE, regime_of, score_text
 
 
 def page(found: Sequence[Results], missing: Sequence[str], learned: str = "") -> str:
@@ -78,14 +78,28 @@ def _cases(results: Results, regimes: Sequence[str]) -> str:
 
 
 def _oracle(results: Results) -> str:
-    """Return in how many cases the oracle is the best."""
-    better = better_than_oracle(results)
+    """Return in how many cases the oracle is the best of all but the bound, and whether that is one."""
+    better = better_than(ORACLE, results)
     cases = len(results.suite.cells) - len({case for case, _, _ in better})
-    text = (
-        f"### The oracle\n\nIts mean tail error is the smallest of all in {cases} of {len(results.suite.cells)} cases."
-    )
+    text = f"### The oracle\n\nIts mean tail error is the smallest in {cases} of {len(results.suite.cells)} cases"
+    text += f", `{BOUND}` apart."
     for case, policy, gain in better:
         own = 1e3 * results.tails[ORACLE][case]
         text += f" In `{case}` that of `{policy}` is {1e3 * gain:.3f} mm smaller in the same episodes,"
         text += f" its own over all is {own:.3f} mm."
-    return text + f" More than {1e3 * TOLERANCE[results.suite.name]:g} mm is an error of `make results`."
+    text += f" More than {1e3 * TOLERANCE[results.suite.name]:g} mm is an error of `make results`."
+    return f"{text}\n\n{_bound(results)}"
+
+
+def _bound(results: Results) -> str:
+    """Return what the bound leaves to the oracle, and who is better than it."""
+    if BOUND not in results.tails:
+        return f"### The bound\n\n`{BOUND}` is not recorded yet."
+    least, most = (1e3 * end(results.tails[BOUND].values()) for end in (min, max))
+    beaten = [(c, p, g) for c, p, g in better_than(BOUND, results) if g > ROUNDING]
+    names = ", ".join(f"`{policy}` in `{case}`" for case, policy, _ in beaten) or "nobody, in no case"
+    return (
+        f"### The bound\n\n`{BOUND}` knows everything beforehand and optimises its commands over the whole episode. "
+        f"Its mean tail error is {least:.3f} to {most:.3f} mm, case by case. Better than it by more than the "
+        f"{1e3 * ROUNDING:g} mm to which it is solved: {names}."
+    )

@@ -12,11 +12,10 @@ from baselines.evaluation.metrics import Array
 from baselines.evaluation.report.columns import lost_text
 from baselines.evaluation.results.collection import Results
 from baselines.evaluation.results.page import table
-from baselines.evaluation.score import EXPERT, ORACLE, interval_text, lead, score_text, seeds_score
+from baselines.evaluation.score import EXPERT, ORACLE, RIVAL, interval_text, lead, score_text, seeds_score
 from baselines.evaluation.study_files import InSuite, Study
 from baselines.tools.figure_style import LOOKS, REFERENCE, panels
 
-RIVAL = "nmpc"
 """The strongest of the controllers that do not learn."""
 SHORT = "short-"
 """Begins the names of short trainings that differ in one thing; their learning curves have a figure of their own."""

@@ -39,7 +39,8 @@ LIMITS: dict[str, tuple[float, float]] = {"without limits": (8192.0, 4096.0), "2
 STARTS = 200  # number of random starts
 STEPS = 2000  # control steps from each start
 SUBSTEPS = 10  # integration steps in each: a vehicle without limits can spin fast
-FINE, COARSE = 1e-4, 1e-2  # relative width of the interval in which a limiting speed is found, without and with memory
+FINE = 1e-4  # relative width of the interval in which the limiting speed of a policy without memory is found
+COARSE = 1e-2  # the same of one with memory
 SETTLED = 0.05  # [m] position error below which a start has converged after `STEPS`
 
 

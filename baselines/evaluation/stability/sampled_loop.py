@@ -40,6 +40,7 @@ HEADINGS = 12
 EXACT = 2e-6
 """Difference of an action from the plan's that is none: it has single precision."""
 PRIVILEGED = "it looks behind the observation, at the sea itself: a steady motion in still water says nothing about it"
+"""Said of a policy that cannot be examined."""
 AWAY = 5.0
 """Distance [m] from the reference beyond which there is no steady motion about it."""
 WATCHED = 80.0  # [s] how long a nudge is watched, in several parts

@@ -37,7 +37,8 @@ from baselines.tools.workers import DEFAULT_JOBS, Workers
 T = TypeVar("T")
 
 PROGRAM = "python -m baselines.evaluation.submission"
-PAGE, TABLE = "leaderboard.md", "leaderboard.json"
+PAGE = "leaderboard.md"  # file of the page
+TABLE = "leaderboard.json"  # file of its numbers
 TOLD = 5
 """Most numbers that are named where an entry is not reproduced."""
 MOST_SEED = 2**32  # of the seeds that are drawn, and that may be given

@@ -78,16 +78,17 @@ const ENGINE = (() => {
   };
 
   function ekfController(name, regime) {
-    const { filter, law, memory, state, plan } = DATA.regimes[regime].ekf;
-    const belief = Float64Array.from(memory), planned = zeros(plan), terms = zeros(sizes.seen), force = zeros(2);
-    const known = [Float64Array.from(filter), Float64Array.from(law)];
-    const estimate = belief.subarray(state, state + Object.keys(at.estimate).length);
+    const { filters, law, memory, plan } = DATA.regimes[regime].ekf;
+    const planned = zeros(plan), terms = zeros(sizes.seen), force = zeros(2), estimate = zeros(Object.keys(at.estimate).length);
+    const seas = filters.map((known) => ({ known: Float64Array.from(known), belief: Float64Array.from(memory) }));
+    const known = Float64Array.from(law);
     return {
       estimate,
       act(seen, action) {
         EQUATIONS.decoded(seen, terms);
-        EQUATIONS.filter(terms, known[0], belief, belief);
-        EQUATIONS.ekfLaw(terms, known[1], estimate, planned, force);
+        for (const sea of seas) EQUATIONS.filter(terms, sea.known, sea.belief, sea.belief);
+        EQUATIONS.believed(seas[0].belief, seas[1].belief, estimate);
+        EQUATIONS.ekfLaw(terms, known, estimate, planned, force);
         EQUATIONS.forcesToAction(terms, force, action);
       },
     };

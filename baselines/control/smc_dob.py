@@ -1,0 +1,128 @@
+"""Sliding-mode control with a disturbance observer and boundary layers.
+
+T. Elmokadem, M. Zribi and K. Youcef-Toumi, "Terminal sliding mode control for the trajectory tracking of underactuated
+autonomous underwater vehicles", Ocean Engineering 129:613-625, 2017; W.-H. Chen, D. J. Ballance, P. J. Gawthrop and
+J. O'Reilly, "A nonlinear disturbance observer for robotic manipulators", IEEE Trans. Industrial Electronics
+47(4):932-938, 2000; boundary layers: J.-J. E. Slotine and W. Li, Applied Nonlinear Control, 1991, section 7.2.
+
+With the model m nu' = h(nu) + F + D over ground, the observer of the load D is, l being its bandwidth,
+
+    D^ = z + l m nu,    z' = -l (h(nu) + F + D^),
+
+so that D^' = l (D - D^). In the layer the sliding variables s_u = along' + lambda along and s_r = psi~' + lambda_r psi~
+have the reaching law s' = -K s/layer, outside of it s' = -K sign(s). Sway has no actuator: its load tells at which
+drift angle the vehicle will settle, and the heading is turned against that angle and towards a point ahead.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+from auv_gym.errors import to_world
+from auv_gym.namespaces import Namespace, Number, wrap_angle
+from auv_gym.task import Observation
+from auv_gym.vehicle import Coefficients
+from baselines.control.traced import TracedController, TracedLaw, effective_periods, foreseen_velocities
+from baselines.gains.loading import tuned_policy
+from baselines.policy import reference_speed
+
+LARGEST_LOAD = 10.0
+"""Bound of a load that is believed in, over the inertia [m/s^2], [rad/s^2]."""
+SLOWEST = 0.5  # least surge velocity, over the reference's speed, that a drift angle is computed with
+
+
+class SmcGains(NamedTuple):
+    """Gains of guidance, sliding and observers."""
+
+    lookahead: Number  # [s] distance to the point steered for, as a travel time of the reference
+    along: Number  # [1/s] lambda of the error along the path
+    surge_reach: Number  # [m/s^2] K of surge
+    surge_layer: Number  # [m/s] its boundary layer
+    heading: Number  # [1/s] lambda of the heading error
+    yaw_reach: Number  # [rad/s^2] K of yaw
+    yaw_layer: Number  # [rad/s] its boundary layer
+    observer: Number  # [1/s] bandwidth of the observer in surge and yaw
+    drift: Number  # [1/s] in sway
+    horizon: Number  # [s] bound of the error along the path as a travel time of the reference
+
+
+class SmcMemory(NamedTuple):
+    """What is remembered."""
+
+    begun: Number  # 1 once there was an observation, 0 before
+    u: Number  # [m/s] measured last, over ground
+    v: Number  # [m/s]
+    r: Number  # [rad/s]
+    X: Number  # [m/s^2] loads, over the inertia
+    Y: Number  # [m/s^2]
+    N: Number  # [rad/s^2]
+
+
+def smc_dob(
+    o: Observation, before: SmcMemory, g: SmcGains, vehicle: Coefficients, ns: Namespace
+) -> tuple[SmcMemory, tuple[Number, Number]]:
+    """Return what is remembered, and F_u [N], F_r [N m]; see `traced.Equation`."""
+    c = vehicle
+    u, v, r = nu = (o.u_R + o.u_e, o.v_R + o.v_e, o.r_R + o.r_e)
+    X, Y, N = loads(o, before, nu, (g.observer, g.drift, g.observer), c, ns)
+    U = reference_speed(o.u_R, o.v_R, ns)
+    course = ns.arctan2(o.v_R, o.u_R)
+    angle = o.psi_e - course  # from the path's course to the heading
+    cos, sin = ns.cos(angle), ns.sin(angle)
+    along, across = to_world(o.e_x, o.e_y, cos, sin)  # in the path's frame
+    forward, sideways = to_world(u, v, cos, sin)
+    along = along / ns.sqrt(1 + (along / (g.horizon * U)) ** 2)
+    surge = ns.clip(u, SLOWEST * U, 10.0 * U)
+    settled = (c.m22 * Y - c.m11 * surge * o.r_R) / (c.d22 + c.Y_vv * abs(v))  # [m/s] where sway will come to rest
+    crab = ns.arctan2(settled, surge) - course
+    ahead = g.lookahead * U
+    wanted = -ns.arctan2(across, ahead) - crab
+    wanted_rate = -sideways * ahead / (ahead * ahead + across * across)
+    s_u = forward - U + g.along * along
+    s_r = o.r_e - wanted_rate + g.heading * wrap_angle(o.psi_e - wanted, ns)
+    u_dot = -g.along * (forward - U) - g.surge_reach * ns.clip(s_u / g.surge_layer, -1.0, 1.0)
+    r_dot = -g.heading * (o.r_e - wanted_rate) - g.yaw_reach * ns.clip(s_r / g.yaw_layer, -1.0, 1.0)
+    F_u = o.F_uR + c.d11 * o.u_e - c.m22 * (v * r - o.v_R * o.r_R) + c.m11 * (u_dot - X)
+    F_r = o.F_rR + c.d33 * o.r_e + (c.m22 - c.m11) * (u * v - o.u_R * o.v_R) + c.m33 * (r_dot - N)
+    return SmcMemory(ns.where(before.begun > 0.0, before.begun, 1.0), *nu, X, Y, N), (F_u, F_r)
+
+
+def loads(
+    o: Observation,
+    before: SmcMemory,
+    nu: tuple[Number, Number, Number],
+    bandwidths: tuple[Number, Number, Number],
+    vehicle: Coefficients,
+    ns: Namespace,
+) -> tuple[Number, ...]:
+    """Return the loads of surge, sway and yaw over the inertia, D^/m, one control period later.
+
+    It is the observer sampled: a share of 1 - exp(-l dt) is taken up of what the loads have missed in the period.
+
+    Args:
+        o: the observation in SI units.
+        before: what is remembered.
+        nu: velocities over ground.
+        bandwidths: l of surge, sway and yaw [1/s].
+        vehicle: as it is known.
+        ns: the namespace of the numbers.
+    """
+    last, past = (before.u, before.v, before.r), (before.X, before.Y, before.N)
+    foreseen = foreseen_velocities(o, last, past, vehicle, ns)
+    found = []
+    axes = zip(past, nu, foreseen, bandwidths, effective_periods(o.dt, vehicle, ns), strict=True)
+    for load, now, model, bandwidth, period in axes:
+        share = ns.where(before.begun > 0.0, 1 - ns.exp(-bandwidth * o.dt), 0.0)
+        found.append(ns.clip(load + share * (now - model) / period, -LARGEST_LOAD, LARGEST_LOAD))
+    return tuple(found)
+
+
+class SmcDob(TracedController):
+    """The controller; its gains are the fields of `SmcGains`."""
+
+    law = TracedLaw(smc_dob, SmcGains, SmcMemory)
+
+
+make_smc_dob = partial(tuned_policy, "smc-dob", SmcGains._fields, SmcDob)
+"""Returns the controller as a policy; its arguments `gains` and `vehicle` are those of `tuned_policy`."""

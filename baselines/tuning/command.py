@@ -1,0 +1,124 @@
+"""Tune a controller's gains on episodes of its own: `auv-gym tune --help`.
+
+The objective is the error that the score is made of: the mean over the cases of a regime of the tail RMSE, that of an
+episode at most the distance from which it counts as lost.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from functools import partial
+from typing import Annotated, Any, Literal
+
+from tyro.conf import Positional, arg
+
+from baselines import make_policy
+from baselines.gains.loading import FOLDER, gain_file, load_gains
+from baselines.tools.command_line import DONE, UsageError, parse, typed
+from baselines.tuning.objective import Course, compared, course, scenarios_of
+from baselines.tuning.search import EPISODES, EVALUATIONS, VALIDATION_EPISODES, VALIDATION_SEED, Budget, GainSet, tune
+from baselines.tuning.tunables import TUNABLES, Tunable
+
+PROGRAM = "python -m baselines.tuning"
+
+
+@dataclass(frozen=True)
+class Options:
+    """Tune the gains of a controller and keep them in baselines/gains/NAME-REGIME.json, with where they come from.
+
+    The search begins at what that file has under "start", or at its gains. Exit status: 0 done, 2 wrong usage.
+    """
+
+    name: Annotated[Positional[str], arg(metavar="NAME")]
+    """The controller."""
+    regime: Annotated[Literal["slow", "cruise"], arg(metavar="slow|cruise")] = "cruise"
+    """Speeds, limits and disturbances to tune for."""
+    evaluations: int = EVALUATIONS
+    """How often episodes are run; 0 measures the gains that the search would begin at."""
+    episodes: int = EPISODES
+    """Episodes of each evaluation, a multiple of 16: as many of each case."""
+    price: float = 0.0
+    """What is minimised is the error times the mean squared change of the command to this power; 0: the error alone."""
+    resume: bool = False
+    """Begin at the gains that the file holds, not where the search that found them began."""
+    dry: bool = False
+    """Print only; leave the file as it is."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Tune as the arguments say and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    budget = _checked(options)
+    tunable = TUNABLES[options.name]
+    start = _start(options, tunable)
+    courses = partial(_course, options.regime, tunable.world)
+    gains = tune(tunable.factory, courses, start, budget, options.price) if options.evaluations else dict(start)
+    record = {
+        "policy": options.name,
+        "regime": options.regime,
+        "gains": gains,
+        "start": dict(start),
+        "command": typed(PROGRAM, arguments),
+        "evaluations": options.evaluations,
+        "episodes": options.episodes,
+        "world": tunable.world,
+        "validation": _validated(options.regime, tunable, gains),
+        "date": datetime.now(timezone.utc).date().isoformat(),
+        "versions": {name: importlib.metadata.version(name) for name in ("cma", "gymnasium", "numpy", "scipy")},
+    }
+    print(json.dumps(record, indent=2))
+    if not options.dry:
+        FOLDER.mkdir(exist_ok=True)
+        gain_file(options.name, options.regime).write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+    return DONE
+
+
+def _course(regime: str, world: str, episodes: int, seed: int) -> Course:
+    return course(regime, episodes, seed, world)
+
+
+def _validated(regime: str, tunable: Tunable, gains: GainSet) -> dict[str, Any]:
+    """Return what gains do on the validation episodes, beside the expert."""
+    episodes = Course(regime, VALIDATION_EPISODES, VALIDATION_SEED, tunable.world)
+    result, expert = (episodes.run(policy) for policy in (tunable.factory(dict(gains)), make_policy("backstepping")))
+    return {"episodes": VALIDATION_EPISODES, "seed": VALIDATION_SEED, **compared(result, expert)}
+
+
+def _checked(options: Options) -> Budget:
+    """Return the budget; raise UsageError if an option is wrong."""
+    if options.name not in TUNABLES:
+        raise UsageError(f"unknown controller {options.name!r}; allowed are {', '.join(TUNABLES)}")
+    turns = len(scenarios_of(options.regime, "adverse"))
+    if options.episodes < turns or options.episodes % turns:
+        raise UsageError(f"--episodes is {options.episodes}; it must be a positive multiple of {turns}")
+    if options.evaluations < 0:
+        raise UsageError(f"--evaluations is {options.evaluations}; it must be at least 0")
+    if not 0 <= options.price <= 1:
+        raise UsageError(f"--price is {options.price}; it must be in [0, 1]")
+    budget = Budget(options.evaluations, options.episodes)
+    if budget.last_seed > VALIDATION_SEED:
+        raise UsageError(
+            f"--evaluations {options.evaluations} of --episodes {options.episodes} need seeds up to "
+            f"{budget.last_seed}; tuning episodes have them below {VALIDATION_SEED}"
+        )
+    return budget
+
+
+def _start(options: Options, tunable: Tunable) -> GainSet:
+    """Return the gains that a search begins at."""
+    part = "gains" if options.resume else "start"
+    try:
+        start = load_gains(options.name, options.regime, tunable.names, part)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    if zero := [name for name, gain in start.items() if not gain > 0]:
+        raise UsageError(f"the search is on logarithms: to begin at, {', '.join(zero)} must be positive")
+    return start

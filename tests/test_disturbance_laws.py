@@ -1,0 +1,150 @@
+"""Laws that find out what disturbs them: exact where nothing does, no error left in a current, true estimates."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import baselines
+from auv_gym.disturbances import RandomCurrent
+from auv_gym.dynamics import rk4_step
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.errors import to_body
+from auv_gym.namespaces import ARRAYS
+from auv_gym.paths import Circle, Line
+from auv_gym.presets import PRESETS
+from auv_gym.scenario import Scenario, Start
+from auv_gym.task import Observation, decode_observation
+from auv_gym.vehicle import PAPER_VEHICLE as V
+from baselines.control.adaptive import AdaptiveMemory, current_of
+from baselines.control.ilos import IlosMemory
+from baselines.control.smc_dob import SmcMemory, loads
+from baselines.gains.loading import load_gains
+from baselines.policy import CRUISE_SPEED
+from baselines.tuning.tunables import TUNABLES
+
+NAMES = ["ilos", "adaptive", "smc-dob"]
+STEADY = RandomCurrent(speed=(0.3, 0.3), direction=(1.2, 1.2))
+
+
+def calm_policy(name, speed):
+    """Return a law with the gains that its search began at; what the search found may chatter, where that pays."""
+    if name == "backstepping":
+        return baselines.make_policy(name)
+    regime = "cruise" if speed > CRUISE_SPEED else "slow"
+    return baselines.make_policy(name, gains=load_gains(name, regime, TUNABLES[name].names, "start"))
+
+
+def run(name, speed, current, steps, turn_rate=0.0):
+    """Return position errors [m], shape (steps,), the last memory and the environment."""
+    path = Circle(speed=speed, turn_rate=turn_rate) if turn_rate else Line(speed=speed)
+    calm = replace(PRESETS["cruise-calm"], path=path, start=Start(), steps=steps + 1)
+    env = UnderactuatedAUVTrackVectorEnv(1, replace(calm, current=current))
+    env.reset(seed=3)
+    velocity = np.stack(env.reference, axis=1)[:, 3:6]
+    observation, _ = env.reset(seed=3, options={"initial_velocity": velocity})
+    policy, memory, errors = calm_policy(name, speed), None, []
+    for _ in range(steps):
+        action, memory = policy.predict(observation, memory)
+        observation, *_, info = env.step(action)
+        errors.append(info["position_error"][0])
+    _, memory = policy.predict(observation, memory)
+    return np.array(errors), None if memory is None else memory[0][0], env
+
+
+@pytest.mark.parametrize("speed", [0.2, 1.0])
+@pytest.mark.parametrize("name", NAMES)
+def test_on_the_reference_in_calm_water_it_stays(name, speed):
+    """Where nothing has to be adapted nothing is: what is left is that of forces held over a period."""
+    errors, _, _ = run(name, speed, None, 200, 0.05)
+    assert errors.max() < 5e-3 * speed
+
+
+@pytest.mark.parametrize("speed", [0.2, 1.0])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_constant_current_is_rejected_on_a_line(name, speed):
+    offset, _, _ = run("backstepping", speed, STEADY, 600)
+    errors, _, _ = run(name, speed, STEADY, 2400)
+    assert offset[-60:].min() > 0.05
+    assert errors[-60:].max() < 0.01 * offset[-60:].min()
+
+
+@pytest.mark.parametrize(("name", "memory"), [("ilos", IlosMemory), ("adaptive", AdaptiveMemory)])
+def test_the_estimate_of_the_current_becomes_the_current(name, memory):
+    """On a circle, where only the world sees it as constant."""
+    _, rows, env = run(name, 0.2, STEADY, 2400, 0.02)
+    found = memory(*rows)
+    assert np.hypot(*env.current[0]) == pytest.approx(0.06)
+    tolerance = {"ilos": 0.01, "adaptive": 0.002}[name]
+    assert (found.V_x, found.V_y) == pytest.approx(env.current[0], abs=tolerance)
+    if name == "ilos":
+        _, _, psi, _, v_g, _ = env.state[0]
+        _, V_v = to_body(*env.current[0], np.cos(psi), np.sin(psi))
+        assert found.v == pytest.approx(v_g - V_v, abs=1e-3)
+
+
+def test_sigma_is_that_of_the_current():
+    """Velocities over ground in moving water, against the model in still water with sigma of the current."""
+    rng, h = np.random.default_rng(0), 1e-3
+    for _ in range(5):
+        V_x, V_y, psi, u, v, r, F_u, F_r = rng.uniform(-0.3, 0.3, 8)
+        V_u, V_v = to_body(V_x, V_y, np.cos(psi), np.sin(psi))
+        load = (40 * F_u, 0.0, 10 * F_r)
+        state = rk4_step((0.0, 0.0, psi, u, v, r), load, V.coefficients, h, (V_x, V_y), ns=ARRAYS)
+        after_u, after_v = to_body(V_x, V_y, np.cos(state[2]), np.sin(state[2]))
+        still = rk4_step((0.0, 0.0, psi, u + V_u, v + V_v, r), load, V.coefficients, h, ns=ARRAYS)
+        sigma = (state[3] + after_u - still[3]) / h, (state[4] + after_v - still[4]) / h
+        assert current_of(sigma, r, V.coefficients) == pytest.approx((V_u, V_v), abs=1e-3)
+
+
+def test_observer_of_loads_converges_with_its_bandwidths():
+    """Under constant loads the observer's errors decay as exp(-l t)."""
+    true, dt, bandwidths = np.array([0.05, -0.03, 0.02]), 0.1, (2.0, 0.5, 1.0)
+    nu, memory = np.array([1.0, 0.0, 0.0]), SmcMemory(*np.zeros(7))
+    for k in range(31):
+        values = dict.fromkeys(Observation._fields, 0.0)
+        values |= {"a_u": 0.1, "a_r": 0.05, "F_u_max": 400.0, "F_r_max": 200.0, "dt": dt}
+        found = loads(Observation(**values), memory, tuple(nu), bandwidths, V.coefficients, ARRAYS)
+        memory = SmcMemory(1.0, *nu, *found)
+        left = np.exp(-np.array(bandwidths) * dt * k)
+        np.testing.assert_allclose(found, true * (1 - left), rtol=0.01, atol=1e-3)  # the axes touch within a period
+        load = np.array((0.1 * 400, 0.0, 0.05 * 200)) + true * (V.m11, V.m22, V.m33)
+        nu = np.array(rk4_step((0.0, 0.0, 0.0, *nu), load, V.coefficients, dt, ns=ARRAYS)[3:])
+
+
+@pytest.mark.parametrize(("regime", "speed"), [("slow", 0.2), ("cruise", 1.0)])
+@pytest.mark.parametrize("name", NAMES)
+def test_the_loop_is_stable_about_steady_motion(name, regime, speed):
+    """Eigenvalues of one control period of vehicle and controller, differentiated numerically, on a line."""
+    dt = PRESETS[f"{regime}-calm"].control_dt
+    scenario = Scenario(path=Line(speed=speed), start=Start(), control_dt=dt, steps=50)
+    env = UnderactuatedAUVTrackVectorEnv(1, scenario)
+    reference = decode_observation(env.reset(seed=0)[0])
+    controller = calm_policy(name, speed).controller
+    size = controller.start(1)[0].shape[1]
+
+    def period(x):
+        """Return errors in the world, the last forces and the memory a period later."""
+        hull, force, memory = x[:6], x[6:8], x[8:]
+        cos, sin = np.cos(hull[2]), np.sin(hull[2])
+        e_x, e_y = to_body(hull[0], hull[1], cos, sin)
+        one = np.ones(1)
+        o = reference._replace(
+            e_x=e_x * one, e_y=e_y * one, psi_e=hull[2] * one, u_e=hull[3] * one, v_e=hull[4] * one, r_e=hull[5] * one,
+            cos_psi=cos * one, sin_psi=sin * one, a_u=force[:1] / reference.F_u_max, a_r=force[1:] / reference.F_r_max,
+        )  # fmt: skip
+        F_u, F_r, (after,) = controller.forces(o, (memory[None],), np.zeros((1, 0)))
+        state = (hull[0], hull[1], hull[2], speed + hull[3], hull[4], hull[5])
+        moved = np.array(rk4_step(state, (F_u[0], 0.0, F_r[0]), V.coefficients, dt, ns=ARRAYS), dtype=float)
+        moved -= (speed * dt, 0.0, 0.0, speed, 0.0, 0.0)
+        return np.concatenate((moved, (F_u[0], F_r[0]), after[0]))
+
+    x = np.concatenate((np.zeros(6), (reference.F_uR[0], reference.F_rR[0]), np.zeros(size)))
+    for _ in range(400):  # the memory of steady motion
+        x = period(x)
+    assert abs(x[:2]).max() < 1e-3
+    h = 1e-6
+    loop = np.array([(period(x + h * d) - period(x - h * d)) / (2 * h) for d in np.eye(len(x))]).T
+    kept = abs(loop).sum(axis=1) + abs(loop).sum(axis=0) > 0
+    values = np.abs(np.linalg.eigvals(loop[np.ix_(kept, kept)]))
+    assert np.sort(values)[-2] < 1  # what says that an episode has begun stays as it is: 1
