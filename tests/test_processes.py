@@ -71,7 +71,7 @@ def test_no_process_is_left_behind(program, end, tmp_path):
             "--policy",
             "nmpc",
             "--episodes",
-            "20000",
+            "3000",
             "--out",
             "out",
         ],

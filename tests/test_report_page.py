@@ -77,7 +77,8 @@ def test_the_benchmark_in_a_browser(browser, pages, width):
         ready(page)
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         board = page.locator("#leaderboard .panel.current")
-        assert board.locator("tbody tr").count() == 20
+        slow = [policy for policy in list_policies() if not policy.endswith("-cruise")]
+        assert board.locator("tbody tr").count() == len(slow)
         headings = [text.strip() for text in board.locator("thead th").all_inner_texts()]
         scores = [
             float(cell)
@@ -86,9 +87,10 @@ def test_the_benchmark_in_a_browser(browser, pages, width):
         assert scores == sorted(scores, reverse=True)
         assert len(policies_of(page.locator("#tails"))) <= FEW
         page.get_by_role("button", name="all", exact=True).click()
-        page.wait_for_function("document.getElementById('count').textContent === '27 of 27 shown'")
+        count = len(list_policies())
+        page.wait_for_function(f"document.getElementById('count').textContent === '{count} of {count} shown'")
         page.wait_for_function("document.getElementById('tails').textContent.includes('open-loop')", timeout=PATIENCE)
-        assert len(policies_of(page.locator("#tails"))) == 20
+        assert len(policies_of(page.locator("#tails"))) >= len(slow) - 1  # the bound lies beyond the axis
         assert page.locator("#scores svg").count() >= 2
 
 
@@ -97,10 +99,12 @@ def test_sort_filter_and_scenario(browser, pages):
         ready(page)
         board = page.locator("#leaderboard .panel.current tbody")
         page.locator("#leaderboard .panel.current th", has_text="effort").click()
-        efforts = [float(row) for row in board.locator("td:nth-child(9)").all_inner_texts() if row != "-"]
+        headings = page.locator("#leaderboard .panel.current thead th").all_inner_texts()
+        place = [heading.strip() for heading in headings].index("effort") + 1
+        efforts = [float(row) for row in board.locator(f"td:nth-child({place})").all_inner_texts() if row != "-"]
         assert efforts == sorted(efforts)
         page.fill("#filter", "nmpc")
-        assert board.locator("tr:visible").count() == 1
+        assert board.locator("tr:visible").count() == sum("nmpc" in policy for policy in list_policies())
         page.locator("#cases th", has_text="storm").first.click()
         page.wait_for_function("document.getElementById('scenarios').selectedOptions[0].textContent === 'slow-storm'")
         assert page.locator("#scenario .panel.current h3").text_content() == "slow-storm"

@@ -38,9 +38,9 @@ SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1")
 STAMPS = "fingerprints.json"  # file of the fingerprints of what was recorded
 
 
-DIGITS = {"rmse": 8, "tail": 16, "effort": 11, "smoothness": 13, "total_reward": 8}
-"""Binary digits that are kept of measures: of tails 1e-5 of their value, of those of which nothing but means over
-episodes is told fewer; no printed figure needs more. Of the others all that single precision has."""
+DIGITS = {"rmse": 8, "effort": 11, "smoothness": 13, "total_reward": 8}
+"""Binary digits that are kept of measures of which nothing but means over episodes is told; no printed figure needs
+more. Of the others all that single precision has."""
 
 
 @dataclass(frozen=True)
