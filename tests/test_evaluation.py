@@ -37,7 +37,8 @@ SMALL = Scenario(name="small", sensors=Sensors(position=0.05), steps=45)
 ROW = {
     "policy": str, "scenario": str, "episodes": int, "rmse_m": float, "tail_rmse_m": dict, "score": type(None),
     "capped": type(None), "settling_s": float, "effort_ratio": float, "smoothness_ratio": float, "lost": int,
-    "lost_share": float, "lost_at_most": float, "error_ratio": type(None), "saturation": float, "return_mean": float, "seconds": float,
+    "lost_share": float, "lost_at_most": float,
+    "error_ratio": type(None), "saturation": float, "return_mean": float, "seconds": float,
     "decision_ms": float, "recorded": type(None), "error": type(None), "warnings": list,
 }  # fmt: skip
 
