@@ -25,7 +25,7 @@ from baselines.export.c_header import c_header
 from baselines.export.onnx_model import onnx_model
 from baselines.export.page import page
 from baselines.export.parts import exported, network_program, quantised
-from baselines.export.players import HeaderPolicy, OnnxPolicy
+from baselines.export.players import HeaderPolicy, onnx_policy
 from baselines.tools.command_line import UsageError
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -69,7 +69,7 @@ def test_the_model_and_the_header_steer_whole_episodes_as_the_agent_does(name):
     agent, run = exported(name), episodes(name)
     expected = commands(run, make_policy(name))
     assert expected.shape == (600, 2, 2)
-    for policy in (OnnxPolicy(agent), HeaderPolicy(agent, "float64")):
+    for policy in (onnx_policy(agent), HeaderPolicy(agent, "float64")):
         assert np.abs(commands(run, policy) - expected).max() < 1e-6
 
 
@@ -77,7 +77,7 @@ def test_the_model_and_the_header_steer_whole_episodes_as_the_agent_does(name):
 def test_in_single_precision_each_decision_is_the_same_but_for_rounding(name):
     compiled()
     agent, numpy, memory = exported(name), make_policy(name), None
-    model, header = OnnxPolicy(agent, "float32"), HeaderPolicy(agent)
+    model, header = onnx_policy(agent, "float32"), HeaderPolicy(agent)
     for moment in episodes(name).play(make_policy(name), 60):
         parts = [a.astype(np.float32) for a in memory or () if a.size]
         rows = (np.hstack([*parts, np.zeros((2, 2), np.float32)]),) if parts else None  # the last command is not read
@@ -95,7 +95,7 @@ def test_one_observation_is_decided_as_a_batch_is_and_memory_begins_anew():
     compiled()
     agent, observations = exported("apg-cruise"), np.random.default_rng(0).uniform(-0.5, 0.5, (3, 18))
     observations[:, [13, 14, 17]] = 3.125, 3.125, 0.8
-    for policy in (OnnxPolicy(agent), HeaderPolicy(agent)):
+    for policy in (onnx_policy(agent), HeaderPolicy(agent)):
         batch, memory = policy.predict(observations)
         for row, action in zip(observations, batch, strict=True):
             np.testing.assert_allclose(policy.predict(row)[0], action, atol=1e-6)

@@ -30,8 +30,8 @@ NEXT = "next_"
 class OnnxModel:
     """A model as a policy; it wants to see `preview`."""
 
-    def __init__(self, file: Path) -> None:
-        """Load a model.
+    def __init__(self, source: Path | bytes) -> None:
+        """Load a model from a file, or from what is in one.
 
         Raises:
             ImportError: ONNX Runtime is not installed.
@@ -43,8 +43,9 @@ class OnnxModel:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.log_severity_level = 4  # what is wrong is raised
-        data = read_bytes(file)  # a model in memory names no other files
-        with guarded(f"{file} is no ONNX model that can be used"):
+        data = source if isinstance(source, bytes) else read_bytes(source)  # a model in memory names no other files
+        where = "this" if isinstance(source, bytes) else source
+        with guarded(f"{where} is no ONNX model that can be used"):
             self._session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
             told = self._session.get_modelmeta().custom_metadata_map
             self.preview = _preview(told)

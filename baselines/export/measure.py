@@ -27,7 +27,7 @@ from baselines.export.emulator import emulated
 from baselines.export.onnx_model import onnx_model
 from baselines.export.page import page
 from baselines.export.parts import Exported, exported
-from baselines.export.players import HeaderPolicy, OnnxPolicy
+from baselines.export.players import HeaderPolicy, onnx_policy
 from baselines.tools.command_line import DONE, UsageError, parse, run
 from baselines.tools.files import json_text, write_atomically
 
@@ -90,12 +90,12 @@ def measured(name: str, episodes: int) -> Measured:
     """
     agent = exported(name)
     policy = agent.agent.policy()
-    header, header8, model = HeaderPolicy(agent), HeaderPolicy(agent, weights="int8"), OnnxPolicy(agent, "float32")
+    header, header8, model = HeaderPolicy(agent), HeaderPolicy(agent, weights="int8"), onnx_policy(agent, "float32")
     moments = {
         key: _moments(agent, each)
         for key, each in (
             ("numpy", policy),
-            ("onnx64", OnnxPolicy(agent)),
+            ("onnx64", onnx_policy(agent)),
             ("onnx32", model),
             ("c64", HeaderPolicy(agent, "float64")),
             ("c32", header),

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.codegen import native
+from baselines.agents.onnx_models import OnnxModel
 from baselines.export.c_header import PREFIX, c_header
 from baselines.export.onnx_model import onnx_model
 from baselines.export.parts import Exported
@@ -73,36 +74,10 @@ class HeaderPolicy:
         return (time.process_time() - begin) / decisions
 
 
-class OnnxPolicy:
-    """An ONNX model on ONNX Runtime, with Stable-Baselines3's `predict`."""
+def onnx_policy(agent: Exported, precision: str = "float64") -> OnnxModel:
+    """Return an agent's ONNX model on ONNX Runtime, with Stable-Baselines3's `predict`; see `onnx_model.onnx_model`.
 
-    def __init__(self, agent: Exported, precision: str = "float64") -> None:
-        """Print and load a model, see `onnx_model.onnx_model`.
-
-        Raises:
-            ImportError: onnx or onnxruntime is not installed.
-        """
-        import onnxruntime
-
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = options.inter_op_num_threads = 1
-        data = onnx_model(agent, precision).SerializeToString()
-        self.session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-        self.preview, self.precision = agent.preview, precision
-        self._columns, self._memory = len(agent.columns), agent.memory
-
-    def predict(
-        self,
-        observation: NDArray[Any],
-        state: Memory | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], Memory | None]:
-        """Return the action (2,) or actions (N, 2) and the memory, an array of each kind of it."""
-        rows = np.ascontiguousarray(np.atleast_2d(observation)[:, : self._columns], self.precision)
-        fresh = tuple(np.zeros((len(rows), size), self.precision) for size in self._memory.values())
-        memory = renewed(state, fresh, episode_start)
-        given = {"observation": rows, **dict(zip(self._memory, memory, strict=True))}
-        action, *after = self.session.run(None, given)
-        actions = action.astype(np.float32)
-        return (actions[0] if observation.ndim == 1 else actions), tuple(after)
+    Raises:
+        ImportError: onnx or onnxruntime is not installed.
+    """
+    return OnnxModel(onnx_model(agent, precision).SerializeToString())
