@@ -35,7 +35,7 @@ def evaluate(request: Request) -> int:
                 reproduction = reproduce(report.message)
             found = _run(request, RowStore(out / ROWS), report)
             report.message("plots")
-            results, pooled = compare(found), pool(found)
+            results, pooled = compare(found, request.anchors), pool(found, request.anchors)
             _write(request, results, pooled, reproduction)
     except OSError as error:
         print(f"cannot write to {out}: {error.strerror}", file=sys.stderr)

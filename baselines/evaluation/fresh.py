@@ -21,7 +21,7 @@ from auv_gym.presets import REGIMES
 from baselines import list_policies
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.runner import drawn, run_all
-from baselines.evaluation.score import ADVERSE_RIVAL, EXPERT, ORACLE, RIVAL, regime_of
+from baselines.evaluation.score import ADVERSE_RIVAL, EXPERT, FORESIGHTED, RIVAL, regime_of
 from baselines.evaluation.suites import Suite
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse, run
 from baselines.tools.files import versions
@@ -31,13 +31,13 @@ from baselines.tools.workers import Workers
 PROGRAM = "python -m baselines.evaluation.fresh"
 FOLDER = Path(__file__).parent / "data" / "fresh"
 SEED = FRESH.first  # of the first episode of each case
-EPISODES = {"benchmark-v1": 64, "unmodelled-v1": 24}
+EPISODES = {"benchmark-v2": 64, "unmodelled-v1": 24}
 """Episodes drawn in each case, by suite."""
 AGENTS = ("apg", "apg-preview", "apg-adverse", "apg-scratch")
 """Families of agents that are compared, each with one for every regime."""
 POLICIES = (
     EXPERT,
-    ORACLE,
+    *FORESIGHTED,
     "ekf",
     *(f"{family}-{regime}" for family in AGENTS for regime in REGIMES),
     ADVERSE_RIVAL,
@@ -60,7 +60,7 @@ class Options:
     case: Annotated[tuple[str, ...], arg(metavar="C [C ...]", help_behavior_hint="")] = ()
     """Cases by name, to try it out; without any, all of them."""
     episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
-    """Episodes of each case. Default: 64 of benchmark-v1, 24 of unmodelled-v1."""
+    """Episodes of each case. Default: 64 of benchmark-v2, 24 of unmodelled-v1."""
     jobs: int = 1
     """Worker processes. With one the time per decision is that of an idle processor."""
     out: Path = FOLDER if checkout() else Path("runs/fresh")
@@ -80,8 +80,9 @@ def fresh(name: str, episodes: int | None = None, cases: Sequence[str] = ()) -> 
     count = episodes or EPISODES[name]
     chosen = [cell.scenario for cell in frozen.cells if cell.scenario.name in (cases or known)]
     names = " ".join(scenario.name for scenario in chosen)
-    digest = hashlib.sha256(f"{frozen.hash} {SEED} {count} {names}".encode()).hexdigest()
-    return Suite(name, digest, tuple(drawn(scenario, count, SEED) for scenario in chosen), ())
+    digest = hashlib.sha256(f"{frozen.source[1]} {SEED} {count} {names}".encode()).hexdigest()
+    cells = tuple(drawn(scenario, count, SEED) for scenario in chosen)
+    return Suite(name, digest, cells, (), frozen.anchors, (frozen.source[0], digest))
 
 
 def main(arguments: Sequence[str]) -> int:

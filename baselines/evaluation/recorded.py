@@ -69,7 +69,7 @@ def _counted(suite: Suite, policy: str, stamps: Mapping[str, list[str]], folder:
     """Return the runs that are kept of a policy, or why they do not count."""
     try:
         own = read(suite, policy, folder)
-        if stamps.get(f"{suite.name}/{policy}") != _stamp(suite, policy, folder):
+        if stamps.get(f"{suite.source[0]}/{policy}") != _stamp(suite, policy, folder):
             return "the policy's files have changed since, or the rows have"
     except (OSError, ValueError) as error:
         return str(error)
@@ -85,7 +85,7 @@ def missing(suite: str, folder: Path = FOLDER) -> str | None:
 
 def recorded_policies(suite: Suite, folder: Path = FOLDER) -> list[str]:
     """Return the names of the policies that rows are kept of, in the order of the registry."""
-    names, order = {file.stem for file in (folder / suite.name).glob("*.npz")}, list(list_policies())
+    names, order = {file.stem for file in (folder / suite.source[0]).glob("*.npz")}, list(list_policies())
     return sorted(names, key=lambda name: (order.index(name) if name in order else len(order), name))
 
 
@@ -96,7 +96,8 @@ def read(suite: Suite, policy: str, folder: Path = FOLDER) -> list[Run]:
         OSError: there is no such file.
         ValueError: it is damaged, of another suite or of another policy.
     """
-    with reading(folder / suite.name / f"{policy}.npz") as stored:
+    source, source_hash = suite.source
+    with reading(folder / source / f"{policy}.npz") as stored:
         record, rows = stored.record, stored.arrays["measures"].astype(np.float64)
         bounds = np.cumsum([0, *record["episodes"]]).tolist()
         cells, when = cells_of(suite, record.get("regimes", REGIMES)), Recorded(record["date"], record["versions"])
@@ -112,8 +113,8 @@ def read(suite: Suite, policy: str, folder: Path = FOLDER) -> list[Run]:
             raise ValueError(f"its rows have shape {rows.shape}")
     if kept != policy:
         raise ValueError(f"its file holds the rows of {kept}")
-    if text_hash != suite.hash:
-        raise ValueError(f"another {suite.name}, of hash {text_hash[:12]}")
+    if text_hash != source_hash:
+        raise ValueError(f"another {source}, of hash {text_hash[:12]}")
     return runs
 
 
@@ -131,7 +132,7 @@ def table(measures: Measures) -> NDArray[np.float32]:
 
 def _stamp(suite: Suite, policy: str, folder: Path) -> list[str]:
     """Return the hash of a file of rows, and the fingerprint of what would make them now."""
-    rows = (folder / suite.name / f"{policy}.npz").read_bytes()
+    rows = (folder / suite.source[0] / f"{policy}.npz").read_bytes()
     return [hashlib.sha256(rows).hexdigest(), fingerprint(policy)]
 
 
@@ -145,7 +146,7 @@ def _stamps(folder: Path) -> dict[str, list[str]]:
 
 def stamp(suite: Suite, policy: str, folder: Path = FOLDER) -> None:
     """Write down that the rows of a policy are what it does now."""
-    stamps = _stamps(folder) | {f"{suite.name}/{policy}": _stamp(suite, policy, folder)}
+    stamps = _stamps(folder) | {f"{suite.source[0]}/{policy}": _stamp(suite, policy, folder)}
     write_atomically(folder / STAMPS, json_text(dict(sorted(stamps.items()))))
 
 
@@ -174,14 +175,15 @@ def save(
         ValueError: a run failed, or is missing.
     """
     policy, own = runs[0].policy, {run.scenario.name: run for run in runs if run.measures is not None}
-    names = [cell.scenario.name for cell in cells_of(suite, regimes)]
-    if missing := [name for name in names if name not in own]:
+    cases = [cell.scenario.name for cell in cells_of(suite, regimes)]
+    if missing := [case for case in cases if case not in own]:
         raise ValueError(f"{policy} has no result in {', '.join(missing)}")
-    ordered = [own[name] for name in names]
+    ordered = [own[case] for case in cases]
     parts = [run.measures for run in ordered if run.measures is not None]
+    name, digest = suite.source
     record = {
-        "suite": suite.name,
-        "suite_hash": suite.hash,
+        "suite": name,
+        "suite_hash": digest,
         "policy": policy,
         "date": datetime.now(timezone.utc).date().isoformat(),
         "versions": dict(versions),
@@ -190,5 +192,5 @@ def save(
         "seconds": [run.seconds for run in ordered],
         "decision_seconds": [run.decision_seconds for run in ordered],
     }
-    write(folder / suite.name / f"{policy}.npz", Stored(record, {"measures": table(Measures.joined(parts))}))
+    write(folder / name / f"{policy}.npz", Stored(record, {"measures": table(Measures.joined(parts))}))
     stamp(suite, policy, folder)

@@ -23,7 +23,7 @@ from baselines.evaluation.options import Options
 from baselines.evaluation.recorded import regimes_of
 from baselines.evaluation.rollout import make_env
 from baselines.evaluation.runner import Cell, Run, drawn
-from baselines.evaluation.score import EXPERT, ORACLE, regime_of
+from baselines.evaluation.score import EXPERT, Anchors, regime_of
 from baselines.evaluation.submission.making import check_options
 from baselines.evaluation.suites import list_suites, load
 from baselines.tools.command_line import UsageError, printable
@@ -33,7 +33,7 @@ T = TypeVar("T")
 
 DRAWN: dict[str, tuple[str, ...]] = {"presets": tuple(PRESETS), "paper": ("paper-circle",)}
 """Scenarios of each suite whose episodes are drawn from the seed, by name; the others are frozen."""
-DEFAULT_SUITE = "benchmark-v1"  # what is evaluated if no scenario is named
+DEFAULT_SUITE = "benchmark-v2"  # what is evaluated if no scenario is named
 DEFAULT_EPISODES = 20  # of each scenario that is not frozen
 MOST_EPISODES = 100_000  # of each scenario: they are drawn before anything runs
 
@@ -50,6 +50,7 @@ class Request:
     policies: tuple[str, ...]  # the expert first
     pairs: tuple[tuple[str, Cell], ...]  # what is to run, cell by cell
     workers: Workers
+    anchors: Anchors  # of the scores
     earlier: tuple[Run, ...] = ()  # recorded runs to compare with
     notes: tuple[str, ...] = ()  # what to know about the results
 
@@ -68,8 +69,9 @@ class Request:
         task = _frozen(suite, options) if suite in list_suites() else _drawn(suite, options)
         earlier = tuple(run for run in task.recorded if run.policy not in names)
         refused = {policy: reason for policy, reason in task.refused.items() if policy not in names}
-        if suite in list_suites() and all(run.policy != ORACLE for run in earlier):
-            names = tuple(dict.fromkeys((*names, ORACLE)))
+        anchors = task.anchors or Anchors.among(names)
+        if task.anchors is not None:
+            names = tuple(dict.fromkeys((*names, *(p for p in anchors if all(run.policy != p for run in earlier)))))
         notes = [note] if (note := recorded.missing(suite or "")) else []
         notes += [f"the recorded rows of {policy} are left out: {reason}" for policy, reason in refused.items()]
         skipped = [_foreign(name, task, notes) for name in names]
@@ -77,7 +79,9 @@ class Request:
         without = {(name, cell.scenario.name) for name, cells in kept for cell in cells}
         pairs = [(name, cell) for cell in task.cells for name in names if (name, cell.scenario.name) not in without]
         checked_folder(options.out)
-        return cls(options, command, suite, task.hash, task.cells, names, tuple(pairs), workers, earlier, tuple(notes))
+        return cls(
+            options, command, suite, task.hash, task.cells, names, tuple(pairs), workers, anchors, earlier, tuple(notes)
+        )
 
     @property
     def steps(self) -> int:
@@ -90,7 +94,7 @@ class _Task(NamedTuple):
 
     cells: tuple[Cell, ...]
     hash: str
-    frozen: bool = False
+    anchors: Anchors | None = None  # of the scores in a frozen suite; None where none is
     recorded: tuple[Run, ...] = ()
     refused: Mapping[str, str] = MappingProxyType({})
 
@@ -115,7 +119,7 @@ def _foreign(policy: str, task: _Task, notes: list[str]) -> list[Cell]:
     """
     regimes = regimes_of(policy)
     others = [cell for cell in task.cells if regime_of(cell.scenario.name) not in (*regimes, None)]
-    if others and task.frozen:
+    if others and task.anchors is not None:
         notes.append(f"{policy} was trained in {' and '.join(regimes)} motion and runs in those cells alone")
         return others
     if others:
@@ -134,10 +138,11 @@ def _frozen(name: str, options: Options) -> _Task:
     suite = checked(partial(load, name))
     found = recorded.load(suite)
     if count is None or all(count >= len(cell.episodes) for cell in suite.cells):
-        return _Task(suite.cells, suite.hash, True, found.runs, found.refused)
+        return _Task(suite.cells, suite.hash, suite.anchors, found.runs, found.refused)
     cells = tuple(Cell(cell.scenario, cell.episodes[:count]) for cell in suite.cells)
     first = tuple(replace(run, measures=run.measures and run.measures[:count]) for run in found.runs)
-    return _Task(cells, hashlib.sha256(f"{suite.hash} {count}".encode()).hexdigest(), True, first, found.refused)
+    digest = hashlib.sha256(f"{suite.hash} {count}".encode()).hexdigest()
+    return _Task(cells, digest, suite.anchors, first, found.refused)
 
 
 def _drawn(suite: str | None, options: Options) -> _Task:

@@ -1,6 +1,8 @@
-"""The score: 0 is the expert, 1 the oracle that knows the disturbances; paired episodes, errors pooled over cases.
+"""The score: 0 is the expert, 1 the best that is possible; paired episodes, errors pooled over cases.
 
-    score of p = (E_expert - E_p) / (E_expert - E_oracle),     E: mean over episodes of the tail RMSE
+    score of p = (E_zero - E_p) / (E_zero - E_one),     E: mean over episodes of the tail RMSE
+
+Whose errors E_zero and E_one are, the anchors say: a suite has its own.
 
 Errors are pooled before the division: a ratio of every case would be dominated by those where little can be gained.
 """
@@ -8,9 +10,10 @@ Errors are pooled before the division: a ratio of every case would be dominated 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +22,8 @@ from auv_gym.presets import REGIMES
 from baselines.evaluation.metrics import RESAMPLES, Array, Measures
 
 EXPERT = "backstepping"  # the policy that scores 0
-ORACLE = "oracle"  # the policy that scores 1
-BOUND = "clairvoyant"  # the policy that nobody can be better than
+ORACLE = "oracle"  # the policy that knows plant and sea, and regulates; it scores 1 in the oldest suites
+BOUND = "clairvoyant"  # the policy that nobody can be better than; it scores 1 in the others
 FORESIGHTED = (ORACLE, BOUND)
 """Policies that know what no competitor may know."""
 RIVAL = "nmpc"  # the strongest policy that does not learn, where sensors and actuators are as told
@@ -29,9 +32,27 @@ LARGEST_TAIL: Mapping[str, float] = {"slow": 0.6, "cruise": 2.0}
 """Tail RMSE [m] from which an episode counts as lost; the capped score counts no more than that for it."""
 
 
+class Anchors(NamedTuple):
+    """The policies that a score lies between."""
+
+    zero: str  # scores 0
+    one: str  # scores 1
+
+    @classmethod
+    def among(cls, policies: Collection[str]) -> Anchors:
+        """Return the anchors where no suite says them: 1 is the bound if it ran, else the oracle."""
+        return BY_BOUND if BOUND in policies or ORACLE not in policies else BY_ORACLE
+
+
+BY_BOUND = Anchors(EXPERT, BOUND)
+"""Anchors of benchmark-v2, and of scenarios of one's own where the bound runs."""
+BY_ORACLE = Anchors(EXPERT, ORACLE)
+"""Anchors of the suites that were frozen before there was a bound."""
+
+
 @dataclass(frozen=True)
 class Score:
-    """A score with its 95 % interval; nan where the expert is no worse than the oracle."""
+    """A score with its 95 % interval; nan where the policy that scores 0 is no worse than the one that scores 1."""
 
     mean: float
     ci95: tuple[float, float]
@@ -100,49 +121,47 @@ def losses(m: Measures, regime: str | None) -> int:
     return int(is_lost(m.tail, m.lost, largest_tail(regime)).sum())
 
 
-def score(expert: Sequence[Array], policy: Sequence[Array], oracle: Sequence[Array]) -> Score:
+def score(zero: Sequence[Array], policy: Sequence[Array], one: Sequence[Array]) -> Score:
     """Return the score from tail errors [m] of paired episodes, an array for each case.
 
     The interval is that of a bootstrap over episodes, the same ones for all three policies, within each case.
     """
     sums = np.zeros((RESAMPLES + 1, 3))
-    for weights, errors in zip(
-        _weights(tuple(map(len, expert))), zip(expert, policy, oracle, strict=True), strict=True
-    ):
+    for weights, errors in zip(_weights(tuple(map(len, zero))), zip(zero, policy, one, strict=True), strict=True):
         sums += weights @ np.stack(errors, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         values = (sums[:, 0] - sums[:, 1]) / (sums[:, 0] - sums[:, 2])
     if not sums[0, 0] > sums[0, 2]:
         return Score(math.nan, (math.nan, math.nan))
-    if sum(map(len, expert)) < 2:
+    if sum(map(len, zero)) < 2:
         return Score(float(values[0]), (math.nan, math.nan))
     low, high = np.quantile(values[1:], (0.025, 0.975)).tolist()
     return Score(float(values[0]), (low, high))
 
 
-def seeds_score(expert: Sequence[Array], seeds: Sequence[Array], oracle: Sequence[Array]) -> Score:
+def seeds_score(zero: Sequence[Array], seeds: Sequence[Array], one: Sequence[Array]) -> Score:
     """Return the score of agents that differ in the training seed alone; the interval is over seeds and episodes.
 
     Args:
-        expert: tail errors [m] of paired episodes, shape (M,) for each case.
+        zero: tail errors [m] of paired episodes, shape (M,) for each case.
         seeds: those of the agents, shape (S, M) for each case.
-        oracle: as `expert`.
+        one: as `zero`.
     """
-    return lead(expert, expert, seeds, oracle)
+    return lead(zero, zero, seeds, one)
 
 
-def lead(expert: Sequence[Array], rival: Sequence[Array], seeds: Sequence[Array], oracle: Sequence[Array]) -> Score:
+def lead(zero: Sequence[Array], rival: Sequence[Array], seeds: Sequence[Array], one: Sequence[Array]) -> Score:
     """Return by how much agents' score is above a rival's, with its interval over training seeds and episodes.
 
     Args:
-        expert: see `seeds_score`.
-        rival: as `expert`.
+        zero: see `seeds_score`.
+        rival: as `zero`.
         seeds: see `seeds_score`.
-        oracle: as `expert`.
+        one: as `zero`.
     """
-    count, weights = len(seeds[0]), _weights(tuple(map(len, expert)))
+    count, weights = len(seeds[0]), _weights(tuple(map(len, zero)))
     above, span = np.zeros((RESAMPLES + 1, count)), np.zeros(RESAMPLES + 1)
-    for w, e, r, p, o in zip(weights, expert, rival, seeds, oracle, strict=True):
+    for w, e, r, p, o in zip(weights, zero, rival, seeds, one, strict=True):
         above += w @ (r - p).T
         span += w @ (e - o)
     drawn = np.random.default_rng(1).multinomial(count, np.full(count, 1 / count), RESAMPLES) / count

@@ -21,7 +21,7 @@ from baselines.evaluation import recorded, suites
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.rollout import Moment, Repeatable, beginning, rollout
 from baselines.evaluation.runner import drawn
-from baselines.evaluation.score import EXPERT, ORACLE, Score, capped, fixed, fixed_ends, lead, regime_of
+from baselines.evaluation.score import Score, capped, fixed, fixed_ends, lead, regime_of
 from baselines.export.c_header import c_header
 from baselines.export.emulator import emulated
 from baselines.export.onnx_model import onnx_model
@@ -160,7 +160,7 @@ def _on_m4(agent: Exported, header: HeaderPolicy, observations: NDArray[Any]) ->
 def _scores(name: str, policies: Mapping[str, Policy], episodes: int) -> dict[str, tuple[float, float, float]]:
     """Return the recorded score of an agent as "numpy", and what the policies lose of it, with intervals."""
     suite = suites.load(SUITE)
-    kept = [{r.scenario.name: r.measures for r in recorded.read(suite, p)} for p in (EXPERT, ORACLE, name)]
+    kept = [{r.scenario.name: r.measures for r in recorded.read(suite, p)} for p in (*suite.anchors, name)]
     cells = [cell for cell in suite.cells if cell.scenario.name in kept[-1]]
 
     def tails(rows: Mapping[str, Measures | None]) -> list[NDArray[np.float64]]:

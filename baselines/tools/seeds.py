@@ -36,8 +36,12 @@ FRESH = Seeds(
     70_000_000, 80_000_000, "baselines.evaluation.fresh", "policies are compared on these; nothing is chosen on them"
 )
 """Those of fresh episodes."""
+SWEEP = Seeds(
+    90_000_000, 100_000_000, "baselines.evaluation.suites.bound", "the bound is tried on these: does it lose a vehicle?"
+)
+"""Those of the episodes on which the bound is tried."""
 TRAINING = Seeds(1_000_000_000, 2**62, "baselines.training.config", "agents are trained on these")
 """Those that agents are trained on."""
 
-TABLE = (USERS, TUNING, TUNING_CHECK, VALIDATION, FRESH, TRAINING)
+TABLE = (USERS, TUNING, TUNING_CHECK, VALIDATION, FRESH, SWEEP, TRAINING)
 """Every range, in order; none overlaps another."""

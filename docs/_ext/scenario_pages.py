@@ -23,7 +23,7 @@ from baselines.evaluation.suites import load as load_suite
 
 SHOWN = ("tail [m]", "p95 [m]", "score", "lost", "settled [s]", "effort")
 """Columns of the evaluation that a page has."""
-SUITE = "benchmark-v1"
+SUITE = "benchmark-v2"
 PAGE = """# {name}
 
 {case}
@@ -99,7 +99,8 @@ def write(app: Sphinx) -> None:
         r"^\| `([\w-]+)` \| (.+) \|$", (source / "scenarios.md").read_text(encoding="utf-8"), re.MULTILINE
     )
     told, texts = {name: line.replace("](", "](../") for name, line in rows}, {}
-    entries = [result.entry for result in compare(load_recorded(load_suite(SUITE)).runs)]
+    suite = load_suite(SUITE)
+    entries = [result.entry for result in compare(load_recorded(suite).runs, suite.anchors)]
     for name, scenario in PRESETS.items():
         own = [entry for entry in entries if entry.place == name]
         texts[f"{name}.md"] = page(scenario, told[name.removeprefix(f"{regime_of(name)}-")], own)

@@ -12,7 +12,7 @@ from typing import Any
 
 from baselines.evaluation.metrics import WORST, Summary, most_lost
 from baselines.evaluation.report.numbers import Entry
-from baselines.evaluation.score import LARGEST_TAIL, RIVAL, fixed, fixed_ends
+from baselines.evaluation.score import BOUND, LARGEST_TAIL, ORACLE, RIVAL, fixed, fixed_ends
 
 NONE = "-"
 """Shown where there is no value."""
@@ -90,8 +90,9 @@ COLUMNS = (
            f"mean of the worst {100 * WORST:g} % of the tails (conditional value at risk)",
            lambda _, s: s.tail_rmse_m.cvar95, digits(3), 3),
     Column("score.mean", "score",
-           "(E_expert - E_policy) / (E_expert - E_oracle), E the mean tail over the same episodes: 0 is the paper's "
-           "law, 1 an oracle that knows plant, current, waves and lag; errors are pooled over cases before dividing",
+           "(E_expert - E_policy) / (E_expert - E_best), E the mean tail over the same episodes: 0 is the paper's law, 1 "
+           f"in benchmark-v2 the optimum of whom all is known, {BOUND}, and in older suites the {ORACLE}, a regulator "
+           "that knows plant, current, waves and lag; errors are pooled over cases before dividing",
            lambda e, _: e.score and e.score.mean, fixed, 7),
     Column("score.ci95", "95 % of score", "95 % interval of the score, by bootstrap over paired episodes",
            lambda e, _: e.score and list(e.score.ci95), fixed_ends, 5),

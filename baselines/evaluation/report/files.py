@@ -25,6 +25,7 @@ def results_json(
     content: dict[str, Any] = {
         "suite": request.suite,
         "suite_hash": request.hash,
+        "anchors": request.anchors._asdict(),
         "seed": request.options.seed,
         "versions": versions(),
         "results": [

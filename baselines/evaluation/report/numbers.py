@@ -11,7 +11,7 @@ import numpy as np
 from auv_gym.presets import REGIMES
 from baselines.evaluation.metrics import Measures, Summary, ratio, summarise
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import EXPERT, ORACLE, RIVAL, Score, capped, losses, paired, regime_of, score
+from baselines.evaluation.score import EXPERT, RIVAL, Anchors, Score, capped, losses, paired, regime_of, score
 
 Case = Mapping[str, Measures]
 """What was measured in a scenario, by policy."""
@@ -28,7 +28,7 @@ class Entry:
     summary: Summary | None = None  # None: the policy failed
     effort_ratio: float = math.nan  # effort over the expert's; nan if there is no expert
     smoothness_ratio: float = math.nan  # smoothness over the expert's; nan if there is no expert
-    score: Score | None = None  # None: expert or oracle are missing
+    score: Score | None = None  # None: one of the anchors is missing
     capped: Score | None = None  # with every tail RMSE at most `score.LARGEST_TAIL`
     lost: int = 0  # episodes, see `score.is_lost`
     error_ratio: float = math.nan  # mean capped tail over that of `score.RIVAL`; nan if it is missing
@@ -42,15 +42,16 @@ class Result:
     entry: Entry
 
 
-def compare(runs: Sequence[Run]) -> list[Result]:
-    """Return a result for each run."""
-    cases = measures_of(runs)
-    return [Result(run, _entry(run.scenario.name, [run], [cases[run.scenario.name]])) for run in runs]
+def compare(runs: Sequence[Run], anchors: Anchors | None = None) -> list[Result]:
+    """Return a result for each run; the score's anchors are those of the suite, None for none: `Anchors.among`."""
+    cases, ends = measures_of(runs), anchors or Anchors.among({run.policy for run in runs})
+    return [Result(run, _entry(run.scenario.name, [run], [cases[run.scenario.name]], ends)) for run in runs]
 
 
-def pool(runs: Sequence[Run]) -> list[Entry]:
-    """Return the figures of every policy in every regime of which it ran all cases."""
+def pool(runs: Sequence[Run], anchors: Anchors | None = None) -> list[Entry]:
+    """Return the figures of every policy in every regime of which it ran all cases; `anchors` as in `compare`."""
     measures, found = measures_of(runs), []
+    ends = anchors or Anchors.among({run.policy for run in runs})
     by_policy: dict[str, list[Run]] = {}
     for run in runs:
         by_policy.setdefault(run.policy, []).append(run)
@@ -59,11 +60,11 @@ def pool(runs: Sequence[Run]) -> list[Entry]:
         for policy, every in by_policy.items():
             own = [run for run in every if run.scenario.name in cases]
             if own and all(policy in case for case in cases.values()):
-                found.append(_entry(regime, own, list(cases.values())))
+                found.append(_entry(regime, own, list(cases.values()), ends))
     return found
 
 
-def _entry(place: str, runs: Sequence[Run], cases: Sequence[Case]) -> Entry:
+def _entry(place: str, runs: Sequence[Run], cases: Sequence[Case], anchors: Anchors) -> Entry:
     """Return the figures of one policy's runs, all together, in these cases."""
     policy, regime = runs[0].policy, regime_of(runs[0].scenario.name)
     seconds, recorded = float(np.mean([run.decision_seconds for run in runs])), runs[0].recorded is not None
@@ -79,10 +80,11 @@ def _entry(place: str, runs: Sequence[Run], cases: Sequence[Case]) -> Entry:
             ratio(float(np.mean(getattr(mine, key))), float(np.mean(getattr(experts, key))))
             for key in ("effort", "smoothness")
         )
-        if all(ORACLE in case for case in cases):
-            three = list(zip(*(paired(c[EXPERT], c[policy], c[ORACLE]) for c in cases), strict=True))
-            plain = score(*([m.tail for m in column] for column in three))
-            cut = score(*([capped(m, regime) for m in column] for column in three))
+    zero, one = anchors
+    if all(zero in case and one in case for case in cases):
+        three = list(zip(*(paired(c[zero], c[policy], c[one]) for c in cases), strict=True))
+        plain = score(*([m.tail for m in column] for column in three))
+        cut = score(*([capped(m, regime) for m in column] for column in three))
     error_ratio = math.nan
     if all(RIVAL in case for case in cases):
         columns = zip(*(paired(case[policy], case[RIVAL]) for case in cases), strict=True)

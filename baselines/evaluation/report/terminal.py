@@ -15,7 +15,7 @@ from rich.table import Table
 from baselines.evaluation.paper.numbers import Reproduction, Row
 from baselines.evaluation.report.columns import Column, ranked, used
 from baselines.evaluation.report.numbers import Entry, Result, recordings
-from baselines.evaluation.score import ORACLE
+from baselines.evaluation.score import FORESIGHTED
 
 WIDTH = 200  # characters in a line of a table that does not go to a terminal
 LOOK: dict[str, Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False}  # of every table
@@ -34,7 +34,7 @@ def print_report(
     out, err = console(), Console(stderr=True, highlight=False, soft_wrap=True)
     for table in reproduction_tables(reproduction) if reproduction else []:
         out.print(table)
-    shown = [r for r in results if r.run.recorded is None or r.run.policy == ORACLE]
+    shown = [r for r in results if r.run.recorded is None or r.run.policy in FORESIGHTED]
     out.print(entries_table("Position error of the centre of mass", "scenario", [r.entry for r in shown], out))
     if any(entry.score for entry in pooled):
         out.print(entries_table("All cases of a regime together", "regime", pooled, out))
@@ -72,7 +72,9 @@ def entries_table(title: str, kind: str, entries: Sequence[Entry], out: Console)
 
 
 def _table(title: str, kind: str, entries: Sequence[Entry], columns: Sequence[Column]) -> Table:
-    table = Table(title=title, caption="tail: RMSE after the first third; score: 0 the expert, 1 the oracle", **LOOK)
+    table = Table(
+        title=title, caption="tail: RMSE after the first third; score: 0 the expert, 1 the best possible", **LOOK
+    )
     table.add_column(kind, no_wrap=True)
     table.add_column("policy", no_wrap=True)
     for column in columns:

@@ -44,7 +44,7 @@ def score_figure(results: Results) -> Figure:
     ax.set_yticks(range(len(order)), order)
     ax.set_ylim(len(order) - 0.4, -0.6)
     ax.set_xlim(LOWEST - 0.25, 1.1)
-    ax.set_xlabel("score: 0 the expert, 1 the oracle; errors pooled over cases, 95 % intervals")
+    ax.set_xlabel(f"score: 0 the expert, 1 {results.suite.anchors.one}; errors pooled over cases, 95 % intervals")
     ax.grid(visible=False, axis="y")
     looks = [Line2D([], [], label=r, color=COLOURS[k], marker=MARKERS[k], linestyle="") for k, r in enumerate(regimes)]
     ax.legend(handles=looks, loc="upper left", ncols=len(regimes), bbox_to_anchor=(0.0, 1.1), borderaxespad=0.0)

@@ -10,12 +10,10 @@ from auv_gym.presets import REGIMES
 from baselines.evaluation import fresh, recorded, silence
 from baselines.evaluation.metrics import Array, most_lost
 from baselines.evaluation.results.collection import Results
-from baselines.evaluation.results.page import table
+from baselines.evaluation.results.tables import table
 from baselines.evaluation.results.studies import SHORT
 from baselines.evaluation.score import (
     ADVERSE_RIVAL,
-    EXPERT,
-    ORACLE,
     RIVAL,
     Score,
     interval_text,
@@ -44,8 +42,8 @@ def findings(found: Sequence[Results], anew: Sequence[Results], studies: Mapping
         {results.suite.name: results for results in kind if RIVAL in results.policies} for kind in (found, anew)
     )
     parts = [INTRODUCTION]
-    if (benchmark := by_name.get("benchmark-v1")) is not None:
-        parts += [LEADS, _leads(benchmark, fresh_by_name.get("benchmark-v1"), studies)]
+    if (benchmark := by_name.get("benchmark-v2")) is not None:
+        parts += [LEADS, _leads(benchmark, fresh_by_name.get("benchmark-v2"), studies)]
         parts += [CASES, *(_by_case(benchmark, studies, regime) for regime in REGIMES)]
     if (unmodelled := by_name.get("unmodelled-v1")) is not None:
         parts += [UNMODELLED, _leads(unmodelled, fresh_by_name.get("unmodelled-v1"), studies, ADVERSE_RIVAL)]
@@ -57,9 +55,9 @@ def findings(found: Sequence[Results], anew: Sequence[Results], studies: Mapping
 
 
 def fresh_results() -> list[Results]:
-    """Return what is recorded of fresh episodes, of the suites whose expert and oracle ran."""
+    """Return what is recorded of fresh episodes, of the suites whose anchors ran."""
     runs = {suite: recorded.load(suite, fresh.FOLDER).runs for suite in map(fresh.fresh, fresh.EPISODES)}
-    return [Results.of(suite, own) for suite, own in runs.items() if {EXPERT, ORACLE} <= {r.policy for r in own}]
+    return [Results.of(suite, own) for suite, own in runs.items() if set(suite.anchors) <= {r.policy for r in own}]
 
 
 def _tails(results: Results, policy: str, regime: str) -> dict[str, Array]:
@@ -70,9 +68,11 @@ def _tails(results: Results, policy: str, regime: str) -> dict[str, Array]:
 
 def _lead(results: Results, regime: str, seeds: Mapping[str, Array], rival: str) -> tuple[Score, int]:
     """Return the lead over a rival of agents' tails, shape (S, M) by case, and of how many episodes each it is."""
-    expert, its, oracle = (_tails(results, policy, regime) for policy in (EXPERT, rival, ORACLE))
+    zero, its, one = (
+        _tails(results, policy, regime) for policy in (results.suite.anchors.zero, rival, results.suite.anchors.one)
+    )
     count = {case: min(len(its[case]), own.shape[1]) for case, own in seeds.items()}
-    four = [[kind[case][..., :n] for case, n in count.items()] for kind in (expert, its, seeds, oracle)]
+    four = [[kind[case][..., :n] for case, n in count.items()] for kind in (zero, its, seeds, one)]
     return lead(*four), sum(count.values())
 
 
@@ -86,7 +86,7 @@ def _agents(studies: Mapping[str, Study], *left_out: str) -> Iterator[tuple[str,
 def _leads(results: Results, anew: Results | None, studies: Mapping[str, Study], rival: str = RIVAL) -> str:
     rows = []
     for name, study in _agents(studies, *LEARNERS):
-        if (own := study.suites.get(results.suite.name)) is None:
+        if (own := study.suites.get(results.suite.source[0])) is None:
             continue
         regime, tails = study.regime, dict(zip(own.cells, own.tails, strict=True))
         above, count = _lead(results, regime, tails, rival)
@@ -140,16 +140,16 @@ def _silence() -> str:
 
 def _score(results: Results, study: Study) -> Score:
     """Return the score of a study's agents."""
-    own = study.suites[results.suite.name]
-    expert, oracle = ([_tails(results, p, study.regime)[case] for case in own.cells] for p in (EXPERT, ORACLE))
-    return seeds_score(expert, own.tails, oracle)
+    own = study.suites[results.suite.source[0]]
+    zero, one = ([_tails(results, p, study.regime)[case] for case in own.cells] for p in results.suite.anchors)
+    return seeds_score(zero, own.tails, one)
 
 
 def _trainings(results: Results, studies: Mapping[str, Study], *kinds: str) -> str:
     """Return the scores of the trainings whose names begin with one of the kinds, the best one first."""
     rows = []
     for name, study in studies.items():
-        if name.startswith(kinds) and (own := study.suites.get(results.suite.name)) is not None:
+        if name.startswith(kinds) and (own := study.suites.get(results.suite.source[0])) is not None:
             steps = float(np.mean([curve[-1, 0] for curve in study.curves])) / 1e6
             score, total = _score(results, study), sum(tail.size for tail in own.tails)
             lost = f"{own.losses(study.regime)} of {total}"
@@ -159,11 +159,11 @@ def _trainings(results: Results, studies: Mapping[str, Study], *kinds: str) -> s
 
 
 def _shares(results: Results) -> str:
-    """Return the share of the distance between expert and oracle, the score's scale, that each case makes."""
+    """Return the share of the distance between 0 and 1, the score's scale, that each case makes."""
     rows, cases = [], [cell.scenario.name.split("-", 1)[1] for cell in results.suite.cells]
     for regime in REGIMES:
-        expert, oracle = (_tails(results, policy, regime) for policy in (EXPERT, ORACLE))
-        spans = {case: float((expert[case] - oracle[case]).sum()) for case in expert}
+        zero, one = (_tails(results, policy, regime) for policy in results.suite.anchors)
+        spans = {case: float((zero[case] - one[case]).sum()) for case in zero}
         rows.append([regime, *(f"{100 * span / sum(spans.values()):.0f} %" for span in spans.values())])
     return table(("regime", *dict.fromkeys(cases)), rows)
 
@@ -180,7 +180,7 @@ all policies and every suite."""
 LEADS = f"""## Against the strongest controller
 
 `{RIVAL}`, the strongest controller that does not learn, has a filter, a model of the sea and a preview of the path.
-*score* and *lead* are those of all training seeds on the frozen `benchmark-v1`, *fresh lead* that of the one shipped
+*score* and *lead* are those of all training seeds on the frozen `benchmark-v2`, *fresh lead* that of the one shipped
 agent on episodes of the same cases that nothing was trained, tuned or chosen on; a lead is a distance of scores, with
 an interval over seeds and episodes, and *episodes* says of how many a number is. *lost* adds up all seeds; *at most* is
 the largest share of lost episodes that is still likely (one-sided, 95 %): none lost is no promise."""
@@ -213,7 +213,7 @@ Agents of Stable-Baselines3, which see the reward and no gradient of the simulat
 YARDSTICK = """## What the score weighs
 
 The score pools errors over cases, so a case counts by the error that the expert leaves in it. The share of each case in
-the distance from expert to oracle: to reject a current is most of the task, and a policy that is best in noise or waves
+the distance from 0 to 1: to reject a current is most of the task, and a policy that is best in noise or waves
 alone gains little by it. Read the single cases beside the pooled score."""
 UNTABLED = """## What no table shows
 

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from baselines.evaluation.report.columns import ranked, used
+from baselines.evaluation import suites
+from baselines.evaluation.report.columns import NONE, ranked, used
+from baselines.evaluation.report.numbers import pool
 from baselines.evaluation.results.collection import ROUNDING, TOLERANCE, Results, better_than
+from baselines.evaluation.results.left import what_is_left
+from baselines.evaluation.results.tables import table
 from baselines.evaluation.score import BOUND, ORACLE, regime_of, score_text
+from baselines.evaluation.suites import bound
 
 
 def page(found: Sequence[Results], missing: Sequence[str], learned: str = "") -> str:
@@ -15,7 +20,7 @@ def page(found: Sequence[Results], missing: Sequence[str], learned: str = "") ->
     for results in found:
         regimes = list(dict.fromkeys(entry.place for entry in results.pooled))
         parts += [_setting(results), *(_regime(results, regime) for regime in regimes)]
-        parts += [_cases(results, regimes), _oracle(results)]
+        parts += [_cases(results, regimes), *what_is_left(results), _oracle(results), *_elsewhere(results)]
     for name in missing:
         parts.append(f"## {name}\n\nNot recorded yet: `python -m baselines.evaluation.suites record {name}`.")
     return "\n\n".join([*parts, *([learned] if learned else [])]) + "\n"
@@ -40,20 +45,15 @@ def _setting(results: Results) -> str:
         policies += [run_.policy] if run_.policy not in policies else []
     when = "; ".join(f"{_all_or_names(policies, results)} on {date}" for date, policies in by_date.items())
     episodes = sum(len(cell.episodes) for cell in suite.cells)
+    own = f"; the episodes are those of {suite.same_as[0]}" if suite.same_as else ""
     return (
-        f"## {suite.name}\n\n{len(suite.cells)} cases, {episodes} episodes, SHA-256 `{suite.hash}`.\n"
-        f"Recorded: {when}.\n\n![Scores on {suite.name}](images/results-{suite.name}-scores.png)"
+        f"## {suite.name}\n\n{len(suite.cells)} cases, {episodes} episodes, SHA-256 `{suite.hash}`{own}. The score's 0 is "
+        f"`{suite.anchors.zero}`, its 1 `{suite.anchors.one}`.\nRecorded: {when}.\n\n![Scores on {suite.name}](images/results-{suite.name}-scores.png)"
     )
 
 
 def _all_or_names(policies: Sequence[str], results: Results) -> str:
     return "all" if len(policies) == len(results.policies) else ", ".join(policies)
-
-
-def table(names: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a Markdown table, its first column to the left and the others to the right."""
-    lines = [names, ["---", *("--:" for _ in names[1:])], *rows]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
 def _regime(results: Results, regime: str) -> str:
@@ -91,6 +91,21 @@ def _oracle(results: Results) -> str:
     return f"{text}\n\n{_bound(results)}"
 
 
+def _elsewhere(results: Results) -> list[str]:
+    """Return the scores that the same rows have in the suite whose episodes these are, with its anchors."""
+    if results.suite.same_as is None:
+        return []
+    source = suites.load(results.suite.same_as[0])
+    scores = {(e.policy, e.place): score_text(e.score) for e in pool(results.runs, source.anchors)}
+    places = list(dict.fromkeys(place for _, place in scores))
+    rows = [[f"`{p}`", *(scores.get((p, place), NONE) for place in places)] for p in results.policies]
+    return [
+        f"### The same scores in {source.name}\n\nIts 1 is `{source.anchors.one}`, which is a little farther from the "
+        f"reference, so the same errors score a little higher.",
+        table(("policy", *places), rows),
+    ]
+
+
 def _bound(results: Results) -> str:
     """Return what the bound leaves to the oracle, and who is better than it."""
     if BOUND not in results.tails:
@@ -101,5 +116,13 @@ def _bound(results: Results) -> str:
     return (
         f"### The bound\n\n`{BOUND}` knows everything beforehand and optimises its commands over the whole episode. "
         f"Its mean tail error is {least:.3f} to {most:.3f} mm, case by case. Better than it by more than the "
-        f"{1e3 * ROUNDING:g} mm to which it is solved: {names}."
+        f"{1e3 * ROUNDING:g} mm to which it is solved: {names}.{_tried(results)}"
     )
+
+
+def _tried(results: Results) -> str:
+    """Return what came of trying the bound on episodes of the same cases, where those are known."""
+    counts = bound.kept()
+    if not {cell.scenario.name for cell in results.suite.cells} <= set(counts):
+        return ""
+    return f" On fresh episodes of these cases (`{bound.PROGRAM}`): {bound.told(counts)}."

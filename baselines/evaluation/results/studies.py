@@ -11,8 +11,8 @@ from matplotlib.ticker import LogLocator
 from baselines.evaluation.metrics import Array
 from baselines.evaluation.report.columns import lost_text
 from baselines.evaluation.results.collection import Results
-from baselines.evaluation.results.page import table
-from baselines.evaluation.score import EXPERT, ORACLE, RIVAL, interval_text, lead, score_text, seeds_score
+from baselines.evaluation.results.tables import table
+from baselines.evaluation.score import EXPERT, RIVAL, interval_text, lead, score_text, seeds_score
 from baselines.evaluation.study_files import InSuite, Study
 from baselines.tools.figure_style import LOOKS, REFERENCE, panels
 
@@ -31,7 +31,9 @@ def section(studies: Mapping[str, Study], found: Sequence[Results]) -> str:
         parts.append(f"### {regime}")
         parts += [f"![Learning curves, {regime}](images/{name})" for name in figures_of(own)]
         for results in found:
-            rows = [_row(name, study, results) for name, study in own.items() if results.suite.name in study.suites]
+            rows = [
+                _row(name, study, results) for name, study in own.items() if results.suite.source[0] in study.suites
+            ]
             if rows:
                 parts.append(f"On {results.suite.name}:\n\n{table(_NAMES, rows)}")
         parts.append("\n".join(_made(name, study) for name, study in own.items()))
@@ -62,14 +64,14 @@ _NAMES = (
 
 
 def _row(name: str, study: Study, results: Results) -> list[str]:
-    own, regime = study.suites[results.suite.name], study.regime
-    expert, oracle = (_tails(results, policy, own) for policy in (EXPERT, ORACLE))
-    score, capped = (seeds_score(expert, seeds, oracle) for seeds in (own.tails, own.capped(regime)))
+    own, regime = study.suites[results.suite.source[0]], study.regime
+    zero, one = (_tails(results, policy, own) for policy in results.suite.anchors)
+    score, capped = (seeds_score(zero, seeds, one) for seeds in (own.tails, own.capped(regime)))
     above = None
     if RIVAL in results.policies:
         rival = _tails(results, RIVAL, own)
         count = [len(tail) for tail in rival]  # it may have run fewer
-        few = [[tail[..., :n] for tail, n in zip(kind, count, strict=True)] for kind in (expert, own.tails, oracle)]
+        few = [[tail[..., :n] for tail, n in zip(kind, count, strict=True)] for kind in (zero, own.tails, one)]
         above = lead(few[0], rival, few[1], few[2])
     base = results.measures(EXPERT, regime)
     effort, rate = (float(np.concatenate([getattr(m, key) for m in base]).mean()) for key in ("effort", "smoothness"))

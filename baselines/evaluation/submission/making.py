@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 OWN = ("backstepping", "nmpc", "apg-preview-cruise", "apg-preview-slow")
 """Policies of the project that are on its leaderboard."""
-OWN_SUITES = ("benchmark-v1",)
+OWN_SUITES = ("benchmark-v2",)
 """Suites in which they are."""
 
 
@@ -41,7 +41,7 @@ def check_options(options: Options, suite: str | None) -> None:
         return
     if suite not in suites.list_suites():
         allowed = ", ".join(suites.list_suites())
-        raise UsageError(f"--submit needs a frozen suite, one of {allowed}: --suite benchmark-v1")
+        raise UsageError(f"--submit needs a frozen suite, one of {allowed}: --suite benchmark-v2")
     if len(set(options.policy)) != 1:
         raise UsageError(f"--submit needs one policy, --policy P; there are {len(set(options.policy))}")
     if options.episodes is not None:

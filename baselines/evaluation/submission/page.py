@@ -19,13 +19,13 @@ TEXT = f"""# Leaderboard
 <!-- Made by `{PROGRAM} page`; do not edit. -->
 
 What anybody has entered, suite by suite and regime by regime, the best first. The score is 0 for the expert and 1 for
-the oracle, with its 95 % interval over paired episodes; *lost* are episodes that ended too far off or whose tail is the
-cap and more, with the largest share that this can mean; *effort* and *rate* of the command are relative to the
-expert's; *ms* is the time per decision on the submitter's machine, with many vehicles side by side; *training* is what
-the submitter says that it cost. *Verified* entries were run again by the project, as many of their episodes as are
-named, drawn at random behind the submitter's back; of the others only the file was checked. [Evaluation](metrics.md)
-has the definitions, [leaderboard.json](leaderboard.json) the same as a table, and [Enter](enter.md) says how to get
-here.
+the policy that is named with each suite, with its 95 % interval over paired episodes; *lost* are episodes that ended
+too far off or whose tail is the cap and more, with the largest share that this can mean; *effort* and *rate* of the
+command are relative to the expert's; *ms* is the time per decision on the submitter's machine, with many vehicles side
+by side; *training* is what the submitter says that it cost. *Verified* entries were run again by the project, as many
+of their episodes as are named, drawn at random behind the submitter's back; of the others only the file was checked.
+[Evaluation](metrics.md) has the definitions, [leaderboard.json](leaderboard.json) the same as a table, and
+[Enter](enter.md) says how to get here.
 """
 NONE = "-"  # where nothing is said
 NBSP = "\N{NO-BREAK SPACE}"  # within a line of a cell
@@ -40,7 +40,8 @@ def page(boards: Sequence[Board]) -> str:
     for board in boards:
         suite = board.suite
         count = sum(len(cell.episodes) for cell in suite.cells)
-        parts.append(f"## {suite.name}\n\n{len(suite.cells)} cases, {count} episodes, SHA-256 `{suite.hash}`.\n")
+        setting = f"{len(suite.cells)} cases, {count} episodes, SHA-256 `{suite.hash}`; 1 is `{suite.anchors.one}`."
+        parts.append(f"## {suite.name}\n\n{setting}\n")
         by_name = {s.name: s for s in board.submissions}
         for place in dict.fromkeys(entry.place for entry in board.entries):
             own = [entry for entry in board.entries if entry.place == place]

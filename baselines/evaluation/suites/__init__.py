@@ -5,6 +5,9 @@ A file NAME.json.bz2 holds every episode's parameters and the seed of its noise.
 refused. It also holds a digest of what its episodes generate, some values of each reference and tape, so that a planner
 or a random stream that has changed is noticed: a sample is compared on every load, all of it by
 `python -m baselines.evaluation.suites check NAME`.
+
+A suite is episodes and the anchors of its score. One with other anchors for known episodes names their suite, with its
+hash, in place of them: what a policy did in one counts in both.
 """
 
 from __future__ import annotations
@@ -28,6 +31,7 @@ from auv_gym.scenario import Scenario
 from auv_gym.vehicle import Vehicle
 from baselines.control.truth import Array, samples
 from baselines.evaluation.runner import Cell
+from baselines.evaluation.score import BY_ORACLE, Anchors
 
 FOLDER = Path(__file__).parent
 SUMS = "SHA256SUMS"  # file of the suites' hashes
@@ -46,6 +50,13 @@ class Suite:
     hash: str  # SHA-256 of its text
     cells: tuple[Cell, ...]
     digests: tuple[Array, ...]  # of each cell's episodes, shape (episodes, 8)
+    anchors: Anchors = BY_ORACLE  # of the score
+    same_as: tuple[str, str] | None = None  # name and hash of the suite whose episodes these are; None: its own
+
+    @property
+    def source(self) -> tuple[str, str]:
+        """Name and hash of the suite whose episodes these are, under which rows of them are kept."""
+        return self.same_as or (self.name, self.hash)
 
 
 def list_suites() -> list[str]:
@@ -80,15 +91,18 @@ def load(name: str, folder: Path = FOLDER) -> Suite:
     digest = hashlib.sha256(text).hexdigest()
     if digest != sums[name]:
         raise SuiteError(f"{file} has been changed: its SHA-256 is {digest}, that of the suite {sums[name]}")
-    suite = _parsed(json.loads(text), digest)
+    record = json.loads(text)
+    if "episodes_of" in record:
+        return _shared(record, digest, folder)
+    suite = _parsed(record, digest)
     for cell, recorded in zip(suite.cells, suite.digests, strict=True):
         check_cell(Cell(cell.scenario, cell.episodes[:1]), recorded[:1])
     return suite
 
 
-def save(name: str, cells: Sequence[Cell], folder: Path = FOLDER) -> str:
+def save(name: str, cells: Sequence[Cell], anchors: Anchors = BY_ORACLE, folder: Path = FOLDER) -> str:
     """Write a suite and its hash, which is returned."""
-    record = {
+    record: dict[str, Any] = {
         "suite": name,
         "format": FORMAT,
         "cells": [
@@ -100,6 +114,23 @@ def save(name: str, cells: Sequence[Cell], folder: Path = FOLDER) -> str:
             for cell in cells
         ],
     }
+    if anchors != BY_ORACLE:  # the oldest suites do not say theirs
+        record["anchors"] = anchors._asdict()
+    return _written(name, record, folder)
+
+
+def save_shared(name: str, episodes_of: str, anchors: Anchors, folder: Path = FOLDER) -> str:
+    """Write a suite that has the episodes of another one and anchors of its own, and its hash, which is returned.
+
+    Raises:
+        SuiteError: the other one cannot be read.
+    """
+    source = {"suite": episodes_of, "hash": load(episodes_of, folder).hash}
+    record = {"suite": name, "format": FORMAT, "episodes_of": source, "anchors": anchors._asdict()}
+    return _written(name, record, folder)
+
+
+def _written(name: str, record: Mapping[str, Any], folder: Path) -> str:
     text = json.dumps(record, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
     (folder / f"{name}.json.bz2").write_bytes(bz2.compress(text))
     sums = _sums(folder) | {name: hashlib.sha256(text).hexdigest()}
@@ -178,10 +209,20 @@ def _episode(record: Mapping[str, Any], scenario: Scenario) -> Episode:
     return from_record(Episode, values, "episode", special)
 
 
+def _shared(record: Mapping[str, Any], text_hash: str, folder: Path) -> Suite:
+    """Return a suite that has the episodes of another one."""
+    source = load(record["episodes_of"]["suite"], folder)
+    if source.hash != record["episodes_of"]["hash"]:
+        raise SuiteError(f"{record['suite']} has the episodes of another {source.name}, of hash {source.hash[:12]}")
+    anchors = Anchors(**record["anchors"])
+    return replace(source, name=record["suite"], hash=text_hash, anchors=anchors, same_as=source.source)
+
+
 def _parsed(record: Mapping[str, Any], text_hash: str) -> Suite:
     cells, digests = [], []
     for entry in record["cells"]:
         scenario = Scenario.from_dict(entry["scenario"])
         cells.append(Cell(scenario, tuple(_episode(e, scenario) for e in entry["episodes"])))
         digests.append(np.array(entry["digests"]))
-    return Suite(record["suite"], text_hash, tuple(cells), tuple(digests))
+    anchors = Anchors(**record["anchors"]) if "anchors" in record else BY_ORACLE
+    return Suite(record["suite"], text_hash, tuple(cells), tuple(digests), anchors)

@@ -16,7 +16,7 @@ from baselines.evaluation.progress import progress
 from baselines.evaluation.runner import STEP_LIMIT, Cell, Run, runs
 from baselines.evaluation.score import regime_of
 from baselines.evaluation.suites import sealed
-from baselines.evaluation.suites.builder import SUITES, build
+from baselines.evaluation.suites.builder import SHARED, SUITES, anchors_of, build
 from baselines.evaluation.suites.verify import Verdict, cells_to_run, told
 from baselines.evaluation.suites.yardsticks import keep
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse, run
@@ -39,7 +39,7 @@ class Options:
     """build: replace a suite's file and its hash. check: compare every episode with what it generated. seal: draw a
     secret that a suite's episodes will be drawn from, keep its hash and print it, once. open: check a secret against
     the hash that was kept, publish it and build the suite; when everything that will run in it is frozen. yardsticks:
-    measure what expert and oracle do, for the scores of validations. record: keep the policies' results. verify: run
+    measure what the anchors do, for the scores of validations. record: keep the policies' results. verify: run
     what is recorded again and compare every number with the recorded one, to the last bit that is kept."""
     name: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME ...]")] = ()
     """The suites; check and verify take all without any."""
@@ -66,10 +66,10 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    if unknown := [name for name in options.name if name not in SUITES]:
-        raise UsageError(f"unknown suite {unknown[0]!r}; allowed are {', '.join(SUITES)}")
+    if unknown := [name for name in options.name if name not in (*SUITES, *SHARED)]:
+        raise UsageError(f"unknown suite {unknown[0]!r}; allowed are {', '.join((*SUITES, *SHARED))}")
     if not options.name and options.action in ("build", "seal", "open", "yardsticks", "record"):
-        raise UsageError(f"name the suite to {options.action}: {', '.join(SUITES)}")
+        raise UsageError(f"name the suite to {options.action}: {', '.join((*SUITES, *SHARED))}")
     if unknown := [policy for policy in options.policy if policy not in list_policies()]:
         raise UsageError(f"{unknown[0]!r} is not the name of a policy; allowed are {', '.join(list_policies())}")
     if options.episodes is not None and (options.episodes < 1 or options.action != "record"):
@@ -87,14 +87,23 @@ def main(arguments: Sequence[str]) -> int:
     }
     action = actions[options.action]
     try:
-        return max([action(name, options) for name in options.name or suites.list_suites()])
+        return max([action(name, options) for name in options.name or _all(options.action)])
     except suites.SuiteError as error:
         print(f"{called(PROGRAM)}: {error}", file=sys.stderr)
         return FAILED
 
 
+def _all(action: str) -> list[str]:
+    """Return the suites that are meant where none is named; what is recorded of the same episodes is verified once."""
+    return [name for name in suites.list_suites() if action != "verify" or name not in SHARED]
+
+
 def _build(name: str, _: Options) -> int:
-    print(f"{suites.save(name, build(name))}  {name}")
+    anchors = anchors_of(name)
+    made = (
+        suites.save_shared(name, SHARED[name], anchors) if name in SHARED else suites.save(name, build(name), anchors)
+    )
+    print(f"{made}  {name}")
     return DONE
 
 
@@ -116,7 +125,7 @@ def _open(name: str, options: Options) -> int:
 
 def _check_sealed(name: str) -> None:
     """Raise UsageError if a suite is none that is sealed."""
-    if SUITES[name][0] is not None:
+    if name in SHARED or SUITES[name][0] is not None:
         raise UsageError(f"{name} is not a suite that is sealed")
 
 

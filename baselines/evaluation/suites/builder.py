@@ -19,6 +19,7 @@ from auv_gym.presets import CASES, PRESETS, REGIMES
 from auv_gym.scenario import RandomPath, Scenario
 from auv_gym.sideslip import path_rates
 from baselines.evaluation.runner import Cell
+from baselines.evaluation.score import BY_BOUND, BY_ORACLE, Anchors
 from baselines.evaluation.suites import rounded, sealed
 
 FAMILIES = ("line", "circle", "sine", "figure_eight", "random_smooth")
@@ -185,6 +186,15 @@ SUITES: dict[str, tuple[int | None, Callable[[], list[Recipe]]]] = {
 }
 """Suites by name: the seed, None for that of a secret, and what makes its recipes. Training selects on the validation
 split, never on a test."""
+SHARED = {"benchmark-v2": "benchmark-v1"}
+"""Suites that have the episodes of another one, and anchors of their own."""
+OLDEST = ("benchmark-v1", "benchmark-v1-validation", "ood-v1", "unmodelled-v1")
+"""Suites whose 1 is the oracle's; that of the others is the bound's."""
+
+
+def anchors_of(name: str) -> Anchors:
+    """Return the anchors of a suite that is to be made."""
+    return BY_ORACLE if name in OLDEST else BY_BOUND
 
 
 def build(name: str) -> list[Cell]:

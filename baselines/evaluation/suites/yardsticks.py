@@ -1,4 +1,4 @@
-"""What expert and oracle do in the cells of a frozen suite, kept beside it: the ends of a validation's score.
+"""What the anchors do in the cells of a frozen suite, kept beside it: the ends of a validation's score.
 
 `python -m baselines.evaluation.suites yardsticks NAME` measures and writes them.
 """
@@ -16,7 +16,7 @@ from baselines import make_policy
 from baselines.evaluation.metrics import Array
 from baselines.evaluation.rollout import PolicyError, rollout
 from baselines.evaluation.runner import Cell
-from baselines.evaluation.score import EXPERT, ORACLE, capped, regime_of
+from baselines.evaluation.score import BY_ORACLE, capped, regime_of
 from baselines.evaluation.suites import FOLDER, Suite
 from baselines.tools.files import json_text, read_json, write_atomically
 
@@ -24,19 +24,22 @@ FILE = FOLDER / "yardsticks.json"  # of all suites that have been measured
 
 
 class Yardstick(NamedTuple):
-    """Mean capped tail RMSE in a cell [m]; infinite where the oracle does not know how."""
+    """Mean capped tail RMSE in a cell [m]; infinite where the anchor of 1 does not know how.
+
+    Validations are of the time before the bound: their 1 is the oracle's.
+    """
 
     expert_m: float
     oracle_m: float
 
 
 def measured(cell: Cell) -> Yardstick:
-    """Return what expert and oracle do in a cell."""
-    return Yardstick(*(float(np.mean(_capped_tail(name, cell))) for name in (EXPERT, ORACLE)))
+    """Return what the anchors do in a cell."""
+    return Yardstick(*(float(np.mean(_capped_tail(name, cell))) for name in BY_ORACLE))
 
 
 def kept(cell: Cell) -> Yardstick | None:
-    """Return what expert and oracle do in a cell of a frozen suite, as it was measured; None for another cell."""
+    """Return what the anchors do in a cell of a frozen suite, as it was measured; None for another cell."""
     return _kept(FILE).get(cell.hash)
 
 
@@ -59,11 +62,11 @@ def _kept(file: Path) -> dict[str, Yardstick]:
 
 
 def _capped_tail(name: str, cell: Cell) -> Array:
-    """Return the capped tails [m] of a policy; infinite where the oracle does not know how."""
+    """Return the capped tails [m] of a policy; infinite where the anchor of 1 does not know how."""
     try:
         measures = rollout(make_policy(name, cell.scenario.vehicle), cell.scenario, cell.episodes, math.inf).measures
     except (PolicyError, ValueError):
-        if name == EXPERT:
+        if name == BY_ORACLE.zero:
             raise
         return np.full(len(cell.episodes), math.inf)
     return capped(measures, regime_of(cell.scenario.name))
