@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from baselines.benchmarks.figures import Figure
-from baselines.evaluation.results.page import table
+from baselines.evaluation.results.tables import table
 
 INTRODUCTION = """# Speed
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from string import Template
 from typing import Any
 
-from baselines.evaluation.results.page import table
+from baselines.evaluation.results.tables import table
 from baselines.evaluation.score import fixed, fixed_ends
 
 TEXT = Template("""# Export

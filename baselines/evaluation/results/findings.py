@@ -10,8 +10,8 @@ from auv_gym.presets import REGIMES
 from baselines.evaluation import fresh, recorded, silence
 from baselines.evaluation.metrics import Array, most_lost
 from baselines.evaluation.results.collection import Results
-from baselines.evaluation.results.tables import table
 from baselines.evaluation.results.studies import SHORT
+from baselines.evaluation.results.tables import table
 from baselines.evaluation.score import (
     ADVERSE_RIVAL,
     RIVAL,

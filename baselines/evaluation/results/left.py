@@ -38,6 +38,7 @@ def what_is_left(results: Results) -> list[str]:
                 NONE if policy == FLOOR else " / ".join(f"{tails[policy][c] / tails[FLOOR][c]:.1f}" for c in noisy),
             ]
             for policy in shown
+            if policy in tails
         ]
         cases = [case.removeprefix(f"{regime}-") for case in noisy]
         parts.append(table((regime, "score", "left", *(f"{case} [mm]" for case in cases), "times the floor"), rows))

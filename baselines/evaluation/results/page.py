@@ -45,10 +45,11 @@ def _setting(results: Results) -> str:
         policies += [run_.policy] if run_.policy not in policies else []
     when = "; ".join(f"{_all_or_names(policies, results)} on {date}" for date, policies in by_date.items())
     episodes = sum(len(cell.episodes) for cell in suite.cells)
-    own = f"; the episodes are those of {suite.same_as[0]}" if suite.same_as else ""
+    own = f"The episodes are those of {suite.same_as[0]}. " if suite.same_as else ""
+    image = f"![Scores on {suite.name}](images/results-{suite.name}-scores.png)"
     return (
-        f"## {suite.name}\n\n{len(suite.cells)} cases, {episodes} episodes, SHA-256 `{suite.hash}`{own}. The score's 0 is "
-        f"`{suite.anchors.zero}`, its 1 `{suite.anchors.one}`.\nRecorded: {when}.\n\n![Scores on {suite.name}](images/results-{suite.name}-scores.png)"
+        f"## {suite.name}\n\n{len(suite.cells)} cases, {episodes} episodes, SHA-256 `{suite.hash}`.\n"
+        f"{own}The score's 0 is `{suite.anchors.zero}`, its 1 `{suite.anchors.one}`. Recorded: {when}.\n\n{image}"
     )
 
 
@@ -99,11 +100,10 @@ def _elsewhere(results: Results) -> list[str]:
     scores = {(e.policy, e.place): score_text(e.score) for e in pool(results.runs, source.anchors)}
     places = list(dict.fromkeys(place for _, place in scores))
     rows = [[f"`{p}`", *(scores.get((p, place), NONE) for place in places)] for p in results.policies]
-    return [
-        f"### The same scores in {source.name}\n\nIts 1 is `{source.anchors.one}`, which is a little farther from the "
-        f"reference, so the same errors score a little higher.",
-        table(("policy", *places), rows),
-    ]
+    text = (
+        f"### The same scores in {source.name}\n\nIts 1 is `{source.anchors.one}`, which is a little farther from the"
+    )
+    return [f"{text} reference, so the same errors score a little higher.", table(("policy", *places), rows)]
 
 
 def _bound(results: Results) -> str:
