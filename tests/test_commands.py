@@ -38,7 +38,7 @@ QUICK = {
     "clean": "",
 }
 """Options of the verbs that are run here."""
-CALM = ("--suite", "benchmark-v1", "--case", "cruise-calm", "--episodes", "1", "--out", "new")
+CALM = ("--suite", "benchmark-v2", "--case", "cruise-calm", "--episodes", "1", "--out", "new")
 """Options of the shortest run of fresh episodes."""
 BY_CI = {"test", "lint", "typecheck"}
 """Verbs that `.ci/run` itself runs."""
@@ -48,7 +48,7 @@ MADE = {"api", "scenarios"}  # folders of pages that the build writes
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 PAGES += [p for p in sorted((ROOT / "docs").rglob("*.md")) if p.parent.name not in MADE]
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-FROZEN = ("benchmark-v1", "ood-v1", "unmodelled-v1")
+FROZEN = ("benchmark-v2", "benchmark-v1", "ood-v1", "unmodelled-v1")
 ELSEWHERE = {
     r"make( .*)?": "the verbs, below",
     r"auv-gym --help": "test_package.py::test_the_command",
@@ -90,8 +90,12 @@ def quick(line):
         return [*words[:3], *rest.split()]
     if words[:2] == ["-m", "baselines.evaluation.fresh"]:
         policies = [] if "--policy" in words else ["--policy", "open-loop"]
-        chosen = [word for word in words if word not in ("--suite", "benchmark-v1")]
+        chosen = [word for word in words if word not in ("--suite", "benchmark-v2")]
         return [*chosen, *policies, *CALM]
+    if words[:2] == ["-m", "baselines.evaluation.suites.bound"]:
+        return [*words, "--episodes", "16", "--out", "bound.json"]
+    if words[:2] == ["-m", "baselines.evaluation.floor"]:
+        return [*words, "--episodes", "1", "--out", "floor.json"]
     if words[:2] == ["-m", "baselines.datasets"]:
         return [*words, "--episodes", "1"]
     if words[:2] == ["-m", "baselines.film"]:

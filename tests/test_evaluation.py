@@ -358,7 +358,7 @@ def test_interruption_is_no_traceback(monkeypatch, capsys):
 
 def test_default_is_the_benchmark_and_the_expert(tmp_path):
     request = Request.of(Options(out=tmp_path / "new" / "folder"))
-    assert (request.suite, request.policies) == ("benchmark-v1", ("backstepping",))
+    assert (request.suite, request.policies) == ("benchmark-v2", ("backstepping",))
     assert {run.policy for run in request.earlier} == set(baselines.list_policies()) - {"backstepping"}
     assert request.workers in (Workers(1), Workers(2))
     assert request.options.out.is_dir()

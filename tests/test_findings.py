@@ -43,7 +43,7 @@ def test_upper_bound_is_the_rule_of_three():
 
 
 def test_fresh_episodes_are_those_of_no_suite():
-    suite, frozen = fresh.fresh("benchmark-v1", 3, ["slow-storm"]), suites.load("benchmark-v1")
+    suite, frozen = fresh.fresh("benchmark-v2", 3, ["slow-storm"]), suites.load("benchmark-v1")
     known = {episode.noise_seed for cell in frozen.cells for episode in cell.episodes}
     (cell,) = suite.cells
     assert cell.scenario.name == "slow-storm"
@@ -54,20 +54,20 @@ def test_fresh_episodes_are_those_of_no_suite():
 
 @pytest.mark.parametrize("policy", ["backstepping", "apg-cruise", "apg-preview-cruise"])
 def test_kept_rows_are_what_the_policies_do(anew, policy):
-    results = next(r for r in anew if r.suite.name == "benchmark-v1")
+    results = next(r for r in anew if r.suite.name == "benchmark-v2")
     kept = next(r for r in results.runs if (r.policy, r.scenario.name) == (policy, "cruise-storm"))
-    (cell,) = fresh.fresh("benchmark-v1", 2, ["cruise-storm"]).cells
+    (cell,) = fresh.fresh("benchmark-v2", 2, ["cruise-storm"]).cells
     again = Task(policy, cell.scenario, cell.episodes).run()[1].rollout
     np.testing.assert_allclose(again.measures.tail, kept.measures.tail[:2], rtol=1e-4)
 
 
 def test_command_keeps_rows_that_are_found_again(tmp_path, capsys):
-    words = "--suite benchmark-v1 --case cruise-calm --episodes 2 --policy apg-slow open-loop --out"
+    words = "--suite benchmark-v2 --case cruise-calm --episodes 2 --policy apg-slow open-loop --out"
     assert fresh.main([*words.split(), str(tmp_path)]) == 0
-    assert capsys.readouterr().out == "benchmark-v1: open-loop, 2 episodes\n"
-    found = recorded.load(fresh.fresh("benchmark-v1", 2, ["cruise-calm"]), tmp_path)
+    assert capsys.readouterr().out == "benchmark-v2: open-loop, 2 episodes\n"
+    found = recorded.load(fresh.fresh("benchmark-v2", 2, ["cruise-calm"]), tmp_path)
     assert [len(run.measures) for run in found.runs] == [2]
-    assert recorded.load(fresh.fresh("benchmark-v1", 3, ["cruise-calm"]), tmp_path).refused
+    assert recorded.load(fresh.fresh("benchmark-v2", 3, ["cruise-calm"]), tmp_path).refused
 
 
 def test_an_expert_goes_on_where_a_network_falls_silent():
@@ -83,10 +83,10 @@ def test_an_expert_goes_on_where_a_network_falls_silent():
     ("arguments", "message"),
     [
         (["--policy", "nobody"], "'nobody' is not the name of a policy; allowed are backstepping"),
-        (["--suite", "paper"], "'paper' is no suite to draw from; allowed are benchmark-v1, unmodelled-v1"),
+        (["--suite", "paper"], "'paper' is no suite to draw from; allowed are benchmark-v2, unmodelled-v1"),
         (
-            ["--case", "slow-tea", "--suite", "benchmark-v1"],
-            "'slow-tea' is no case of benchmark-v1; allowed are slow-calm",
+            ["--case", "slow-tea", "--suite", "benchmark-v2"],
+            "'slow-tea' is no case of benchmark-v2; allowed are slow-calm",
         ),
         (["--episodes", "0"], "--episodes is 0; it must be 1 or more"),
     ],

@@ -12,14 +12,17 @@ import pytest
 
 from baselines import list_policies
 from baselines.agents.names import AGENTS
+from baselines.evaluation.floor.command import floor_of, kept
 from baselines.evaluation.results import collection
 from baselines.evaluation.results import command as results
 from baselines.evaluation.results import page as results_page
 from baselines.evaluation.results.collection import ROUNDING, SUITES, TOLERANCE, Results, better_than, collected
+from baselines.evaluation.results.left import what_is_left
 from baselines.evaluation.results.studies import section
 from baselines.evaluation.study_files import load_all
 
 ROOT = Path(__file__).parents[1]
+ENDS = ("clairvoyant", "backstepping")
 AGENT = "apg-preview-cruise"  # the one that the README begins with
 WORDS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
 
@@ -31,7 +34,7 @@ def found():
 
 @pytest.fixture(scope="module")
 def benchmark(found):
-    return found["benchmark-v1"][0]
+    return found["benchmark-v2"][0]
 
 
 def test_the_page_is_what_the_rows_say(found):
@@ -61,6 +64,32 @@ def test_nobody_is_better_than_the_bound(found):
         assert "clairvoyant" in entry.policies
         worst = max((gain for *_, gain in better_than("clairvoyant", entry)), default=0.0)
         assert worst < ROUNDING
+
+
+def test_nobody_is_below_the_floor(benchmark):
+    """No policy that has to measure, in the mean of any case with noise; by the files alone, and as the page has it."""
+    floors = kept(benchmark.suite.source[1])
+    assert set(floors) == {f"{regime}-{case}" for regime in ("slow", "cruise") for case in ("noise", "storm")}
+    for case, floor in floors.items():
+        assert floor.episodes == 260
+        tails = {policy: own[case] for policy, own in benchmark.tails.items() if case in own}
+        below = {policy for policy, tail in tails.items() if tail < floor.tail_m}
+        assert below == {"oracle", "clairvoyant"}  # they measure nothing
+        assert floor.tail_m < floor.rms_m < 1.06 * floor.tail_m
+    text = "\n".join(what_is_left(benchmark))
+    best, zero = ({c: own for c, own in benchmark.tails[p].items() if c.startswith("slow-")} for p in ENDS)
+    least = best | {case: floor.tail_m for case, floor in floors.items() if case.startswith("slow-")}
+    score = (sum(zero.values()) - sum(least.values())) / (sum(zero.values()) - sum(best.values()))
+    assert (
+        f"| floor | {score:.3f} | - | {1e3 * least['slow-noise']:.1f} | {1e3 * least['slow-storm']:.1f} | - |" in text
+    )
+
+
+def test_the_floor_of_single_episodes_is_what_is_kept(benchmark):
+    cell = next(cell for cell in benchmark.suite.cells if cell.scenario.name == "cruise-noise")
+    floor = kept(benchmark.suite.source[1])["cruise-noise"]
+    again = floor_of(cell.scenario, cell.episodes[: len(floor.first_m)])
+    np.testing.assert_allclose(again.tail, floor.first_m, rtol=1e-3)
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/policies.md"])
@@ -119,11 +148,11 @@ def test_an_oracle_that_is_worse_is_an_error(benchmark, monkeypatch, tmp_path, c
     runs = [
         replace(run, measures=replace(run.measures, tail=run.measures.tail + 1.0)) if run.policy == "oracle" else run
         for run in benchmark.runs
-        if run.policy in ("backstepping", "ekf", "oracle")
+        if run.policy in ("backstepping", "ekf", "oracle", "clairvoyant")
     ]
     bad = Results.of(benchmark.suite, runs)
     assert len({case for case, *_ in better_than("oracle", bad)}) == 16
-    monkeypatch.setattr(results, "collected", lambda name: (bad if name == "benchmark-v1" else None, {"lqi": "old"}))
+    monkeypatch.setattr(results, "collected", lambda name: (bad if name == "benchmark-v2" else None, {"lqi": "old"}))
     assert results.main(["--out", str(tmp_path)]) == 1
     err = capsys.readouterr().err
     assert "ekf is better than oracle in slow-calm by " in err

@@ -20,14 +20,17 @@ from baselines.evaluation.recorded import DIGITS
 from baselines.evaluation.report.numbers import compare, pool
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Cell, drawn, run_all
+from baselines.evaluation.score import BY_BOUND, BY_ORACLE
 from baselines.evaluation.suites import sealed
 from baselines.evaluation.suites.__main__ import main
-from baselines.evaluation.suites.builder import FAMILIES, SUITES, build
+from baselines.evaluation.suites.builder import FAMILIES, SHARED, SUITES, anchors_of, build
 from baselines.evaluation.suites.yardsticks import FILE, keep, kept
 from baselines.tools.command_line import UsageError
 from baselines.tools.files import read_json, versions
 
 NAMES = suites.list_suites()
+OWN = [name for name in NAMES if name not in SHARED]
+"""Suites with episodes of their own."""
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +45,7 @@ def small(tmp_path_factory):
 
 def test_every_suite_has_its_file():
     closed = {name for name, seal in sealed.seals().items() if seal.secret is None}
-    assert set(NAMES) == set(SUITES) - closed
+    assert set(NAMES) == {*SUITES, *SHARED} - closed
     for name in NAMES:
         file = suites.FOLDER / f"{name}.json.bz2"
         assert file.stat().st_size < 3e6
@@ -55,8 +58,52 @@ def test_the_benchmark_is_what_it_says():
     for cell in suite.cells:
         families = [next(n for n, cls in PATHS.items() if type(e.path) is cls) for e in cell.episodes]
         assert {family: families.count(family) for family in FAMILIES} == dict.fromkeys(FAMILIES, 52)
-    seeds = [e.noise_seed for name in NAMES for cell in suites.load(name).cells for e in cell.episodes]
+    seeds = [e.noise_seed for name in OWN for cell in suites.load(name).cells for e in cell.episodes]
     assert len(set(seeds)) == len(seeds)  # no episode of a test is one of the validation split
+
+
+def test_benchmark_v2_has_the_same_episodes_and_the_bound_as_its_one(tmp_path):
+    old, new = suites.load("benchmark-v1"), suites.load("benchmark-v2")
+    assert new.cells is old.cells
+    assert old.hash == "4cee6c9f29e0accf0221a233bbf0b47e952c48d322b9f7888d4590f5a96d4fe3"
+    assert new.hash != old.hash
+    assert (old.anchors, new.anchors) == (("backstepping", "oracle"), ("backstepping", "clairvoyant"))
+    assert new.source == old.source == ("benchmark-v1", old.hash)
+    rows = recorded.load(new)
+    assert len(rows.runs) == len(recorded.load(old).runs) > 16
+    tails = {}
+    for run in rows.runs:
+        if run.scenario.name.startswith("cruise-") and len(run.measures) == 260:
+            tails[run.policy] = tails.get(run.policy, 0.0) + run.measures.tail.mean() / len(CASES)
+    for suite, best in ((old, "oracle"), (new, "clairvoyant")):
+        (entry,) = (e for e in pool(rows.runs, suite.anchors) if (e.policy, e.place) == ("nmpc", "cruise"))
+        expected = (tails["backstepping"] - tails["nmpc"]) / (tails["backstepping"] - tails[best])
+        assert entry.score.mean == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_suite_of_anothers_episodes_is_of_these_alone(small, tmp_path):
+    for name in ("small.json.bz2", suites.SUMS):
+        (tmp_path / name).write_bytes((small / name).read_bytes())
+    digest = suites.save_shared("other", "small", BY_BOUND, tmp_path)
+    other = suites.load("other", tmp_path)
+    assert (other.hash, other.anchors, other.source[0]) == (digest, BY_BOUND, "small")
+    recorded.save(other, run_all(("open-loop",), other.cells), versions(), tmp_path / "rows")
+    found = recorded.load(suites.load("small", tmp_path), tmp_path / "rows")
+    assert [run.policy for run in found.runs] == ["open-loop"] * 2
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    for name in ("other.json.bz2", suites.SUMS):
+        (elsewhere / name).write_bytes((tmp_path / name).read_bytes())
+    suites.save("small", other.cells[:1], elsewhere)
+    with pytest.raises(suites.SuiteError, match="has the episodes of another small"):
+        suites.load("other", elsewhere)
+
+
+def test_new_suites_say_their_anchors(small, tmp_path):
+    cells = suites.load("small", small).cells
+    suites.save("new", cells[:1], tmp_path, anchors_of("new"))
+    assert suites.load("new", tmp_path).anchors == BY_BOUND
+    assert {anchors_of(name) for name in OWN if name.endswith("-v1")} == {BY_ORACLE}
 
 
 def test_paths_out_of_distribution_are_no_training_paths():
@@ -68,7 +115,7 @@ def test_paths_out_of_distribution_are_no_training_paths():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", OWN)
 def test_episodes_generate_what_they_did(name, capsys):
     assert main(["check", name]) == 0
     assert "all as they were" in capsys.readouterr().out

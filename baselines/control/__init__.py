@@ -58,11 +58,11 @@ POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
     "nmpc": (make_nmpc, {}, "nonlinear model predictive control on the same filter, with a preview of the path"),
     "ekf-adverse": (make_ekf_adverse, {}, "the law of ekf on a filter of biased sensors and weak, late actuators too"),
     "nmpc-adverse": (make_nmpc_adverse, {}, "the control of nmpc on that filter"),
-    "oracle": (Oracle, {}, "knows plant, current, waves and lag, now and in future: the score's 1; evaluation only"),
+    "oracle": (Oracle, {}, "knows plant, current, waves and lag, now and in future: a regulator; evaluation only"),
     "clairvoyant": (
         Clairvoyant,
         {},
-        "the best that anybody could do, found by optimisation over the whole episode: an upper bound; evaluation only",
+        "the best that anybody could do, optimised over the whole episode: the score's 1; evaluation only",
     ),
     "open-loop": (OpenLoop, {}, "the planner's forces alone"),
 }

@@ -1,4 +1,4 @@
-"""The oracle: plant, current, waves and actuators are known, now and in future; the score's 1.
+"""The oracle: plant, current, waves and actuators are known, now and in future; the score's 1 in the oldest suites.
 
 It plans in the water frame with the true vehicle: where the water moves with c(t), the vehicle has to move through it
 with p_R' - c, whose rates are p_R'' - c', p_R''' - c''. The waves' sway force enters the equation of the sideslip,
@@ -7,7 +7,7 @@ the true vehicle. A command is such that the mean force over the period is the w
 comes late, it is made for the state foretold. The current of a shear is that on the path. Each episode is rehearsed
 before it is run, and one that goes astray under its regulator gets a softer one.
 
-It is a reference, not a bound: others may be better in single episodes.
+It is a reference, not a bound, which `baselines.control.clairvoyant` is: others may be better in single episodes.
 """
 
 from __future__ import annotations

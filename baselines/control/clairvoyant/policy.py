@@ -1,4 +1,4 @@
-"""The clairvoyant optimum as a policy: the benchmark's upper bound, for evaluation only."""
+"""The clairvoyant optimum as a policy: the benchmark's upper bound and its score's 1, for evaluation only."""
 
 from __future__ import annotations
 

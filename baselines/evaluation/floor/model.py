@@ -34,9 +34,9 @@ from baselines.control.clairvoyant.policy import arriving, oracle_actions
 from baselines.control.clairvoyant.problem import ACTIONS, STATES, Array, Course, Problem
 from baselines.control.clairvoyant.solver import solved
 
-POSE = slice(0, 6)
-GUSTS = slice(6, 10)
-PHASES = 10
+POSE = slice(0, 6)  # the part of z that is the pose
+GUSTS = slice(6, 10)  # the part of z that is the gusts
+PHASES = 10  # where the phases begin in z
 DRIVEN = 2  # numbers that drive the gusts in a control period
 SEA = (*range(CURRENT.start, CURRENT.stop), *range(LOAD.start, LOAD.stop))
 """Numbers of a sample that the sea supplies: V_x, V_y [m/s], X, Y [N], N [N m]."""

@@ -100,9 +100,7 @@ def _elsewhere(results: Results) -> list[str]:
     scores = {(e.policy, e.place): score_text(e.score) for e in pool(results.runs, source.anchors)}
     places = list(dict.fromkeys(place for _, place in scores))
     rows = [[f"`{p}`", *(scores.get((p, place), NONE) for place in places)] for p in results.policies]
-    text = (
-        f"### The same scores in {source.name}\n\nIts 1 is `{source.anchors.one}`, which is a little farther from the"
-    )
+    text = f"### The same scores in {source.name}\n\nIts 1 is `{source.anchors.one}`, a little farther from the"
     return [f"{text} reference, so the same errors score a little higher.", table(("policy", *places), rows)]
 
 

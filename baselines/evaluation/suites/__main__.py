@@ -87,22 +87,23 @@ def main(arguments: Sequence[str]) -> int:
     }
     action = actions[options.action]
     try:
-        return max([action(name, options) for name in options.name or _all(options.action)])
+        return max([action(name, options) for name in options.name or _all()])
     except suites.SuiteError as error:
         print(f"{called(PROGRAM)}: {error}", file=sys.stderr)
         return FAILED
 
 
-def _all(action: str) -> list[str]:
-    """Return the suites that are meant where none is named; what is recorded of the same episodes is verified once."""
-    return [name for name in suites.list_suites() if action != "verify" or name not in SHARED]
+def _all() -> list[str]:
+    """Return the suites that are meant where none is named; episodes that two have are looked at once."""
+    return [name for name in suites.list_suites() if name not in SHARED]
 
 
 def _build(name: str, _: Options) -> int:
     anchors = anchors_of(name)
-    made = (
-        suites.save_shared(name, SHARED[name], anchors) if name in SHARED else suites.save(name, build(name), anchors)
-    )
+    if name in SHARED:
+        made = suites.save_shared(name, SHARED[name], anchors)
+    else:
+        made = suites.save(name, build(name), anchors=anchors)
     print(f"{made}  {name}")
     return DONE
 

@@ -1,0 +1,73 @@
+"""The bound on many episodes: what is counted is true, adds up over runs, and is of the policy as it is."""
+
+import json
+from dataclasses import asdict, replace
+
+import pytest
+
+from auv_gym.presets import PRESETS
+from baselines import make_policy
+from baselines.evaluation.rollout import rollout
+from baselines.evaluation.runner import drawn
+from baselines.evaluation.suites import bound
+from baselines.evaluation.suites.bound import Count, counted, kept, main, nearer, together, told
+from baselines.tools.command_line import UsageError
+from baselines.tools.seeds import SWEEP
+
+SHORT = tuple(replace(PRESETS[name], steps=60) for name in ("slow-storm", "cruise-actuator"))
+
+
+def test_ten_thousand_episodes_and_none_lost():
+    """As they were counted with this policy: `kept` gives nothing where it has changed since."""
+    counts = kept()
+    assert set(counts) == {scenario.name for scenario in bound.SCENARIOS}
+    every = together(counts)
+    assert every.episodes >= bound.EPISODES
+    assert every.lost == 0
+    assert every.largest_error_m < 0.1  # a vehicle that spins is metres away
+    assert nearer(counts) == []
+    assert f"0 of {every.episodes} episodes lost" in told(counts)
+
+
+def test_a_run_goes_on_where_the_last_one_ended(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(bound, "SCENARIOS", SHORT)
+    monkeypatch.setattr(bound, "AT_ONCE", 2)
+    file = tmp_path / "new" / "bound.json"
+    assert main(["--episodes", "6", "--out", str(file)]) == 0
+    assert main(["--episodes", "10", "--out", str(file)]) == 0
+    assert "0 of 10 episodes lost" in capsys.readouterr().out
+    counts = kept(file)
+    assert [count.episodes for count in counts.values()] == [5, 5]
+    cell = drawn(SHORT[1], 5, SWEEP.first)
+    tail = rollout(make_policy("clairvoyant"), SHORT[1], cell.episodes).measures.tail
+    assert counts["cruise-actuator"].tails_m == pytest.approx(tail.sum(), rel=1e-3)
+    assert counts["cruise-actuator"].largest_tail_m == pytest.approx(tail.max(), rel=1e-3)
+    file.write_text(file.read_text().replace('"fingerprint": "', '"fingerprint": "another'))
+    assert kept(file) == {}
+
+
+def test_what_goes_wrong_is_told(tmp_path, monkeypatch, capsys):
+    """The planned forces alone in the bound's place; a solution counts as astray from a nanometre on."""
+    monkeypatch.setattr(bound, "SCENARIOS", SHORT[:1])
+    monkeypatch.setattr(bound, "GOOD", 1e-9)
+    worse = {"clairvoyant": "open-loop"}
+    monkeypatch.setattr(bound, "make_policy", lambda name, vehicle: make_policy(worse.get(name, name), vehicle))
+    file = tmp_path / "bound.json"
+    assert main(["--episodes", "2", "--out", str(file)]) == 1
+    assert "slow-storm, seed 90000000" in capsys.readouterr().err
+    (count,) = kept(file).values()
+    assert [own["seed"] for own in count.astray] == [SWEEP.first, SWEEP.first + 1]
+    for text in ("[]", '{"cases": {"slow-storm": {"tea": 1, "astray": []}}, "fingerprint": ""}', "{}"):
+        file.write_text(text)
+        with pytest.raises(UsageError, match="does not hold what"):
+            main(["--out", str(file)])
+    for arguments in (["--episodes", "0"], ["--episodes", str(10**12)]):
+        with pytest.raises(UsageError, match="must be in"):
+            main(arguments)
+
+
+def test_counts_add_up():
+    one, two = Count(2, 1, 0.5, 0.4, 0.6, ({"seed": 1},)), Count(3, 0, 0.1, 0.05, 0.7)
+    assert one.with_more(two) == Count(5, 1, 0.6, 0.4, 0.7, ({"seed": 1},))
+    assert json.loads(json.dumps(asdict(one)))["lost"] == 1
+    assert counted(SHORT[0], 3, 1).episodes == 1
