@@ -17,7 +17,7 @@ import evaluate
 from baselines.evaluation import recorded, request, suites
 from baselines.evaluation.report.numbers import pool
 from baselines.evaluation.runner import Cell, Recorded, run_all
-from baselines.evaluation.score import EXPERT, ORACLE
+from baselines.evaluation.score import BY_BOUND, EXPERT
 from baselines.evaluation.store import Stored
 from baselines.evaluation.store import write as write_stored
 from baselines.evaluation.submission import board, command, files, making
@@ -44,15 +44,16 @@ CASES = ("slow-calm", "cruise-storm")
 @pytest.fixture(scope="module")
 def suite():
     """Two cases of the benchmark with three episodes each, under its name."""
-    cells = [cell for cell in suites.load("benchmark-v1").cells if cell.scenario.name in CASES]
-    return Suite("benchmark-v1", "5" * 64, tuple(Cell(cell.scenario, cell.episodes[:3]) for cell in cells), ())
+    cells = [cell for cell in suites.load("benchmark-v2").cells if cell.scenario.name in CASES]
+    few = tuple(Cell(cell.scenario, cell.episodes[:3]) for cell in cells)
+    return Suite("benchmark-v2", "5" * 64, few, (), BY_BOUND)
 
 
 @pytest.fixture(scope="module")
 def rows(suite):
-    """What expert and oracle do in it, as if it was recorded."""
+    """What its anchors do in it, as if it was recorded."""
     when = Recorded("2026-01-31", versions())
-    return tuple(dataclasses.replace(run, recorded=when) for run in run_all((EXPERT, ORACLE), suite.cells))
+    return tuple(dataclasses.replace(run, recorded=when) for run in run_all(suite.anchors, suite.cells))
 
 
 @pytest.fixture
@@ -102,7 +103,7 @@ def test_the_tutorial_leads_to_the_leaderboard(capsys):
     assert "Reproduced: all 24 numbers" in out
     assert "6 of 6 episodes again, chosen by --seed" in out
     results = json.loads(Path("runs/evaluate/results.json").read_text())
-    found = json.loads(Path("docs/leaderboard.json").read_text())["suites"]["benchmark-v1"]
+    found = json.loads(Path("docs/leaderboard.json").read_text())["suites"]["benchmark-v2"]
     assert found["hash"] == results["suite_hash"]
     own = {row["regime"]: row for row in results["pooled"] if row["policy"] == "my_controller.py:Controller"}
     assert [row["regime"] for row in found["entries"]] == ["slow", "cruise"]
@@ -171,13 +172,14 @@ def test_a_file_is_what_was_run(made):
         assert arrays["tail"].shape == (6,)
 
 
-def test_scores_are_those_of_the_recorded_rows():
-    """The whole benchmark, through a file that is small enough."""
-    suite = suites.load("benchmark-v1")
+@pytest.mark.parametrize("name", ["benchmark-v1", "benchmark-v2"])
+def test_scores_are_those_of_the_recorded_rows(name):
+    """The whole benchmark, through a file that is small enough, with the anchors of either suite."""
+    suite = suites.load(name)
     found = recorded.load(suite)
-    kept = [run for run in found.runs if run.policy in (EXPERT, ORACLE, "lqi")]
+    kept = [run for run in found.runs if run.policy in (*suite.anchors, "lqi")]
     expected = {entry.place: entry for entry in pool(kept) if entry.policy == "lqi"}
-    for entry in entries([own_submission("benchmark-v1", "lqi")], yardsticks(suite)):
+    for entry in entries([own_submission(name, "lqi")], yardsticks(suite)):
         assert entry.score.mean == pytest.approx(expected[entry.place].score.mean, rel=1e-6)
         assert entry.score.ci95 == pytest.approx(expected[entry.place].score.ci95, rel=1e-6)
         assert entry.lost == expected[entry.place].lost
@@ -203,7 +205,7 @@ WRONG = {
     "date": ({"date": "2026-02-30"}, {}, "day"),
     "versions": ({"versions": {"auv_gym": "<b>"}}, {}, "its auv_gym is"),
     "suite": ({"suite": "paper"}, {}, "its suite is 'paper'; there are"),
-    "hash": ({"suite_hash": "6" * 64}, {}, "it is of another benchmark-v1"),
+    "hash": ({"suite_hash": "6" * 64}, {}, "it is of another benchmark-v2"),
     "about": ({"about": {"email": "a"}}, {}, "must be a table with some of author"),
     "link": ({"about": {"link": "https://a)[b](c"}}, {}, "begins with https://"),
     "cells": ({"cells": ["slow-calm", "slow-storm"]}, {}, "its cells are not those of"),
@@ -359,7 +361,7 @@ def test_what_was_verified_is_that_very_file(made):
     assert boards(folder)[0].verified == {}
     with pytest.raises(ValueError, match="enter it first"):
         stamp(Path("expert.npz"), folder, 5, 6, 7)
-    for record in ("[]", '{"a": 3}', '{"benchmark-v1/expert": {"sha256": "a"}}', "no json"):
+    for record in ("[]", '{"a": 3}', '{"benchmark-v2/expert": {"sha256": "a"}}', "no json"):
         (folder / board.STAMPS).write_text(record)
         with pytest.raises(ValueError, match=board.STAMPS):
             boards(folder)
@@ -369,7 +371,7 @@ def test_strays_on_the_leaderboard_are_named(made):
     folder = Path("board")
     file = enter(made, folder)
     shutil.copy(file, file.with_name("other.npz"))
-    with pytest.raises(ValueError, match=r"other\.npz holds expert in benchmark-v1"):
+    with pytest.raises(ValueError, match=r"other\.npz holds expert in benchmark-v2"):
         boards(folder)
     file.with_name("other.npz").unlink()
     (folder / "mine").mkdir()
@@ -392,7 +394,7 @@ def test_words_of_strangers_are_no_markup():
 
 def test_scores_need_rows_that_count(made, monkeypatch):
     monkeypatch.setattr(recorded, "load", lambda _: recorded.Found((), {EXPERT: "they changed"}))
-    with pytest.raises(ValueError, match="rows of backstepping in benchmark-v1, which scores need, do not count: they"):
+    with pytest.raises(ValueError, match="rows of backstepping in benchmark-v2, which scores need, do not count: they"):
         yardsticks(made.suite)
 
 

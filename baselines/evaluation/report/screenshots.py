@@ -68,7 +68,7 @@ def _evaluated(pages: Path) -> None:
     import evaluate
 
     wanted = {
-        "suite": ("--suite", "benchmark-v1", "--episodes", "40", "--policy", *POLICIES),
+        "suite": ("--suite", "benchmark-v2", "--episodes", "40", "--policy", *POLICIES),
         "paper": ("--suite", "paper"),
         "stability": ("--stability", "--policy", "backstepping-paper", "lqi"),
     }
