@@ -11,6 +11,7 @@ import numpy as np
 
 from auv_gym.disturbances import Current, Waves
 from auv_gym.dynamics import State
+from auv_gym.navigation import Reckoning
 from auv_gym.paths import Path
 from auv_gym.vehicle import Vehicle
 
@@ -33,6 +34,7 @@ class Episode:
     reach: tuple[float, float] = (1.0, 1.0)  # actions at which the actuators really saturate
     delay: int = 0  # control periods until a command acts
     outages: tuple[tuple[float, float], ...] = ()  # [s] begin and end of the times without a position fix
+    reckoning: Reckoning | None = None  # None: there is a position fix in each control step
 
     def initial_state(self, reference: Sequence[float]) -> State:
         """Return the first state, velocities relative to the water, for the reference's x, y, psi, u, ... there."""

@@ -22,6 +22,12 @@ def draw(interval: Interval, uniform: Uniform) -> float:
     return interval
 
 
+def mean_square(interval: Interval) -> float:
+    """Return the mean of the square of what is drawn."""
+    low, high = interval if isinstance(interval, tuple) else (interval, interval)
+    return (low * low + low * high + high * high) / 3
+
+
 def is_float(value: object) -> bool:
     """Whether a value is a number, and no integer that is too large to compute with; nan is none, infinity is one."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):

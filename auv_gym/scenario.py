@@ -20,7 +20,7 @@ from auv_gym.intervals import Interval, check_interval, check_number, draw
 from auv_gym.paths import PAPER_CIRCLE, PATHS, Path
 from auv_gym.records import from_record, to_record
 from auv_gym.sensors import Sensors
-from auv_gym.simulation import Parameters, Parts, Shear
+from auv_gym.simulation import Parameters, Parts, Shear, log_of
 from auv_gym.stiffness import AT_REST, check_step
 from auv_gym.vehicle import PAPER_VEHICLE, VEHICLES, Coefficients, Vehicle
 
@@ -177,6 +177,7 @@ class Scenario:
             reach=(draw(act.reach, uniform), draw(act.reach, uniform)),
             delay=round(draw(act.delay, uniform)),
             outages=self.sensors.draw_outages(np.random.default_rng([noise_seed, 1]), self.duration),
+            reckoning=self.sensors.draw_reckoning(np.random.default_rng([noise_seed, 2]), self.duration),
         )
 
     def drawn(self, rng: np.random.Generator, plan: Callable[[Episode], T]) -> tuple[Episode, T]:
@@ -206,6 +207,7 @@ class Scenario:
             delayed=self.actuators.delay != 0,
             weak=self.actuators.reach != 1,
             sheared=self.current is not None and self.current.shear != 0,
+            reckoned=self.sensors.reckoning is not None,
         )
 
     def changed(
@@ -236,6 +238,7 @@ class Scenario:
             (parts.delayed, episode.delay, "a delay"),
             (parts.weak, episode.reach != (1.0, 1.0), "actuators that saturate early"),
             (parts.sheared, any(episode.current.shear[:2]), "a sheared current"),
+            (parts.reckoned, episode.reckoning is not None, "a dead reckoning"),
         ):
             if there and not part:
                 raise ValueError(f"the episode has {what}, which scenario {self.name!r} has not: give it one that has")
@@ -257,6 +260,7 @@ class Scenario:
             reach_r=episode.reach[1],
             delay=float(episode.delay),
             shear=Shear(*episode.current.shear),
+            log=log_of(episode.reckoning),
             parts=parts,
         )
 

@@ -1,4 +1,4 @@
-"""Measurements: white noise, constant bias and a first-order low-pass on the tracking errors."""
+"""Measurements: white noise, constant bias, position fixes, and a first-order low-pass on the tracking errors."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from auv_gym.dynamics import State
-from auv_gym.intervals import Interval, Uniform, check_interval, check_number, draw
+from auv_gym.intervals import Interval, Uniform, check_interval, check_number, draw, mean_square
 from auv_gym.namespaces import Namespace, Number, wrap_angle
+from auv_gym.navigation import FixFilter, RandomReckoning, Reckoning
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,9 @@ class Sensors:
     """Errors of the six measurements x, y, psi, u, v, r, the velocities over ground.
 
     Noise is white from control step to control step. A bias is drawn once an episode for each measurement. While the
-    position fix fails, x and y keep their last measured values.
+    position fix fails, x and y keep their last measured values. With `reckoning` there is a fix now and then only: its
+    errors are those of x and y here, in between the position is reckoned from measured heading and velocities, and a
+    fix that fails is left out.
     """
 
     position: float = 0.0  # [m] standard deviation of the noise on x and on y
@@ -30,6 +33,7 @@ class Sensors:
     yaw_rate_bias: Interval = 0.0  # [rad/s]
     outages: float = 0.0  # [1/min] how often the position fix fails, on average
     outage_time: Interval = (2.0, 10.0)  # [s] for how long
+    reckoning: RandomReckoning | None = None  # between rare position fixes; None: a fix in each control step
     low_pass: float | None = None  # [Hz] cut-off of the filter on the measured tracking errors; None: no filter
 
     def __post_init__(self) -> None:
@@ -38,6 +42,8 @@ class Sensors:
             check_interval(f"sensors {name}_bias", getattr(self, f"{name}_bias"), -1e3, 1e3)
         check_number("sensors outages", self.outages, 0, 60)
         check_interval("sensors outage_time", self.outage_time, 0, 1e4)
+        if not isinstance(self.reckoning, RandomReckoning | None):
+            raise ValueError(f"sensors reckoning is {self.reckoning!r}; it must be a RandomReckoning or None")
         if self.low_pass is not None:
             check_number("sensors low_pass", self.low_pass, 1e-6, 1e6)
 
@@ -57,6 +63,15 @@ class Sensors:
         count = int(rng.poisson(self.outages * duration / 60))
         begins = np.sort(rng.uniform(0.0, duration, count)).tolist()
         return tuple((begin, begin + draw(self.outage_time, rng.random)) for begin in begins)
+
+    def draw_reckoning(self, rng: np.random.Generator, duration: float) -> Reckoning | None:
+        """Return the dead reckoning of an episode, None where there is a position fix in each control step."""
+        return self.reckoning.draw(rng, duration) if self.reckoning else None
+
+    def fix_filter(self, dt: float, duration: float) -> FixFilter:
+        """Return the filter of the position fixes, for control periods of dt [s] and an episode's duration [s]."""
+        drift = self.reckoning.mean_square_drift(self.heading_bias, duration) if self.reckoning else 0.0
+        return FixFilter(self.position, drift, mean_square(self.velocity_bias), self.velocity**2 * dt)
 
     def filter_gain(self, dt: float) -> float:
         """Return the share of a new measurement that the low-pass takes on in one control step of dt [s]."""

@@ -5,13 +5,15 @@ A pure function of (plant, action, sample) on components: the scalar, the vector
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
 
 from auv_gym.actuators import Response, respond
 from auv_gym.dynamics import Current, Force, State, rk4_step
-from auv_gym.errors import to_body, tracking_errors
+from auv_gym.errors import to_body, to_world, tracking_errors
 from auv_gym.namespaces import Namespace, Number
+from auv_gym.navigation import Reckoning
 from auv_gym.rows import filled, leaves, numbered
 from auv_gym.sensors import low_pass
 from auv_gym.task import lost, reward
@@ -27,7 +29,7 @@ class Memory(NamedTuple):
     u_e: Number  # [m/s]
     v_e: Number  # [m/s]
     r_e: Number  # [rad/s]
-    x: Number  # [m] last position fix
+    x: Number  # [m] last position fix, or the estimated position
     y: Number  # [m]
     a_u_2: Number  # the action before the plant's a_u, a_r
     a_r_2: Number
@@ -73,7 +75,7 @@ class Sample(NamedTuple):
     n_u: Number  # [m/s]
     n_v: Number  # [m/s]
     n_r: Number  # [rad/s]
-    fix: Number  # 1 where there is a position fix, else 0
+    fix: Number  # 1 where there is a position fix, else 0; with dead reckoning what share of it is taken on
 
 
 class Parts(NamedTuple):
@@ -85,6 +87,7 @@ class Parts(NamedTuple):
     delayed: bool = False  # commands come late
     weak: bool = False  # the actuators saturate below their limits
     sheared: bool = False  # the current differs from place to place
+    reckoned: bool = False  # between position fixes the position is reckoned from measured velocity and heading
 
     def joined(self, other: Parts) -> Parts:
         """Return what is in use here or there, and the larger number of integration steps."""
@@ -106,6 +109,26 @@ class Shear(NamedTuple):
         return self.V_x * swing, self.V_y * swing
 
 
+class Log(NamedTuple):
+    """What a Doppler log makes of a velocity over ground: floats, or rows of shape (N,)."""
+
+    reckons: Number  # 1 where the position is reckoned between fixes, 0 where the last fix stays
+    along: Number  # what is measured of a velocity in its own direction, (1 + scale error) cos(misalignment)
+    across: Number  # and to the right of it, (1 + scale error) sin(misalignment)
+
+    def measured(self, along: Number, across: Number) -> tuple[Number, Number]:
+        """Return a velocity [m/s] or displacement [m] as it is measured, but for noise."""
+        return to_world(along, across, self.along, self.across)
+
+
+def log_of(reckoning: Reckoning | None) -> Log:
+    """Return the constants of an episode's log; None stands for one that measures exactly and is not reckoned from."""
+    if reckoning is None:
+        return Log(0.0, 1.0, 0.0)
+    share, angle = 1.0 + reckoning.scale, reckoning.misalignment
+    return Log(1.0, share * math.cos(angle), share * math.sin(angle))
+
+
 class Parameters(NamedTuple):
     """The constants of an episode: floats, or rows of shape (N,)."""
 
@@ -124,6 +147,7 @@ class Parameters(NamedTuple):
     reach_r: Number
     delay: Number  # control periods until a command acts
     shear: Shear
+    log: Log
     parts: Parts
 
     @classmethod
@@ -146,6 +170,8 @@ NOISE = slice(SAMPLE.n_x, SAMPLE.n_r + 1)  # the part of a sample that is the me
 _new = tuple.__new__
 """Makes a named tuple of a plain one at a fourth of the cost."""
 
+Position: TypeAlias = tuple[Number, Number]
+"""A place x, y [m] in the world."""
 Terms: TypeAlias = tuple[Number, ...]
 """The observation in SI units, in the order of `task.TERMS`."""
 
@@ -158,7 +184,7 @@ def start(state: State, sample: Sequence[Number], p: Parameters, ns: Namespace) 
     """Return the plant with its actuators at rest, and the first observation; the low-pass starts on its input."""
     zero = state[0] * 0.0
     nothing = filled(PLANT.memory, (zero,) * PLANT_ROWS)
-    memory, terms = _observe(state, (zero, zero), nothing, sample, p._replace(filter_gain=1.0), ns)
+    memory, terms = _observe(state, state, (zero, zero), nothing, sample, p._replace(filter_gain=1.0), ns)
     return Plant(*state, zero, zero, zero, zero, memory), terms
 
 
@@ -182,8 +208,9 @@ def step(
         command_u, command_r, memory = _late((a_u, a_r), (a_u0, a_r0), memory, p.delay, ns)
     if parts.weak:
         command_u, command_r = ns.clip(command_u, -p.reach_u, p.reach_u), ns.clip(command_r, -p.reach_r, p.reach_r)
-    state, (F_u, F_r) = moved((x, y, psi, u, v, r), (F_u, F_r), (command_u, command_r), sample, p, ns)
-    memory, terms = _observe(state, (a_u, a_r), memory, sample, p, ns)
+    before = (x, y, psi, u, v, r)
+    state, (F_u, F_r) = moved(before, (F_u, F_r), (command_u, command_r), sample, p, ns)
+    memory, terms = _observe(state, before, (a_u, a_r), memory, sample, p, ns)
     x, y, psi, u, v, r = state
     e_x, e_y, d_u, d_r = x - sample[SAMPLE.x_R], y - sample[SAMPLE.y_R], a_u - a_u0, a_r - a_r0
     squared_error = e_x * e_x + e_y * e_y
@@ -239,19 +266,26 @@ def _late(action: Force, last: Force, memory: Memory, delay: Number, ns: Namespa
 
 
 def _observe(
-    state: State, action: Force, memory: Memory, sample: Sequence[Number], p: Parameters, ns: Namespace
+    state: State, before: State, action: Force, memory: Memory, sample: Sequence[Number], p: Parameters, ns: Namespace
 ) -> tuple[Memory, Terms]:
-    """Return what the sensors remember now, in the plant's memory, and the observation."""
+    """Return what the sensors remember now, in the plant's memory, and the observation.
+
+    `before` is the state one control period ago.
+    """
     x, y, psi, u, v, r = state
     x_R, y_R, psi_R, u_R, v_R, r_R, F_uR, F_rR, V_x, V_y, _, _, _, n_x, n_y, n_psi, n_u, n_v, n_r, fix = sample
     parts = p.parts
     V_x, V_y = current_at(x, y, (V_x, V_y), p, ns)
     V_u, V_v = to_body(V_x, V_y, ns.cos(psi), ns.sin(psi))
-    x_m, y_m, psi_m = x + n_x, y + n_y, psi + n_psi
-    if parts.outages:
+    x_m, y_m, psi_m, u_m, v_m = x + n_x, y + n_y, psi + n_psi, u + V_u, v + V_v
+    if parts.reckoned:
+        u_m, v_m = p.log.measured(u_m, v_m)
+        x_m, y_m = estimated_position((x, y), before[:2], psi_m, (memory.x, memory.y), sample, p, ns)
+        memory = memory._replace(x=x_m, y=y_m)
+    elif parts.outages:
         x_m, y_m = ns.where(fix > 0.5, x_m, memory.x), ns.where(fix > 0.5, y_m, memory.y)
         memory = memory._replace(x=x_m, y=y_m)
-    measured = (x_m, y_m, psi_m, u + V_u + n_u, v + V_v + n_v, r + n_r)
+    measured = (x_m, y_m, psi_m, u_m + n_u, v_m + n_v, r + n_r)
     x_e, y_e, psi_e, u_e, v_e, r_e = tracking_errors(measured, (x_R, y_R, psi_R, u_R, v_R, r_R), ns)
     if parts.filtered:
         filtered = (memory.x_e, memory.y_e, memory.psi_e, memory.u_e, memory.v_e, memory.r_e)
@@ -265,6 +299,39 @@ def _observe(
         e_x, e_y, psi_e, u_e, v_e, r_e, u_R, v_R, r_R, F_uR, F_rR,
         cos_psi, sin_psi, p.F_u_max, p.F_r_max, a_u, a_r, p.h * parts.substeps,
     )  # fmt: skip
+
+
+def estimated_position(
+    position: Position,
+    before: Position,
+    psi_m: Number,
+    last: Position,
+    sample: Sequence[Number],
+    p: Parameters,
+    ns: Namespace,
+) -> Position:
+    """Return where dead reckoning and position fixes put the vehicle.
+
+    The way that the log measured is laid off along the measured heading: last + R(n_psi) D (position - before)
+    + R(psi_m) (n_u, n_v) dt, with R a rotation and D that of `Log`; a heading that is wrong by n_psi turns the way by
+    it. Of a fix, position + (n_x, n_y), the estimate takes on the share `fix`.
+
+    Args:
+        position: x, y [m] of the vehicle.
+        before: the same one control period ago.
+        psi_m: measured heading [rad].
+        last: the estimate one control period ago [m].
+        sample: the numbers of a `Sample`.
+        p: the episode's constants.
+        ns: the namespace of the numbers.
+    """
+    _, _, _, _, _, _, _, _, _, _, _, _, _, n_x, n_y, n_psi, n_u, n_v, _, fix = sample
+    (x, y), (x_0, y_0), dt, rest = position, before, p.h * p.parts.substeps, 1.0 - fix
+    way_x, way_y = to_world(*p.log.measured(x - x_0, y - y_0), ns.cos(n_psi), ns.sin(n_psi))
+    noise_x, noise_y = to_world(n_u * dt, n_v * dt, ns.cos(psi_m), ns.sin(psi_m))
+    reckoned_x = last[0] + p.log.reckons * (way_x + noise_x)
+    reckoned_y = last[1] + p.log.reckons * (way_y + noise_y)
+    return rest * reckoned_x + fix * (x + n_x), rest * reckoned_y + fix * (y + n_y)
 
 
 def ground_state(plant: Plant, current: Current, p: Parameters, ns: Namespace) -> State:

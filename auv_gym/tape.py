@@ -20,6 +20,7 @@ from auv_gym.disturbances import Current, Waves
 from auv_gym.episode import Episode
 from auv_gym.errors import to_world
 from auv_gym.namespaces import Namespace, Number
+from auv_gym.navigation import FixFilter, Reckoning, heading_errors
 from auv_gym.rows import filled, leaves, numbered
 from auv_gym.scenario import Scenario
 from auv_gym.simulation import REFERENCE, SAMPLE, SAMPLE_ROWS
@@ -148,6 +149,7 @@ class Tape:
         self._drawn: list[tuple[np.random.Generator, int, int] | None] = [None] * lanes
         self._next = np.zeros(lanes, dtype=np.int64)
         self._fixes: dict[int, Array] = {}  # of the lanes that lack some
+        self._headings: dict[int, Array] = {}  # errors [rad] of a gyro that drifts, of the lanes that have one
         self._gust, self._weather = np.zeros((GUST_ROWS, lanes)), np.zeros((WEATHER_ROWS, lanes))
         self._waves = np.zeros((0, lanes))
 
@@ -161,9 +163,7 @@ class Tape:
         self._drawn[lane] = None
         if first < end:
             self._drawn[lane] = np.random.Generator(np.random.SFC64(episode.noise_seed)), first, end
-        self._fixes.pop(lane, None)
-        if episode.outages:
-            self._fixes[lane] = _fixes(episode.outages, scenario.control_dt, len(table))
+        self._navigate(lane, scenario, episode, table)
         self._gust[:, lane] = 0.0
         weather = weather_of(episode.current, scenario.control_dt, table, Errors(*noise), Errors(*episode.bias))
         self._weather[:, lane] = leaves(weather)
@@ -172,6 +172,19 @@ class Tape:
             self._waves = np.pad(self._waves, ((0, more), (0, 0)))  # what is not used has no amplitude
         self._waves[:, lane] = 0.0
         self._waves[: len(components), lane] = components
+
+    def _navigate(self, lane: int, scenario: Scenario, episode: Episode, table: Array) -> None:
+        """Wind in which position fixes an episode has, and how its gyro drifts."""
+        self._fixes.pop(lane, None)
+        self._headings.pop(lane, None)
+        sensors, reckoning, dt = scenario.sensors, episode.reckoning, scenario.control_dt
+        if episode.outages or reckoning:
+            self._fixes[lane] = _fixes(episode.outages, dt, len(table))
+        if reckoning and sensors.reckoning:
+            fix_filter, rng = sensors.fix_filter(dt, scenario.duration), np.random.default_rng([episode.noise_seed, 3])
+            self._fixes[lane] = _shares(self._fixes[lane], reckoning, fix_filter, dt, table)
+            walk = sensors.reckoning.walk
+            self._headings[lane] = heading_errors(reckoning.drift, walk, dt, len(table), rng)
 
     def read(self, lanes: Sequence[int] | Lanes, n: int, out: Array | None = None) -> Array:
         """Return the next n <= block samples of these lanes, shape (n, SAMPLE_ROWS, len(lanes)), and wind on.
@@ -191,11 +204,14 @@ class Tape:
         kernel, normals = sea_kernel(len(waves) // WAVE_ROWS), self._normals(lanes, len(out))
         kernel.bound(gust=gust, normals=normals, weather=weather, waves=waves, sea=out[:, SEA])(0, len(out))
         self._gust[:, lanes] = gust
-        if self._fixes:
-            for i, lane in enumerate(lanes.tolist()):
-                if lane in self._fixes:
-                    part = self._fixes[lane][first[i] : first[i] + len(out)]
-                    out[: len(part), SAMPLE.fix, i] = part
+        for i, lane in enumerate(lanes.tolist() if self._fixes else ()):
+            now = slice(first[i], first[i] + len(out))
+            if lane in self._fixes:
+                part = self._fixes[lane][now]
+                out[: len(part), SAMPLE.fix, i] = part
+            if lane in self._headings:
+                part = self._headings[lane][now]
+                out[: len(part), SAMPLE.n_psi, i] += part
         self._next[lanes] += len(out)
 
     def _references(self, lanes: Lanes, n: int) -> Array:
@@ -240,6 +256,24 @@ def _fixes(outages: Sequence[tuple[float, float]], dt: float, instants: int) -> 
         fixes[(times >= begin) & (times < end)] = 0.0
     fixes[0] = 1.0
     return fixes
+
+
+def _shares(fixes: Array, reckoning: Reckoning, fix_filter: FixFilter, dt: float, table: Array) -> Array:
+    """Return which share of a position fix is taken on at each control instant: all of the first one, often none.
+
+    Args:
+        fixes: 1 for each control instant at which a fix does not fail, else 0.
+        reckoning: of the episode.
+        fix_filter: of its sensors.
+        dt: control period [s].
+        table: of its reference, shape (T, 8): how far it goes between fixes is what the filter reckons with.
+    """
+    instants = np.unique(np.ceil(np.array(reckoning.fixes) / dt - 1e-9).astype(int))
+    used = [0, *(k for k in instants.tolist() if 0 < k < len(table) and fixes[k])]
+    way = np.concatenate(([0.0], dt * np.cumsum(np.hypot(table[1:, SAMPLE.u_R], table[1:, SAMPLE.v_R]))))
+    shares = np.zeros(len(table))
+    shares[used] = [1.0, *fix_filter.gains(np.diff(way[used]).tolist(), (dt * np.diff(used)).tolist())]
+    return shares
 
 
 def weather_of(current: Current, dt: float, table: Array, noise: Errors, bias: Errors) -> Weather:

@@ -49,7 +49,7 @@ def numbers(rng, n=LANES):
     return plant, rng.uniform(-1.2, 1.2, (2, n)), samples, parameters
 
 
-@pytest.mark.parametrize("flags", [[k == j for k in range(5)] for j in range(6)] + [[True] * 5])
+@pytest.mark.parametrize("flags", [[k == j for k in range(6)] for j in range(7)] + [[True] * 6])
 def test_a_step_is_the_simulations_own_whatever_is_in_use(flags):
     parts = Parts(2, *flags)
     plant, action, sample, parameters = numbers(np.random.default_rng(0))

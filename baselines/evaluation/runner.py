@@ -49,8 +49,16 @@ class Cell:
     @cached_property
     def hash(self) -> str:
         """SHA-256 of scenario and episodes."""
-        record = [self.scenario.to_dict(), [[type(e.path).__name__, asdict(e)] for e in self.episodes]]
+        record = [self.scenario.to_dict(), [[type(e.path).__name__, _plain(e)] for e in self.episodes]]
         return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+
+
+def _plain(episode: Episode) -> dict[str, Any]:
+    """Return an episode as a dict; without a dead reckoning as it was before there was any, so that hashes stay."""
+    record = asdict(episode)
+    if episode.reckoning is None:
+        del record["reckoning"]
+    return record
 
 
 def drawn(scenario: Scenario, episodes: int, seed: int) -> Cell:

@@ -28,8 +28,9 @@ FORESIGHTED = (ORACLE, BOUND)
 """Policies that know what no competitor may know."""
 RIVAL = "nmpc"  # the strongest policy that does not learn, where sensors and actuators are as told
 ADVERSE_RIVAL = "nmpc-adverse"  # the strongest one where they are not
-LARGEST_TAIL: Mapping[str, float] = {"slow": 0.6, "cruise": 2.0}
-"""Tail RMSE [m] from which an episode counts as lost; the capped score counts no more than that for it."""
+DEEP = "deep"  # where positions are reckoned: scenarios called REGIME-deep or REGIME-deep-CASE
+LARGEST_TAIL: Mapping[str, float] = {"slow": 0.6, "cruise": 2.0, DEEP: 5.0}
+"""Tail RMSE [m] from which an episode counts as lost, by regime; the capped score counts no more than that for it."""
 
 
 class Anchors(NamedTuple):
@@ -88,6 +89,12 @@ def paired(*measures: Measures) -> list[Measures]:
 def regime_of(scenario: str) -> str | None:
     """Return the regime that a scenario's name begins with, if any."""
     return next((regime for regime in REGIMES if scenario.startswith(f"{regime}-")), None)
+
+
+def waters_of(scenario: str) -> str | None:
+    """Return what of `LARGEST_TAIL` a scenario belongs to: its regime, or `DEEP` in both."""
+    regime = regime_of(scenario)
+    return DEEP if regime and f"{scenario}-".startswith(f"{regime}-{DEEP}-") else regime
 
 
 def largest_tail(regime: str | None) -> float:

@@ -24,7 +24,7 @@ from baselines.control.backstepping import StabilityWarning
 from baselines.evaluation.fresh import AGENTS, SEED
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import STEP_LIMIT, drawn
-from baselines.evaluation.score import EXPERT, losses, regime_of
+from baselines.evaluation.score import EXPERT, losses, waters_of
 from baselines.tools.command_line import DONE, parse, run
 from baselines.tools.files import json_text, write_atomically
 
@@ -62,7 +62,7 @@ def _lost(policy: str, scenario: Scenario, episodes: int, silent: bool) -> int:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StabilityWarning)  # the law's gains are not for every speed, as is shown here
         measures = rollout(actor, scenario, cell.episodes, STEP_LIMIT, on_step).measures
-    return losses(measures, regime_of(scenario.name))
+    return losses(measures, waters_of(scenario.name))
 
 
 def faster(scenario: Scenario) -> Scenario:

@@ -22,7 +22,7 @@ from baselines.agents.features import ERRORS, scaled_errors
 from baselines.evaluation.metrics import Array, tail_rmse
 from baselines.evaluation.rollout import Repeatable, beginning
 from baselines.evaluation.runner import Cell, drawn
-from baselines.evaluation.score import cut, is_lost, largest_tail, regime_of
+from baselines.evaluation.score import cut, is_lost, largest_tail, waters_of
 from baselines.evaluation.suites import load
 from baselines.evaluation.suites.yardsticks import Yardstick, kept, measured
 from baselines.tools.files import guarded, json_text, read_json, write_atomically
@@ -103,7 +103,7 @@ def _seen(scaled: Array) -> tuple[float, ...]:
 
 
 def _cap(scenario: Scenario) -> float:
-    cap = largest_tail(regime_of(scenario.name))
+    cap = largest_tail(waters_of(scenario.name))
     return cap if math.isfinite(cap) else scenario.lost_distance
 
 

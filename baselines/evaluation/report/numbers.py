@@ -9,9 +9,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from auv_gym.presets import REGIMES
-from baselines.evaluation.metrics import Measures, Summary, ratio, summarise
+from baselines.evaluation.metrics import Array, Measures, Summary, ratio, summarise
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import EXPERT, RIVAL, Anchors, Score, capped, losses, paired, regime_of, score
+from baselines.evaluation.score import (
+    EXPERT,
+    RIVAL,
+    Anchors,
+    Score,
+    capped,
+    losses,
+    paired,
+    regime_of,
+    score,
+    waters_of,
+)
 
 Case = Mapping[str, Measures]
 """What was measured in a scenario, by policy."""
@@ -45,7 +56,8 @@ class Result:
 def compare(runs: Sequence[Run], anchors: Anchors | None = None) -> list[Result]:
     """Return a result for each run; the score's anchors are those of the suite, None for none: `Anchors.among`."""
     cases, ends = measures_of(runs), anchors or Anchors.among({run.policy for run in runs})
-    return [Result(run, _entry(run.scenario.name, [run], [cases[run.scenario.name]], ends)) for run in runs]
+    own = [{run.scenario.name: cases[run.scenario.name]} for run in runs]
+    return [Result(run, _entry(run.scenario.name, [run], case, ends)) for run, case in zip(runs, own, strict=True)]
 
 
 def pool(runs: Sequence[Run], anchors: Anchors | None = None) -> list[Entry]:
@@ -60,13 +72,13 @@ def pool(runs: Sequence[Run], anchors: Anchors | None = None) -> list[Entry]:
         for policy, every in by_policy.items():
             own = [run for run in every if run.scenario.name in cases]
             if own and all(policy in case for case in cases.values()):
-                found.append(_entry(regime, own, list(cases.values()), ends))
+                found.append(_entry(regime, own, cases, ends))
     return found
 
 
-def _entry(place: str, runs: Sequence[Run], cases: Sequence[Case], anchors: Anchors) -> Entry:
+def _entry(place: str, runs: Sequence[Run], by_name: Mapping[str, Case], anchors: Anchors) -> Entry:
     """Return the figures of one policy's runs, all together, in these cases."""
-    policy, regime = runs[0].policy, regime_of(runs[0].scenario.name)
+    policy, cases, waters = runs[0].policy, list(by_name.values()), [waters_of(name) for name in by_name]
     seconds, recorded = float(np.mean([run.decision_seconds for run in runs])), runs[0].recorded is not None
     if any(policy not in case for case in cases):
         return Entry(policy, place, recorded, seconds)
@@ -84,13 +96,18 @@ def _entry(place: str, runs: Sequence[Run], cases: Sequence[Case], anchors: Anch
     if all(zero in case and one in case for case in cases):
         three = list(zip(*(paired(c[zero], c[policy], c[one]) for c in cases), strict=True))
         plain = score(*([m.tail for m in column] for column in three))
-        cut = score(*([capped(m, regime) for m in column] for column in three))
+        cut = score(*(_capped(column, waters) for column in three))
     error_ratio = math.nan
     if all(RIVAL in case for case in cases):
         columns = zip(*(paired(case[policy], case[RIVAL]) for case in cases), strict=True)
-        error_ratio = ratio(*(float(np.concatenate([capped(m, regime) for m in column]).mean()) for column in columns))
-    lost, summary = sum(losses(m, regime) for m in own), summarise(Measures.joined(own), interval=len(own) == 1)
+        error_ratio = ratio(*(float(np.concatenate(_capped(column, waters)).mean()) for column in columns))
+    lost, summary = sum(map(losses, own, waters)), summarise(Measures.joined(own), interval=len(own) == 1)
     return Entry(policy, place, recorded, seconds, summary, effort, smoothness, plain, cut, lost, error_ratio)
+
+
+def _capped(cases: Sequence[Measures], waters: Sequence[str | None]) -> list[Array]:
+    """Return the capped tails [m] in each case."""
+    return list(map(capped, cases, waters))
 
 
 def measures_of(runs: Sequence[Run]) -> dict[str, dict[str, Measures]]:

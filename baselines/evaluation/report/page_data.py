@@ -14,7 +14,7 @@ from baselines.evaluation.report.charts import charts
 from baselines.evaluation.report.columns import digits, ends, lost_text, ranked
 from baselines.evaluation.report.numbers import Entry, Result
 from baselines.evaluation.rollout import TRACED
-from baselines.evaluation.score import BOUND, EXPERT, LARGEST_TAIL, fixed, fixed_ends, regime_of
+from baselines.evaluation.score import BOUND, EXPERT, LARGEST_TAIL, fixed, fixed_ends, regime_of, waters_of
 from baselines.tools.figure_style import DASHES, OUTLINES, look
 
 FEW = 10
@@ -90,7 +90,7 @@ def _scenario(scenario: Scenario, results: Sequence[Result], traced: int) -> dic
         "regime": regime,
         "case": scenario.name.removeprefix(f"{regime}-"),
         "duration": scenario.duration,
-        "cap": LARGEST_TAIL.get(regime or ""),
+        "cap": LARGEST_TAIL.get(waters_of(scenario.name) or ""),
         "rows": [_row(entry, results) for entry in ranked([result.entry for result in results])],
         "bands": [_band(result, scenario) for result in results if result.run.bands is not None],
         "episodes": [_episode(results, scenario, i) for i in range(min(traced, known))],

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from baselines.evaluation.report.numbers import Result
 from baselines.evaluation.report.plots import LEGEND, grid, handles
-from baselines.evaluation.score import EXPERT, FORESIGHTED, LARGEST_TAIL, regime_of
+from baselines.evaluation.score import EXPERT, FORESIGHTED, LARGEST_TAIL, regime_of, waters_of
 from baselines.tools.figure_style import look, panels
 
 
@@ -64,7 +64,7 @@ def error_distribution(results: Sequence[Result], policies: Sequence[str]) -> Fi
             ax.step(
                 tail, np.arange(1, len(tail) + 1) / len(tail), where="post", **look(result.run.policy, policies).line
             )
-        cap = LARGEST_TAIL.get(regime_of(name) or "")
+        cap = LARGEST_TAIL.get(waters_of(name) or "")
         if cap is not None:
             ax.axvline(cap, color="0.6", linewidth=0.8, linestyle=":")
         ax.set_xscale("log")

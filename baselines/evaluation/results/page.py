@@ -9,6 +9,7 @@ from baselines.evaluation.report.columns import NONE, ranked, used
 from baselines.evaluation.report.numbers import pool
 from baselines.evaluation.results.collection import ROUNDING, TOLERANCE, Results, better_than
 from baselines.evaluation.results.left import what_is_left
+from baselines.evaluation.results.navigation import navigation
 from baselines.evaluation.results.tables import table
 from baselines.evaluation.score import BOUND, ORACLE, regime_of, score_text
 from baselines.evaluation.suites import bound
@@ -20,7 +21,8 @@ def page(found: Sequence[Results], missing: Sequence[str], learned: str = "") ->
     for results in found:
         regimes = list(dict.fromkeys(entry.place for entry in results.pooled))
         parts += [_setting(results), *(_regime(results, regime) for regime in regimes)]
-        parts += [_cases(results, regimes), *what_is_left(results), _oracle(results), *_elsewhere(results)]
+        parts += [_cases(results, regimes), *what_is_left(results), *navigation(results, regimes)]
+        parts += [_oracle(results), *_elsewhere(results)]
     for name in missing:
         parts.append(f"## {name}\n\nNot recorded yet: `python -m baselines.evaluation.suites record {name}`.")
     return "\n\n".join([*parts, *([learned] if learned else [])]) + "\n"

@@ -20,7 +20,7 @@ from auv_gym.scenario import RandomPath, Scenario
 from auv_gym.sideslip import path_rates
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import BY_BOUND, BY_ORACLE, Anchors
-from baselines.evaluation.suites import rounded, sealed
+from baselines.evaluation.suites import deep, rounded, sealed
 
 FAMILIES = ("line", "circle", "sine", "figure_eight", "random_smooth")
 """Path families that agents train on; each has the same number of episodes in a cell."""
@@ -28,6 +28,7 @@ EPISODES = 52  # of a path family in a cell of benchmark-v1 and ood-v1
 VALIDATION_EPISODES = 10  # of a path family in a cell of benchmark-v1-validation
 UNMODELLED_EPISODES = 30  # of a path family in a cell of unmodelled-v1
 SEALED_EPISODES = 64  # in a cell of a sealed suite
+DEEP_EPISODES = 60  # in a cell of deep-v1
 STRONGER = 1.5  # factor out of distribution on current and waves
 FARTHER = 1.3  # factor out of distribution on the range of the mismatch about 1
 
@@ -123,6 +124,10 @@ def _sealed() -> list[Recipe]:
     ]
 
 
+def _deep() -> list[Recipe]:
+    return [Recipe(scenario, (*FAMILIES, "lawnmower"), DEEP_EPISODES) for scenario in deep.worlds()]
+
+
 def _sheared(scenario: Scenario, regime: str) -> RandomCurrent:
     """Return the scenario's current with a shear."""
     assert isinstance(scenario.current, RandomCurrent)
@@ -182,6 +187,7 @@ SUITES: dict[str, tuple[int | None, Callable[[], list[Recipe]]]] = {
     "benchmark-v1-validation": (1_000_002, lambda: _benchmark(VALIDATION_EPISODES)),
     "ood-v1": (1_000_003, _out_of_distribution),
     "unmodelled-v1": (1_000_004, _unmodelled),
+    "deep-v1": (1_000_005, _deep),
     "sealed-v1": (None, _sealed),
 }
 """Suites by name: the seed, None for that of a secret, and what makes its recipes. Training selects on the validation
