@@ -30,7 +30,7 @@ PATIENCE = 60_000  # milliseconds that a busy machine may take
 def pages(tmp_path_factory):
     """Pages by name: the whole benchmark, and a run of a few policies, one of them of a hostile name."""
     folder = tmp_path_factory.mktemp("pages")
-    request = Request.of(Options(suite="benchmark-v1", out=folder / "out"))
+    request = Request.of(Options(suite="benchmark-v2", out=folder / "out"))
     cells = [replace(cell, episodes=cell.episodes[:3]) for cell in request.cells]
     live = run_all(
         ("backstepping",), cells, step_limit=PATIENCE

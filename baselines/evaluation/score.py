@@ -49,6 +49,7 @@ BY_BOUND = Anchors(EXPERT, BOUND)
 """Anchors of benchmark-v2, and of scenarios of one's own where the bound runs."""
 BY_ORACLE = Anchors(EXPERT, ORACLE)
 """Anchors of the suites that were frozen before there was a bound."""
+SCALE = "0 the expert, 1 the bound, in older suites the oracle"  # what the ends of a score are, in words
 
 
 @dataclass(frozen=True)

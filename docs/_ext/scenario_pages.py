@@ -46,7 +46,7 @@ STANDINGS = """
 ## Policies in it
 
 As recorded on the episodes of this case in `{suite}`; [Evaluation](../metrics.md#what-is-measured) defines the columns.
-A score means little where expert and oracle are close together, as in still water.
+A score means little where the expert leaves little to gain, as in still water.
 
 {table}
 """

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from baselines.evaluation.score import SCALE
 from baselines.tools.figure_style import DASHES, OUTLINES, look
 
 Spec = dict[str, Any]
@@ -19,7 +20,7 @@ def charts(policies: Sequence[str]) -> dict[str, Spec]:
     """Return the charts of an evaluation by name, every policy with its look."""
     looks = _Looks(policies)
     return {
-        "scores": _intervals(looks, "score", "case", "score: 0 the expert, 1 the oracle", -1.0),
+        "scores": _intervals(looks, "score", "case", f"score: {SCALE}", -1.0),
         "tails": _tails(looks),
         "shares": _shares(looks),
         "bands": _bands(looks),

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from baselines.evaluation.report.numbers import Result
 from baselines.evaluation.report.plots import LEGEND, grid, handles
-from baselines.evaluation.score import EXPERT, FORESIGHTED, LARGEST_TAIL, regime_of, waters_of
+from baselines.evaluation.score import EXPERT, FORESIGHTED, LARGEST_TAIL, SCALE, regime_of, waters_of
 from baselines.tools.figure_style import look, panels
 
 
@@ -26,7 +26,7 @@ def score_by_case(results: Sequence[Result], policies: Sequence[str]) -> Figure 
     for ax, regime in zip(axes[0], regimes, strict=True):
         _scores(ax, regime, [r for r in shown if (regime_of(r.run.scenario.name) or "") == regime], policies)
     named = [policy for policy in policies if any(r.run.policy == policy for r in shown)]
-    figure.supxlabel("score (0 the expert, 1 the oracle), 95 % interval; below -1 not shown", fontsize=9)
+    figure.supxlabel(f"score ({SCALE}), 95 % interval; below -1 not shown", fontsize=9)
     figure.legend(handles=handles(named, policies, markers=True), **LEGEND)
     return figure
 

@@ -15,7 +15,7 @@ from rich.table import Table
 from baselines.evaluation.paper.numbers import Reproduction, Row
 from baselines.evaluation.report.columns import Column, ranked, used
 from baselines.evaluation.report.numbers import Entry, Result, recordings
-from baselines.evaluation.score import FORESIGHTED
+from baselines.evaluation.score import FORESIGHTED, SCALE
 
 WIDTH = 200  # characters in a line of a table that does not go to a terminal
 LOOK: dict[str, Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False}  # of every table
@@ -72,9 +72,7 @@ def entries_table(title: str, kind: str, entries: Sequence[Entry], out: Console)
 
 
 def _table(title: str, kind: str, entries: Sequence[Entry], columns: Sequence[Column]) -> Table:
-    table = Table(
-        title=title, caption="tail: RMSE after the first third; score: 0 the expert, 1 the best possible", **LOOK
-    )
+    table = Table(title=title, caption=f"tail: RMSE after the first third; score: {SCALE}", **LOOK)
     table.add_column(kind, no_wrap=True)
     table.add_column("policy", no_wrap=True)
     for column in columns:

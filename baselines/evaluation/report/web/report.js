@@ -33,7 +33,7 @@ function report(data) {
     if (!box) return;
     for (const regime of new Set(data.scenarios.map((s) => s.regime).filter(Boolean))) {
       const own = data.scenarios.filter((s) => s.regime === regime);
-      const rows = own.flatMap((s) => visible(s.rows).filter((r) => r.score && !["backstepping", "oracle"].includes(r.policy)).map((r) => ({ policy: r.policy, case: s.case, lost: r.lost, ...r.score })));
+      const rows = own.flatMap((s) => visible(s.rows).filter((r) => r.score && !["backstepping", "oracle", "clairvoyant"].includes(r.policy)).map((r) => ({ policy: r.policy, case: s.case, lost: r.lost, ...r.score })));
       let element = $(`scores-${regime}`);
       if (!element) {
         const figure = document.createElement("figure");
