@@ -113,9 +113,8 @@ class Model:
 
 def has_floor(scenario: Scenario) -> bool:
     """Whether a scenario's episodes are of the kind that a `Model` describes, all measurements noisy."""
-    parts = scenario.parts
-    odd = parts.filtered or parts.outages or parts.delayed or parts.sheared
-    return all(deviation > 0 for deviation in scenario.sensors.noise) and not odd
+    plain = scenario.parts._replace(substeps=1, weak=False) == Parts()
+    return plain and all(deviation > 0 for deviation in scenario.sensors.noise)
 
 
 def slopes(problem: Problem, course: Course) -> tuple[Array, Array]:
