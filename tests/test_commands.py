@@ -59,6 +59,7 @@ ELSEWHERE = {
     r"pip install .*": "`make`'s stamps, and the extras exist, below",
     r"python train\.py.*": "test_training.py::test_documented_commands_run",
     r"python -m baselines\.evaluation\.suites check .*": "test_suites.py::test_episodes_generate_what_they_did",
+    r"python -m baselines\.evaluation\.suites\.bound": "test_bound.py::test_a_run_goes_on_where_the_last_one_ended",
     r"python -m baselines\.tuning .*": "test_tuning.py, with few evaluations",
     r"python -m rl_zoo3\.train .*": "test_sb3.py reads its format; rl_zoo3 itself is no dependency",
     r"python evaluate\.py --suite (paper|presets)": "`make demo`, below",
@@ -92,8 +93,6 @@ def quick(line):
         policies = [] if "--policy" in words else ["--policy", "open-loop"]
         chosen = [word for word in words if word not in ("--suite", "benchmark-v2")]
         return [*chosen, *policies, *CALM]
-    if words[:2] == ["-m", "baselines.evaluation.suites.bound"]:
-        return [*words, "--episodes", "16", "--out", "bound.json"]
     if words[:2] == ["-m", "baselines.evaluation.floor"]:
         return [*words, "--episodes", "1", "--out", "floor.json"]
     if words[:2] == ["-m", "baselines.datasets"]:
