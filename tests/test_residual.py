@@ -240,6 +240,19 @@ def test_the_words_of_what_an_authority_bounds_are_true():
     assert all(min(lost) > 0.9 for (_, authority), lost in own.items() if authority >= 1)
 
 
+def test_the_words_of_the_study_are_true():
+    """Seeds from scratch lie on both sides of those with an expert; when they have caught up."""
+    own = [group for kind in page.SHOWN for group in page.of(load(), "cruise", kind)]
+    shown = {group.kind: group for group in own if group.authority == page.SHOWN[group.kind]}
+    errors = {kind: group.tails["as trained"].mean(axis=1) for kind, group in shown.items()}
+    assert {len(seeds) for seeds in errors.values()} == {command.SEEDS}
+    assert errors[SCRATCH].min() < errors[RESIDUAL].min() < errors[RESIDUAL].max() < errors[SCRATCH].max()
+    (early, lost), (late, _) = (page.at(shown[SCRATCH], steps) for steps in (1e5, 4e5))
+    assert lost.min() > 0.99
+    assert early.mean() > 5 * page.at(shown[RESIDUAL], 1e5)[0].mean()
+    assert late.mean() < 1.2 * page.at(shown[RESIDUAL], 4e5)[0].mean()
+
+
 def test_a_second_call_measures_nothing_again(tmp_path, capsys):
     words = ["backstepping", "--episodes", "1", "--jobs", "1", "--out", str(tmp_path)]
     assert command.main(words) == 0
