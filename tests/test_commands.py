@@ -40,6 +40,8 @@ QUICK = {
 """Options of the verbs that are run here."""
 CALM = ("--suite", "benchmark-v2", "--case", "cruise-calm", "--episodes", "1", "--out", "new")
 """Options of the shortest run of fresh episodes."""
+BRIEF = ("--seeds", "1", "--timesteps", "6400", "--episodes", "1", "--jobs", "1")
+"""Options of the shortest study of residuals."""
 BY_CI = {"test", "lint", "typecheck"}
 """Verbs that `.ci/run` itself runs."""
 BY_WORKFLOW = {"package", "cluster-test"}
@@ -95,6 +97,8 @@ def quick(line):
         return [*chosen, *policies, *CALM]
     if words[:2] == ["-m", "baselines.evaluation.floor"]:
         return [*words, "--episodes", "1", "--out", "floor.json"]
+    if words[:2] == ["-m", "baselines.training.residual"] and "--help" not in words:
+        return [*words, *(["residual-0.5-cruise"] if words[2:] == [] else []), *BRIEF]
     if words[:2] == ["-m", "baselines.datasets"]:
         return [*words, "--episodes", "1"]
     if words[:2] == ["-m", "baselines.film"]:

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from auv_gym.presets import CASES, PRESETS
-from baselines.evaluation import fresh, recorded, silence, suites
+from baselines.evaluation import fresh, recorded, suites
 from baselines.evaluation.metrics import most_lost
 from baselines.evaluation.results.findings import fresh_results
 from baselines.evaluation.runner import Task
@@ -68,15 +67,6 @@ def test_command_keeps_rows_that_are_found_again(tmp_path, capsys):
     found = recorded.load(fresh.fresh("benchmark-v2", 2, ["cruise-calm"]), tmp_path)
     assert [len(run.measures) for run in found.runs] == [2]
     assert recorded.load(fresh.fresh("benchmark-v2", 3, ["cruise-calm"]), tmp_path).refused
-
-
-def test_an_expert_goes_on_where_a_network_falls_silent():
-    calm = [PRESETS["cruise-calm"]]
-    assert [silence.lost(name, calm, 2, silent=True) for name in ("apg-cruise", "apg-scratch-cruise")] == [0, 2]
-    assert silence.faster(calm[0]).path.speed == silence.FAST
-    episodes, counts = silence.kept()
-    assert episodes == silence.EPISODES * len(CASES)
-    assert all(0 <= lost <= episodes for row in counts.values() for lost in row.values() if lost is not None)
 
 
 @pytest.mark.parametrize(

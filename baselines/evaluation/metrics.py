@@ -151,6 +151,12 @@ def most_lost(lost: int, episodes: int) -> float:
     return float(stats.binomtest(lost, episodes, alternative="less").proportion_ci(0.95).high)
 
 
+def share_interval(lost: int, episodes: int) -> tuple[float, float]:
+    """Return the two-sided 95 % interval of a share (Clopper and Pearson), of independent episodes."""
+    found = stats.binomtest(lost, episodes).proportion_ci(0.95)
+    return float(found.low), float(found.high)
+
+
 def summarise(m: Measures, interval: bool = True) -> Summary:
     """Return the averages over the episodes of one policy; the tail's interval, which takes its time, if need be."""
     return Summary(

@@ -7,7 +7,6 @@ import math
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +18,11 @@ from auv_gym.policy import Policy
 from auv_gym.scenario import Scenario
 from auv_gym.task import decode_observation
 from baselines.agents.features import ERRORS, scaled_errors
-from baselines.evaluation.metrics import Array, tail_rmse
-from baselines.evaluation.rollout import Repeatable, beginning
+from baselines.evaluation.metrics import Array
+from baselines.evaluation.rollout import Moment
 from baselines.evaluation.runner import Cell, drawn
 from baselines.evaluation.score import cut, is_lost, largest_tail, waters_of
+from baselines.evaluation.side_by_side import SideBySide
 from baselines.evaluation.suites import load
 from baselines.evaluation.suites.yardsticks import Yardstick, kept, measured
 from baselines.tools.files import guarded, json_text, read_json, write_atomically
@@ -62,10 +62,8 @@ class Validation:
 
     def __init__(self, cells: Sequence[Cell], folder: Path | None = None) -> None:
         self.cells = cells
-        self._of = np.repeat(np.arange(len(cells)), [len(cell.episodes) for cell in cells])
         self._caps = [_cap(cell.scenario) for cell in cells]
-        self.steps = max(cell.scenario.steps for cell in cells)
-        self._episodes = Repeatable(partial(beginning, [(cell.scenario, cell.episodes) for cell in cells]))
+        self._episodes = SideBySide(cells)
         self.expert_m, self.oracle_m = _yardsticks(cells, folder)
 
     def run(self, policy: Policy) -> Verdict:
@@ -74,19 +72,15 @@ class Validation:
         Raises:
             PolicyError: its actions are not finite.
         """
-        n = len(self._of)
-        lost, errors, scaled = np.zeros(n, dtype=bool), np.zeros((self.steps, n)), np.empty((self.steps, ERRORS, n))
-        scaled.fill(math.nan)
-        for k, moment in enumerate(self._episodes.play(policy, self.steps)):
+        scaled = np.full((self._episodes.steps, ERRORS, len(self._episodes.of)), math.nan)
+
+        def watch(k: int, moment: Moment) -> None:
             seen = scaled_errors(decode_observation(moment.observation), ARRAYS)
             scaled[k] = np.where(moment.running, seen, math.nan)
-            errors[k] = moment.error
-            lost |= moment.lost
-        tails, gone = [], []
-        for i, (cell, cap) in enumerate(zip(self.cells, self._caps, strict=True)):
-            tail, ended = tail_rmse(errors[: cell.scenario.steps, self._of == i]), lost[self._of == i]
-            tails.append(cut(tail, ended, cap))
-            gone.append(is_lost(tail, ended, cap))
+
+        found = list(zip(self._caps, self._episodes.run(policy, watch), strict=True))
+        tails = [cut(ended.tail, ended.lost, cap) for cap, ended in found]
+        gone = [is_lost(ended.tail, ended.lost, cap) for cap, ended in found]
         error = _mean(tails)
         return Verdict(self.score(error), error, _mean(gone), _seen(scaled))
 

@@ -8,10 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from auv_gym.installation import checkout, left_out
+from baselines.evaluation.residual_file import FILE, load
 from baselines.evaluation.results.collection import ROUNDING, SUITES, TOLERANCE, better_than, collected
 from baselines.evaluation.results.figures import results_figures
 from baselines.evaluation.results.findings import findings, fresh_results
 from baselines.evaluation.results.page import page
+from baselines.evaluation.results.residual import FIGURE, what_it_is_for
+from baselines.evaluation.results.residual_figure import residual_figure
 from baselines.evaluation.results.studies import curves_figure, figures_of, section
 from baselines.evaluation.score import BOUND, ORACLE
 from baselines.evaluation.study_files import load_all
@@ -64,7 +67,9 @@ def main(arguments: Sequence[str]) -> int:
     try:
         (options.out / "images").mkdir(parents=True, exist_ok=True)
         studies = load_all()
-        write_atomically(options.out / PAGE, page(found, missing, section(studies, found)))
+        groups = load(FILE)
+        write_atomically(options.out / PAGE, page(found, missing, section(studies, found), what_it_is_for(groups)))
+        write_atomically(options.out / "images" / FIGURE, to_png(residual_figure(groups)))
         write_atomically(options.out / FINDINGS, findings(found, fresh_results(), studies))
         for name, own in figures_of(studies).items():
             write_atomically(options.out / "images" / name, to_png(curves_figure(own)))

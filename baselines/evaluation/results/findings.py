@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from auv_gym.presets import REGIMES
-from baselines.evaluation import fresh, recorded, silence
+from baselines.evaluation import fresh, recorded
 from baselines.evaluation.metrics import Array, most_lost
 from baselines.evaluation.results.collection import Results
 from baselines.evaluation.results.studies import SHORT
@@ -48,7 +48,7 @@ def findings(found: Sequence[Results], anew: Sequence[Results], studies: Mapping
     if (unmodelled := by_name.get("unmodelled-v1")) is not None:
         parts += [UNMODELLED, _leads(unmodelled, fresh_by_name.get("unmodelled-v1"), studies, ADVERSE_RIVAL)]
     if benchmark is not None:
-        parts += [RESIDUAL, _silence(), SHORTS, _trainings(benchmark, studies, SHORT)]
+        parts += [RESIDUAL, SHORTS, _trainings(benchmark, studies, SHORT)]
         parts += [REWARDS, _trainings(benchmark, studies, *LEARNERS)]
         parts += [YARDSTICK, _shares(benchmark)]
     return "\n\n".join([*parts, UNTABLED]) + "\n"
@@ -127,17 +127,6 @@ def _by_case(results: Results, studies: Mapping[str, Study], regime: str) -> str
     return table([regime, *(case.removeprefix(f"{regime}-") for case in rival)], rows)
 
 
-def _silence() -> str:
-    """Return how many episodes agents lose as they were trained, silent, and faster than trained."""
-    episodes, counts = silence.kept()
-    kinds = list(next(iter(counts.values())))
-    rows = [
-        [f"`{name}`", *("-" if (lost := of[kind]) is None else f"{lost} of {episodes}" for kind in kinds)]
-        for name, of in ((key.replace(", ", "`, `"), row) for key, row in counts.items())
-    ]
-    return table(("policy, regime", *kinds), rows)
-
-
 def _score(results: Results, study: Study) -> Score:
     """Return the score of a study's agents."""
     own = study.suites[results.suite.source[0]]
@@ -197,13 +186,11 @@ Intervals are wide, since a few episodes that go badly wrong weigh much.
 `apg-adverse-*` were trained on these kinds of trouble, all at once and in slightly wider ranges, and on the sheared
 current of `ood-v1`: for them this is no test of the unforeseen. The others had met none of it. What robustness costs
 where nothing is wrong is the distance between `apg-adverse-*` and `apg-*` above."""
-RESIDUAL = f"""## What the expert is for
+RESIDUAL = """## What the expert is for
 
 The expert does not make the final score better: `apg-scratch-*`, networks that command alone, end level with the
-corrected expert. What a residual buys is that it begins at the expert's level, and what the expert knows where the
-network fails. How many fresh episodes of the eight cases are lost *as trained*, with a network that falls *silent*, its
-output zero from a third of each episode on, and *fast*, at {silence.FAST[0]} to {silence.FAST[1]} m/s, above the speeds
-of the training (`python -m baselines.evaluation.silence`)."""
+corrected expert. What a residual buys instead, when networks fail, worlds change and training has just begun, and how
+little of that a large authority leaves: [What a residual is for](results.md#what-a-residual-is-for)."""
 SHORTS = f"""## What each part is worth
 
 Trainings of fewer steps and seeds at cruise, each of which differs from `{BASE}` in one thing."""

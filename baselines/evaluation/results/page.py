@@ -15,9 +15,9 @@ from baselines.evaluation.score import BOUND, ORACLE, regime_of, score_text
 from baselines.evaluation.suites import bound
 
 
-def page(found: Sequence[Results], missing: Sequence[str], learned: str = "") -> str:
-    """Return the text of docs/results.md, with a section on learned agents, if there is one, behind the suites."""
-    parts = [INTRODUCTION]
+def page(found: Sequence[Results], missing: Sequence[str], learned: str = "", first: str = "") -> str:
+    """Return the text of docs/results.md, with a section before the suites and one behind them, if there are such."""
+    parts = [INTRODUCTION, *([first] if first else [])]
     for results in found:
         regimes = list(dict.fromkeys(entry.place for entry in results.pooled))
         parts += [_setting(results), *(_regime(results, regime) for regime in regimes)]

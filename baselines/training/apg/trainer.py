@@ -56,9 +56,10 @@ class Settings:
     memory: bool = True  # whether the network has recurrent units, else it is of two tanh layers
     integrals: bool = True  # whether it sees the integrals of the position error
     preview: tuple[int, ...] = ()  # where it sees the reference ahead, in control periods
+    validations: int = VALIDATIONS  # how often in the run the agent is validated, and a checkpoint kept
 
     def __post_init__(self) -> None:
-        for name, high in (("n_envs", 2**16), ("n_steps", 10**4)):
+        for name, high in (("n_envs", 2**16), ("n_steps", 10**4), ("validations", LOGS)):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= high:
                 raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")
@@ -192,7 +193,7 @@ class Trainer:
         self.updates += 1
         if self._due(LOGS):
             self.run.log(self.timesteps, loss=loss, window_error_m=error, gradient_norm=norm)
-        if self._due(VALIDATIONS):
+        if self._due(self.settings.validations):
             self.validate()
 
     def _due(self, times: int) -> bool:

@@ -1,0 +1,55 @@
+"""Episodes of several scenarios side by side in one environment, run again and again by one policy after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_gym.policy import Policy
+from baselines.evaluation.metrics import Array, tail_rmse
+from baselines.evaluation.rollout import Moment, Repeatable, beginning
+from baselines.evaluation.runner import Cell
+
+
+class Ended(NamedTuple):
+    """How the M episodes of a cell ended."""
+
+    tail: Array  # [m] tail RMSE, shape (M,); of an episode that was lost it means nothing
+    lost: NDArray[np.bool_]  # ended beyond the scenario's lost distance, shape (M,)
+
+
+class SideBySide:
+    """The episodes of some cells, all at once; a policy's numbers are those of `rollout` cell by cell.
+
+    Args:
+        cells: episodes of scenarios with the same number of substeps.
+    """
+
+    def __init__(self, cells: Sequence[Cell]) -> None:
+        self.cells = tuple(cells)
+        self.of = np.repeat(np.arange(len(cells)), [len(cell.episodes) for cell in cells])
+        self.steps = max(cell.scenario.steps for cell in cells)
+        self._episodes = Repeatable(partial(beginning, [(cell.scenario, cell.episodes) for cell in cells]))
+
+    def run(self, policy: Policy, watch: Callable[[int, Moment], None] = lambda *_: None) -> list[Ended]:
+        """Return how the episodes of each cell end.
+
+        Args:
+            policy: what acts; none that looks behind the observation.
+            watch: told of each control step, its number and what it gives.
+
+        Raises:
+            PolicyError: its actions are not finite.
+        """
+        errors, lost = np.zeros((self.steps, len(self.of))), np.zeros(len(self.of), dtype=bool)
+        for k, moment in enumerate(self._episodes.play(policy, self.steps)):
+            watch(k, moment)
+            errors[k] = moment.error
+            lost |= moment.lost
+        own = (self.of == i for i in range(len(self.cells)))
+        steps = (cell.scenario.steps for cell in self.cells)
+        return [Ended(tail_rmse(errors[:n, mine]), lost[mine]) for n, mine in zip(steps, own, strict=True)]
