@@ -85,14 +85,15 @@ def models(tmp_path_factory):
     contrib = pytest.importorskip("sb3_contrib")
     for algorithm in MODELS:
         package = contrib if hasattr(contrib, algorithm) else sb3
-        getattr(package, algorithm)("MlpPolicy", env, device="cpu").save(folder / f"{algorithm}.zip")
+        kind = "MlpLstmPolicy" if algorithm == "RecurrentPPO" else "MlpPolicy"
+        getattr(package, algorithm)(kind, env, device="cpu").save(folder / f"{algorithm}.zip")
     other = gym.make("auv_gym:UnderactuatedAUVTrackResidual-v0", scenario="cruise-calm")
     sb3.PPO("MlpPolicy", other, device="cpu").save(folder / "residual.zip")
     sb3.PPO("MlpPolicy", gym.make("Pendulum-v1"), device="cpu").save(folder / "pendulum.zip")
     return folder
 
 
-MODELS = ("PPO", "SAC", "TD3", "CrossQ", "ARS")
+MODELS = ("PPO", "RecurrentPPO", "SAC", "TD3", "CrossQ", "ARS")
 
 
 def test_documented_zip(models, tmp_path, monkeypatch, capsys):
