@@ -168,7 +168,7 @@ class Trainer:
         """Run one window, learn from it, and log, validate and save where it is time to."""
         learned = self._teach() if self.updates < self.lessons else self._adapt()
         self.updates += 1
-        if self._due(LOGS):
+        if self._due(LOGS) or self._due(VALIDATIONS):
             self.run.log(self.timesteps, **learned)
         if self._due(VALIDATIONS):
             self.validate()
