@@ -109,6 +109,19 @@ def test_zip_acts_as_its_model(models, algorithm):
     assert action.shape == (3, 2)
 
 
+def test_zip_with_memory_remembers_what_its_model_does(models):
+    """Step after step, with an episode that begins in between."""
+    contrib = pytest.importorskip("sb3_contrib")
+    policy, model = make_policy(str(models / "RecurrentPPO.zip")), contrib.RecurrentPPO.load(models / "RecurrentPPO")
+    rng, mine, theirs = np.random.default_rng(0), None, None
+    for k in range(6):
+        row, first = rng.uniform(-0.5, 0.5, (3, 18)).astype(np.float32), np.array([k == 0, k in (0, 3), k == 0])
+        action, mine = policy.predict(row, mine, first)
+        expected, theirs = model.predict(row, theirs, first, deterministic=True)
+        np.testing.assert_array_equal(action, expected)
+    assert not np.array_equal(policy.predict(row)[0], action)
+
+
 def test_zip_of_another_task(models):
     with pytest.raises(ValueError, match=r"takes observations \(3,\) and gives actions \(1,\)"):
         make_policy(str(models / "pendulum.zip"))
