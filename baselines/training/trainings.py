@@ -93,10 +93,10 @@ SHIPPED: Mapping[str, Options] = {
         for regime, authority in PPO_AUTHORITY.items()
     },
     **{
-        f"ppo-lstm-{regime}": training("ppo_lstm", weighted(regime, **SPINS), authority)
+        f"ppo-lstm-{regime}": training("ppo_lstm", weighted(regime, **SPINS), authority, None, 1_500_000)
         for regime, authority in PPO_AUTHORITY.items()
     },
-    "rma-cruise": training("rma", "cruise"),
+    "rma-cruise": training("rma", "cruise", timesteps=3_200_000),
     "rma-slow": training("rma", "slow", SLOW_AUTHORITY, changes=SLOW),
     "sac-cruise": training("sac", "cruise"),
     "sac-slow": training("sac", "slow", (0.6, 1.0)),
