@@ -23,7 +23,7 @@ from auv_gym.task import SIZE, decoded_terms
 from baselines import list_policies, make_policy
 from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES, Inputs
-from baselines.agents.networks import Gru, Mlp, network_of, network_record
+from baselines.agents.networks import Gru, Lstm, Mlp, Rma, network_of, network_record
 from baselines.tools.command_line import UsageError
 
 N = len(FEATURES)
@@ -78,15 +78,32 @@ def test_mlp_equals_torch(activation, layer):
     assert np.abs(action).max() <= 1
 
 
+@torch.no_grad()
+def test_lstm_equals_torch():
+    network = Lstm(N, 10, (8,), "tanh", "tanh")
+    w, rng = weights_of(network), np.random.default_rng(1)
+    inner, head = (loaded(nn.Linear(a, b), w, f"layers.{i}.") for i, (a, b) in enumerate(((10, 8), (8, 2))))
+    cell = nn.LSTMCell(N, 10).double()
+    own = {"weight_ih": "weight_ih", "weight_hh": "weight_hh", "bias_ih": "bias"}
+    parts = {to: torch.tensor(w[f"lstm.{name}"]) for to, name in own.items()}
+    cell.load_state_dict(parts | {"bias_hh": torch.zeros(40)})
+    hidden, peer = np.zeros((5, 20)), (torch.zeros(5, 10, dtype=torch.float64),) * 2
+    for _ in range(20):
+        x = rng.standard_normal((5, N))
+        action, hidden = (y.T for y in network.forward(network.prepared(w), x.T, hidden.T))
+        peer = cell(torch.tensor(x), peer)
+        np.testing.assert_allclose(hidden, torch.cat(peer, -1).numpy(), atol=1e-6)
+        np.testing.assert_allclose(action, torch.tanh(head(torch.tanh(inner(peer[0])))).numpy(), atol=1e-6)
+
+
 NETWORKS = st.builds(
     Gru, st.integers(1, 30), st.integers(1, 9), st.integers(1, 9), st.integers(1, 9), st.sampled_from(["tanh", "clip"])
-) | st.builds(
-    Mlp,
-    st.integers(1, 30),
-    st.lists(st.integers(1, 9), max_size=3).map(tuple),
-    st.sampled_from(["tanh", "relu"]),
-    st.sampled_from(["tanh", "clip"]),
 )
+LAYERS = st.lists(st.integers(1, 9), max_size=3).map(tuple)
+CHOICES = st.sampled_from(["tanh", "relu"]), st.sampled_from(["tanh", "clip"])
+NETWORKS |= st.builds(Mlp, st.integers(1, 30), LAYERS, *CHOICES)
+NETWORKS |= st.builds(Lstm, st.integers(1, 30), st.integers(1, 9), LAYERS, *CHOICES)
+NETWORKS |= st.builds(Rma, st.integers(1, 30), LAYERS, st.integers(1, 9), st.integers(1, 4), CHOICES[1])
 
 
 @given(NETWORKS, st.integers(0, 9), st.floats(0.0, 30.0))
@@ -97,14 +114,14 @@ def test_networks_are_bounded_alike_in_batches_and_described_in_json(network, se
     assert action.shape == (4, 2)
     assert np.abs(action).max() <= 1
     assert after.shape == hidden.shape
-    assert np.abs(after).max(initial=0) <= 1
+    assert np.abs(after).max(initial=0) <= 1 + isinstance(network, Lstm)  # a cell may grow by 1 in a step
     alone, its = (y.T for y in network.forward(network.prepared(w), x[2:3].T, hidden[2:3].T))
     np.testing.assert_allclose(alone[0], action[2], rtol=0, atol=1e-9)
     np.testing.assert_allclose(its[0], after[2], rtol=0, atol=1e-9)
     assert network_of(json.loads(json.dumps(network_record(network)))) == network
 
 
-@pytest.mark.parametrize("network", [SIZES, Mlp(N, (16,), "relu", "tanh")])
+@pytest.mark.parametrize("network", [SIZES, Mlp(N, (16,), "relu", "tanh"), Lstm(N, 6, (5,)), Rma(N, (6,), 3, 2)])
 def test_round_trip(network, tmp_path):
     mine = agent(network)
     mine.save(tmp_path / "a", curve=b"png")

@@ -29,8 +29,8 @@ from baselines.export.players import HeaderPolicy, onnx_policy
 from baselines.tools.command_line import UsageError
 
 DOCS = Path(__file__).parents[1] / "docs"
-KINDS = ("apg-cruise", "apg-preview-slow", "apg-scratch-slow", "ppo-cruise", "sac-slow")
-"""An agent of each kind: recurrent, with a preview, without an expert, tanh and relu layers."""
+KINDS = ("apg-cruise", "apg-preview-slow", "apg-scratch-slow", "ppo-cruise", "sac-slow", "ppo-lstm-slow", "rma-cruise")
+"""An agent of each kind: recurrent, with a preview, without an expert, tanh and relu layers, long memory, filters."""
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wshadow", "-Wmissing-prototypes", "-O2")
 
 
@@ -111,8 +111,8 @@ def test_one_observation_is_decided_as_a_batch_is_and_memory_begins_anew():
 def test_headers_compile_without_a_warning(tmp_path, compiler, precision, weights):
     needed(compiler)
     large = compiler == "gcc" and precision == weights  # takes longer
-    names = ("apg-preview-slow" if large else "apg-slow", "sac-slow")
-    for i, name in enumerate(names):  # both in one program
+    names = ("apg-preview-slow" if large else "apg-slow", "sac-slow", "ppo-lstm-slow", "rma-cruise")
+    for i, name in enumerate(names):  # all in one program
         (tmp_path / f"{name}.h").write_text(c_header(exported(name), precision, weights, f"agent{i}"), encoding="utf-8")
     both = [f'#define AGENT{i}_IMPLEMENTATION\n#include "{name}.h"\n' for i, name in enumerate(names)]
     (tmp_path / "agents.c").write_text("".join(both), encoding="utf-8")

@@ -36,13 +36,14 @@ COST = "baselines.training.sb3.vec_reward.VecErrorCost"
 RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"
 SMOOTH = {"use_sde": True, "policy_kwargs": {"net_arch": {"pi": [16, 8], "qf": [8]}, "clip_mean": 0.0}}
 VARIANTS = [*((algo, {}) for algo in MODELS), ("sac", SMOOTH), ("ppo", {"use_sde": True})]
-SIZES = {"ppo": {"pi": [16, 8], "vf": [8]}} | {key: {"pi": [16, 8], "qf": [8]} for key in ("sac", "td3", "tqc")}
+SIZES = {algo: {"pi": [16, 8], "vf" if algo.startswith("ppo") else "qf": [8]} for algo in MODELS}
 
 
 def configuration(algo="ppo", steps=30, expert=EXPERT, **values):
-    more = {"n_steps": 8, "batch_size": 24} if algo == "ppo" else {"buffer_size": 1000}
+    more = {"n_steps": 8, "batch_size": 24} if algo.startswith("ppo") else {"buffer_size": 1000}
     scenario = Scenario.from_dict({**STORM.to_dict(), "steps": steps})
-    values = {"n_envs": 3, "policy_kwargs": {"net_arch": SIZES[algo]}, **more, **values}
+    kwargs = {"net_arch": SIZES[algo]} | ({"lstm_hidden_size": 12} if algo == "ppo_lstm" else {})
+    values = {"n_envs": 3, "policy_kwargs": kwargs, **more, **values}
     return Config(algo, ((scenario, 1.0),), expert, (0.4, 0.8), hyperparameters=values)
 
 
@@ -62,12 +63,32 @@ def test_exported_actor_is_the_models_predict(algo, values):
     agent = exported(model.policy, configuration(algo))
     x = np.random.default_rng(0).uniform(-2, 2, (200, len(FEATURES))).astype(np.float32)
     expected, _ = model.predict(x, deterministic=True)
-    actions = agent.network.forward(agent.network.prepared(agent.weights), x.T.astype(np.float64), np.zeros((0, 200)))[
-        0
-    ].T
+    hidden = np.zeros((agent.network.memory, 200))
+    actions = agent.network.forward(agent.network.prepared(agent.weights), x.T.astype(np.float64), hidden)[0].T
     np.testing.assert_allclose(actions, expected, rtol=0, atol=1e-6)
     assert 0.05 < np.abs(expected).mean() < 0.95
     assert (np.abs(expected) == 1).any() == (algo == "ppo")  # clipped, the others bounded by tanh
+
+
+def test_exported_memory_is_the_models():
+    """Step after step, with episodes that begin in between."""
+    model = untrained("ppo_lstm")
+    agent = exported(model.policy, configuration("ppo_lstm"))
+    layers, rng, state = agent.network.prepared(agent.weights), np.random.default_rng(0), None
+    hidden = np.zeros((agent.network.memory, 4))
+    for k in range(12):
+        x = rng.uniform(-2, 2, (4, len(FEATURES))).astype(np.float32)
+        first = np.array([k == 0, k in (0, 5), k == 0, k in (0, 7)])
+        expected, state = model.predict(x, state, first, deterministic=True)
+        actions, hidden = agent.network.forward(layers, x.T.astype(np.float64), np.where(first, 0.0, hidden))
+        np.testing.assert_allclose(actions.T, expected, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("values", [{"n_lstm_layers": 2}, {"lstm_kwargs": {"bias": False}}])
+def test_other_memories_are_refused(values):
+    model = make_model(configuration("ppo_lstm", policy_kwargs={"lstm_hidden_size": 4, **values}))
+    with pytest.raises(ValueError, match="must be one layer: set n_lstm_layers to 1"):
+        exported(model.policy, configuration("ppo_lstm"))
 
 
 def test_other_networks_are_refused():

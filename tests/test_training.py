@@ -44,6 +44,8 @@ SMOOTH = {"use_sde": True, "policy_kwargs": {"clip_mean": 0.0}}
 TINY = {
     "apg": {"n_steps": 5, "hidden_size": 8},
     "ppo": {"n_steps": 16, "batch_size": 32, "learning_rate": "lin_0.01", "use_sde": True, "sde_sample_freq": 4},
+    "ppo_lstm": {"n_steps": 16, "batch_size": 32, "use_sde": True, "policy_kwargs": {"lstm_hidden_size": 8}},
+    "rma": {"n_steps": 5, "hidden_size": 8, "adaptation_batches": 2},
     "sac": OFF_POLICY | SMOOTH | {"callback": [{"baselines.training.sb3.callbacks.ZeroCorrection": {"std": 0.1}}]},
     "td3": OFF_POLICY | {"noise_type": "ornstein-uhlenbeck", "noise_std": 0.1},
     "tqc": OFF_POLICY | {"callback": [{"baselines.training.sb3.callbacks.FrozenActor": {"steps": 100}}]},
@@ -56,8 +58,9 @@ def call(monkeypatch, tmp_path):
     """Run the script in-process in an empty folder and return its exit status."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("baselines.training.validation.EPISODES", 4)
-    for name in ("sb3.tracker.VALIDATIONS", "apg.trainer.VALIDATIONS", "apg.trainer.LOGS"):
+    for name in (f"{part}.{what}" for part in ("apg.trainer", "rma.trainer") for what in ("VALIDATIONS", "LOGS")):
         monkeypatch.setattr(f"baselines.training.{name}", 5)
+    monkeypatch.setattr("baselines.training.sb3.tracker.VALIDATIONS", 5)
     SMALL.save("small.toml")
     for algo, values in TINY.items():
         Path(f"{algo}.yml").write_text(yaml.safe_dump({ENV_ID: {"n_envs": 8, **values}}), encoding="utf-8")
@@ -518,8 +521,9 @@ def test_shipped_agents_can_be_trained_again(name, call, monkeypatch, tmp_path):
     monkeypatch.setattr(shipped, "train", lambda r: made.append(r) or 1)
     assert shipped.main([name, "--timesteps", "100", "--out", "out"]) == 1
     [config] = made[0].configs
-    algo, *_, regime = name.split("-")
-    assert (algo, regime) == (config.algo, config.scenarios[0][0].name.split("-")[0])
+    family, regime = name.rsplit("-", 1)
+    assert family.startswith(config.algo.replace("_", "-"))
+    assert regime == config.scenarios[0][0].name.split("-")[0]
     if (AGENTS / name / "agent.json").exists():  # the one in the package came from just this
         mine = json.loads((AGENTS / name / "agent.json").read_text(encoding="utf-8"))["training"]["config"]
         theirs = replace(config, timesteps=mine["timesteps"]).to_dict()

@@ -85,14 +85,15 @@ def models(tmp_path_factory):
     contrib = pytest.importorskip("sb3_contrib")
     for algorithm in MODELS:
         package = contrib if hasattr(contrib, algorithm) else sb3
-        getattr(package, algorithm)("MlpPolicy", env, device="cpu").save(folder / f"{algorithm}.zip")
+        kind = "MlpLstmPolicy" if algorithm == "RecurrentPPO" else "MlpPolicy"
+        getattr(package, algorithm)(kind, env, device="cpu").save(folder / f"{algorithm}.zip")
     other = gym.make("auv_gym:UnderactuatedAUVTrackResidual-v0", scenario="cruise-calm")
     sb3.PPO("MlpPolicy", other, device="cpu").save(folder / "residual.zip")
     sb3.PPO("MlpPolicy", gym.make("Pendulum-v1"), device="cpu").save(folder / "pendulum.zip")
     return folder
 
 
-MODELS = ("PPO", "SAC", "TD3", "CrossQ", "ARS")
+MODELS = ("PPO", "RecurrentPPO", "SAC", "TD3", "CrossQ", "ARS")
 
 
 def test_documented_zip(models, tmp_path, monkeypatch, capsys):
@@ -106,6 +107,19 @@ def test_documented_zip(models, tmp_path, monkeypatch, capsys):
 def test_zip_acts_as_its_model(models, algorithm):
     action, _ = make_policy(str(models / f"{algorithm}.zip")).predict(np.zeros((3, 18)), deterministic=True)
     assert action.shape == (3, 2)
+
+
+def test_zip_with_memory_remembers_what_its_model_does(models):
+    """Step after step, with an episode that begins in between."""
+    contrib = pytest.importorskip("sb3_contrib")
+    policy, model = make_policy(str(models / "RecurrentPPO.zip")), contrib.RecurrentPPO.load(models / "RecurrentPPO")
+    rng, mine, theirs = np.random.default_rng(0), None, None
+    for k in range(6):
+        row, first = rng.uniform(-0.5, 0.5, (3, 18)).astype(np.float32), np.array([k == 0, k in (0, 3), k == 0])
+        action, mine = policy.predict(row, mine, first)
+        expected, theirs = model.predict(row, theirs, first, deterministic=True)
+        np.testing.assert_array_equal(action, expected)
+    assert not np.array_equal(policy.predict(row)[0], action)
 
 
 def test_zip_of_another_task(models):

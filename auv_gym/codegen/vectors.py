@@ -27,7 +27,10 @@ ELEMENTWISE = ("add", "subtract", "multiply", "maximum", "clip", "tanh")
 
 @dataclass(frozen=True)
 class Node:
-    """An operation on vectors: one of `ELEMENTWISE`, "input" (name), "slice" (node, first) or "dot" (matrix, node)."""
+    """An operation on vectors.
+
+    One of `ELEMENTWISE`, "input" (name), "slice" (node, first), "dot" (matrix, node) or "concatenate" (nodes).
+    """
 
     operation: str
     arguments: tuple[Any, ...]  # indices of nodes as int, numbers as float, names of inputs and constants as str
@@ -118,7 +121,10 @@ class Vector(NDArrayOperatorsMixin):
             return self._recorded("dot", (self.names[id(matrix)], self._argument(vector)), len(matrix))
         if function is np.clip:
             return self._recorded("clip", tuple(map(self._argument, arguments)), self.program.nodes[self.index].size)
-        raise TypeError(f"{function.__name__} of a vector is not recorded, only dot and clip")
+        if function is np.concatenate:
+            parts = tuple(map(self._argument, arguments[0]))
+            return self._recorded("concatenate", parts, sum(self.program.nodes[part].size for part in parts))
+        raise TypeError(f"{function.__name__} of a vector is not recorded, only dot, clip and concatenate")
 
     def __getitem__(self, rows: slice) -> Vector:
         first, end, _ = rows.indices(self.program.nodes[self.index].size)
@@ -152,7 +158,8 @@ class _Loops:
         self.kept = {
             i: f"w{i}"
             for i, node in enumerate(nodes)
-            if node.operation not in ("input", "slice") and (uses[i] > 1 or i in multiplied or i in ends)
+            if node.operation not in ("input", "slice")
+            and (uses[i] > 1 or i in multiplied or i in ends or node.operation == "concatenate")
         }
         self.lines: list[str] = []
 
@@ -165,12 +172,25 @@ class _Loops:
         self.lines = [d.head.format(name, ", ".join(taken)), "{"]
         self.lines += [d.local.format(array, nodes[i].size) for i, array in self.kept.items()]
         for i, array in self.kept.items():
+            if nodes[i].operation == "concatenate":
+                self._filled(array, nodes[i].arguments)
+                continue
             self.lines.append(f"{d.loop.format('i', nodes[i].size)} {{")
             text = self._computed(i, 0)
             self.lines += [f"{array}[i] = {text};", "}"]
         for array, i in results.items():
             self.lines += [f"{d.loop.format('i', nodes[i].size)} {array}[i] = {self._entry(i, 0)};"]
         return "\n".join((*self.lines, "}")) + "\n"
+
+    def _filled(self, array: str, parts: Sequence[int]) -> None:
+        """Write the parts of an array, one behind the other."""
+        first = 0
+        for part in parts:
+            size = self.program.nodes[part].size
+            self.lines.append(f"{self.dialect.loop.format('i', size)} {{")
+            text = self._entry(part, 0)
+            self.lines += [f"{array}[i + {first}] = {text};", "}"]
+            first += size
 
     def _entry(self, argument: Any, first: int) -> str:
         """Return entry first + i of a node, a constant or a number."""

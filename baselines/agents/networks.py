@@ -141,8 +141,141 @@ class Mlp:
         return BOUNDS[self.bound](_linear(head, x)), hidden
 
 
-Network = Gru | Mlp
-NETWORKS: dict[str, type[Gru] | type[Mlp]] = {cls.kind: cls for cls in (Gru, Mlp)}
+@dataclass(frozen=True)
+class Lstm:
+    """Long short-term memory, layers with an activation behind it, and a linear head; units as in `torch.nn.LSTM`."""
+
+    kind: ClassVar[str] = "lstm"
+    inputs: int
+    hidden: int = 64
+    layers: tuple[int, ...] = ()  # units of the layers behind the memory
+    activation: str = "tanh"  # of these layers, one of `ACTIVATIONS`
+    bound: str = "clip"  # one of `BOUNDS`
+
+    def __post_init__(self) -> None:
+        _check_sizes(hidden=self.hidden)
+        object.__setattr__(self, "layers", self._behind.layers)
+        _check_sizes(inputs=self.inputs)
+
+    @property
+    def _behind(self) -> Mlp:
+        """What follows the memory."""
+        return Mlp(self.hidden, self.layers, self.activation, self.bound)
+
+    @property
+    def memory(self) -> int:
+        """Numbers that are remembered from one control instant to the next: outputs and cells."""
+        return 2 * self.hidden
+
+    @property
+    def shapes(self) -> Shapes:
+        """Shapes of the weights, by name; rows of the gates: input, forget, candidate, output."""
+        gates = 4 * self.hidden
+        own = {"lstm.weight_ih": (gates, self.inputs), "lstm.weight_hh": (gates, self.hidden), "lstm.bias": (gates,)}
+        return {**own, **self._behind.shapes}
+
+    def prepared(self, weights: Weights, precision: str = "float64") -> Layers:
+        """Return weights as `forward` takes them: candidates last, sums halved where a sigmoid follows.
+
+        The sigmoid of s is (1 + tanh(s / 2)) / 2, and halving is exact.
+        """
+        units = self.hidden
+        order = np.r_[0 : 2 * units, 3 * units : 4 * units, 2 * units : 3 * units]
+        half = np.repeat((0.5, 1.0), (3 * units, units))
+        both = np.hstack((weights["lstm.weight_ih"], weights["lstm.weight_hh"]))[order]
+        gates = _column(half[:, None] * both, half * weights["lstm.bias"][order], precision)
+        return gates, *self._behind.prepared(weights, precision)
+
+    def forward(self, layers: Layers, x: Array, hidden: Array) -> tuple[Array, Array]:
+        """Return actions in [-1, 1], shape (ACTIONS, N), and the hidden state (memory, N), as `Gru.forward`."""
+        gates, *behind = layers
+        units = self.hidden
+        sums = _linear(gates, np.concatenate((x, hidden[:units])))
+        np.tanh(sums, sums)
+        opened = sums[: 3 * units]
+        opened *= 0.5
+        opened += 0.5
+        cells = opened[units : 2 * units] * hidden[units:]
+        cells += opened[:units] * sums[3 * units :]
+        out = opened[2 * units :] * np.tanh(cells)
+        action, _ = self._behind.forward(tuple(behind), out, hidden)
+        return action, np.concatenate((out, cells))
+
+
+FILTERS = ((8, 1), (5, 4), (5, 4), (3, 4))
+"""Instants that each filter of `Rma` takes together, and control steps between them: 48 steps in all."""
+
+
+@dataclass(frozen=True)
+class Rma:
+    """Rapid motor adaptation (Kumar et al. 2021): filters over the last steps estimate what tanh layers are told.
+
+    A tanh layer takes the inputs of each step to `channels` numbers, and `FILTERS` take those of the last 48 steps, one
+    behind the other and each with a tanh, to `latent` numbers: an estimate of what vehicle and sea are like. Layers
+    without memory see the inputs and that estimate. The filters of the paper skip steps; here they are
+    computed at every step, from what each of them remembers of the one before.
+    """
+
+    kind: ClassVar[str] = "rma"
+    inputs: int
+    layers: tuple[int, ...] = (48, 48)
+    latent: int = 8
+    channels: int = 12
+    bound: str = "tanh"  # one of `BOUNDS`
+
+    def __post_init__(self) -> None:
+        _check_sizes(inputs=self.inputs, latent=self.latent, channels=self.channels)
+        object.__setattr__(self, "layers", self.acting.layers)
+
+    @property
+    def acting(self) -> Mlp:
+        """What acts on inputs and estimate."""
+        return Mlp(self.inputs + self.latent, self.layers, "tanh", self.bound)
+
+    @property
+    def kept(self) -> tuple[int, ...]:
+        """Numbers that each filter remembers of what it has been given."""
+        return tuple((instants - 1) * apart * self.channels for instants, apart in FILTERS)
+
+    @property
+    def memory(self) -> int:
+        """Numbers that are remembered from one control instant to the next."""
+        return sum(self.kept)
+
+    @property
+    def shapes(self) -> Shapes:
+        """Shapes of the weights, by name; columns of a filter: its instants, the oldest first."""
+        shapes = _layer("embedding", self.inputs, self.channels)
+        for i, (instants, _) in enumerate(FILTERS):
+            outputs = self.channels if i + 1 < len(FILTERS) else self.latent
+            shapes |= _layer(f"filters.{i}", instants * self.channels, outputs)
+        return shapes | self.acting.shapes
+
+    def prepared(self, weights: Weights, precision: str = "float64") -> Layers:
+        """Return weights as `forward` takes them, in a precision."""
+        names = ("embedding", *(f"filters.{i}" for i in range(len(FILTERS))))
+        return _columns(weights, names, precision) + self.acting.prepared(weights, precision)
+
+    def forward(self, layers: Layers, x: Array, hidden: Array) -> tuple[Array, Array]:
+        """Return actions in [-1, 1], shape (ACTIONS, N), and the hidden state (memory, N), as `Gru.forward`."""
+        latent, following = self.estimate(layers, x, hidden)
+        action, _ = self.acting.forward(layers[1 + len(FILTERS) :], np.concatenate((x, latent)), hidden)
+        return action, following
+
+    def estimate(self, layers: Layers, x: Array, hidden: Array) -> tuple[Array, Array]:
+        """Return the estimate (latent, N) and the hidden state; arguments as of `forward`."""
+        given, first, following = np.tanh(_linear(layers[0], x)), 0, []
+        for (instants, apart), layer, kept in zip(FILTERS, layers[1:], self.kept, strict=False):
+            past = np.concatenate((hidden[first : first + kept], given))
+            steps = (past[k * apart * self.channels :][: self.channels] for k in range(instants))
+            following.append(past[self.channels :])
+            given = np.tanh(_linear(layer, past if apart == 1 else np.concatenate(tuple(steps))))
+            first += kept
+        return given, np.concatenate(following)
+
+
+Network = Gru | Lstm | Mlp | Rma
+NETWORKS: dict[str, type[Gru] | type[Lstm] | type[Mlp] | type[Rma]] = {cls.kind: cls for cls in (Gru, Lstm, Mlp, Rma)}
 """Kinds of networks by name."""
 
 

@@ -118,6 +118,8 @@ class _Writer:
                 self.node(
                     "Slice", [names[arguments[0]], *list(ends)[:2], self.constant("at_1", [1], np.int64)], [names[i]]
                 )
+            elif operation == "concatenate":
+                self.node("Concat", [names[a] for a in arguments], [names[i]], axis=1)
             elif operation == "dot":
                 turned = self.constant(f"{arguments[0]}_T", program.constants[arguments[0]].T)
                 self.node("MatMul", [names[arguments[1]], turned], [names[i]])

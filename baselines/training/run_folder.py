@@ -184,7 +184,7 @@ class Run:
                 raise ValueError("it is damaged, its SHA-256 differs")
             record = torch.load(io.BytesIO(data), map_location="cpu", weights_only=False)
             rows = [row for row in read_progress(self.folder) if row["timesteps"] <= record["timesteps"]]
-            if not rows or "score" not in rows[-1]:
+            if not rows or rows[-1]["timesteps"] != record["timesteps"]:
                 raise ValueError(f"{PROGRESS} is damaged, it ends before the checkpoint")
         except (AttributeError, EOFError, ImportError, KeyError, RuntimeError, ValueError, UnpicklingError) as error:
             raise TrainingError(f"cannot go on from {file}: {error}; begin again in another folder") from error

@@ -73,6 +73,10 @@ FREE: Mapping[str, Any] = {**EXACT, "effort_weight": 0.0003, "rate_weight": 0.00
 """`EXACT` at cruise, where calm commands cost more of the error."""
 SPINS: Mapping[str, int] = {"actuator": 3, "storm": 2}
 """Weights of the cases for PPO: fast vehicles with slow actuators spin under it."""
+PPO_AUTHORITY: Mapping[str, tuple[float, float]] = {"slow": (0.6, 1.0), "cruise": (1.0, 0.6)}
+"""Of PPO, with memory or without: more lets fast vehicles with slow actuators spin."""
+WIDE: Mapping[str, Any] = {"n_envs": 512, "n_steps": 64, "batch_size": 4096, "n_epochs": 4}
+"""Of PPO where it is trained until its score has stopped to rise: less noise in each update."""
 HARDEST: Mapping[str, int] = {"noise": 2, "actuator": 4, "storm": 4}
 """Weights of the cases where commands cost next to nothing: what is left of the error, and what spins then."""
 SHIPPED: Mapping[str, Options] = {
@@ -84,8 +88,16 @@ SHIPPED: Mapping[str, Options] = {
     "apg-adverse-slow": training("apg", "slow-adverse", SLOW_AUTHORITY, changes=SLOW),
     "apg-scratch-cruise": training("apg", "cruise", (1.0, 1.0), NO_EXPERT),
     "apg-scratch-slow": training("apg", "slow", (1.0, 1.0), NO_EXPERT, changes=SLOW),
-    "ppo-cruise": training("ppo", weighted("cruise", **SPINS)),
-    "ppo-slow": training("ppo", weighted("slow", **SPINS), (0.6, 1.0)),
+    **{
+        f"ppo-{regime}": training("ppo", weighted(regime, **SPINS), authority, None, 12_000_000, WIDE)
+        for regime, authority in PPO_AUTHORITY.items()
+    },
+    **{
+        f"ppo-lstm-{regime}": training("ppo_lstm", weighted(regime, **SPINS), authority, None, 1_500_000)
+        for regime, authority in PPO_AUTHORITY.items()
+    },
+    "rma-cruise": training("rma", "cruise", timesteps=3_200_000),
+    "rma-slow": training("rma", "slow", SLOW_AUTHORITY, changes=SLOW),
     "sac-cruise": training("sac", "cruise"),
     "sac-slow": training("sac", "slow", (0.6, 1.0)),
     "td3-cruise": training("td3", "cruise"),

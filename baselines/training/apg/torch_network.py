@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from baselines.agents.networks import ACTIONS, Gru, Mlp, Network
+from baselines.agents.networks import ACTIONS, Gru, Mlp
 
 LONGEST_MEMORY = 200.0
 """Control steps that the slowest units of an untrained network remember."""
@@ -52,7 +52,7 @@ class TorchMlp(nn.Module):
         self.layers = nn.ModuleList(layers)
 
 
-def torch_network(sizes: Network) -> TorchGru | TorchMlp:
+def torch_network(sizes: Gru | Mlp) -> TorchGru | TorchMlp:
     """Return an untrained network of these sizes, with tanh throughout."""
     return TorchGru(sizes) if isinstance(sizes, Gru) else TorchMlp(sizes)
 

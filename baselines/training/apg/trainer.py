@@ -24,7 +24,7 @@ from auv_gym.records import from_record
 from auv_gym.task import decode_observation
 from baselines.agents.agent import Agent
 from baselines.agents.features import Inputs
-from baselines.agents.networks import Gru, Mlp, Network
+from baselines.agents.networks import Gru, Mlp
 from baselines.policy import Memory
 from baselines.training.apg.closed_loop import ClosedLoop, Loss, law_of
 from baselines.training.apg.fleet import Fleet
@@ -79,7 +79,7 @@ class Settings:
         return Inputs(self.preview, self.integrals)
 
     @property
-    def network(self) -> Network:
+    def network(self) -> Gru | Mlp:
         """The sizes of the network."""
         inputs, size = len(self.inputs.features), self.hidden_size
         return Gru(inputs, size, size, size) if self.memory else Mlp(inputs, (size, size), bound="tanh")

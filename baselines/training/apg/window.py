@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -13,15 +13,23 @@ from auv_gym.namespaces import ARRAYS
 from auv_gym.simulation import PARAMETERS, PLANT, PLANT_ROWS
 from auv_gym.task import SIZE
 from baselines.agents.features import INTEGRALS
-from baselines.agents.networks import ACTIONS
+from baselines.agents.networks import ACTIONS, Network
 from baselines.training.apg.closed_loop import Loss
 from baselines.training.apg.kernels import MOVED, LoopKernels
-from baselines.training.apg.passes import Tape, pass_of
+from baselines.training.apg.passes import Pass, Tape, pass_of
 from baselines.training.apg.torch_network import TorchGru, TorchMlp
 
 Array = NDArray[Any]
 Act = Callable[[int, Array], Array]
 """What an expert that computes on NumPy does at step k on observations (SIZE, N): actions, shape (ACTIONS, N)."""
+
+
+class Steering(Protocol):
+    """A network as a window sees it; `Window` is told the way through it."""
+
+    @property
+    def sizes(self) -> Network:
+        """What it is on NumPy."""
 
 
 class Carried(NamedTuple):
@@ -42,9 +50,17 @@ class Window:
         network: what corrects the expert; its weights may change in place between windows.
         n: N, the number of vehicles.
         steps: T.
+        way: makes the way through the network, if it is none of those that `pass_of` knows.
     """
 
-    def __init__(self, kernels: LoopKernels, network: TorchGru | TorchMlp, n: int, steps: int) -> None:
+    def __init__(
+        self,
+        kernels: LoopKernels,
+        network: TorchGru | TorchMlp | Steering,
+        n: int,
+        steps: int,
+        way: Callable[[Any, Tape], Pass] = pass_of,
+    ) -> None:
         self.steps, self._type = steps, np.dtype(kernels.precision)
         inputs, self._substeps = kernels.loop.inputs, kernels.loop.parts.substeps
         features, memory = len(inputs.features), network.sizes.memory
@@ -68,7 +84,7 @@ class Window:
         }
         tensors = (self._features, self._carried.hidden, self._carried.correction)
         derivatives = (self._d["d_features"], self._d["d_correction"])
-        self._pass = pass_of(network, Tape(*map(torch.from_numpy, (*tensors, *derivatives))))
+        self._pass = way(network, Tape(*map(torch.from_numpy, (*tensors, *derivatives))))
         self._bind(kernels)
 
     def _zeros(self, *shape: int) -> Array:
@@ -111,6 +127,7 @@ class Window:
         authority: Sequence[float],
         loss: Loss,
         act: Act | None = None,
+        back: bool = True,
     ) -> tuple[float, float, Carried, Array]:
         """Run the window and set the gradients of the network's weights, those of its mean loss.
 
@@ -122,6 +139,7 @@ class Window:
             authority: largest corrections of surge and yaw.
             loss: of a control step.
             act: the expert, if it does not compute in the kernels.
+            back: whether gradients are wanted.
 
         Returns:
             The mean loss, the mean position error [m], what is carried on, which the next run overwrites, and the
@@ -134,7 +152,8 @@ class Window:
         self._chosen[:] = np.array((*authority, *loss, 1 / (n * self.steps)))[:, None]  # as in `Chosen`
         with torch.no_grad():
             self._forward(act)
-            self._backward()
+            if back:
+                self._backward()
         with np.errstate(all="ignore"):  # of vehicles that are lost altogether
             mean, error = self._mean_loss(loss), float(np.sqrt(self._squared, dtype=np.float64).mean())
         return mean, error, Carried(*(x[-1] for x in self._carried)), self._squared[-1, 0]

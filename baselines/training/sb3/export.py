@@ -6,20 +6,21 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import nn
+from torch import Tensor, nn
 
 from baselines.agents.agent import Agent
-from baselines.agents.networks import Mlp
+from baselines.agents.networks import Lstm, Mlp
 from baselines.training.config import Config
 
 _ACTIVATIONS: dict[type, str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
 
 
 def exported(policy: Any, config: Config) -> Agent:
-    """Return the agent of a policy network of PPO, SAC, TQC, TD3 or ARS, and of others that are built alike.
+    """Return the agent of a policy network of PPO, recurrent PPO, SAC, TQC, TD3 or ARS, and of others built alike.
 
     Raises:
-        ValueError: its actor is no chain of linear layers with tanh or ReLU between them, as CrossQ's is none.
+        ValueError: its actor is no chain of linear layers with tanh or ReLU between them, as CrossQ's is none, perhaps
+            behind one layer of long short-term memory.
     """
     chain, bound = _actor(policy)
     linear = [layer for layer in chain if isinstance(layer, nn.Linear)]
@@ -29,18 +30,40 @@ def exported(policy: Any, config: Config) -> Agent:
             "the actor is no chain of linear layers with tanh or ReLU between them, which is all that an agent can be; "
             "with use_sde set clip_mean to 0 in policy_kwargs"
         )
-    sizes = tuple(layer.out_features for layer in linear[:-1])
-    network = Mlp(linear[0].in_features, sizes, str(between.pop()), bound)
+    sizes, activation = tuple(layer.out_features for layer in linear[:-1]), str(between.pop())
     weights: dict[str, NDArray[Any]] = {}
     for i, layer in enumerate(linear):
         for name, value in layer.named_parameters():
-            weights[f"layers.{i}.{name}"] = np.array(value.detach().cpu().numpy())
+            weights[f"layers.{i}.{name}"] = _array(value)
+    memory = getattr(policy, "lstm_actor", None)
+    if memory is None:
+        network: Lstm | Mlp = Mlp(linear[0].in_features, sizes, activation, bound)
+    else:
+        network = Lstm(memory.input_size, memory.hidden_size, sizes, activation, bound)
+        weights |= _remembering(memory)
     return Agent(network, weights, config.expert, config.authority, config.names)
+
+
+def _remembering(memory: nn.LSTM) -> dict[str, NDArray[Any]]:
+    """Return the weights of long short-term memory; of its two biases the sum acts.
+
+    Raises:
+        ValueError: it is of several layers, or of a form that `networks.Lstm` is not.
+    """
+    if memory.num_layers != 1 or not memory.bias or memory.bidirectional or memory.proj_size:
+        raise ValueError("the actor's memory must be one layer: set n_lstm_layers to 1, and leave out lstm_kwargs")
+    values = {name.removesuffix("_l0"): _array(value) for name, value in memory.named_parameters()}
+    bias = values.pop("bias_ih") + values.pop("bias_hh")
+    return {"lstm.bias": bias, **{f"lstm.{name}": value for name, value in values.items()}}
+
+
+def _array(value: Tensor) -> NDArray[Any]:
+    return np.array(value.detach().cpu().numpy())
 
 
 def _actor(policy: Any) -> tuple[list[nn.Module], str]:
     """Return the layers from the features to the mean action, and what bounds that, see `networks.BOUNDS`."""
-    if hasattr(policy, "mlp_extractor"):  # PPO
+    if hasattr(policy, "mlp_extractor"):  # PPO, recurrent or not
         return [*policy.mlp_extractor.policy_net, policy.action_net], "clip"
     actor = getattr(policy, "actor", policy)
     if hasattr(actor, "latent_pi"):  # SAC and TQC

@@ -24,6 +24,7 @@ _KEPT = (
     "_last_obs",
     "_last_original_obs",
     "_last_episode_starts",
+    "_last_lstm_states",
 )
 """Attributes beside the parameters; each algorithm has some of them."""
 _DRAWN = ("exploration_mat", "exploration_matrices")

@@ -1,4 +1,4 @@
-"""Training with Stable-Baselines3: PPO, SAC, TD3 and TQC on the native vector environment."""
+"""Training with Stable-Baselines3: PPO, recurrent PPO, SAC, TD3 and TQC on the native vector environment."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import gymnasium as gym
 import numpy as np
-from sb3_contrib import TQC
+from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
@@ -36,7 +36,10 @@ from baselines.training.sb3.vec_reward import VecErrorCost
 
 T = TypeVar("T")
 
-MODELS: Mapping[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "td3": TD3, "tqc": TQC}  # by algorithm
+MODELS: Mapping[str, type[BaseAlgorithm]] = {"ppo": PPO, "ppo_lstm": RecurrentPPO, "sac": SAC, "td3": TD3, "tqc": TQC}
+"""By algorithm, named as in rl_zoo3."""
+POLICIES = {"ppo_lstm": "MlpLstmPolicy"}
+"""The policy of an algorithm, where it is not MlpPolicy."""
 _CALLBACKS: Mapping[str, type[BaseCallback]] = {
     f"{cls.__module__}.{cls.__name__}": cls for cls in (ZeroCorrection, FrozenActor)
 }
@@ -91,8 +94,9 @@ def make_model(config: Config) -> BaseAlgorithm:
     """
     cls, values = MODELS[config.algo], dict(config.hyperparameters)
     values.pop("callback", None)
-    if (policy := values.pop("policy", "MlpPolicy")) != "MlpPolicy":
-        raise ValueError(f"hyper-parameter policy is {policy!r}; here it must be MlpPolicy")
+    own = POLICIES.get(config.algo, "MlpPolicy")
+    if (policy := values.pop("policy", own)) != own:
+        raise ValueError(f"hyper-parameter policy is {policy!r}; of {config.algo} it must be {own}")
     n_envs, noise = values.pop("n_envs", 1), _noise(values)
     env = make_training_env(config, n_envs, values.pop("vec_env_wrapper", []))
     allowed = sorted(set(inspect.signature(cls).parameters) - _OURS)

@@ -28,7 +28,7 @@ from baselines.training.options import Options as TrainOptions
 from baselines.training.request import Request
 from baselines.training.run_folder import AGENT, read_progress
 from baselines.training.shipped import install
-from baselines.training.trainings import EXACT, SHIPPED, request_of, training
+from baselines.training.trainings import EXACT, PPO_AUTHORITY, SHIPPED, SPINS, request_of, training, weighted
 
 PROGRAM = "python -m baselines.training.study"
 
@@ -58,11 +58,22 @@ FAMILIES: Mapping[str, str] = {
     "apg-preview": "A larger network, which sees the reference ahead and pays nearly nothing for its commands.",
     "apg-adverse": "Trained also where sensors, commands, actuators and current are not as told.",
     "apg-scratch": "Without an expert: the network commands alone.",
-    "ppo": "The expert corrected by a network without memory, which learns from rewards.",
+    "ppo": "The expert corrected by a network without memory, which learns from rewards until it gets no better.",
+    "ppo-lstm": "The same with long short-term memory.",
+    "rma": "A teacher knows vehicle and sea; a student, which acts, estimates them from the last 48 steps.",
     "sac": "The same from fewer steps, each of which is learned from many times.",
     "td3": "The same from fewer steps, each of which is learned from many times.",
 }
 """What the agents that ship with the package are, by their names without the regime."""
+BRIEF: Mapping[str, Variant] = {
+    f"ppo-3m-{regime}": Variant(
+        "The expert corrected by a network without memory, which learns from rewards.",
+        regime,
+        replace(training("ppo", weighted(regime, **SPINS), PPO_AUTHORITY[regime]), seeds=SEEDS),
+    )
+    for regime in ("cruise", "slow")
+}
+"""PPO with a quarter of the steps of those that ship."""
 SHORT_TRAININGS: Mapping[str, Variant] = {
     "short-cruise": _short("As `apg-cruise`, fewer steps: what the following ones differ from in one thing."),
     "short-preview": _short("The network sees the reference .5, 1, 2 and 4 s ahead.", preview=EXACT["preview"]),
@@ -85,6 +96,7 @@ def _shipped(name: str, each: TrainOptions) -> Variant:
 
 VARIANTS: Mapping[str, Variant] = {
     **{name: _shipped(name, each) for name, each in SHIPPED.items()},
+    **BRIEF,
     **SHORT_TRAININGS,
 }
 """The agents of the study, by name."""

@@ -1,0 +1,58 @@
+"""What a teacher is told of vehicle, actuators and sea, and a student has to find out.
+
+Kumar et al. (2021), "RMA: rapid motor adaptation for legged robots", call it the extrinsics. Nothing in it
+depends on what the vehicle does, so no slope goes through it; of a sheared current it is the mean.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from auv_gym.errors import to_body
+from auv_gym.namespaces import ARRAYS
+from auv_gym.rows import filled
+from auv_gym.simulation import SAMPLE, Parameters, Parts
+from auv_gym.vehicle import Coefficients, Vehicle
+from baselines.agents.features import BOUND
+from baselines.policy import reference_speed
+
+Array = NDArray[Any]
+
+EXTRINSICS = (
+    *Coefficients._fields,  # of the true vehicle, against those of the known one
+    *("V_u", "V_v"),  # current, along and across the reference's heading
+    *("X", "Y", "N"),  # external load
+    *("lag", "effect_u", "effect_r", "reach_u", "reach_r", "delay"),  # of the actuators
+)
+"""What the rows are, in their order; each is of the size of 1."""
+
+
+def extrinsics(samples: Array, constants: Array, known: Vehicle) -> Array:
+    """Return the extrinsics of every instant of a window, shape (T, len(EXTRINSICS), N).
+
+    Args:
+        samples: what acts from each instant to the next, rows of `simulation.Sample`, shape (T, SAMPLE_ROWS, N).
+        constants: the rows of `simulation.Parameters`, shape (PARAMETER_ROWS, N).
+        known: the vehicle that expert and planner believe in.
+    """
+    s, p = filled(SAMPLE, tuple(samples.swapaxes(0, 1))), Parameters.of(tuple(constants), Parts())
+    U = reference_speed(s.u_R, s.v_R, ARRAYS)
+    along, across = to_body(s.V_x, s.V_y, np.cos(s.psi_R), np.sin(s.psi_R))
+    rows = (
+        *_against(p.coefficients, known.coefficients),
+        *(2 * along / U, 2 * across / U),
+        *(8 * s.X / p.F_u_max, 8 * s.Y / p.F_u_max, 8 * s.N / p.F_r_max),
+        1 - p.response.gain,
+        *(4 * (1 - p.thrust_u / p.F_u_max), 4 * (1 - p.thrust_r / p.F_r_max)),
+        *(2 * (1 - np.minimum(p.reach_u, 1.0)), 2 * (1 - np.minimum(p.reach_r, 1.0)), p.delay / 3),
+    )
+    return np.stack([np.broadcast_to(np.clip(row, -BOUND, BOUND), s.X.shape) for row in rows], axis=1)
+
+
+def _against(true: Coefficients, known: Coefficients) -> list[Any]:
+    """Return masses and drag against the known ones; quadratic drag against the linear one, at 1 m/s."""
+    ratios = [5 * (a / b - 1) for a, b in zip(true[:6], known[:6], strict=True)]
+    return ratios + [(a - b) / linear for a, b, linear in zip(true[6:], known[6:], known[3:6], strict=True)]
