@@ -268,6 +268,12 @@ def test_a_second_call_measures_nothing_again(tmp_path, capsys):
     assert kept["slow"].tails["faster"].shape == (1, len(CASES))
 
 
+def test_seeds_that_are_not_finished_are_left_out(tmp_path, capsys):
+    assert command.main(["residual-0.5-cruise", "--finished", "--episodes", "1", "--out", str(tmp_path)]) == 0
+    assert capsys.readouterr().out == f"written: {tmp_path / 'residual.json'}\n"
+    assert load(tmp_path / "residual.json") == []
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -172,12 +172,13 @@ def _overview(groups: Sequence[Group], regime: str, kinds: Sequence[str]) -> str
     rows = [
         [
             f"`{group.name}`" if group.kind == SHIPPED else _title(group),
+            str(len(group.tails[NORMAL])),
             _error_text(group, NORMAL),
             *(share_text(lost_share(group, s)) if s in group.tails else "-" for s in columns),
         ]
         for group in own
     ]
-    return table((regime, "error [cm]", *(f"{name}: lost" for name in columns)), rows) if rows else ""
+    return table((regime, "seeds", "error [cm]", *(f"{name}: lost" for name in columns)), rows) if rows else ""
 
 
 INTRODUCTION = f"""## What a residual is for
@@ -206,7 +207,7 @@ most of a seed. Zero steps of a residual are the law; from scratch a hundred tho
 after four hundred thousand the two are level."""
 BY_AUTHORITY = """### Every agent of the study
 
-Error as trained, and how many episodes are lost."""
+Error as trained, and how many episodes are lost. Of a single seed the intervals are over its episodes alone."""
 SHIP = """### What ships
 
 The same for policies of the registry, one seed each. Without a network there is nothing that could fail."""

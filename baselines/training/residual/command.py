@@ -98,6 +98,8 @@ class Options:
     """Folder of the runs."""
     jobs: int = 2
     """Trainings, or agents that are measured, at the same time."""
+    finished: bool = False
+    """Train nothing, and measure the seeds that are finished, however few."""
     seeds: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Seeds of each training, to try it out. Default: 5. As with the next two, what comes out stays in --out."""
     timesteps: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
@@ -151,13 +153,15 @@ def _trained(name: str, options: Options, workers: Workers) -> tuple[int, list[G
     setting = SETTINGS[name]
     chosen = replace(setting.training, seeds=options.seeds or SEEDS, timesteps=options.timesteps or STEPS)
     request = request_of(chosen, options.out / name, options.jobs)
-    if (status := train(request)) != DONE:
+    if not options.finished and (status := train(request)) != DONE:
         return status, []
-    tasks = [(str(f / AGENT), setting.regime, options.episodes or EPISODES, f / OWN) for f in request.folders]
+    folders = [folder for folder in request.folders if (folder / AGENT).exists()]
+    if not folders:
+        return DONE, []
+    tasks = [(str(f / AGENT), setting.regime, options.episodes or EPISODES, f / OWN) for f in folders]
     tails = _measured(tasks, workers)
     curves = [
-        np.array([[row[key] for key in CURVE] for row in read_progress(folder) if "score" in row])
-        for folder in request.folders
+        np.array([[row[key] for key in CURVE] for row in read_progress(folder) if "score" in row]) for folder in folders
     ]
     entries = setting.regime, setting.kind, setting.authority, _today(), request.command
     return DONE, [Group(name, *entries, tails, tuple(curves))]
