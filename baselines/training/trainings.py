@@ -92,10 +92,8 @@ SHIPPED: Mapping[str, Options] = {
         f"ppo-{regime}": training("ppo", weighted(regime, **SPINS), authority, None, 12_000_000, WIDE)
         for regime, authority in PPO_AUTHORITY.items()
     },
-    **{
-        f"ppo-lstm-{regime}": training("ppo_lstm", weighted(regime, **SPINS), authority, None, 1_500_000)
-        for regime, authority in PPO_AUTHORITY.items()
-    },
+    "ppo-lstm-cruise": training("ppo_lstm", weighted("cruise", **SPINS), PPO_AUTHORITY["cruise"], None, 1_000_000),
+    "ppo-lstm-slow": training("ppo_lstm", weighted("slow", **SPINS), PPO_AUTHORITY["slow"], None, 1_500_000),
     "rma-cruise": training("rma", "cruise", timesteps=3_200_000),
     "rma-slow": training("rma", "slow", SLOW_AUTHORITY, changes=SLOW),
     "sac-cruise": training("sac", "cruise"),
