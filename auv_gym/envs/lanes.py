@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from auv_gym.envs.vector_api import AutoresetMode, Ends, checked_mode
 from auv_gym.episode import Episode, checked_options, with_options
+from auv_gym.fleet import Craft
 from auv_gym.kernels import begun
 from auv_gym.namespaces import ARRAYS
 from auv_gym.planner import plan
@@ -83,7 +84,7 @@ class Lanes:
         self,
         num_envs: int,
         scenario: ScenarioLike | Sequence[ScenarioLike],
-        vehicle: Vehicle | str | Mapping[str, Any] | None,
+        vehicle: Vehicle | Craft | str | Mapping[str, Any] | None,
         control_dt: float | None,
         preview: Sequence[int] = (),
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
@@ -237,10 +238,10 @@ class Lanes:
         o = Observation._make(decode(rows, ARRAYS))
         return np.vstack((rows, encode_preview(self.preview.ahead(lanes, self.k[lanes]), o, ARRAYS)))
 
-    def _plan_of(self, lane: int) -> tuple[float, int, Vehicle, float, float]:
+    def _plan_of(self, lane: int) -> tuple[float, int, Vehicle, float, float, float, int]:
         """Return what a plan depends on besides the path, the arguments of `reference_tables`."""
-        s = self.scenarios[lane]
-        return s.control_dt, s.steps, s.vehicle, s.actuators.F_u_max, s.actuators.F_r_max
+        s, act = self.scenarios[lane], self.scenarios[lane].actuators
+        return s.control_dt, s.steps, s.vehicle, act.F_u_max, act.F_r_max, act.fin, s.span
 
     def _feasible(self, lane: int, episode: Episode | None, rng: np.random.Generator) -> tuple[Episode, Array]:
         """Return an episode of a lane, the given one or one that can be followed, and its reference table."""
@@ -277,17 +278,34 @@ class Lanes:
 
 
 def reference_tables(
-    episodes: Sequence[Episode], dt: float, steps: int, vehicle: Vehicle, F_u_max: float, F_r_max: float
+    episodes: Sequence[Episode],
+    dt: float,
+    steps: int,
+    vehicle: Vehicle,
+    F_u_max: float,
+    F_r_max: float,
+    fin: float = 0.0,
+    span: int = 1,
 ) -> list[Array]:
     """Return the reference tables of episodes, shape (steps + 1, 8) each.
+
+    Args:
+        episodes: whose paths are planned.
+        dt: control period [s].
+        steps: control steps of an episode.
+        vehicle: the known one.
+        F_u_max: largest |F_u| [N].
+        F_r_max: largest |F_r| [N m].
+        fin: of the fins [kg], see `actuators.Actuators`.
+        span: of the scenario, see `task.bounds`.
 
     Raises:
         InfeasibleReferenceError: an episode's path cannot be followed within these limits.
         ValueError: a reference is beyond what can be observed.
     """
     paths = [episode.path for episode in episodes]
-    reference = plan(paths, vehicle, dt * np.arange(steps + 1, dtype=np.float64), (F_u_max, F_r_max)).table
-    check_reference(reference)
+    reference = plan(paths, vehicle, dt * np.arange(steps + 1, dtype=np.float64), (F_u_max, F_r_max), fin).table
+    check_reference(reference, span)
     return list(np.ascontiguousarray(reference.transpose(2, 0, 1)))
 
 
@@ -312,7 +330,7 @@ def replaced(old: NDArray[Any], where: NDArray[Any], new: NDArray[Any]) -> NDArr
 
 
 def _scenarios(
-    scenario: Any, num_envs: int, vehicle: Vehicle | str | Mapping[str, Any] | None, control_dt: float | None
+    scenario: Any, num_envs: int, vehicle: Vehicle | Craft | str | Mapping[str, Any] | None, control_dt: float | None
 ) -> list[Scenario]:
     several = isinstance(scenario, Iterable) and not isinstance(scenario, (str, Mapping))
     given = list(scenario) if several else [scenario]

@@ -31,7 +31,8 @@ def samples(scenario: Scenario, episodes: Sequence[Episode]) -> Array:
     """
     n, act = len(episodes), scenario.actuators
     instants = scenario.steps + 1
-    tables = reference_tables(episodes, scenario.control_dt, scenario.steps, scenario.vehicle, act.F_u_max, act.F_r_max)
+    dt, steps, limits = scenario.control_dt, scenario.steps, (act.F_u_max, act.F_r_max)
+    tables = reference_tables(episodes, dt, steps, scenario.vehicle, *limits, fin=act.fin, span=scenario.span)
     tape = Tape(n, instants)
     for i, (episode, table) in enumerate(zip(episodes, tables, strict=True)):
         tape.load(i, scenario, episode, table)
