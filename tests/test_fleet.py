@@ -2,6 +2,7 @@
 
 import inspect
 import math
+import os
 import random
 import re
 from dataclasses import fields, replace
@@ -303,3 +304,55 @@ def test_wrong_file_is_refused(tmp_path):
     (tmp_path / "wrong.toml").write_text("speed = 1.0\n", encoding="utf-8")
     with pytest.raises(ValueError, match=r"wrong.toml: vehicle file lacks the entry 'name'"):
         PRESETS["cruise-calm"].changed(str(tmp_path / "wrong.toml"))
+
+
+PAGE = Path(__file__).parents[1] / "docs/vehicles.md"
+
+
+def row(mine):
+    v, act, U = mine.vehicle, mine.actuators, mine.speed
+    torque = min(act.F_r_max, act.fin * U * U) if act.fin else act.F_r_max
+    lag = 0.2 * mine.time / PAPER.time if mine.lag is None else mine.lag
+    _, sway, yaw = mine.drag(U)
+    numbers = (
+        mine.length,
+        U,
+        act.F_u_max,
+        torque,
+        lag,
+        v.m22 / v.m11,
+        sway / v.m22,
+        yaw / v.m33,
+        torque / v.m11 / U**2,
+    )
+    return [f"`{mine.name}`", mine.about, *(f"{number:.3g}" for number in numbers)]
+
+
+def fleet_tables():
+    every = [PAPER, *map(craft, fleet())]
+    names = [
+        "name",
+        "what",
+        "L [m]",
+        "speed [m/s]",
+        "thrust [N]",
+        "torque [N m]",
+        "lag [s]",
+        "m22/m11",
+        "sway drag",
+        "yaw drag",
+    ]
+    names.append("yaw torque")
+    first = [names, ["---"] * len(names), *map(row, every)]
+    known = [[f"`{c.name}`", c.source, c.left_out, c.ours] for c in every[1:]]
+    second = [["name", "source", "left out", "ours"], ["---"] * 4, *known]
+    return "\n\n".join("\n".join(f"| {' | '.join(cells)} |" for cells in table) for table in (first, second))
+
+
+def test_page_shows_the_fleet():
+    text = PAGE.read_text(encoding="utf-8")
+    start, end = re.search(r"<!-- the fleet.*-->\n", text).end(), text.index("<!-- end of the fleet -->")
+    if os.environ.get("REFRESH_DOCS"):
+        PAGE.write_text(f"{text[:start]}\n{fleet_tables()}\n\n{text[end:]}", encoding="utf-8")
+    else:
+        assert text[start:end].strip() == fleet_tables()

@@ -238,16 +238,11 @@ class Lanes:
         o = Observation._make(decode(rows, ARRAYS))
         return np.vstack((rows, encode_preview(self.preview.ahead(lanes, self.k[lanes]), o, ARRAYS)))
 
-    def _plan_of(self, lane: int) -> tuple[float, int, Vehicle, float, float, float, int]:
-        """Return what a plan depends on besides the path, the arguments of `reference_tables`."""
-        s, act = self.scenarios[lane], self.scenarios[lane].actuators
-        return s.control_dt, s.steps, s.vehicle, act.F_u_max, act.F_r_max, act.fin, s.span
-
     def _feasible(self, lane: int, episode: Episode | None, rng: np.random.Generator) -> tuple[Episode, Array]:
         """Return an episode of a lane, the given one or one that can be followed, and its reference table."""
 
         def table_of(episode: Episode) -> Array:
-            return reference_tables([episode], *self._plan_of(lane))[0]
+            return reference_tables([episode], *plan_of(self.scenarios[lane]))[0]
 
         return (episode, table_of(episode)) if episode else self.scenarios[lane].drawn(rng, table_of)
 
@@ -259,22 +254,28 @@ class Lanes:
         tables: list[Any] = [None] * len(episodes)
         groups: dict[Any, list[int]] = {}
         for j, (i, episode) in enumerate(zip(lanes.tolist(), episodes, strict=True)):
-            plan_of, path = self._plan_of(i), self.scenarios[i].path
+            given, path = plan_of(self.scenarios[i]), self.scenarios[i].path
             if episode.path is path:
-                fixed = (*plan_of, id(path))
+                fixed = (*given, id(path))
                 if fixed not in self._fixed:
-                    self._fixed[fixed] = reference_tables([episode], *plan_of)[0]
+                    self._fixed[fixed] = reference_tables([episode], *given)[0]
                 tables[j] = self._fixed[fixed]
             else:
-                groups.setdefault(plan_of, []).append(j)
-        for plan_of, members in groups.items():
+                groups.setdefault(given, []).append(j)
+        for given, members in groups.items():
             members.sort(key=lambda j: type(episodes[j].path).__name__)
             for first in range(0, len(members), PLANNED_AT_ONCE):
                 batch = members[first : first + PLANNED_AT_ONCE]
                 with suppress(ValueError):  # about one of them: all are planned alone then
-                    for j, table in zip(batch, reference_tables([episodes[j] for j in batch], *plan_of), strict=True):
+                    for j, table in zip(batch, reference_tables([episodes[j] for j in batch], *given), strict=True):
                         tables[j] = table
         return tables
+
+
+def plan_of(scenario: Scenario) -> tuple[float, int, Vehicle, float, float, float, int]:
+    """Return what a plan depends on besides the path, the arguments of `reference_tables`."""
+    s, act = scenario, scenario.actuators
+    return s.control_dt, s.steps, s.vehicle, act.F_u_max, act.F_r_max, act.fin, s.span
 
 
 def reference_tables(

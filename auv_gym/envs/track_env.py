@@ -109,7 +109,8 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
 
     ## Arguments
     - `scenario`: a `Scenario`, a dict of one, or a preset's name (`auv_gym.list_scenarios()`); default `paper-circle`.
-    - `vehicle`: a `Vehicle`, a dict, or a name, in place of the scenario's known vehicle.
+    - `vehicle`: in place of the scenario's known vehicle a `Vehicle` or a dict of one, which change nothing else, or a
+      name of `auv_gym.list_vehicles()` or a .toml file, which bring limits, speeds and clock of their own.
     - `control_dt`: control period [s] in place of the scenario's; the episode's duration stays.
     - `render_mode`: `"human"`, `"rgb_array"` or None.
     - `render_size`: width and height of pictures [px], from 16 to 4096; default 960 x 720. Below 320 x 240 nothing is

@@ -153,7 +153,7 @@ def _drawn(suite: str | None, options: Options) -> _Task:
     count = DEFAULT_EPISODES if options.episodes is None else options.episodes
     record = {"scenarios": [s.to_dict() for s in scenarios], "episodes": count, "seed": options.seed}
     text = json.dumps(record, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    cells = tuple(drawn(scenario, count, options.seed) for scenario in scenarios)
+    cells = tuple(checked(partial(drawn, scenario, count, options.seed)) for scenario in scenarios)
     return _Task(cells, hashlib.sha256(text.encode()).hexdigest())
 
 
