@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
 
-from auv_gym.actuators import LEAST_SHARE, Response, fin_share, respond
+from auv_gym.actuators import Response, fin_share, respond, told_torque
 from auv_gym.dynamics import Current, Force, State, rk4_step
 from auv_gym.errors import to_body, to_world, tracking_errors
 from auv_gym.namespaces import Namespace, Number
@@ -180,8 +180,6 @@ Position: TypeAlias = tuple[Number, Number]
 """A place x, y [m] in the world."""
 Terms: TypeAlias = tuple[Number, ...]
 """The observation in SI units, in the order of `task.TERMS`."""
-
-
 Outcome: TypeAlias = tuple[Number, Number, Number, Number]
 """Reward; whether the vehicle is lost; squared position error [m^2]; whether an actuator was commanded to its limit."""
 
@@ -244,13 +242,9 @@ def moved(
     """
     x, y, _, u, *_ = state
     _, _, _, _, _, _, _, _, V_x, V_y, X, Y, N, *_ = sample
-    a_u, a_r = command
-    if p.parts.astern:
-        a_u = ns.clip(a_u, -p.astern, 1.0)
-    thrust_r = p.thrust_r
-    if p.parts.finned:
-        thrust_r = thrust_r * fin_share(u, p.fin, p.F_r_max, ns)
-    mean, force = respond(force, (a_u * p.thrust_u, a_r * thrust_r), p.response, ns)
+    a_u = ns.clip(command[0], -p.astern, 1.0) if p.parts.astern else command[0]
+    thrust_r = p.thrust_r * fin_share(u, p.fin, p.F_r_max, ns) if p.parts.finned else p.thrust_r
+    mean, force = respond(force, (a_u * p.thrust_u, command[1] * thrust_r), p.response, ns)
     load, current = (mean[0] + X, Y, mean[1] + N), current_at(x, y, (V_x, V_y), p, ns)
     coefficients = p.coefficients if p.parts.lifting else p.coefficients.without_lift
     for _ in range(p.parts.substeps):
@@ -308,10 +302,7 @@ def _observe(
     cos_psi, sin_psi = ns.cos(psi_m), ns.sin(psi_m)
     e_x, e_y = to_body(x_e, y_e, cos_psi, sin_psi)
     a_u, a_r = action
-    F_r_max = p.F_r_max
-    if parts.finned:  # as the measured speed tells it, which is one over ground
-        share = fin_share(measured[3], p.fin, F_r_max, ns)
-        F_r_max = F_r_max * ns.where(share < LEAST_SHARE, LEAST_SHARE, share)
+    F_r_max = told_torque(measured[3], p.fin, p.F_r_max, ns) if parts.finned else p.F_r_max
     return memory, (
         e_x, e_y, psi_e, u_e, v_e, r_e, u_R, v_R, r_R, F_uR, F_rR,
         cos_psi, sin_psi, p.F_u_max, F_r_max, a_u, a_r, p.h * parts.substeps,

@@ -20,6 +20,7 @@ from auv_gym.disturbances import RandomCurrent, RandomWaves
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.feasibility import InfeasibleReferenceError
 from auv_gym.fleet import FOLDER, PAPER, POWERS, Craft, craft, fleet
+from auv_gym.navigation import RandomReckoning
 from auv_gym.paths import PATHS
 from auv_gym.planner import plan
 from auv_gym.presets import as_scenario
@@ -92,7 +93,10 @@ def test_for_the_papers_vehicle_a_scenario_stays_what_it_is(name):
     assert PAPER.adapted(PRESETS[name]) == PRESETS[name]
 
 
-def test_the_papers_vehicle_in_other_units_does_the_same():
+@pytest.mark.parametrize(
+    "sensors", [{"outages": 3.0, "low_pass": 2.0}, {"reckoning": RandomReckoning((5.0, 9.0))}], ids=str
+)
+def test_the_papers_vehicle_in_other_units_does_the_same(sensors):
     """A vehicle twice as long, three times as slow and five times as heavy: the same without dimensions."""
     L, T, M = 2.0, 3.0, 5.0
     v, act = PAPER_VEHICLE, PAPER.actuators
@@ -108,9 +112,7 @@ def test_the_papers_vehicle_in_other_units_does_the_same():
         turn_rate=0.04,
         lag=0.6,
     )
-    storm = replace(
-        PRESETS["cruise-storm"], sensors=replace(PRESETS["cruise-storm"].sensors, outages=3.0, low_pass=2.0)
-    )
+    storm = replace(PRESETS["cruise-storm"], sensors=replace(PRESETS["cruise-storm"].sensors, **sensors))
     scenarios = storm, storm.changed(twin)
     assert scenarios[1].control_dt == pytest.approx(T * storm.control_dt)
     envs = [UnderactuatedAUVTrackEnv(s) for s in scenarios]
@@ -130,8 +132,10 @@ def test_the_papers_vehicle_in_other_units_does_the_same():
 
 def test_every_entry_with_a_unit_is_scaled_by_it():
     """The units stand behind the fields; speeds and forces that are shares of something have none."""
-    powers = {"m": (1, 0), "s": (0, 1), "m/s": (1, -1), "rad/s": (0, -1), "Hz": (0, -1), "1/min": (0, -1), "rad": None}
-    for part, cls in {"start": Start, "sensors": Sensors, "current": RandomCurrent, "waves": RandomWaves}.items():
+    powers = {"m": (1, 0), "s": (0, 1), "m/s": (1, -1), "rad/s": (0, -1), "Hz": (0, -1), "1/min": (0, -1)}
+    powers |= {"rad/sqrt(s)": (0, -0.5), "rad": None}
+    classes = {"start": Start, "sensors": Sensors, "reckoning": RandomReckoning}
+    for part, cls in {**classes, "current": RandomCurrent, "waves": RandomWaves}.items():
         units = dict(re.findall(r"^    (\w+): .*?# \[(.+?)\]", inspect.getsource(cls), re.MULTILINE))
         found = {name: powers[unit] for name, unit in units.items() if powers[unit]}
         assert found.items() <= POWERS[part].items()

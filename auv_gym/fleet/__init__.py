@@ -110,7 +110,7 @@ PAPER = Craft(
 )
 """The vehicle that the presets are made for."""
 
-POWERS: Mapping[str, Mapping[str, tuple[int, int]]] = {
+POWERS: Mapping[str, Mapping[str, tuple[float, float]]] = {
     "path": {"speed": (1, -1)},
     "start": {"x_e": (1, 0), "y_e": (1, 0)},
     "sensors": {
@@ -118,6 +118,7 @@ POWERS: Mapping[str, Mapping[str, tuple[int, int]]] = {
         "velocity_bias": (1, -1), "yaw_rate_bias": (0, -1), "outages": (0, -1), "outage_time": (0, 1),
         "low_pass": (0, -1),
     },
+    "reckoning": {"interval": (0, 1), "drift": (0, -1), "walk": (0, -0.5)},
     "current": {"gust_time": (0, 1), "smoothing": (0, 1), "turn": (0, -1), "wavelength": (1, 0)},
     "waves": {"band": (0, -1)},
 }  # fmt: skip
@@ -131,13 +132,14 @@ class _Fit:
 
     craft: Craft
 
-    def factor(self, powers: tuple[int, int]) -> float:
+    def factor(self, powers: tuple[float, float]) -> float:
         length, time = self.craft.length / PAPER.length, self.craft.time / PAPER.time
         return float(length ** powers[0] * time ** powers[1])
 
     def scenario(self, scenario: Scenario) -> Scenario:
         length, time = self.factor((1, 0)), self.factor((0, 1))
-        changes = {name: self.part(name, getattr(scenario, name)) for name in POWERS}
+        parts = "path", "start", "sensors", "current", "waves"
+        changes = {name: self.part(name, getattr(scenario, name)) for name in parts}
         path: Any = changes["path"]
         if not isinstance(path, Path):
             path = replace(path, turn_rate=path.turn_rate * self.turn_rate)
@@ -159,6 +161,8 @@ class _Fit:
         if part is None or isinstance(part, Path):
             return part
         powers = dict(POWERS[name])
+        if name == "sensors":
+            part = replace(part, reckoning=self.part("reckoning", part.reckoning))
         if name == "current" and not part.relative:
             powers |= dict.fromkeys(("speed", "gust", "shear"), (1, -1))
         given = {entry: getattr(part, entry) for entry in powers}
