@@ -13,6 +13,7 @@ __all__ = [
     "Vehicle",
     "decode_observation",
     "list_scenarios",
+    "list_vehicles",
     "plan",
 ]
 
@@ -22,6 +23,7 @@ _HOMES = {
     "Vehicle": "vehicle",
     "decode_observation": "task",
     "list_scenarios": "presets",
+    "list_vehicles": "fleet",
     "plan": "planner",
 }
 

@@ -12,6 +12,10 @@ from auv_gym.namespaces import Namespace, Number
 
 LONGEST_DELAY = 3
 """Most control periods that a command may be late."""
+LARGEST_FORCE = 1e9
+"""Largest limit of an actuator, in its SI unit."""
+LEAST_SHARE = 1 / 64
+"""Least share of the yaw torque that fins are taken to have where what they have is told: at rest they have none."""
 
 
 @dataclass(frozen=True)
@@ -26,16 +30,32 @@ class Actuators:
     effectiveness: Interval = 1.0  # share of the commanded force that acts, drawn for each of the two; nobody is told
     reach: Interval = 1.0  # action at which an actuator really saturates, drawn for each of the two; nobody is told
     delay: Interval = 0.0  # control periods until a command acts, drawn and rounded; nobody is told
+    fin: float = 0.0  # [kg] yaw torque of full fins per squared speed through water, up to F_r_max; 0: no fins, F_r_max
+    astern: float = 1.0  # share of F_u_max that the thruster gives astern
 
     def __post_init__(self) -> None:
-        check_number("actuators F_u_max", self.F_u_max, 1e-3, 8192)
-        check_number("actuators F_r_max", self.F_r_max, 1e-3, 4096)
+        check_number("actuators F_u_max", self.F_u_max, 1e-3, LARGEST_FORCE)
+        check_number("actuators F_r_max", self.F_r_max, 1e-3, LARGEST_FORCE)
         check_interval("actuators lag", self.lag, 0, 1e3)
         check_number("actuators F_u_rate", self.F_u_rate, 1e-3)
         check_number("actuators F_r_rate", self.F_r_rate, 1e-3)
         check_interval("actuators effectiveness", self.effectiveness, 1e-3, 1)
         check_interval("actuators reach", self.reach, 1e-3, 1)
         check_interval("actuators delay", self.delay, 0, LONGEST_DELAY)
+        check_number("actuators fin", self.fin, 0, LARGEST_FORCE)
+        check_number("actuators astern", self.astern, 0, 1)
+
+
+def fin_share(u: Number, fin: Number, F_r_max: Number, ns: Namespace) -> Number:
+    """Return which share of F_r_max [N m] full fins give at a surge speed u [m/s] through water; without fins 1."""
+    share = fin * u * u / F_r_max
+    return ns.where((fin > 0.0) & (share < 1.0), share, 1.0)
+
+
+def told_torque(u: Number, fin: Number, F_r_max: Number, ns: Namespace) -> Number:
+    """Return the yaw torque [N m] that full fins are taken to give at a measured surge speed u [m/s], over ground."""
+    share = fin_share(u, fin, F_r_max, ns)
+    return F_r_max * ns.where(share < LEAST_SHARE, LEAST_SHARE, share)
 
 
 class Response(NamedTuple):

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from auv_gym.intervals import Interval, Uniform, check_interval, check_number, draw
-from auv_gym.vehicle import MIN_MASS_RATIO, Coefficients, Vehicle
+from auv_gym.vehicle import LARGEST, MIN_MASS_RATIO, Coefficients, Vehicle
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,10 @@ class RandomWaves:
 
 @dataclass(frozen=True)
 class RandomMismatch:
-    """Distribution of the true vehicle about the known one, as factors; m22 stays above m11."""
+    """Distribution of the true vehicle about the known one, as factors; m22 stays above m11.
+
+    The factor of a drag is that of its linear and quadratic part, and of the lift that grows with the surge velocity.
+    """
 
     mass: Interval = 1.0  # on m11 and m22 together
     ratio: Interval = 1.0  # on m22/m11
@@ -153,7 +156,7 @@ class RandomMismatch:
         if len(self.quadratic_drag) != 3:
             raise ValueError(f"mismatch quadratic_drag is {self.quadratic_drag!r}; it must be three numbers")
         for value in self.quadratic_drag:
-            check_number("mismatch quadratic_drag", value, 0, 1e9)
+            check_number("mismatch quadratic_drag", value, 0, LARGEST)
 
     def check(self, vehicle: Vehicle) -> None:
         """Raise ValueError if some draw about this vehicle would have m22 too close to m11."""
@@ -177,16 +180,23 @@ class RandomMismatch:
             vehicle.d11 * d11,
             vehicle.d22 * d22,
             vehicle.d33 * d33,
-            vehicle.X_uu + q * X_uu,
-            vehicle.Y_vv + q * Y_vv,
-            vehicle.N_rr + q * N_rr,
+            vehicle.X_uu * d11 + q * X_uu,
+            vehicle.Y_vv * d22 + q * Y_vv,
+            vehicle.N_rr * d33 + q * N_rr,
+            vehicle.Y_uv * d22,
+            vehicle.Y_ur,
+            vehicle.N_uv,
+            vehicle.N_ur * d33,
         )
 
     def extremes(self, vehicle: Vehicle) -> Coefficients:
-        """Return the stiffest vehicles that may be drawn about this one: light ones, with drag of all kinds; rows."""
-        (mass, _), (m33, _), (_, q) = (_ends(x) for x in (self.mass, self.m33, self.quadratic))
-        corners = itertools.product(*(_ends(x) for x in (self.ratio, self.d11, self.d22, self.d33)))
-        ratio, d11, d22, d33 = np.array([*corners]).T
+        """Return the stiffest vehicles that may be drawn about this one: light ones, with drag of all kinds; rows.
+
+        More quadratic drag is a faster decay, less lets a vehicle become faster.
+        """
+        (mass, _), (m33, _) = (_ends(x) for x in (self.mass, self.m33))
+        corners = itertools.product(*(_ends(x) for x in (self.ratio, self.d11, self.d22, self.d33, self.quadratic)))
+        ratio, d11, d22, d33, q = np.array([*corners]).T
         X_uu, Y_vv, N_rr = self.quadratic_drag
         one = np.ones_like(ratio)
         return Coefficients(
@@ -196,9 +206,13 @@ class RandomMismatch:
             vehicle.d11 * d11,
             vehicle.d22 * d22,
             vehicle.d33 * d33,
-            (vehicle.X_uu + q * X_uu) * one,
-            (vehicle.Y_vv + q * Y_vv) * one,
-            (vehicle.N_rr + q * N_rr) * one,
+            vehicle.X_uu * d11 + q * X_uu,
+            vehicle.Y_vv * d22 + q * Y_vv,
+            vehicle.N_rr * d33 + q * N_rr,
+            vehicle.Y_uv * d22,
+            vehicle.Y_ur * one,
+            vehicle.N_uv * one,
+            vehicle.N_ur * d33,
         )
 
 

@@ -1,4 +1,4 @@
-"""The equations of motion (1)-(2), with ocean current, quadratic drag and external forces: their only copy.
+"""The equations of motion (1)-(2), with ocean current, quadratic drag, lift and external forces: their only copy.
 
 Written on components, so that they run on floats, NumPy arrays, torch tensors and symbols alike.
 
@@ -12,10 +12,10 @@ shear that is m (V . grad) V for the vehicle's velocity V over ground, up to 15 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 from auv_gym.namespaces import Number
-from auv_gym.vehicle import Coefficients
 
 State: TypeAlias = tuple[Number, Number, Number, Number, Number, Number]
 """x, y [m], psi [rad] in the world; u, v [m/s] relative to the water in the body frame; r [rad/s]."""
@@ -30,23 +30,33 @@ STILL_WATER: Current = (0.0, 0.0)  # [m/s]
 
 
 def rates(
-    psi: Number, u: Number, v: Number, r: Number, load: Load, coefficients: Coefficients, ns: Any = math
+    psi: Number, u: Number, v: Number, r: Number, load: Load, coefficients: Sequence[Number], ns: Any = math
 ) -> tuple[Number, Number, Number, Number, Number]:
-    """Return x_dot, y_dot [m/s] in still water, u_dot, v_dot [m/s^2] and r_dot [rad/s^2]; psi_dot is r, (1c)."""
-    m11, m22, m33, d11, d22, d33, X_uu, Y_vv, N_rr = coefficients
+    """Return x_dot, y_dot [m/s] in still water, u_dot, v_dot [m/s^2] and r_dot [rad/s^2]; psi_dot is r, (1c).
+
+    The coefficients are a vehicle's `Coefficients`, or those `without_lift`. A foil damps astern as it does ahead, so
+    lift goes with |u|; the sources, which look ahead alone, write u.
+    """
+    m11, m22, m33, d11, d22, d33, X_uu, Y_vv, N_rr, *lift = coefficients
     X, Y, N = load
+    sway, munk = m11 * u, (m11 - m22) * u
+    if lift:
+        Y_uv, Y_ur, N_uv, N_ur = lift
+        speed = abs(u)
+        sway, munk = sway - Y_ur * speed, munk + N_uv * speed
+        d22, d33 = d22 + Y_uv * speed, d33 + N_ur * speed
     c, s = ns.cos(psi), ns.sin(psi)
     return (
         u * c - v * s,  # (1a)
         u * s + v * c,  # (1b)
         (m22 * v * r - (d11 + X_uu * abs(u)) * u + X) / m11,  # (2a)
-        (Y - m11 * u * r - (d22 + Y_vv * abs(v)) * v) / m22,  # (2b)
-        ((m11 - m22) * u * v - (d33 + N_rr * abs(r)) * r + N) / m33,  # (2c)
+        (Y - sway * r - (d22 + Y_vv * abs(v)) * v) / m22,  # (2b)
+        (munk * v - (d33 + N_rr * abs(r)) * r + N) / m33,  # (2c)
     )
 
 
 def state_rates(
-    state: State, load: Load, coefficients: Coefficients, current: Current = STILL_WATER, ns: Any = math
+    state: State, load: Load, coefficients: Sequence[Number], current: Current = STILL_WATER, ns: Any = math
 ) -> State:
     """Return the time derivative of the whole state, for integrators and analysis."""
     _, _, psi, u, v, r = state
@@ -55,7 +65,7 @@ def state_rates(
 
 
 def rk4_step(
-    state: State, load: Load, coefficients: Coefficients, dt: Number, current: Current = STILL_WATER, ns: Any = math
+    state: State, load: Load, coefficients: Sequence[Number], dt: Number, current: Current = STILL_WATER, ns: Any = math
 ) -> State:
     """Return the state after dt [s] by one classical Runge-Kutta step with load and current held.
 

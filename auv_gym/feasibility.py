@@ -51,13 +51,21 @@ def check_rates(v_p: Array, beta: Array, v_p_dot: Array, vehicle: Vehicle, times
     moving[1:] &= np.abs(wrap_angle(np.diff(beta, axis=0), ARRAYS)) < 0.5 * math.pi  # no turn on the spot
     check(moving, lambda k: f"the speed passes through zero, here v_p = {v_p[k]:.3g} m/s", times, positions)
     braking = -v_p_dot / v_p
-    limit = vehicle.d22 / vehicle.m22
-    says = f"1/s is not below d22/m22 = {limit:.4g} 1/s"
-    check(braking < limit, lambda k: f"braking -v_p'/v_p = {braking[k]:.4g} {says}", times, positions)
+    limit = (vehicle.d22 + vehicle.Y_uv * v_p) / vehicle.m22
+    drag = "(d22 + Y_uv v_p)/m22" if vehicle.Y_uv else "d22/m22"
+
+    def says(k: Index) -> str:
+        return f"braking -v_p'/v_p = {braking[k]:.4g} 1/s is not below {drag} = {limit[k]:.4g} 1/s"
+
+    check(braking < limit, says, times, positions)
 
 
-def check_forces(F_u: Array, F_r: Array, limits: tuple[float, float], times: Array, positions: Array) -> None:
-    """Raise InfeasibleReferenceError where the open-loop forces exceed their limits."""
+def check_forces(F_u: Array, F_r: Array, limits: tuple[float, float | Array], times: Array, positions: Array) -> None:
+    """Raise InfeasibleReferenceError where the open-loop forces exceed their limits, which may change with time."""
     for name, unit, force, limit in (("F_u", "N", F_u, limits[0]), ("F_r", "N m", F_r, limits[1])):
-        text = f"{name} = {{:.4g}} {unit} is beyond its limit of {limit:.4g} {unit}"
-        check(np.abs(force) <= limit, lambda k, text=text, force=force: text.format(force[k]), times, positions)  # type: ignore[misc]
+        most = np.broadcast_to(limit, force.shape)
+
+        def says(k: Index, name: str = name, unit: str = unit, force: Array = force, most: Array = most) -> str:
+            return f"{name} = {force[k]:.4g} {unit} is beyond its limit of {most[k]:.4g} {unit}"
+
+        check(np.abs(force) <= most, says, times, positions)

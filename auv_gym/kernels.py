@@ -36,9 +36,9 @@ class Outcome(NamedTuple):
 OUTCOMES = len(Outcome._fields)  # how many rows an outcome has
 
 
-def _observed(terms: Sequence[Any], forces: Forces | None) -> list[Any]:
+def _observed(terms: Sequence[Any], forces: Forces | None, parts: Parts) -> list[Any]:
     """Return the rows of an observation, and behind them the action of a law, if there is one."""
-    rows: list[Any] = encode(terms, SYMBOLS)
+    rows: list[Any] = encode(terms, SYMBOLS, parts.span)
     if forces is None:
         return rows
     o = decode(rows, SYMBOLS)
@@ -63,7 +63,7 @@ def step_kernel(parts: Parts, forces: Forces | None = None) -> Kernel:
         p = Parameters.of(parameters, parts)
         after, terms, (reward, lost, squared_error, saturated) = step(filled(PLANT, plant), action, samples, p, SYMBOLS)
         outcome = Outcome(reward, lost, SYMBOLS.sqrt(squared_error), saturated)
-        return {"next_plant": leaves(after), "next_seen": _observed(terms, forces), "outcome": outcome}
+        return {"next_plant": leaves(after), "next_seen": _observed(terms, forces, parts), "outcome": outcome}
 
     rows = {"plant": PLANT_ROWS, "seen": columns(forces), "action": ACTIONS, "authority": ACTIONS}
     return Kernel.traced(equation, {**rows, "samples": SAMPLE_ROWS, "parameters": PARAMETER_ROWS}, ["samples"])
@@ -75,7 +75,7 @@ def start_kernel(parts: Parts, forces: Forces | None = None) -> Kernel:
 
     def equation(state: Any, sample: Any, parameters: Any) -> Mapping[str, Sequence[Any]]:
         plant, terms = start(tuple(state), sample, Parameters.of(parameters, parts), SYMBOLS)
-        return {"plant": leaves(plant), "seen": _observed(terms, forces)}
+        return {"plant": leaves(plant), "seen": _observed(terms, forces, parts)}
 
     return Kernel.traced(equation, {"state": STATES, "sample": SAMPLE_ROWS, "parameters": PARAMETER_ROWS})
 

@@ -15,10 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.actuators import fin_share
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.feasibility import check, check_forces, check_rates
-from auv_gym.namespaces import Number
+from auv_gym.namespaces import ARRAYS, Number
 from auv_gym.paths import Path, evaluate
 from auv_gym.sideslip import ORDER, RATES, PathRates, in_sideslip, rates_along, sine_of_sideslip
 from auv_gym.vehicle import Coefficients, Vehicle
@@ -58,7 +59,11 @@ class Reference:
 
 
 def plan(
-    path: Path | Sequence[Path], vehicle: Vehicle, times: Array, force_limits: tuple[float, float] | None = None
+    path: Path | Sequence[Path],
+    vehicle: Vehicle,
+    times: Array,
+    force_limits: tuple[float, float] | None = None,
+    fin: float = 0.0,
 ) -> Reference:
     """Return the reference that keeps the vehicle on the path at the given times, section III.
 
@@ -67,6 +72,7 @@ def plan(
         vehicle: the vehicle that is to follow it, in still water.
         times: evenly spaced times [s], shape (T,), T >= 2, inside the path's domain.
         force_limits: largest |F_u| [N] and |F_r| [N m]; unchecked if None.
+        fin: of the fins [kg], see `actuators.Actuators`; they give |F_r| up to fin u^2 only.
 
     Returns:
         The reference, its fields of shape (T,), or (T, N) for a sequence of paths.
@@ -80,25 +86,27 @@ def plan(
     paths = path if isinstance(path, Sequence) else (path,)
     times = _checked_times(times, paths)
     if isinstance(path, Sequence) and len(path) * len(times) > MAX_SAMPLES // MARGIN:
-        return _side_by_side([plan(p, vehicle, times, force_limits) for p in path])
-    memory = (vehicle.m22 - vehicle.m11) / vehicle.d22
+        return _side_by_side([plan(p, vehicle, times, force_limits, fin) for p in path])
+    memory, fading = vehicle.coefficients.slip_mass / vehicle.d22, _fading(vehicle, paths, times)
     spacing = float(times[-1] - times[0]) / (len(times) - 1)
     substeps = max(math.ceil(spacing / (MAX_STEP * memory)), math.ceil(ORDER / (len(times) - 1)))
-    run_in, *others = {min(RUN_IN * memory, float(times[0] - p.start)) for p in paths}
+    run_in, *others = {min(RUN_IN * m, float(times[0] - p.start)) for m, p in zip(fading, paths, strict=True)}
     if others:  # each as it would be alone
-        return _side_by_side([plan(p, vehicle, times, force_limits) for p in paths])
+        return _side_by_side([plan(p, vehicle, times, force_limits, fin) for p in paths])
     fine = _look_along(path, vehicle, times, substeps, run_in)
     refinement = min(math.ceil(fine.h * _response(fine.along, vehicle) / MAX_RESPONSE), MAX_REFINEMENT)
     if refinement > 1:
         if isinstance(path, Sequence):
-            return _side_by_side([plan(p, vehicle, times, force_limits) for p in paths])
+            return _side_by_side([plan(p, vehicle, times, force_limits, fin) for p in paths])
         fine = _look_along(path, vehicle, times, substeps * refinement, run_in)
     w = sine_of_sideslip(fine.along, vehicle, fine.h)
     _check_sideslip(w, fine)
     kept = PathRates(*(getattr(fine.along, name)[fine.rows] for name in RATES))
     reference = assemble(times, fine.position[:, fine.rows], kept, w[fine.rows], vehicle)
     if force_limits is not None:
-        check_forces(reference.F_u, reference.F_r, force_limits, times, fine.position[:, fine.rows])
+        F_u_max, F_r_max = force_limits
+        torque = F_r_max * np.asarray(fin_share(reference.u, fin, F_r_max, ARRAYS))
+        check_forces(reference.F_u, reference.F_r, (F_u_max, torque), times, fine.position[:, fine.rows])
     return reference
 
 
@@ -162,12 +170,19 @@ def _checked_times(times: Array, paths: Sequence[Path]) -> Array:
     return times
 
 
+def _fading(vehicle: Vehicle, paths: Sequence[Path], times: Array) -> list[float]:
+    """Return the times [s] within which a sideslip fades at the start of paths, lift included."""
+    speeds = [float(np.hypot(*path.derivatives(times[:1])[1, :, 0])) if vehicle.Y_uv else 0.0 for path in paths]
+    return [vehicle.coefficients.slip_mass / (vehicle.d22 + vehicle.Y_uv * speed) for speed in speeds]
+
+
 def _response(along: PathRates, vehicle: Vehicle) -> float:
     """Return the largest rate [1/s] at which the rest of the equation for w responds to w, with gamma quasi-steady."""
-    a, turn = along.v_p_dot / along.v_p, vehicle.m11 * np.abs(along.omega)
-    tan = np.minimum(turn / (vehicle.d22 + vehicle.m22 * a), math.tan(MAX_SIDESLIP))
+    a, turn = along.v_p_dot / along.v_p, abs(vehicle.m11 - vehicle.Y_ur) * np.abs(along.omega)
+    lift = vehicle.Y_uv * along.v_p
+    tan = np.minimum(turn / (vehicle.d22 + vehicle.m22 * a + lift), math.tan(MAX_SIDESLIP))
     drag = 2 * vehicle.Y_vv * along.v_p * tan / np.sqrt(1 + tan * tan)
-    return float((vehicle.m22 * np.abs(a) + turn * tan + drag).max()) / (vehicle.m22 - vehicle.m11)
+    return float((vehicle.m22 * np.abs(a) + turn * tan + drag + lift).max() / vehicle.coefficients.slip_mass)
 
 
 def assemble(

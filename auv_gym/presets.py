@@ -101,11 +101,19 @@ def list_scenarios() -> list[str]:
 
 
 def as_scenario(scenario: Scenario | str | Mapping[str, Any]) -> Scenario:
-    """Return a scenario given as an object, by a preset's name, or as a dict."""
+    """Return a scenario given as an object, by a preset's name, or as a dict.
+
+    PRESET@VEHICLE is a preset made for another vehicle, see `Scenario.changed`.
+    """
     if isinstance(scenario, Scenario):
         return scenario
     if isinstance(scenario, Mapping):
         return Scenario.from_dict(scenario)
-    if isinstance(scenario, str) and scenario in PRESETS:
-        return PRESETS[scenario]
-    raise ValueError(f"unknown scenario {scenario!r}; allowed are a Scenario, a dict, or one of {', '.join(PRESETS)}")
+    if isinstance(scenario, str):
+        name, at, vehicle = scenario.partition("@")
+        if name in PRESETS:
+            return PRESETS[name].changed(vehicle if at else None)
+    allowed = (
+        f"a Scenario, a dict, or one of {', '.join(PRESETS)}, with a vehicle such as cruise-storm@lauv if you like"
+    )
+    raise ValueError(f"unknown scenario {scenario!r}; allowed are {allowed}")

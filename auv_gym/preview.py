@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from auv_gym.errors import to_body
 from auv_gym.namespaces import Namespace, Number
 from auv_gym.paths import Path, evaluate
-from auv_gym.task import BOUNDS, SIZE, L, Observation
+from auv_gym.task import SIZE, L, Observation, bounds
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -59,9 +59,9 @@ def columns_behind(rows: NDArray[Any], preview: Sequence[int]) -> NDArray[Any]:
     return extra
 
 
-def observation_bounds(preview: tuple[int, ...]) -> Array:
-    """Return the bounds of an observation with a preview, shape (SIZE + 2 P,)."""
-    return np.append(BOUNDS, np.full(2 * len(preview), L))
+def observation_bounds(preview: tuple[int, ...], span: int = 1) -> Array:
+    """Return the bounds of an observation with a preview, shape (SIZE + 2 P,); for the span see `task.bounds`."""
+    return np.append(bounds(span), np.full(2 * len(preview), L))
 
 
 class Preview:

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import json
+import sys
 import types
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any, TypeVar
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 T = TypeVar("T")
 
@@ -72,3 +80,31 @@ def _nested(cls: Any) -> dict[str, type]:
 
 def _tupled(value: Any) -> Any:
     return tuple(_tupled(v) for v in value) if isinstance(value, (list, tuple)) else value
+
+
+LARGEST_FILE = 2**24  # [B]
+
+
+def checked_suffix(file: Path) -> str:
+    """Return .json or .toml, whichever a file's name ends in; raise ValueError if it is neither."""
+    if file.suffix not in (".json", ".toml"):
+        raise ValueError(f"file {file} ends in {file.suffix!r}; it must end in .json or .toml")
+    return file.suffix
+
+
+def read_table(file: Path) -> Any:
+    """Return the record of a .json or .toml file.
+
+    Raises:
+        ValueError: the file is of another kind or too large, or is not valid JSON or TOML.
+        OSError: the file cannot be read.
+    """
+    suffix = checked_suffix(file)
+    if file.exists() and not (file.is_file() and file.stat().st_size <= LARGEST_FILE):
+        raise ValueError(f"{file} is no regular file of at most {LARGEST_FILE} bytes")
+    data = file.read_bytes()
+    try:
+        text = data.decode("utf-8")
+        return json.loads(text) if suffix == ".json" else tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # the errors of both decoders are ValueErrors
+        raise ValueError(f"{file} is not valid {suffix[1:].upper()}: {error}") from error

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
@@ -16,22 +15,21 @@ from auv_gym.actuators import Actuators, Response
 from auv_gym.disturbances import Current, RandomCurrent, RandomMismatch, RandomWaves
 from auv_gym.dynamics import Load
 from auv_gym.episode import Episode
+from auv_gym.fleet import Craft, as_craft, list_vehicles
 from auv_gym.intervals import Interval, check_interval, check_number, draw
 from auv_gym.paths import PAPER_CIRCLE, PATHS, Path
-from auv_gym.records import from_record, to_record
+from auv_gym.records import checked_suffix, from_record, read_table, to_record
 from auv_gym.sensors import Sensors
 from auv_gym.simulation import Parameters, Parts, Shear, log_of
 from auv_gym.stiffness import AT_REST, check_step
+from auv_gym.task import TERMS
 from auv_gym.vehicle import PAPER_VEHICLE, VEHICLES, Coefficients, Vehicle
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 T = TypeVar("T")
 DRAWS = 96
 """Uniform numbers reserved for one episode's parameters."""
+USUAL = {term.name: term.bound * term.scale for term in TERMS}
+"""The largest that an observation usually shows of each term, in SI units, see `task.bounds`."""
 ATTEMPTS = 20
 """How many episodes are drawn at most until one can be followed."""
 
@@ -76,8 +74,6 @@ class Start:
         if not isinstance(self.random_signs, bool):
             raise ValueError(f"start random_signs is {self.random_signs!r}; it must be true or false")
 
-
-LARGEST_FILE = 2**24  # [B]
 
 _PARTS: dict[str, tuple[type, ...]] = {
     "path": (RandomPath, Path),
@@ -125,7 +121,7 @@ class Scenario:
         check_number("control_dt", self.control_dt, 1e-3, 10)
         check_number("error_scale", self.error_scale, 1e-6, 1e6)
         check_number("rate_weight", self.rate_weight, 0, 1e6)
-        check_number("lost_distance", self.lost_distance, 1e-3, 64)
+        check_number("lost_distance", self.lost_distance, 1e-3, 1e5)
         if self.mismatch is not None:
             self.mismatch.check(self.vehicle)
         self._check_step(self.mismatch.extremes(self.vehicle) if self.mismatch else self.vehicle.coefficients)
@@ -208,18 +204,34 @@ class Scenario:
             weak=self.actuators.reach != 1,
             sheared=self.current is not None and self.current.shear != 0,
             reckoned=self.sensors.reckoning is not None,
+            lifting=self.vehicle.has_lift,
+            finned=self.actuators.fin > 0,
+            astern=self.actuators.astern < 1,
+            span=self.span,
         )
 
+    @property
+    def span(self) -> int:
+        """How much wider than usual the bounds of its observations are, a power of two, see `task.bounds`."""
+        act = self.actuators
+        needed = act.F_u_max / USUAL["F_u_max"], act.F_r_max / USUAL["F_r_max"], self.lost_distance / USUAL["e_x"]
+        return int(2 ** max(0, math.ceil(math.log2(max(needed)))))
+
     def changed(
-        self, vehicle: Vehicle | str | Mapping[str, Any] | None = None, control_dt: float | None = None
+        self, vehicle: Vehicle | Craft | str | Mapping[str, Any] | None = None, control_dt: float | None = None
     ) -> Scenario:
-        """Return the scenario with another known vehicle or control period; the duration stays the same.
+        """Return the scenario with another known vehicle or control period.
+
+        A vehicle of the fleet brings its own limits, speeds and clock, see `fleet.Craft.adapted`; one that is a hull
+        alone changes nothing else. With another control period the duration stays the same.
 
         Raises:
             ValueError: the vehicle is unknown, or the period is no number or longer than the episode.
         """
         scenario = self
-        if vehicle is not None:
+        if (craft := as_craft(vehicle)) is not None:
+            scenario = replace(craft.adapted(scenario), name=f"{scenario.name}@{craft.name}")
+        elif vehicle is not None:
             scenario = replace(scenario, vehicle=as_vehicle(vehicle))
         if control_dt is not None:
             check_number("control_dt", control_dt, 1e-3, min(10.0, self.duration))
@@ -239,6 +251,7 @@ class Scenario:
             (parts.weak, episode.reach != (1.0, 1.0), "actuators that saturate early"),
             (parts.sheared, any(episode.current.shear[:2]), "a sheared current"),
             (parts.reckoned, episode.reckoning is not None, "a dead reckoning"),
+            (parts.lifting, episode.vehicle.has_lift, "a vehicle with lift"),
         ):
             if there and not part:
                 raise ValueError(f"the episode has {what}, which scenario {self.name!r} has not: give it one that has")
@@ -259,6 +272,8 @@ class Scenario:
             reach_u=episode.reach[0],
             reach_r=episode.reach[1],
             delay=float(episode.delay),
+            fin=act.fin,
+            astern=act.astern,
             shear=Shear(*episode.current.shear),
             log=log_of(episode.reckoning),
             parts=parts,
@@ -286,7 +301,7 @@ class Scenario:
     def save(self, file: str | FilePath) -> None:
         """Write the scenario to a .json or .toml file."""
         file = FilePath(file)
-        if _suffix(file) == ".json":
+        if checked_suffix(file) == ".json":
             text = json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
         else:
             import tomli_w
@@ -302,26 +317,11 @@ class Scenario:
             ValueError: the file is of another kind or too large, is not valid JSON or TOML, or has a wrong entry.
             OSError: the file cannot be read.
         """
-        file = FilePath(file)
-        suffix = _suffix(file)
-        if file.exists() and not (file.is_file() and file.stat().st_size <= LARGEST_FILE):
-            raise ValueError(f"{file} is no regular file of at most {LARGEST_FILE} bytes")
-        data = file.read_bytes()
-        try:
-            text = data.decode("utf-8")
-            record = json.loads(text) if suffix == ".json" else tomllib.loads(text)
-        except (ValueError, RecursionError) as error:  # the errors of both decoders are ValueErrors
-            raise ValueError(f"{file} is not valid {suffix[1:].upper()}: {error}") from error
+        record = read_table(FilePath(file))
         try:
             return cls.from_dict(record)
         except (ValueError, RecursionError) as error:
             raise ValueError(f"{file}: {error}") from error
-
-
-def _suffix(file: FilePath) -> str:
-    if file.suffix not in (".json", ".toml"):
-        raise ValueError(f"scenario file {file} ends in {file.suffix!r}; it must end in .json or .toml")
-    return file.suffix
 
 
 def _path_of(record: Any) -> Path | RandomPath:
@@ -336,12 +336,15 @@ def _path_of(record: Any) -> Path | RandomPath:
     return from_record(PATHS[family], rest, f"path {family}")
 
 
-def as_vehicle(vehicle: Vehicle | str | Mapping[str, Any]) -> Vehicle:
-    """Return a vehicle given as an object, by a name in `VEHICLES`, or as a dict of its parameters."""
+def as_vehicle(vehicle: Vehicle | Craft | str | Mapping[str, Any]) -> Vehicle:
+    """Return a vehicle given as an object, by a name of `fleet.list_vehicles`, a file, or a dict of its parameters."""
     if isinstance(vehicle, Vehicle):
         return vehicle
     if isinstance(vehicle, Mapping):
         return from_record(Vehicle, vehicle, "vehicle")
     if isinstance(vehicle, str) and vehicle in VEHICLES:
         return VEHICLES[vehicle]
-    raise ValueError(f"unknown vehicle {vehicle!r}; allowed are a Vehicle, a dict, or one of {', '.join(VEHICLES)}")
+    if (craft := as_craft(vehicle)) is not None:
+        return craft.vehicle
+    names = ", ".join(list_vehicles())
+    raise ValueError(f"unknown vehicle {vehicle!r}; allowed are a Vehicle, a dict, a .toml file, or one of {names}")

@@ -3,11 +3,12 @@
 With w = sin(gamma) = v_R / v_p, the paper's (8)-(15) become one scalar equation without the singularity that (15) has
 at v_R = 0,
 
-    w' = -(d22/Dm) w - [(m22 v_p'/v_p + Y_vv v_p |w|) w + m11 omega sqrt(1 - w^2)] / Dm,     Dm = m22 - m11,
+    w' = -(d22/Dm) w - [(m22 v_p'/v_p + Y_vv v_p |w|) w + (m omega + Y_uv v_p w) sqrt(1 - w^2)] / Dm,
 
-whose first term fades within Dm/d22 (0.5 s for the paper's vehicle). That term is integrated exactly, the smooth rest
-by an Adams-Bashforth formula: exponential time differencing (S. M. Cox and P. C. Matthews, J. Comput. Phys.
-176:430-455, 2002).
+with m = m11 and Dm = m22 - m, or m = m11 - Y_ur for a hull with lift: ahead, u = v_p sqrt(1 - w^2), lift changes the
+sway force of a turn and adds Y_uv u to the sway drag. The first term fades within Dm/d22 (0.5 s for the paper's
+vehicle). It is integrated exactly, the smooth rest by an Adams-Bashforth formula: exponential time differencing
+(S. M. Cox and P. C. Matthews, J. Comput. Phys. 176:430-455, 2002).
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from auv_gym.vehicle import Coefficients, Vehicle
 Array = NDArray[np.float64]
 
 ORDER = 4  # samples in each integration formula
+TERMS = 4  # of the equation, see `sideslip_terms`
 FIXED_POINT = 12  # iterations for the first samples, which settle within fewer
 
 
@@ -85,10 +87,10 @@ def sine_of_sideslip(along: PathRates, vehicle: Vehicle, h: float) -> Array:
     u_(n+1) = e^(c h) u_n + g_0 F_n + g_1 F_(n-1) + g_2 F_(n-2) + g_3 F_(n-3). Where it passes 90 degrees it may give
     what is no number, which the caller refuses.
     """
-    Dm = vehicle.m22 - vehicle.m11
+    Dm = vehicle.coefficients.slip_mass
     z = vehicle.d22 / Dm * h  # -c h
     terms = np.stack([h / Dm * term for term in sideslip_terms(along, vehicle)], axis=1)
-    inputs = np.ascontiguousarray(terms.reshape(len(terms), 3, -1))
+    inputs = np.ascontiguousarray(terms.reshape(*terms.shape[:2], -1))
     lanes = np.ones(inputs.shape[2])
     start = np.tile(slow_sideslip(along, vehicle).ravel(), (ORDER, 1))
     weights = [math.exp(-k * z) for k in range(1, ORDER)] + [g for k in range(1, ORDER) for g in _weights(z, 0, k)]
@@ -112,13 +114,13 @@ def _opening() -> Kernel:
     """
 
     def equation(u: Any, inputs: Any, weights: Any) -> dict[str, Any]:
-        terms = (inputs[j : j + 3] for j in range(0, 3 * ORDER, 3))
-        F = [sideslip_rest(a, q, b, w, SYMBOLS.sqrt) for (a, q, b), w in zip(terms, u, strict=True)]
+        terms = (inputs[j : j + TERMS] for j in range(0, TERMS * ORDER, TERMS))
+        F = [sideslip_rest(parts, w, SYMBOLS.sqrt) for parts, w in zip(terms, u, strict=True)]
         decays, rows = weights[: ORDER - 1], [weights[j : j + ORDER] for j in range(ORDER - 1, len(weights), ORDER)]
         after = [_plus(decay * u[0], row, F) for decay, row in zip(decays, rows, strict=True)]
         return {"u": (u[0], *after), "rest": F}
 
-    return Kernel.traced(equation, {"u": ORDER, "inputs": 3 * ORDER, "weights": (ORDER - 1) * (ORDER + 1)})
+    return Kernel.traced(equation, {"u": ORDER, "inputs": TERMS * ORDER, "weights": (ORDER - 1) * (ORDER + 1)})
 
 
 @cache
@@ -126,13 +128,13 @@ def _recursion() -> Kernel:
     """Return one step of the formula; `history` is u_n, F_(n-1), F_(n-2), F_(n-3), `weights` decay and g_3 ... g_0."""
 
     def equation(history: Any, weights: Any, inputs: Any) -> dict[str, Any]:
-        (u_n, *past), (a, q, b) = history, inputs
-        F = [sideslip_rest(a, q, b, u_n, SYMBOLS.sqrt), *past]
+        u_n, *past = history
+        F = [sideslip_rest(inputs, u_n, SYMBOLS.sqrt), *past]
         decay, *g = weights
         u = _plus(decay * u_n, g[::-1], F)
         return {"history": (u, *F[:-1]), "u": (u,)}
 
-    return Kernel.traced(equation, {"history": ORDER, "weights": ORDER + 1, "inputs": 3}, ["inputs", "u"])
+    return Kernel.traced(equation, {"history": ORDER, "weights": ORDER + 1, "inputs": TERMS}, ["inputs", "u"])
 
 
 def _plus(total: Any, weights: Sequence[Any], F: Sequence[Any]) -> Any:
@@ -141,14 +143,16 @@ def _plus(total: Any, weights: Sequence[Any], F: Sequence[Any]) -> Any:
     return total
 
 
-def sideslip_terms(along: PathRates, vehicle: Vehicle | Coefficients) -> tuple[Number, Number, Number]:
-    """Return what multiplies w, |w| w and sqrt(1 - w^2) in the bracket of the module's docstring."""
-    return vehicle.m22 * along.v_p_dot / along.v_p, vehicle.Y_vv * along.v_p, vehicle.m11 * along.omega
+def sideslip_terms(along: PathRates, c: Vehicle | Coefficients) -> tuple[Number, Number, Number, Number]:
+    """Return what multiplies w, |w| w, sqrt(1 - w^2) and w sqrt(1 - w^2) in the bracket of the module's docstring."""
+    v_p = along.v_p
+    return c.m22 * along.v_p_dot / v_p, c.Y_vv * v_p, (c.m11 - c.Y_ur) * along.omega, c.Y_uv * v_p
 
 
-def sideslip_rest(slope: Number, square: Number, turn: Number, w: Number, sqrt: Callable[[Number], Number]) -> Number:
+def sideslip_rest(terms: Sequence[Number], w: Number, sqrt: Callable[[Number], Number]) -> Number:
     """Return minus the bracket for its `sideslip_terms`, all of them scaled by the same factor."""
-    return -(slope + square * abs(w)) * w - turn * sqrt(abs(1 - w * w))  # abs: past 90 degrees
+    slope, square, turn, lift = terms
+    return -(slope + square * abs(w)) * w - (turn + lift * w) * sqrt(abs(1 - w * w))  # abs: past 90 degrees
 
 
 def slow_sideslip(along: PathRates, vehicle: Vehicle) -> Any:
@@ -158,14 +162,14 @@ def slow_sideslip(along: PathRates, vehicle: Vehicle) -> Any:
 
 
 def steady_sideslip(along: PathRates, vehicle: Vehicle | Coefficients, ns: Namespace) -> Number:
-    """Return w free of the fast transient: two passes of m11 omega + D tan(gamma) = -Dm gamma'."""
-    a = along.v_p_dot / along.v_p
-    linear, turn = vehicle.d22 + vehicle.m22 * a, vehicle.m11 * along.omega
+    """Return w free of the fast transient: two passes of m omega + D tan(gamma) = -Dm gamma'."""
+    a, m = along.v_p_dot / along.v_p, vehicle.m11 - vehicle.Y_ur
+    linear, turn = vehicle.d22 + vehicle.m22 * a + vehicle.Y_uv * along.v_p, m * along.omega
     slope = ns.sqrt(linear**2 + 4 * vehicle.Y_vv * along.v_p * abs(turn))  # of D tan(gamma) by tan(gamma)
     tan = -2 * turn / (linear + slope)
-    D_dot = vehicle.m22 * (along.v_p_ddot / along.v_p - a * a)
-    gamma_dot = -(vehicle.m11 * along.omega_dot + D_dot * tan) / (slope * (1 + tan * tan))
-    tan = tan - (vehicle.m22 - vehicle.m11) * gamma_dot / slope
+    D_dot = vehicle.m22 * (along.v_p_ddot / along.v_p - a * a) + vehicle.Y_uv * along.v_p_dot
+    gamma_dot = -(m * along.omega_dot + D_dot * tan) / (slope * (1 + tan * tan))
+    tan = tan - (vehicle.m22 - m) * gamma_dot / slope
     return tan / ns.sqrt(1 + tan * tan)
 
 
@@ -206,19 +210,20 @@ def in_sideslip(
     along: PathRates, w: Number, coefficients: Coefficients, sway_load: tuple[Number, Number], ns: Namespace
 ) -> tuple[Number, ...]:
     """Return psi [rad], u, v [m/s], r [rad/s], F_u [N], F_r [N m] and gamma of motion along a path, see `assemble`."""
-    m11, m22, m33, _, d22, *_, Y_vv, _ = coefficients
+    m11, m22, m33, _, d22, _, _, Y_vv, _, Y_uv, *_ = coefficients
+    m, Dm = m11 - coefficients.Y_ur, coefficients.slip_mass
     v_p, beta, om, v_p_dot, om_dot, v_p_ddot = (getattr(along, name) for name in RATES)
     c = ns.sqrt(1 - w * w)
     tan, gamma, a = w / c, ns.arcsin(w), v_p_dot / v_p
     u, v = v_p * c, v_p * w  # (7), (8)
-    D = d22 + Y_vv * abs(v) + m22 * a
+    D = d22 + Y_uv * u + Y_vv * abs(v) + m22 * a
     push = sway_load[0] / u
-    gamma_dot = -(m11 * om + D * tan - push) / (m22 - m11)
+    gamma_dot = -(m * om + D * tan - push) / Dm
     u_dot, v_dot = v_p_dot * c - v * gamma_dot, v_p_dot * w + u * gamma_dot  # (12)
     side = ns.where(v < 0, -1.0, ns.where(v > 0, 1.0, 0.0))
-    D_dot = Y_vv * side * v_dot + m22 * (v_p_ddot / v_p - a * a)
+    D_dot = Y_vv * side * v_dot + m22 * (v_p_ddot / v_p - a * a) + Y_uv * u_dot
     push_dot = sway_load[1] / u + push * (tan * gamma_dot - a)
-    gamma_ddot = -(m11 * om_dot + D_dot * tan + D * gamma_dot / c**2 - push_dot) / (m22 - m11)
+    gamma_ddot = -(m * om_dot + D_dot * tan + D * gamma_dot / c**2 - push_dot) / Dm
     psi = beta - gamma  # (10) with the signed sideslip
     r, r_dot = om - gamma_dot, om_dot - gamma_ddot  # (14)
     _, _, u_free, _, r_free = rates(psi, u, v, r, (0.0, 0.0, 0.0), coefficients, ns)

@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
 
-from auv_gym.actuators import Response, respond
+from auv_gym.actuators import Response, fin_share, respond, told_torque
 from auv_gym.dynamics import Current, Force, State, rk4_step
 from auv_gym.errors import to_body, to_world, tracking_errors
 from auv_gym.namespaces import Namespace, Number
@@ -88,6 +88,10 @@ class Parts(NamedTuple):
     weak: bool = False  # the actuators saturate below their limits
     sheared: bool = False  # the current differs from place to place
     reckoned: bool = False  # between position fixes the position is reckoned from measured velocity and heading
+    lifting: bool = False  # hull and fins have lift
+    finned: bool = False  # the yaw torque is one of fins, which the speed makes
+    astern: bool = False  # the thruster gives less astern than ahead
+    span: int = 1  # how much wider than usual the bounds of an observation are, see `task.bounds`
 
     def joined(self, other: Parts) -> Parts:
         """Return what is in use here or there, and the larger number of integration steps."""
@@ -146,6 +150,8 @@ class Parameters(NamedTuple):
     reach_u: Number  # action at which the surge actuator really saturates
     reach_r: Number
     delay: Number  # control periods until a command acts
+    fin: Number  # [kg] of the fins, see `actuators.Actuators`
+    astern: Number  # share of thrust_u astern
     shear: Shear
     log: Log
     parts: Parts
@@ -174,8 +180,6 @@ Position: TypeAlias = tuple[Number, Number]
 """A place x, y [m] in the world."""
 Terms: TypeAlias = tuple[Number, ...]
 """The observation in SI units, in the order of `task.TERMS`."""
-
-
 Outcome: TypeAlias = tuple[Number, Number, Number, Number]
 """Reward; whether the vehicle is lost; squared position error [m^2]; whether an actuator was commanded to its limit."""
 
@@ -236,12 +240,15 @@ def moved(
         p: the episode's constants.
         ns: the namespace of the numbers.
     """
-    x, y, *_ = state
+    x, y, _, u, *_ = state
     _, _, _, _, _, _, _, _, V_x, V_y, X, Y, N, *_ = sample
-    mean, force = respond(force, (command[0] * p.thrust_u, command[1] * p.thrust_r), p.response, ns)
+    a_u = ns.clip(command[0], -p.astern, 1.0) if p.parts.astern else command[0]
+    thrust_r = p.thrust_r * fin_share(u, p.fin, p.F_r_max, ns) if p.parts.finned else p.thrust_r
+    mean, force = respond(force, (a_u * p.thrust_u, command[1] * thrust_r), p.response, ns)
     load, current = (mean[0] + X, Y, mean[1] + N), current_at(x, y, (V_x, V_y), p, ns)
+    coefficients = p.coefficients if p.parts.lifting else p.coefficients.without_lift
     for _ in range(p.parts.substeps):
-        state = rk4_step(state, load, p.coefficients, p.h, current, ns)
+        state = rk4_step(state, load, coefficients, p.h, current, ns)
     return state, force
 
 
@@ -295,9 +302,10 @@ def _observe(
     cos_psi, sin_psi = ns.cos(psi_m), ns.sin(psi_m)
     e_x, e_y = to_body(x_e, y_e, cos_psi, sin_psi)
     a_u, a_r = action
+    F_r_max = told_torque(measured[3], p.fin, p.F_r_max, ns) if parts.finned else p.F_r_max
     return memory, (
         e_x, e_y, psi_e, u_e, v_e, r_e, u_R, v_R, r_R, F_uR, F_rR,
-        cos_psi, sin_psi, p.F_u_max, p.F_r_max, a_u, a_r, p.h * parts.substeps,
+        cos_psi, sin_psi, p.F_u_max, F_r_max, a_u, a_r, p.h * parts.substeps,
     )  # fmt: skip
 
 

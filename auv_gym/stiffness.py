@@ -31,8 +31,9 @@ def fastest_rate(coefficients: Coefficients, load: Load, speeds: Load = AT_REST)
     """Return the fastest rate [1/s] at which velocities change by themselves, at speeds that a load can bring about.
 
     It is that of the drag, or that of the coupling of the three velocities. No speeds beyond those at which drag takes
-    away all power that the load can give are in reach for long: |u| <= X / (2 d11) + sqrt(P / d11), and so on, with
-    P = X^2 / (4 d11) + Y^2 / (4 d22) + N^2 / (4 d33).
+    away all power that the load can give are in reach for long: |u| <= X / (2 d11) + sqrt(P / d11) by the linear drag,
+    |u| <= sqrt(X / X_uu) + (P / X_uu)^(1/3) by the quadratic one, and so on. P is what the three loads can give: each
+    X^2 / (4 d11), or 2/3 X sqrt(X / (3 X_uu)) if that is less. Lift is taken to give no power.
 
     Args:
         coefficients: floats, or rows of shape (n,).
@@ -40,17 +41,19 @@ def fastest_rate(coefficients: Coefficients, load: Load, speeds: Load = AT_REST)
         speeds: u, v, r at the start.
     """
     m11, m22, m33, *drags = (np.asarray(c, dtype=np.float64) for c in coefficients)
-    linear, quadratic = drags[:3], drags[3:]
-    power = sum(F * F / (4 * d) for F, d in zip(load, linear, strict=True))
-    reach = [F / (2 * d) + np.sqrt(power / d) for F, d in zip(load, linear, strict=True)]
+    linear, quadratic, (Y_uv, Y_ur, N_uv, N_ur) = drags[:3], drags[3:6], drags[6:]
+    acting = list(zip(load, linear, quadratic, strict=True))
+    with np.errstate(divide="ignore", invalid="ignore"):  # no quadratic drag: no bound by it
+        power = sum(np.fmin(F * F / (4 * d), 2 / 3 * F * np.sqrt(F / (3 * q))) for F, d, q in acting)
+        reach = [np.fmin(F / (2 * d) + np.sqrt(power / d), np.sqrt(F / q) + np.cbrt(power / q)) for F, d, q in acting]
     u, v, r = (np.maximum(w, abs(w_0)) for w, w_0 in zip(reach, speeds, strict=True))
-    moving = zip(linear, quadratic, (u, v, r), (m11, m22, m33), strict=True)
-    decay = [(d + 2 * q * speed) / m for d, q, speed, m in moving]
-    zero = 0 * u
+    moving = zip(linear, quadratic, (u, v, r), (m11, m22, m33), (0, Y_uv, N_ur), strict=True)
+    decay = [(d + 2 * q * speed + lift * u) / m for d, q, speed, m, lift in moving]
+    zero, sway, munk = 0 * u, m11 + abs(Y_ur), m22 - m11 + abs(N_uv)
     rows = (
         (zero, m22 * r / m11, m22 * v / m11),
-        (m11 * r / m22, zero, m11 * u / m22),
-        ((m22 - m11) * v / m33, (m22 - m11) * u / m33, zero),
+        ((sway * r + Y_uv * v) / m22, zero, sway * u / m22),
+        ((munk * v + N_ur * r) / m33, munk * u / m33, zero),
     )
     coupling = np.moveaxis(np.array(rows), (0, 1), (-2, -1))
     return np.maximum(np.max(decay, axis=0), np.abs(np.linalg.eigvals(coupling)).max(axis=-1))

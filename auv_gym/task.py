@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cache
 from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import numpy as np
@@ -62,18 +63,38 @@ BOUNDS = np.array([term.bound for term in TERMS])  # (SIZE,) of the scaled terms
 ERRORS = 6
 """How many of the terms, the first ones, may leave their bounds: the others are inside of them by construction."""
 
-_SCALES, _INVERSE, _ERROR_BOUNDS = Constants.of(SCALES), Constants.of(1.0 / SCALES), Constants.of(BOUNDS[:ERRORS])
+_SCALES, _INVERSE = Constants.of(SCALES), Constants.of(1.0 / SCALES)
+LARGE = "m", "N", "N m"
+"""Units of the terms that are larger for larger vehicles."""
 
 
-def encode(terms: Sequence[Number], ns: Namespace) -> Any:
+def bounds(span: int) -> NDArray[np.float64]:
+    """Return the bounds of the scaled terms, shape (SIZE,): `BOUNDS`, those of lengths and forces `span` times as wide.
+
+    The scales are the same for every vehicle, so that an observation is decoded without knowing whose it is; a ship's
+    lengths and forces have wider bounds, by a power of two that its scenario says.
+    """
+    return BOUNDS * np.where([term.unit in LARGE for term in TERMS], float(span), 1.0)
+
+
+@cache
+def _error_bounds(span: int) -> Constants:
+    return Constants.of(bounds(span)[:ERRORS])
+
+
+def encode(terms: Sequence[Number], ns: Namespace, span: int = 1) -> Any:
     """Return observations, their first axis counting the terms, for terms in SI units: each over its scale, bounded.
+
+    The span widens the `bounds`.
 
     Bounding costs a single vehicle more than seeing that it need not be done.
     """
     rows = ns.scaled(terms, _INVERSE)
-    e_x, e_y, _, u_e, v_e, r_e = terms[:ERRORS]
-    if ns is not FLOATS or not (-L < e_x < L and -L < e_y < L and -V < u_e < V and -V < v_e < V and -W < r_e < W):
-        rows[:ERRORS] = ns.bounded(rows[:ERRORS], _ERROR_BOUNDS)
+    (e_x, e_y, _, u_e, v_e, r_e), far = terms[:ERRORS], L * span
+    if ns is not FLOATS or not (
+        -far < e_x < far and -far < e_y < far and -V < u_e < V and -V < v_e < V and -W < r_e < W
+    ):
+        rows[:ERRORS] = ns.bounded(rows[:ERRORS], _error_bounds(span))
     return rows if isinstance(rows, np.ndarray) else ns.stack(rows)
 
 
@@ -125,12 +146,12 @@ def action_of(forces: Force, o: Sequence[Number], ns: Namespace) -> tuple[Number
     return ns.clip(F_u / o[F_U_MAX], -1.0, 1.0), ns.clip(F_r / o[F_R_MAX], -1.0, 1.0)
 
 
-def check_reference(table: NDArray[np.float64]) -> None:
+def check_reference(table: NDArray[np.float64], span: int = 1) -> None:
     """Raise ValueError if a reference table, shape (T, 8, ...), has rates or forces beyond the observation's bounds."""
     names = "x", "y", "psi", "u_R", "v_R", "r_R", "F_uR", "F_rR"  # of its columns, as in an observation
-    for term in TERMS:
+    for term, most in zip(TERMS, (bounds(span) * SCALES).tolist(), strict=True):
         if term.name in names:
-            largest, bound = float(np.abs(table[:, names.index(term.name)]).max()), term.bound * term.scale
+            largest, bound = float(np.abs(table[:, names.index(term.name)]).max()), most
             if not largest <= bound:
                 raise ValueError(
                     f"reference {term.name} reaches {largest:.4g} {term.unit}; at most {bound:g} can be observed"

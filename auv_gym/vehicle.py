@@ -21,9 +21,25 @@ class Coefficients(NamedTuple):
     X_uu: Number  # [kg/m]
     Y_vv: Number  # [kg/m]
     N_rr: Number  # [kg m^2]
+    Y_uv: Number  # [kg/m]
+    Y_ur: Number  # [kg]
+    N_uv: Number  # [kg]
+    N_ur: Number  # [kg m]
+
+    @property
+    def without_lift(self) -> tuple[Number, ...]:
+        """What is left for a hull whose lift is zero: `dynamics.rates` then does not compute it."""
+        return self[: len(self) - len(LIFT)]
+
+    @property
+    def slip_mass(self) -> Number:
+        """Inertia [kg] against a change of the sideslip: m22 - m11, and what lift adds to it."""
+        return self.m22 - (self.m11 - self.Y_ur)
 
 
-LARGEST = 1e9
+LIFT = Coefficients._fields[-4:]
+"""The parameters of the lift, which grow with the surge velocity."""
+LARGEST = 1e11
 """Largest parameter of a vehicle, in its SI unit."""
 MIN_MASS_RATIO = 1.01
 """Least m22/m11: the planner's memory is (m22 - m11)/d22, and its integration step must follow."""
@@ -33,11 +49,14 @@ MIN_MASS_RATIO = 1.01
 class Vehicle:
     """Parameters of (2): rigid body plus added mass, linear drag and, beyond the paper, quadratic drag.
 
-    Drag enters as `-(d11 + X_uu |u|) u` in surge, in sway and yaw with their coefficients; all are magnitudes.
+    Drag enters as `-(d11 + X_uu |u|) u` in surge, in sway and yaw with their coefficients; all are magnitudes. Lift of
+    hull and fins adds `-Y_uv |u| v + Y_ur |u| r` to the sway force and `N_uv |u| v - N_ur |u| r` to the yaw moment; a
+    fin behind the centre has all four positive. Beyond the Munk moment (m11 - m22) u v, which (2c) has by itself.
 
     Raises:
-        ValueError: a parameter is not finite, too large or negative, a mass or linear drag is zero, or
-            m22 is not above m11: the section III planner and the sideslip it describes need a slender hull.
+        ValueError: a parameter is not finite or too large, one but Y_ur or N_uv is negative, a mass or linear drag is
+            zero, or m22 is not above m11 and m11 - Y_ur: the section III planner and the sideslip it describes need a
+            slender hull.
     """
 
     m11: float  # [kg] surge inertia, added mass included
@@ -49,6 +68,10 @@ class Vehicle:
     X_uu: float = 0.0  # [kg/m] quadratic surge drag
     Y_vv: float = 0.0  # [kg/m] quadratic sway drag
     N_rr: float = 0.0  # [kg m^2] quadratic yaw drag
+    Y_uv: float = 0.0  # [kg/m] lift: sway drag that grows with the surge velocity
+    Y_ur: float = 0.0  # [kg] lift: sway force of a yaw rate
+    N_uv: float = 0.0  # [kg] lift: yaw moment of a sway velocity, positive where it turns the bow into the flow
+    N_ur: float = 0.0  # [kg m] lift: yaw drag that grows with the surge velocity
 
     def __post_init__(self) -> None:
         for name, value in zip(Coefficients._fields, self.coefficients, strict=True):
@@ -56,18 +79,24 @@ class Vehicle:
                 raise ValueError(f"vehicle parameter {name} is {value!r}; it must be a finite number up to {LARGEST:g}")
             if name[0] in "md" and value <= 0:
                 raise ValueError(f"vehicle parameter {name} is {value!r}; inertia and linear drag must be positive")
-            if value < 0:
-                raise ValueError(f"vehicle parameter {name} is {value!r}; quadratic drag is a magnitude, 0 or more")
-        if self.m22 < MIN_MASS_RATIO * self.m11:
+            if value < 0 and name not in ("Y_ur", "N_uv"):
+                raise ValueError(f"vehicle parameter {name} is {value!r}; drag is a magnitude, 0 or more")
+        if self.m22 < MIN_MASS_RATIO * max(self.m11, self.m11 - self.Y_ur):
             raise ValueError(
-                f"m22 = {self.m22!r} kg is not above m11 = {self.m11!r} kg, by a factor of {MIN_MASS_RATIO} at least; "
+                f"m22 = {self.m22!r} kg is not above m11 = {self.m11!r} kg, by a factor of {MIN_MASS_RATIO} at least, "
+                f"nor may Y_ur = {self.Y_ur!r} kg bring m11 - Y_ur there; "
                 "a torpedo-shaped hull adds more mass in sway than in surge, and only then the plan is stable"
             )
 
     @property
+    def has_lift(self) -> bool:
+        """Whether lift acts on it."""
+        return any(getattr(self, name) for name in LIFT)
+
+    @property
     def coefficients(self) -> Coefficients:
         """The parameters as the tuple that the equations unpack."""
-        return Coefficients(self.m11, self.m22, self.m33, self.d11, self.d22, self.d33, self.X_uu, self.Y_vv, self.N_rr)
+        return Coefficients(*(getattr(self, name) for name in Coefficients._fields))
 
 
 PAPER_VEHICLE = Vehicle(m11=215.0, m22=265.0, m33=80.0, d11=70.0, d22=100.0, d33=50.0)

@@ -11,5 +11,6 @@ def matrix_form(state, tau, vehicle, current=(0.0, 0.0)):
     C = np.array([[0, 0, a], [0, 0, b], [-a, -b, 0]])
     linear, quadratic = [vehicle.d11, vehicle.d22, vehicle.d33], [vehicle.X_uu, vehicle.Y_vv, vehicle.N_rr]
     D = np.diag(linear + np.array(quadratic) * abs(nu))
+    D[1:, 1:] += abs(nu[0]) * np.array([[vehicle.Y_uv, -vehicle.Y_ur], [-vehicle.N_uv, vehicle.N_ur]])
     R = np.array([[np.cos(psi), -np.sin(psi), 0], [np.sin(psi), np.cos(psi), 0], [0, 0, 1]])
     return np.concatenate((R @ nu + [*current, 0], np.linalg.solve(M, np.array(tau) - (C + D) @ nu)))

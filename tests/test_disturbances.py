@@ -199,7 +199,7 @@ def test_mismatch_is_a_vehicle_with_more_mass_in_sway(numbers, masses, spread, q
         [x * f for x, f in zip((80.0, 70.0, 100.0, 50.0), factors[2:6], strict=True)]
     )
     q = quadratic * numbers[6]
-    assert (true.X_uu, true.Y_vv, true.N_rr) == pytest.approx((q, 5 + 2 * q, 3 * q))
+    assert (true.X_uu, true.Y_vv, true.N_rr) == pytest.approx((q, 5 * factors[4] + 2 * q, 3 * q))
 
 
 def test_no_mismatch_is_the_vehicle_itself():

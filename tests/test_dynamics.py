@@ -1,6 +1,7 @@
 """Equations of motion: against the matrix form, the paper's symbols, other kinds of number and their own symmetries."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,8 @@ from auv_gym.errors import to_body
 from auv_gym.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
 
 ROUGH = Vehicle(215.0, 265.0, 80.0, 70.0, 100.0, 50.0, X_uu=40.0, Y_vv=150.0, N_rr=60.0)
-VEHICLES = pytest.mark.parametrize("vehicle", [PAPER_VEHICLE, ROUGH], ids=["linear", "quadratic"])
+FINNED = replace(ROUGH, Y_uv=60.0, Y_ur=40.0, N_uv=25.0, N_ur=30.0)  # 4 Y_uv N_ur > (Y_ur + N_uv)^2: takes energy
+VEHICLES = pytest.mark.parametrize("vehicle", [PAPER_VEHICLE, ROUGH, FINNED], ids=["linear", "quadratic", "lift"])
 START, LOAD, CURRENT = (1.0, -2.0, 0.5, 0.8, -0.2, 0.3), (120.0, -15.0, 20.0), (0.2, -0.1)
 
 unit = st.floats(-1.0, 1.0)
@@ -59,7 +61,7 @@ def test_error_falls_with_the_fourth_power_of_the_step(vehicle):
 
 def test_rates_are_the_papers_equations():
     psi, u, v, r, X, Y, N = sp.symbols("psi u v r F_u Y F_r", real=True)
-    m11, m22, m33, d11, d22, d33, *quadratic = c = Coefficients(*sp.symbols(Coefficients._fields, positive=True))
+    m11, m22, m33, d11, d22, d33, *further = c = Coefficients(*sp.symbols(Coefficients._fields, positive=True))
     paper = (
         u * sp.cos(psi) - v * sp.sin(psi),  # (1a)
         u * sp.sin(psi) + v * sp.cos(psi),  # (1b)
@@ -68,9 +70,13 @@ def test_rates_are_the_papers_equations():
         (m11 - m22) / m33 * u * v - d33 / m33 * r + N / m33,  # (2c)
     )
     got = rates(psi, u, v, r, (X, Y, N), c, ns=sp)
-    as_in_the_paper = dict.fromkeys([Y, *quadratic], 0)
+    as_in_the_paper = dict.fromkeys([Y, *further], 0)
     assert [sp.simplify(a.subs(as_in_the_paper) - b) for a, b in zip(got, paper, strict=True)] == [0] * 5
-    beyond = [0, 0, -c.X_uu * abs(u) * u / m11, (Y - c.Y_vv * abs(v) * v) / m22, -c.N_rr * abs(r) * r / m33]
+    lift = abs(u) * (c.Y_ur * r - c.Y_uv * v), abs(u) * (c.N_uv * v - c.N_ur * r)
+    sway, yaw = (Y - c.Y_vv * abs(v) * v + lift[0]) / m22, (-c.N_rr * abs(r) * r + lift[1]) / m33
+    beyond = [0, 0, -c.X_uu * abs(u) * u / m11, sway, yaw]
+    bare = rates(psi, u, v, r, (X, Y, N), c.without_lift, ns=sp)
+    assert [sp.simplify(a.subs(dict.fromkeys(further[3:], 0)) - b) for a, b in zip(got, bare, strict=True)] == [0] * 5
     assert [sp.simplify(a - b - e) for a, b, e in zip(got, paper, beyond, strict=True)] == [0] * 5
 
 
@@ -89,10 +95,11 @@ def test_floats_arrays_and_tensors_agree():
 @VEHICLES
 def test_kinetic_energy_falls_by_the_work_of_drag(vehicle, state):
     m11, m22, m33, *drag = vehicle.coefficients
-    _, _, _, u, v, r = state
+    (*_, u, v, r), (Y_uv, Y_ur, N_uv, N_ur) = state, drag[6:]
     rate = state_rates(state, (0.0, 0.0, 0.0), vehicle.coefficients)
     power = m11 * u * rate[3] + m22 * v * rate[4] + m33 * r * rate[5]
-    work = sum((d + q * abs(s)) * s * s for d, q, s in zip(drag[:3], drag[3:], (u, v, r), strict=True))
+    work = sum((d + q * abs(s)) * s * s for d, q, s in zip(drag[:3], drag[3:6], (u, v, r), strict=True))
+    work += abs(u) * (Y_uv * v * v - (Y_ur + N_uv) * v * r + N_ur * r * r)
     assert power == pytest.approx(-work, abs=1e-9)
 
     def energy(state):

@@ -23,7 +23,7 @@ lengths = st.floats(-1e3, 1e3)
 def test_error_rates_are_the_difference_of_two_vehicles_symbolically():
     e, R = sp.symbols("x_e y_e psi_e u_e v_e r_e", real=True), sp.symbols("x_R y_R psi_R u_R v_R r_R", real=True)
     F_u, F_r, F_uR, F_rR = sp.symbols("F_u F_r F_uR F_rR", real=True)
-    c = Coefficients(*sp.symbols("m11 m22 m33 d11 d22 d33", positive=True), 0, 0, 0)
+    c = Coefficients(*sp.symbols("m11 m22 m33 d11 d22 d33", positive=True), *[0] * 7)
     actual = state_rates(tuple(a + b for a, b in zip(R, e, strict=True)), (F_u, 0, F_r), c, ns=sp)
     wanted = state_rates(R, (F_uR, 0, F_rR), c, ns=sp)
     got = error_rates(e, R, (F_u, F_r), (F_uR, F_rR), c, ns=sp)

@@ -19,7 +19,8 @@ from auv_gym.sideslip import path_rates
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 
 ROUGH = Vehicle(215.0, 265.0, 80.0, 70.0, 100.0, 50.0, X_uu=40.0, Y_vv=150.0, N_rr=60.0)
-VEHICLES = pytest.mark.parametrize("vehicle", [PAPER_VEHICLE, ROUGH], ids=["linear", "quadratic"])
+FINNED = replace(ROUGH, Y_uv=160.0, Y_ur=40.0, N_uv=25.0, N_ur=30.0)
+VEHICLES = pytest.mark.parametrize("vehicle", [PAPER_VEHICLE, ROUGH, FINNED], ids=["linear", "quadratic", "lift"])
 TURN = 0.4075575636029479  # share of a lawnmower's turn in its width: legs and turns below take 9 s and 12 s
 PATHS = {
     "line": Line(0.5, heading=1.0),
@@ -53,7 +54,8 @@ def test_section_iii_numbers():
 @pytest.mark.parametrize(
     ("name", "vehicle"),
     [(name, PAPER_VEHICLE) for name in PATHS]
-    + [(name, ROUGH) for name in ("circle", "ellipse", "figure_eight", "fast_circle")],  # |v| v has a kink at v = 0
+    + [(name, ROUGH) for name in ("circle", "ellipse", "figure_eight", "fast_circle")]  # |v| v has a kink at v = 0
+    + [(name, FINNED) for name in ("ellipse", "fast_circle")],
 )
 def test_planned_forces_alone_keep_a_plant_on_its_path(name, vehicle):
     """Runge-Kutta steps of h with the forces at both ends and the middle; above 0.68 m/s errors grow in open loop."""
@@ -76,14 +78,16 @@ def test_planned_forces_alone_keep_a_plant_on_its_path(name, vehicle):
 
 
 def sideslip(path, vehicle, times, start):
-    """Solve gam' = -(m11 om + D tan(gam)) / Dm, D = d22 + Yvv |v| + m22 vp'/vp, by a tight integrator."""
+    """Solve gam' = -(m om + D tan(gam)) / Dm, D = d22 + Yuv u + Yvv |v| + m22 vp'/vp, by a tight integrator."""
+    m = vehicle.m11 - vehicle.Y_ur
 
     def rate(t, gamma):
         (x1, y1), (x2, y2) = path.derivatives(np.array([t]))[1:3, :, 0]
         square = x1 * x1 + y1 * y1
         sway = abs(math.sqrt(square) * math.sin(gamma[0]))
-        D = vehicle.d22 + vehicle.Y_vv * sway + vehicle.m22 * (x1 * x2 + y1 * y2) / square
-        return -(vehicle.m11 * (x1 * y2 - y1 * x2) / square + D * np.tan(gamma)) / (vehicle.m22 - vehicle.m11)
+        lift = vehicle.Y_uv * math.sqrt(square) * math.cos(gamma[0])
+        D = vehicle.d22 + lift + vehicle.Y_vv * sway + vehicle.m22 * (x1 * x2 + y1 * y2) / square
+        return -(m * (x1 * y2 - y1 * x2) / square + D * np.tan(gamma)) / (vehicle.m22 - m)
 
     span = times[0], times[-1]
     return solve_ivp(rate, span, [start], "DOP853", times, rtol=1e-10, atol=1e-12, max_step=0.5).y[0]

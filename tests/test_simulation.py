@@ -30,6 +30,8 @@ CONSTANTS = (
         reach_u=1.0,
         reach_r=1.0,
         delay=0.0,
+        fin=0.0,
+        astern=1.0,
         shear=Shear(0.0, 0.0, 0.0, 0.0, 0.0),
         parts=Parts(),
     )

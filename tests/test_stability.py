@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,9 +39,10 @@ class Plain:
         self.predict = law.predict
 
 
-def test_error_dynamics_with_quadratic_drag():
+def test_error_dynamics_with_quadratic_drag_and_lift():
     """Against differences of (2) and of the errors' kinematics in the body frame, about any motion."""
     hull = Vehicle(m11=215.0, m22=265.0, m33=80.0, d11=70.0, d22=100.0, d33=50.0, X_uu=30.0, Y_vv=80.0, N_rr=20.0)
+    hull = replace(hull, Y_uv=60.0, Y_ur=40.0, N_uv=25.0, N_ur=30.0)
     u_R, v_R, r_R = 0.8, -0.3, 0.2
 
     def error_rates(e, force=(0.0, 0.0)):

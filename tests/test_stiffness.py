@@ -66,7 +66,9 @@ def test_no_vehicle_within_the_bound_blows_up():
     high = np.array([500, 500, 300, 500, 500, 500, 500, 500, 500, 800, 400, 0.5])
     m11, _, *rest = np.exp(rng.uniform(np.log(low), np.log(high), (n, 12))).T
     *middle, F_u, F_r, dt = rest
-    coefficients = Coefficients(m11, m11 * rng.uniform(1.02, 3, n), *middle)
+    size, arm = np.exp(rng.uniform(np.log(0.1), np.log(500), n)), rng.uniform(0.0, 1.0, n)
+    lift = size, size * arm, size * arm, size * arm**2  # of one fin; each takes away energy
+    coefficients = Coefficients(m11, m11 * rng.uniform(1.02, 3, n), *middle, *lift)
     chosen = fastest_rate(coefficients, (F_u, 0 * F_u, F_r)) * dt < MAX_STIFFNESS
     coefficients, F_u, F_r, dt = Coefficients(*(c[chosen] for c in coefficients)), F_u[chosen], F_r[chosen], dt[chosen]
     assert chosen.sum() > 3000

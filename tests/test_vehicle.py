@@ -12,7 +12,7 @@ NAMES = [field.name for field in fields(Vehicle)]
 
 
 def test_paper_vehicle():
-    assert PAPER_VEHICLE.coefficients == (215.0, 265.0, 80.0, 70.0, 100.0, 50.0, 0.0, 0.0, 0.0)
+    assert PAPER_VEHICLE.coefficients == (215.0, 265.0, 80.0, 70.0, 100.0, 50.0, *[0.0] * 7)
     assert PAPER_VEHICLE.coefficients._fields == tuple(NAMES)
 
 
@@ -30,10 +30,10 @@ def test_inertia_and_linear_drag_are_positive(name, value):
         replace(PAPER_VEHICLE, **{name: value})
 
 
-@pytest.mark.parametrize("name", NAMES[6:])
-def test_quadratic_drag_is_a_magnitude(name):
+@pytest.mark.parametrize("name", [*NAMES[6:10], "N_ur"])
+def test_drag_is_a_magnitude(name):
     assert getattr(replace(PAPER_VEHICLE, **{name: 0}), name) == 0
-    with pytest.raises(ValueError, match=rf"{name} is -0.5; quadratic drag is a magnitude, 0 or more"):
+    with pytest.raises(ValueError, match=rf"{name} is -0.5; drag is a magnitude, 0 or more"):
         replace(PAPER_VEHICLE, **{name: -0.5})
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from auv_gym.envs.vector_api import AutoresetMode, Ends, checked_mode
 from auv_gym.episode import Episode, checked_options, with_options
+from auv_gym.fleet import Craft
 from auv_gym.kernels import begun
 from auv_gym.namespaces import ARRAYS
 from auv_gym.planner import plan
@@ -83,7 +84,7 @@ class Lanes:
         self,
         num_envs: int,
         scenario: ScenarioLike | Sequence[ScenarioLike],
-        vehicle: Vehicle | str | Mapping[str, Any] | None,
+        vehicle: Vehicle | Craft | str | Mapping[str, Any] | None,
         control_dt: float | None,
         preview: Sequence[int] = (),
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
@@ -237,16 +238,11 @@ class Lanes:
         o = Observation._make(decode(rows, ARRAYS))
         return np.vstack((rows, encode_preview(self.preview.ahead(lanes, self.k[lanes]), o, ARRAYS)))
 
-    def _plan_of(self, lane: int) -> tuple[float, int, Vehicle, float, float]:
-        """Return what a plan depends on besides the path, the arguments of `reference_tables`."""
-        s = self.scenarios[lane]
-        return s.control_dt, s.steps, s.vehicle, s.actuators.F_u_max, s.actuators.F_r_max
-
     def _feasible(self, lane: int, episode: Episode | None, rng: np.random.Generator) -> tuple[Episode, Array]:
         """Return an episode of a lane, the given one or one that can be followed, and its reference table."""
 
         def table_of(episode: Episode) -> Array:
-            return reference_tables([episode], *self._plan_of(lane))[0]
+            return reference_tables([episode], *plan_of(self.scenarios[lane]))[0]
 
         return (episode, table_of(episode)) if episode else self.scenarios[lane].drawn(rng, table_of)
 
@@ -258,36 +254,59 @@ class Lanes:
         tables: list[Any] = [None] * len(episodes)
         groups: dict[Any, list[int]] = {}
         for j, (i, episode) in enumerate(zip(lanes.tolist(), episodes, strict=True)):
-            plan_of, path = self._plan_of(i), self.scenarios[i].path
+            given, path = plan_of(self.scenarios[i]), self.scenarios[i].path
             if episode.path is path:
-                fixed = (*plan_of, id(path))
+                fixed = (*given, id(path))
                 if fixed not in self._fixed:
-                    self._fixed[fixed] = reference_tables([episode], *plan_of)[0]
+                    self._fixed[fixed] = reference_tables([episode], *given)[0]
                 tables[j] = self._fixed[fixed]
             else:
-                groups.setdefault(plan_of, []).append(j)
-        for plan_of, members in groups.items():
+                groups.setdefault(given, []).append(j)
+        for given, members in groups.items():
             members.sort(key=lambda j: type(episodes[j].path).__name__)
             for first in range(0, len(members), PLANNED_AT_ONCE):
                 batch = members[first : first + PLANNED_AT_ONCE]
                 with suppress(ValueError):  # about one of them: all are planned alone then
-                    for j, table in zip(batch, reference_tables([episodes[j] for j in batch], *plan_of), strict=True):
+                    for j, table in zip(batch, reference_tables([episodes[j] for j in batch], *given), strict=True):
                         tables[j] = table
         return tables
 
 
+def plan_of(scenario: Scenario) -> tuple[float, int, Vehicle, float, float, float, int]:
+    """Return what a plan depends on besides the path, the arguments of `reference_tables`."""
+    s, act = scenario, scenario.actuators
+    return s.control_dt, s.steps, s.vehicle, act.F_u_max, act.F_r_max, act.fin, s.span
+
+
 def reference_tables(
-    episodes: Sequence[Episode], dt: float, steps: int, vehicle: Vehicle, F_u_max: float, F_r_max: float
+    episodes: Sequence[Episode],
+    dt: float,
+    steps: int,
+    vehicle: Vehicle,
+    F_u_max: float,
+    F_r_max: float,
+    fin: float = 0.0,
+    span: int = 1,
 ) -> list[Array]:
     """Return the reference tables of episodes, shape (steps + 1, 8) each.
+
+    Args:
+        episodes: whose paths are planned.
+        dt: control period [s].
+        steps: control steps of an episode.
+        vehicle: the known one.
+        F_u_max: largest |F_u| [N].
+        F_r_max: largest |F_r| [N m].
+        fin: of the fins [kg], see `actuators.Actuators`.
+        span: of the scenario, see `task.bounds`.
 
     Raises:
         InfeasibleReferenceError: an episode's path cannot be followed within these limits.
         ValueError: a reference is beyond what can be observed.
     """
     paths = [episode.path for episode in episodes]
-    reference = plan(paths, vehicle, dt * np.arange(steps + 1, dtype=np.float64), (F_u_max, F_r_max)).table
-    check_reference(reference)
+    reference = plan(paths, vehicle, dt * np.arange(steps + 1, dtype=np.float64), (F_u_max, F_r_max), fin).table
+    check_reference(reference, span)
     return list(np.ascontiguousarray(reference.transpose(2, 0, 1)))
 
 
@@ -312,7 +331,7 @@ def replaced(old: NDArray[Any], where: NDArray[Any], new: NDArray[Any]) -> NDArr
 
 
 def _scenarios(
-    scenario: Any, num_envs: int, vehicle: Vehicle | str | Mapping[str, Any] | None, control_dt: float | None
+    scenario: Any, num_envs: int, vehicle: Vehicle | Craft | str | Mapping[str, Any] | None, control_dt: float | None
 ) -> list[Scenario]:
     several = isinstance(scenario, Iterable) and not isinstance(scenario, (str, Mapping))
     given = list(scenario) if several else [scenario]

@@ -35,6 +35,7 @@ from torch import Tensor
 from auv_gym import simulation
 from auv_gym.envs.lanes import Beginning, Indices, Lanes, ScenarioLike
 from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
+from auv_gym.fleet import Craft
 from auv_gym.namespaces import tensors
 from auv_gym.preview import encode_preview, observation_bounds
 from auv_gym.rows import filled, leaves
@@ -76,7 +77,7 @@ def simulate(state: Tensor, action: Tensor, sample: Tensor, parameters: Tensor, 
     plant, terms, (reward, lost, squared_error, saturated) = simulation.step(
         filled(PLANT, state.unbind()), action.unbind(), sample.unbind(), p, TENSORS
     )
-    rows, observation = torch.stack(leaves(plant)), encode(terms, TENSORS)
+    rows, observation = torch.stack(leaves(plant)), encode(terms, TENSORS, parts.span)
     return Transition(rows, observation, reward, lost.to(state.dtype), squared_error, saturated.to(state.dtype))
 
 
@@ -152,7 +153,7 @@ class TorchSimulator(VectorEnv[Tensor, Tensor, Tensor]):
         self,
         num_envs: int = 1,
         scenario: ScenarioLike | Sequence[ScenarioLike] = "paper-circle",
-        vehicle: Vehicle | str | Mapping[str, Any] | None = None,
+        vehicle: Vehicle | Craft | str | Mapping[str, Any] | None = None,
         control_dt: float | None = None,
         device: str | torch.device = "cpu",
         dtype: str | torch.dtype = "float32",
@@ -167,7 +168,7 @@ class TorchSimulator(VectorEnv[Tensor, Tensor, Tensor]):
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.num_envs, self.scenarios = num_envs, self._lanes.scenarios
         kind: Any = np.float32 if self.dtype == torch.float32 else np.float64
-        bounds: Any = observation_bounds(self._lanes.preview.periods).astype(kind)
+        bounds: Any = observation_bounds(self._lanes.preview.periods, self._lanes.parts.span).astype(kind)
         self.single_action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.single_observation_space = gym.spaces.Box(-bounds, bounds, dtype=kind)
         self.action_space = batch_space(self.single_action_space, num_envs)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from auv_gym.envs.spaces import ReferencePoint, checked_action, with_action
 from auv_gym.episode import checked_options, with_options
+from auv_gym.fleet import Craft
 from auv_gym.kernels import STATES, Vehicles, begun
 from auv_gym.namespaces import ARRAYS, FLOATS
 from auv_gym.paths import Path
@@ -108,7 +109,8 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
 
     ## Arguments
     - `scenario`: a `Scenario`, a dict of one, or a preset's name (`auv_gym.list_scenarios()`); default `paper-circle`.
-    - `vehicle`: a `Vehicle`, a dict, or a name, in place of the scenario's known vehicle.
+    - `vehicle`: in place of the scenario's known vehicle a `Vehicle` or a dict of one, which change nothing else, or a
+      name of `auv_gym.list_vehicles()` or a .toml file, which bring limits, speeds and clock of their own.
     - `control_dt`: control period [s] in place of the scenario's; the episode's duration stays.
     - `render_mode`: `"human"`, `"rgb_array"` or None.
     - `render_size`: width and height of pictures [px], from 16 to 4096; default 960 x 720. Below 320 x 240 nothing is
@@ -132,7 +134,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     def __init__(
         self,
         scenario: Scenario | str | Mapping[str, Any] = "paper-circle",
-        vehicle: Vehicle | str | Mapping[str, Any] | None = None,
+        vehicle: Vehicle | Craft | str | Mapping[str, Any] | None = None,
         control_dt: float | None = None,
         render_mode: str | None = None,
         preview: Sequence[int] = (),
@@ -149,7 +151,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self.metadata = {**self.metadata, "render_fps": max(1, round(1 / self.scenario.control_dt))}
         self.action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self._preview = Preview(1, preview, self.scenario.steps)
-        bounds = observation_bounds(self._preview.periods)
+        bounds = observation_bounds(self._preview.periods, self.scenario.span)
         self.observation_space = gym.spaces.Box(-bounds, bounds, dtype=np.float64)
         self._dt, self._steps = self.scenario.control_dt, self.scenario.steps
         self._times: Array = self._dt * np.arange(self._steps + 1, dtype=np.float64)
@@ -182,8 +184,8 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         """Return the reference for a path, remembering the last one: scenarios with a fixed path plan once."""
         if self._planned is None or self._planned[0] != path:
             act = self.scenario.actuators
-            reference = plan(path, self.scenario.vehicle, self._times, (act.F_u_max, act.F_r_max))
-            check_reference(reference.table)
+            reference = plan(path, self.scenario.vehicle, self._times, (act.F_u_max, act.F_r_max), act.fin)
+            check_reference(reference.table, self.scenario.span)
             self._planned = path, reference
         return self._planned[1]
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from auv_gym.envs.lanes import Beginning, Lanes, ScenarioLike
 from auv_gym.envs.spaces import ReferencePoint, checked_actions, with_action
 from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
+from auv_gym.fleet import Craft
 from auv_gym.kernels import Vehicles
 from auv_gym.namespaces import ARRAYS
 from auv_gym.policy import Forces, Law
@@ -62,7 +63,7 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         self,
         num_envs: int = 1,
         scenario: ScenarioLike | Sequence[ScenarioLike] = "paper-circle",
-        vehicle: Vehicle | str | Mapping[str, Any] | None = None,
+        vehicle: Vehicle | Craft | str | Mapping[str, Any] | None = None,
         control_dt: float | None = None,
         render_mode: str | None = None,
         preview: Sequence[int] = (),
@@ -80,7 +81,7 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         self.num_envs = num_envs
         self.render_mode = None
         self.scenarios = self._lanes.scenarios
-        bounds = observation_bounds(self._lanes.preview.periods)
+        bounds = observation_bounds(self._lanes.preview.periods, self._lanes.parts.span)
         self.single_action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.single_observation_space = gym.spaces.Box(-bounds, bounds, dtype=np.float64)
         self.action_space = batch_space(self.single_action_space, num_envs)

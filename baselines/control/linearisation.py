@@ -31,21 +31,25 @@ def error_dynamics(vehicle: Vehicle, u_R: float, v_R: float, r_R: float) -> tupl
     Errors are in the body frame, in SI units; the forces that B multiplies are deviations from F_uR [N], F_rR [N m].
 
     Args:
-        vehicle: the vehicle; with quadratic drag its slope counts.
+        vehicle: the vehicle; with quadratic drag or lift their slopes count.
         u_R: surge velocity [m/s].
         v_R: sway velocity [m/s].
         r_R: yaw rate [rad/s].
     """
-    m11, m22, m33, d11, d22, d33, X_uu, Y_vv, N_rr = vehicle.coefficients
-    drag_u, drag_v, drag_r = d11 + 2 * X_uu * abs(u_R), d22 + 2 * Y_vv * abs(v_R), d33 + 2 * N_rr * abs(r_R)
+    m11, m22, m33, d11, d22, d33, X_uu, Y_vv, N_rr, Y_uv, Y_ur, N_uv, N_ur = vehicle.coefficients
+    speed, way = abs(u_R), float(np.sign(u_R))
+    drag_u, drag_v = d11 + 2 * X_uu * speed, d22 + 2 * Y_vv * abs(v_R) + Y_uv * speed
+    drag_r = d33 + 2 * N_rr * abs(r_R) + N_ur * speed
+    sway_u, sway_r = -m11 * r_R + (Y_ur * r_R - Y_uv * v_R) * way, -m11 * u_R + Y_ur * speed
+    yaw_u, yaw_v = (m11 - m22) * v_R + (N_uv * v_R - N_ur * r_R) * way, (m11 - m22) * u_R + N_uv * speed
     A = np.array(
         [
             [0.0, r_R, -v_R, 1.0, 0.0, 0.0],
             [-r_R, 0.0, u_R, 0.0, 1.0, 0.0],
             [0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
             [0.0, 0.0, 0.0, -drag_u / m11, m22 * r_R / m11, m22 * v_R / m11],  # (20a)
-            [0.0, 0.0, 0.0, -m11 * r_R / m22, -drag_v / m22, -m11 * u_R / m22],  # (20b)
-            [0.0, 0.0, 0.0, (m11 - m22) * v_R / m33, (m11 - m22) * u_R / m33, -drag_r / m33],  # (20c)
+            [0.0, 0.0, 0.0, sway_u / m22, -drag_v / m22, sway_r / m22],  # (20b)
+            [0.0, 0.0, 0.0, yaw_u / m33, yaw_v / m33, -drag_r / m33],  # (20c)
         ]
     )
     B = np.zeros((6, 2))

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.actuators import LEAST_SHARE, fin_share
 from auv_gym.dynamics import State
 from auv_gym.episode import Episode
 from auv_gym.errors import to_body, tracking_errors
@@ -136,7 +137,8 @@ def decided(plan: TruePlan, gains: Array, state: State, force: Array, sent: Arra
     errors = np.stack((*to_body(x_e, y_e, np.cos(psi), np.sin(psi)), psi_e, *velocity_errors))
     mean, applied = feedforward + np.einsum("nij,jn->in", gains, errors), np.stack((F_u, F_r))
     command = applied + (mean - applied) / (p.response.gain * p.response.mean)
-    limits, reach = np.stack((p.thrust_u, p.thrust_r)), np.stack((p.reach_u, p.reach_r))
+    torque = p.thrust_r * np.maximum(fin_share(then[3], p.fin, p.F_r_max, ARRAYS), LEAST_SHARE)
+    limits, reach = np.stack((p.thrust_u, torque)), np.stack((p.reach_u, p.reach_r))
     return np.asarray(np.clip(command / limits, -reach, reach))
 
 
@@ -254,12 +256,12 @@ def _halfway(rows: Array) -> Array:
 
 def _sine_of_sideslip(along: PathRates, vehicle: Vehicle, Y: Array, h: float) -> Array:
     """Integrate Dm w' = -d22 w + rest(w) + Y/v_p over rows h [s] apart; `planner` says how it comes about."""
-    Dm = vehicle.m22 - vehicle.m11
-    slope, square, turn = (h / Dm * term for term in sideslip_terms(along, vehicle))
+    Dm = vehicle.coefficients.slip_mass
+    terms = [h / Dm * term for term in sideslip_terms(along, vehicle)]
     push = h / Dm * Y / along.v_p
 
     def rest_of(w: Array, j: int) -> Array:
-        return np.asarray(sideslip_rest(slope[j], square[j], turn[j], w, np.sqrt) + push[j])
+        return np.asarray(sideslip_rest([term[j] for term in terms], w, np.sqrt) + push[j])
 
     w = np.empty_like(push)
     w[0] = np.clip(slow_sideslip(along, vehicle), -LARGEST_SINE, LARGEST_SINE)

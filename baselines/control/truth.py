@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from auv_gym.actuators import LONGEST_DELAY
 from auv_gym.dynamics import State
-from auv_gym.envs.lanes import reference_tables
+from auv_gym.envs.lanes import plan_of, reference_tables
 from auv_gym.episode import Episode
 from auv_gym.namespaces import ARRAYS
 from auv_gym.rows import filled, leaves
@@ -29,9 +29,8 @@ def samples(scenario: Scenario, episodes: Sequence[Episode]) -> Array:
     Raises:
         InfeasibleReferenceError: an episode's path cannot be followed.
     """
-    n, act = len(episodes), scenario.actuators
-    instants = scenario.steps + 1
-    tables = reference_tables(episodes, scenario.control_dt, scenario.steps, scenario.vehicle, act.F_u_max, act.F_r_max)
+    n, instants = len(episodes), scenario.steps + 1
+    tables = reference_tables(episodes, *plan_of(scenario))
     tape = Tape(n, instants)
     for i, (episode, table) in enumerate(zip(episodes, tables, strict=True)):
         tape.load(i, scenario, episode, table)

@@ -124,7 +124,8 @@ def _along(motion: Motion, jerk: Sequence[Number], sea: Sea, coefficients: Coeff
     velocity = motion.v_x - share * sea.V_x, motion.v_y - share * sea.V_y
     acceleration = motion.a_x - sea.V_x_rate, motion.a_y - sea.V_y_rate
     along = path_rates(((0.0, 0.0), velocity, acceleration, jerk), ns)
-    return braked(along, HARDEST_BRAKING * coefficients.d22 / coefficients.m22, ns)
+    drag = coefficients.d22 + coefficients.Y_uv * along.v_p
+    return braked(along, HARDEST_BRAKING * drag / coefficients.m22, ns)
 
 
 def _sideslip(
@@ -137,12 +138,12 @@ def _sideslip(
     ns: Namespace,
 ) -> tuple[Number, Number]:
     """Return w = sin(gamma), one period later, and the rest of its equation."""
-    Dm = coefficients.m22 - coefficients.m11
-    slope, square, turn = (dt / Dm * term for term in sideslip_terms(along, coefficients))
+    Dm = coefficients.slip_mass
+    terms = [dt / Dm * term for term in sideslip_terms(along, coefficients)]
     push = dt / Dm * Y / along.v_p
 
     def rest_of(w: Number) -> Number:
-        return push + sideslip_rest(slope, square, turn, w, ns.sqrt)
+        return push + sideslip_rest(terms, w, ns.sqrt)
 
     w, rest = sideslip_step(memory.w, memory.rest, rest_of, coefficients.d22 / Dm * dt, LARGEST_SINE, ns)
     first = ns.clip(steady_sideslip(along, coefficients, ns), -LARGEST_SINE, LARGEST_SINE)

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
-from auv_gym.presets import PRESETS
+from auv_gym.presets import PRESETS, as_scenario
 from auv_gym.scenario import Scenario
 from baselines import make_policy
 from baselines.agents.loading import caution
@@ -153,7 +153,7 @@ def _drawn(suite: str | None, options: Options) -> _Task:
     count = DEFAULT_EPISODES if options.episodes is None else options.episodes
     record = {"scenarios": [s.to_dict() for s in scenarios], "episodes": count, "seed": options.seed}
     text = json.dumps(record, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    cells = tuple(drawn(scenario, count, options.seed) for scenario in scenarios)
+    cells = tuple(checked(partial(drawn, scenario, count, options.seed)) for scenario in scenarios)
     return _Task(cells, hashlib.sha256(text.encode()).hexdigest())
 
 
@@ -175,14 +175,14 @@ def checked_scenario(name: str, others: Iterable[str] = ()) -> Scenario:
     """Return the scenario of a preset's name or a file, once it is known that its environment can be made.
 
     Args:
-        name: of the preset, or path of the file.
+        name: of the preset, perhaps with `@` and a vehicle, or path of the file.
         others: names that the caller takes, for the message.
 
     Raises:
         UsageError: there is none, or it cannot be used.
     """
-    if name in PRESETS:
-        return PRESETS[name]
+    if name.partition("@")[0] in PRESETS:
+        return checked(partial(as_scenario, name))
     if not name.endswith((".toml", ".json")):
         known = ", ".join((*others, *PRESETS))
         raise UsageError(f"unknown scenario {name!r}; allowed are a .toml or .json file, or one of {known}")

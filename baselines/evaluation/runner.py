@@ -19,6 +19,7 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from auv_gym import __version__
+from auv_gym.envs.lanes import plan_of, reference_tables
 from auv_gym.episode import Episode
 from auv_gym.scenario import Scenario
 from baselines import make_policy
@@ -62,8 +63,14 @@ def _plain(episode: Episode) -> dict[str, Any]:
 
 
 def drawn(scenario: Scenario, episodes: int, seed: int) -> Cell:
-    """Return a cell whose episode i is the one of an environment reset with `seed + i`."""
-    return Cell(scenario, tuple(scenario.draw(seeding.np_random(seed + i)[0]) for i in range(episodes)))
+    """Return a cell whose episode i is the one of an environment reset with `seed + i`, drawn anew where it must be.
+
+    Raises:
+        ValueError: no path of the scenario can be followed.
+    """
+    given = plan_of(scenario)
+    generators = (seeding.np_random(seed + i)[0] for i in range(episodes))
+    return Cell(scenario, tuple(scenario.drawn(rng, lambda e: reference_tables([e], *given))[0] for rng in generators))
 
 
 @dataclass(frozen=True)

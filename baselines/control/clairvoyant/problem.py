@@ -72,7 +72,7 @@ class Problem:
         weight = np.full((steps, 1, n), HEAD / steps)
         weight[steps // TAIL :] = 1.0 / (steps - steps // TAIL)
         return cls(
-            Parts(substeps=p.parts.substeps, sheared=p.parts.sheared),
+            p.parts._replace(filtered=False, outages=False, delayed=False, weak=False, reckoned=False),
             np.concatenate((np.array(begun).T, np.zeros((2, n)))),
             np.ascontiguousarray(samples[1:]),
             rows,

@@ -235,7 +235,7 @@ def _episode(recipe: Recipe, i: int, rng: np.random.Generator) -> Episode:
         episode = replace(scenario, path=distribution).draw(rng)
         episode = replace(episode, path=given or episode.path, noise_seed=episode.noise_seed % 2**32)
         try:
-            plan(episode.path, scenario.vehicle, times, (act.F_u_max, act.F_r_max))
+            plan(episode.path, scenario.vehicle, times, (act.F_u_max, act.F_r_max), act.fin)
         except InfeasibleReferenceError:
             continue
         return episode

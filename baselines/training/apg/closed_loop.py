@@ -129,7 +129,7 @@ class ClosedLoop:
         plant, terms, (_, _, squared_error, _) = simulation.step(before, command, sample, p, ns)
         previous, dt = (before.a_u, before.a_r), self.parts.substeps * p.h
         lost = loss.of(squared_error, p.error_scale, command, previous, dt, ns)
-        return Moved(leaves(plant), tuple(encode(terms, ns)), squared_error, lost)
+        return Moved(leaves(plant), tuple(encode(terms, ns, self.parts.span)), squared_error, lost)
 
 
 def law_of(expert: Policy) -> tuple[Forces, bool]:

@@ -6,6 +6,7 @@ depends on what the vehicle does, so no slope goes through it; of a sheared curr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,14 +16,14 @@ from auv_gym.errors import to_body
 from auv_gym.namespaces import ARRAYS
 from auv_gym.rows import filled
 from auv_gym.simulation import SAMPLE, Parameters, Parts
-from auv_gym.vehicle import Coefficients, Vehicle
+from auv_gym.vehicle import LIFT, Coefficients, Vehicle
 from baselines.agents.features import BOUND
 from baselines.policy import reference_speed
 
 Array = NDArray[Any]
 
 EXTRINSICS = (
-    *Coefficients._fields,  # of the true vehicle, against those of the known one
+    *(name for name in Coefficients._fields if name not in LIFT),  # of the true vehicle, against the known one's
     *("V_u", "V_v"),  # current, along and across the reference's heading
     *("X", "Y", "N"),  # external load
     *("lag", "effect_u", "effect_r", "reach_u", "reach_r", "delay"),  # of the actuators
@@ -42,7 +43,7 @@ def extrinsics(samples: Array, constants: Array, known: Vehicle) -> Array:
     U = reference_speed(s.u_R, s.v_R, ARRAYS)
     along, across = to_body(s.V_x, s.V_y, np.cos(s.psi_R), np.sin(s.psi_R))
     rows = (
-        *_against(p.coefficients, known.coefficients),
+        *_against(p.coefficients.without_lift, known.coefficients.without_lift),
         *(2 * along / U, 2 * across / U),
         *(8 * s.X / p.F_u_max, 8 * s.Y / p.F_u_max, 8 * s.N / p.F_r_max),
         1 - p.response.gain,
@@ -52,7 +53,7 @@ def extrinsics(samples: Array, constants: Array, known: Vehicle) -> Array:
     return np.stack([np.broadcast_to(np.clip(row, -BOUND, BOUND), s.X.shape) for row in rows], axis=1)
 
 
-def _against(true: Coefficients, known: Coefficients) -> list[Any]:
+def _against(true: Sequence[Any], known: Sequence[Any]) -> list[Any]:
     """Return masses and drag against the known ones; quadratic drag against the linear one, at 1 m/s."""
     ratios = [5 * (a / b - 1) for a, b in zip(true[:6], known[:6], strict=True)]
     return ratios + [(a - b) / linear for a, b, linear in zip(true[6:], known[6:], known[3:6], strict=True)]
