@@ -52,7 +52,30 @@ def adverse(regime: str) -> Scenario:
     )
 
 
+def slewing(scenario: Scenario, seconds: float) -> Scenario:
+    """Return a scenario whose actuators take so many seconds from zero to their limits."""
+    act = scenario.actuators
+    slow = replace(act, F_u_rate=act.F_u_max / seconds, F_r_rate=act.F_r_max / seconds)
+    return replace(scenario, name=f"{scenario.name}-slew-{seconds:g}", actuators=slow)
+
+
+SLEW_TIMES = (0.5, 1.0)  # [s] in which slewing actuators go from zero to their limits
+SLEWING: Mapping[str, Mixture] = {
+    f"{regime}-slew": tuple((slewing(PRESETS[f"{regime}-storm"], seconds), 0.5) for seconds in SLEW_TIMES)
+    for regime in REGIMES
+}
+"""Storms on slewing actuators, by regime; their weights add up to 1."""
+WRONG: Mapping[str, Mixture] = {
+    f"{regime}-wrong": (
+        (adverse(regime), 0.5),
+        *((slewing(adverse(regime), seconds), 0.25) for seconds in SLEW_TIMES),
+    )
+    for regime in REGIMES
+}
+"""Storms in which anything may be wrong, half of them on slewing actuators; the weights add up to 1."""
 MIXTURES: Mapping[str, Mixture] = {
+    **SLEWING,
+    **WRONG,
     **{regime: regime_mixture(regime) for regime in REGIMES},
     **{f"{regime}-adverse": (*regime_mixture(regime), (adverse(regime), ADVERSE_WEIGHT)) for regime in REGIMES},
 }

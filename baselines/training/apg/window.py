@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from auv_gym.namespaces import ARRAYS
 from auv_gym.simulation import PARAMETERS, PLANT, PLANT_ROWS
 from auv_gym.task import SIZE
-from baselines.agents.features import INTEGRALS
 from baselines.agents.networks import ACTIONS
 from baselines.training.apg.closed_loop import Loss
 from baselines.training.apg.kernels import MOVED, LoopKernels
@@ -29,7 +28,7 @@ class Carried(NamedTuple):
 
     state: Array  # rows of a `simulation.Plant`, shape (PLANT_ROWS, N)
     observation: Array  # shape (SIZE, N)
-    integrals: Array  # of the features, shape (INTEGRALS, N)
+    integrals: Array  # of the features, shape (`Inputs.memory`, N)
     correction: Array  # the last one, shape (ACTIONS, N)
     hidden: Array  # of the network, shape (memory, N)
 
@@ -49,7 +48,7 @@ class Window:
         inputs, self._substeps = kernels.loop.inputs, kernels.loop.parts.substeps
         features, memory = len(inputs.features), network.sizes.memory
         self._carried = Carried(
-            *(self._zeros(steps + 1, rows, n) for rows in (PLANT_ROWS, SIZE, INTEGRALS, ACTIONS, memory))
+            *(self._zeros(steps + 1, rows, n) for rows in (PLANT_ROWS, SIZE, inputs.memory, ACTIONS, memory))
         )
         self._ahead, self._samples, self._features, self._base, self._squared = (
             self._zeros(steps, rows, n) for rows in (2 * len(inputs.preview), MOVED["sample"], features, ACTIONS, 1)
@@ -60,7 +59,7 @@ class Window:
             for name, rows in (
                 ("d_state", PLANT_ROWS),
                 ("d_observation", SIZE),
-                ("d_integrals", INTEGRALS),
+                ("d_integrals", inputs.memory),
                 ("d_base", ACTIONS),
                 ("d_correction", ACTIONS),
                 ("d_features", features),
@@ -111,6 +110,7 @@ class Window:
         authority: Sequence[float],
         loss: Loss,
         act: Act | None = None,
+        shares: Array | None = None,
     ) -> tuple[float, float, Carried, Array]:
         """Run the window and set the gradients of the network's weights, those of its mean loss.
 
@@ -120,8 +120,9 @@ class Window:
             samples: the rows of `simulation.Sample`s, shape (T, SAMPLE_ROWS, N).
             parameters: the rows of `simulation.Parameters`, shape (PARAMETER_ROWS, N).
             authority: largest corrections of surge and yaw.
-            loss: of a control step.
+            loss: of a control step; its weights may be of each vehicle, shape (N,).
             act: the expert, if it does not compute in the kernels.
+            shares: what each vehicle's loss counts for in their mean, shape (N,) of sum 1; None: the same.
 
         Returns:
             The mean loss, the mean position error [m], what is carried on, which the next run overwrites, and the
@@ -131,12 +132,13 @@ class Window:
             mine[0] = given
         self._ahead[:], self._samples[:], self._parameters[:] = ahead, samples, parameters
         n = self._parameters.shape[-1]
-        self._chosen[:] = np.array((*authority, *loss, 1 / (n * self.steps)))[:, None]  # as in `Chosen`
+        own = np.full(n, 1 / n) if shares is None else shares
+        self._chosen[:] = np.stack([np.broadcast_to(x, n) for x in (*authority, *loss, own / self.steps)])  # `Chosen`
         with torch.no_grad():
             self._forward(act)
             self._backward()
         with np.errstate(all="ignore"):  # of vehicles that are lost altogether
-            mean, error = self._mean_loss(loss), float(np.sqrt(self._squared, dtype=np.float64).mean())
+            mean, error = self._mean_loss(loss, own), float(np.sqrt(self._squared, dtype=np.float64).mean())
         return mean, error, Carried(*(x[-1] for x in self._carried)), self._squared[-1, 0]
 
     def _forward(self, act: Act | None) -> None:
@@ -157,8 +159,8 @@ class Window:
             self._look_back(k, 1)
         self._pass.finish()
 
-    def _mean_loss(self, loss: Loss) -> float:
+    def _mean_loss(self, loss: Loss, shares: Array) -> float:
         a_u, a_r = self._carried.state[:, PLANT.a_u], self._carried.state[:, PLANT.a_r]
         dt, scale = self._substeps * self._parameters[PARAMETERS.h], self._parameters[PARAMETERS.error_scale]
         of = loss.of(self._squared[:, 0], scale, (a_u[1:], a_r[1:]), (a_u[:-1], a_r[:-1]), dt, ARRAYS)
-        return float(np.mean(of, dtype=np.float64))
+        return float(np.mean(of @ shares.astype(of.dtype), dtype=np.float64))
