@@ -30,12 +30,13 @@ from baselines.training.run_folder import Run
 from baselines.training.validation import PRECISION
 
 SIZES = Gru(len(FEATURES), 8, 8, 8)
-INPUTS = [Inputs(), Inputs((3, 20)), Inputs((40,), integrals=False)]
+INPUTS = [Inputs(), Inputs((3, 20)), Inputs((40,), integrals=False), Inputs((3,), fine=True, filters=True)]
 CASES = [  # expert, whether the network has a memory, and what it sees
     ("backstepping", True, INPUTS[0]),
     ("backstepping", False, INPUTS[1]),
     ("none", True, INPUTS[2]),
     ("ekf", True, INPUTS[1]),
+    ("backstepping", True, INPUTS[3]),
     ("current-observer", False, INPUTS[0]),
 ]
 

@@ -38,7 +38,7 @@ SPEEDS = {"slow": (0.06, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4), "cruise": (0.41, 0.5, 
 DEGREE = 3  # of the polynomials
 TUNINGS = (
     Tuning(0.0045, 0.004, 0.014, 0.2, 0.1, 0.4, 0.23, 0.45, 0.15, 1.0),
-    Tuning(0.0003, 0.0004, 0.0005, 0.005, 0.003, 0.01, 0.001, 0.001, 0.001, 1.0),
+    Tuning(0.00005, 0.00006, 0.00008, 0.0008, 0.0005, 0.0015, 0.00015, 0.00015, 0.00015, 1.0),
 )
 """What is believed to change, in a rough and a calm sea; of the size that searches for `nmpc`'s filter have found."""
 FORCE_NOISE = 0.02
@@ -69,8 +69,10 @@ def storm_at(speed: float) -> Scenario:
     return PRESETS["cruise-storm" if speed > CRUISE_SPEED else "slow-storm"]
 
 
-def gain(speed: float, lag: float, tuning: Tuning, vehicle: Vehicle = PAPER_VEHICLE) -> Array:
-    """Return the gain K (22, 6) of the steady filter at a speed [m/s], in SI units; the lag's row is zero."""
+def problem(
+    speed: float, lag: float, tuning: Tuning, vehicle: Vehicle = PAPER_VEHICLE
+) -> tuple[Array, Array, Array, Array]:
+    """Return A, Q (21, 21), H (6, 21) and R (6, 6) of the Riccati equation at a speed [m/s], without the lag's row."""
     A, H, dt = model(speed, lag, vehicle)
     storm = storm_at(speed)
     act, kept = storm.actuators, [i for i in range(SIZE) if i != AT.lag]
@@ -80,11 +82,14 @@ def gain(speed: float, lag: float, tuning: Tuning, vehicle: Vehicle = PAPER_VEHI
     for i, limit in ((AT.F_u, act.F_u_max), (AT.F_r, act.F_r_max)):
         Q[i, i] = (FORCE_NOISE * tuning.acceleration / TUNINGS[0].acceleration * limit * speed) ** 2 * dt
     R = np.diag(np.square(storm.sensors.noise))
-    A, H, Q = A[np.ix_(kept, kept)], H[:, kept], Q[np.ix_(kept, kept)]
+    return A[np.ix_(kept, kept)], H[:, kept], Q[np.ix_(kept, kept)], R
+
+
+def gain(speed: float, lag: float, tuning: Tuning, vehicle: Vehicle = PAPER_VEHICLE) -> Array:
+    """Return the gain K (22, 6) of the steady filter at a speed [m/s], in SI units; the lag's row is zero."""
+    A, H, Q, R = problem(speed, lag, tuning, vehicle)
     P = solve_discrete_are(A.T, H.T, Q, R)
-    K = np.zeros((SIZE, len(R)))
-    K[kept] = np.linalg.solve(H @ P @ H.T + R, H @ P).T
-    return K
+    return np.insert(np.linalg.solve(H @ P @ H.T + R, H @ P).T, AT.lag, 0.0, axis=0)
 
 
 def table(regime: str, tuning: Tuning, lag: float) -> dict[str, Any]:

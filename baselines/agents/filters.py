@@ -29,7 +29,7 @@ LAGS = (0.24, 0.001)
 MIDDLE = CRUISE_SPEED  # [m/s] speed at which `speed_share` is zero
 HELD = 1e-4  # [m] of which a measured position moves less in a period: there was no new fix
 SETTLED = 50.0
-"""Control periods after which the second filter goes its own way; until then it is where the first one is."""
+"""Control periods after which the second filter goes its own way, from where the first one is, in still water."""
 KEPT = tuple(name for name in Estimate._fields if name != "lag")
 """The entries of an `Estimate` that a filter remembers."""
 SHARED = 3  # rows that both filters remember: the age, and the last fix x_e, y_e [m]
@@ -101,7 +101,8 @@ def filtered(
         first = (*measured, *[0.0 * lost for lost in z[len(measured) :]])
         begun = [ns.where(fresh, a, b) for a, b in zip(first, z, strict=True)]
         if found:
-            begun = [ns.where(joined, a, b) for a, b in zip(found[0], begun, strict=True)]
+            still = [*found[0][: AT.V_x], *first[AT.V_x :]]  # where the first one is, in still water
+            begun = [ns.where(joined, a, b) for a, b in zip(still, begun, strict=True)]
         found.append(Estimate._make(begun))
     after = (ns.clip(age + 1.0, 0.0, SETTLED), x_e, y_e, *(getattr(z, name) for z in found for name in KEPT))
     return Believed(tuple(found), held), after
