@@ -212,7 +212,10 @@ def _fine_features(whose: str, what: str) -> tuple[Feature, ...]:
     linear = (("", "U * 0.125 s"), ("_m", "0.0625 m"))
     return (
         *(Feature(f"{whose}{e}8{m}", "m", scale, f"{what}: {e}") for m, scale in linear for e in ("e_x", "e_y")),
-        *(Feature(f"{whose}{e}_fine", u, f"fine{scale}", f"{what}: {e}, see `fine`") for e, (u, scale) in errors.items()),
+        *(
+            Feature(f"{whose}{e}_fine", u, f"fine{scale}", f"{what}: {e}, see `fine`")
+            for e, (u, scale) in errors.items()
+        ),
     )
 
 

@@ -1,7 +1,7 @@
 """The gains of `baselines.agents.filters`, from a Riccati equation: `python -m baselines.agents.filter_gains`.
 
-About straight motion at a speed U, in the axes of the body, a step of the model is z' = A z + w and the measurements are
-y = H z + n, where w and n have the covariances Q and R. The covariance P of the prediction's error becomes steady:
+About straight motion at a speed U, in the axes of the body, a step of the model is z' = A z + w, and y = H z + n is
+what is measured; w and n have the covariances Q and R. The covariance P of the prediction's error becomes steady:
 P = A P A^T + Q - A P H^T (H P H^T + R)^-1 H P A^T, and the gain is K = P H^T (H P H^T + R)^-1. Each entry of K, found
 at `SPEEDS`, is kept as a polynomial in `filters.speed_share`, one for each regime: sensors and period are others there.
 """
@@ -44,6 +44,7 @@ TUNINGS = (
 FORCE_NOISE = 0.02
 """Drift of the actuators' forces after one second, as a share of their limits: nobody is told their lag."""
 STEP = 1e-6  # half width of the central differences of the model, SI units
+
 
 def model(speed: float, lag: float, vehicle: Vehicle = PAPER_VEHICLE) -> tuple[Array, Array, float]:
     """Return A (22, 22), H (6, 22) about straight motion at a speed [m/s], and the control period [s] there."""

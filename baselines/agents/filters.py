@@ -30,6 +30,11 @@ MIDDLE = CRUISE_SPEED  # [m/s] speed at which `speed_share` is zero
 HELD = 1e-4  # [m] of which a measured position moves less in a period: there was no new fix
 SETTLED = 50.0
 """Control periods after which the second filter goes its own way, from where the first one is, in still water."""
+LEASH = (0.05, 0.1, 0.1)
+"""How far the second filter may be from the first one: position [m] plus [s] times the speed, heading [rad].
+
+Beyond that the sea is not calm; the filter begins again from where the first one is, or it might go anywhere: the hull
+that it believes in is unstable in yaw at cruise."""
 KEPT = tuple(name for name in Estimate._fields if name != "lag")
 """The entries of an `Estimate` that a filter remembers."""
 SHARED = 3  # rows that both filters remember: the age, and the last fix x_e, y_e [m]
@@ -84,7 +89,7 @@ def filtered(
         vehicle: as it is known.
     """
     age, x_before, y_before, *rows = memory
-    fresh, joined = age <= 0.0, age < SETTLED
+    fresh = age <= 0.0
     motion = reference_motion(o, vehicle.coefficients, ns)
     half = 0.5 * o.dt * o.dt
     step = o.dt * motion.v_x - half * motion.a_x, o.dt * motion.v_y - half * motion.a_y
@@ -102,10 +107,17 @@ def filtered(
         begun = [ns.where(fresh, a, b) for a, b in zip(first, z, strict=True)]
         if found:
             still = [*found[0][: AT.V_x], *first[AT.V_x :]]  # where the first one is, in still water
+            joined = (age < SETTLED) | _far(found[0], z, speed)
             begun = [ns.where(joined, a, b) for a, b in zip(still, begun, strict=True)]
         found.append(Estimate._make(begun))
     after = (ns.clip(age + 1.0, 0.0, SETTLED), x_e, y_e, *(getattr(z, name) for z in found for name in KEPT))
     return Believed(tuple(found), held), after
+
+
+def _far(a: Estimate, b: Estimate, speed: Number) -> Any:
+    """Return whether two estimates differ by more than noise explains."""
+    x, y, psi, leash = a.x_e - b.x_e, a.y_e - b.y_e, a.psi - b.psi, LEASH[0] + LEASH[1] * speed
+    return (x * x + y * y > leash * leash) | (psi * psi > LEASH[2] * LEASH[2])
 
 
 def _estimate(rows: Sequence[Number], lag: float) -> Estimate:

@@ -78,9 +78,9 @@ class _Desk:
 class ResidualPolicy:
     """command = clip(expert + authority * network(features)), with Stable-Baselines3's `predict`.
 
-    Its memory: the integrals of the features, (N, `Inputs.memory`); the last correction, (N, 2); the network's hidden state,
-    (N, hidden); and behind them whatever the expert remembers. A network that gives zero leaves the expert's actions as
-    they are, bit for bit. It is for one thread at a time.
+    Its memory: what its inputs remember, (N, `Inputs.memory`); the last correction, (N, 2); the network's hidden
+    state, (N, hidden); and behind them whatever the expert remembers. A network that gives zero leaves the expert's
+    actions as they are, bit for bit. It is for one thread at a time.
     """
 
     OWN = 3
@@ -187,7 +187,11 @@ class ResidualPolicy:
         """Return this policy's own memory of n vehicles."""
         if state and len(state[0]) == n and (episode_start is None or not np.count_nonzero(episode_start)):
             return state[: self.OWN]
-        fresh = np.zeros((n, self.inputs.memory)), np.zeros((n, ACTIONS)), np.zeros((n, self.network.memory), self.precision)
+        fresh = (
+            np.zeros((n, self.inputs.memory)),
+            np.zeros((n, ACTIONS)),
+            np.zeros((n, self.network.memory), self.precision),
+        )
         return renewed(state and state[: self.OWN], fresh, episode_start)
 
     def _at(self, n: int) -> _Desk:

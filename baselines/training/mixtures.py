@@ -66,10 +66,14 @@ def slewing(scenario: Scenario, seconds: float) -> Scenario:
 
 SLEW_TIMES = (0.5, 1.0)  # [s] in which slewing actuators go from zero to their limits
 SLEWING: Mapping[str, Mixture] = {
-    f"{regime}-slew": tuple((slewing(PRESETS[f"{regime}-storm"], seconds), 0.5) for seconds in SLEW_TIMES)
+    f"{regime}-slew": tuple(
+        (slewing(PRESETS[f"{regime}-{case}"], seconds), 0.25)
+        for case in ("storm", "actuator")
+        for seconds in SLEW_TIMES
+    )
     for regime in REGIMES
 }
-"""Storms on slewing actuators, by regime; their weights add up to 1."""
+"""Storms, and the slow actuators of calm water, that also slew, by regime; their weights add up to 1."""
 WRONG: Mapping[str, Mixture] = {
     f"{regime}-wrong": (
         (adverse(regime), 0.5),
@@ -80,8 +84,8 @@ WRONG: Mapping[str, Mixture] = {
 """Storms in which anything may be wrong, half of them on slewing actuators; the weights add up to 1."""
 HARDEST: Mapping[str, float] = {"noise": 2.0, "actuator": 4.0, "storm": 4.0}
 """Weights of a regime's cases where commands cost little: what is left of the error, and what spins then."""
-SLEW_WEIGHT = 2.0  # of storms on slewing actuators beside a regime's cases, for `helm`
-WRONG_WEIGHT = 6.0  # of storms in which anything may be wrong beside a regime's cases, for `helm`
+SLEW_WEIGHT = 3.0  # of storms on slewing actuators beside a regime's cases, for `helm`
+WRONG_WEIGHT = 3.0  # of storms in which anything may be wrong beside a regime's cases, for `helm`
 
 
 def everything(regime: str) -> Mixture:

@@ -78,14 +78,15 @@ HELM: Mapping[str, Any] = {
     "preview": EXACT["preview"],
     "hidden_size": 128,
     "matrix_learning_rate": 0.02,
-    "effort_weight": 0.002,
-    "rate_weight": 0.004,
-    "cruise_effort_weight": 0.0003,
-    "cruise_rate_weight": 0.002,
+    "effort_weight": 0.008,
+    "rate_weight": 0.0025,
+    "cruise_effort_weight": 0.0007,
+    "cruise_rate_weight": 0.0008,
     "cruise_share": 0.375,
+    "cut": 12,
     "fine": True,
     "filters": True,
-    "validations": 6,
+    "validations": 4,
 }
 """Of the agent for both regimes: small errors seen as well as large ones, filters, and commands no rougher than
 those of `nmpc`."""

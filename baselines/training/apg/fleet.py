@@ -50,7 +50,8 @@ class Fleet:
     def reset(self, hidden: int, memory: int = STANDARD.memory) -> Carried:
         """Begin an episode everywhere; return what is carried into it, for a network of so many hidden units.
 
-        `memory` is how many rows its inputs remember."""
+        `memory` is how many rows its inputs remember.
+        """
         n, beginning = len(self.fresh), self._lanes.reset(self._seed, None)
         nothing = (np.zeros((rows, n)) for rows in (memory, ACTIONS, hidden))
         return Carried(beginning.plant, beginning.seen, *nothing)

@@ -110,7 +110,11 @@ class LoopKernels:
                 "d_integrals": shares[2],
             }
 
-        after = {"d_features": len(self.loop.inputs.features), "d_base": ACTIONS, "d_integrals": self.loop.inputs.memory}
+        after = {
+            "d_features": len(self.loop.inputs.features),
+            "d_base": ACTIONS,
+            "d_integrals": self.loop.inputs.memory,
+        }
         return self._traced(equation, self._seen | {"base": ACTIONS} | after)
 
     @cached_property

@@ -58,6 +58,7 @@ class Settings:
     cruise_effort_weight: float | None = None  # `effort_weight` in scenarios of the cruise regime, if it is another
     cruise_rate_weight: float | None = None  # `rate_weight` in scenarios of the cruise regime, if it is another
     cruise_share: float = 0.5  # what the loss of cruise counts for, where both regimes are trained on
+    cut: float = 0.0  # medians over vehicles beyond which a vehicle's derivatives are shortened; 0: never
     validations: int = VALIDATIONS  # how often in a run the agent is validated
     memory: bool = True  # whether the network has recurrent units, else it is of two tanh layers
     integrals: bool = True  # whether it sees the integrals of the position error
@@ -74,7 +75,7 @@ class Settings:
             check_number(name, getattr(self, name), 1e-9, 1e6)
         for name in ("matrix_learning_rate", "weight_decay", "final_share", "average", "cruise_share"):
             check_number(name, getattr(self, name), 0, 1)
-        for name in ("effort_weight", "rate_weight", "cruise_effort_weight", "cruise_rate_weight"):
+        for name in ("cut", "effort_weight", "rate_weight", "cruise_effort_weight", "cruise_rate_weight"):
             if getattr(self, name) is not None or not name.startswith("cruise"):
                 check_number(name, getattr(self, name), 0, 1e6)
         if not isinstance(self.memory, bool):
@@ -235,6 +236,7 @@ class Trainer:
             self._loss,
             None if self._exact else act,
             self._shares,
+            self.settings.cut,
         )
         self.carried = self.fleet.renew(carried, squared_error)
         return loss, error

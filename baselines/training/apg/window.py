@@ -23,6 +23,10 @@ Act = Callable[[int, Array], Array]
 """What an expert that computes on NumPy does at step k on observations (SIZE, N): actions, shape (ACTIONS, N)."""
 
 
+CARRIED = ("d_state", "d_observation", "d_integrals", "d_correction")
+"""Derivatives that go from one control instant back to the one before."""
+
+
 class Carried(NamedTuple):
     """What goes from one control instant to the next: arrays whose last axis counts the N vehicles."""
 
@@ -111,6 +115,7 @@ class Window:
         loss: Loss,
         act: Act | None = None,
         shares: Array | None = None,
+        cut: float = 0.0,
     ) -> tuple[float, float, Carried, Array]:
         """Run the window and set the gradients of the network's weights, those of its mean loss.
 
@@ -123,6 +128,7 @@ class Window:
             loss: of a control step; its weights may be of each vehicle, shape (N,).
             act: the expert, if it does not compute in the kernels.
             shares: what each vehicle's loss counts for in their mean, shape (N,) of sum 1; None: the same.
+            cut: how many medians over the vehicles a vehicle's derivatives may reach going back; 0: anything.
 
         Returns:
             The mean loss, the mean position error [m], what is carried on, which the next run overwrites, and the
@@ -136,7 +142,7 @@ class Window:
         self._chosen[:] = np.stack([np.broadcast_to(x, n) for x in (*authority, *loss, own / self.steps)])  # `Chosen`
         with torch.no_grad():
             self._forward(act)
-            self._backward()
+            self._backward(cut)
         with np.errstate(all="ignore"):  # of vehicles that are lost altogether
             mean, error = self._mean_loss(loss, own), float(np.sqrt(self._squared, dtype=np.float64).mean())
         return mean, error, Carried(*(x[-1] for x in self._carried)), self._squared[-1, 0]
@@ -150,14 +156,27 @@ class Window:
             self._pass.forward(k)
             self._move(k, 1)
 
-    def _backward(self) -> None:
+    def _backward(self, cut: float) -> None:
         for derivative in self._d.values():
             derivative.fill(0.0)
         for k in reversed(range(self.steps)):
             self._move_back(k, 1)
             self._pass.backward(k)
             self._look_back(k, 1)
+            if cut:
+                self._bound(cut)
         self._pass.finish()
+
+    def _bound(self, cut: float) -> None:
+        """Shorten the derivatives of vehicles in chaos, all of one vehicle alike; what is no number counts nothing."""
+        carried = (*(self._d[name] for name in CARRIED), self._pass.d_hidden.numpy())
+        with np.errstate(all="ignore"):
+            size = np.sqrt(sum(np.einsum("ij,ij->j", d, d) for d in carried))
+            share = np.where(np.isfinite(size), np.minimum(1.0, cut * np.median(size) / (size + 1e-30)), 0.0)
+        if (share < 1).any():
+            for d in carried:
+                np.nan_to_num(d, copy=False, posinf=0.0, neginf=0.0)
+                np.multiply(d, share, out=d)
 
     def _mean_loss(self, loss: Loss, shares: Array) -> float:
         a_u, a_r = self._carried.state[:, PLANT.a_u], self._carried.state[:, PLANT.a_r]
