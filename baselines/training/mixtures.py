@@ -19,9 +19,9 @@ WAVELENGTHS = {"slow": (5.0, 20.0), "cruise": (20.0, 80.0)}  # [m] of a sheared 
 OUTAGE_TIMES = {"slow": (0.5, 3.0), "cruise": (0.3, 2.0)}  # [s] how long an outage of the position fix lasts
 
 
-def regime_mixture(regime: str, weights: Mapping[str, float] = CASE_WEIGHTS) -> Mixture:
-    """Return the eight cases of a regime with weights by case, 1 for those that have none."""
-    return tuple((PRESETS[f"{regime}-{case}"], weights.get(case, 1.0)) for case in CASES)
+def regime_mixture(regime: str) -> Mixture:
+    """Return the eight cases of a regime."""
+    return tuple((PRESETS[f"{regime}-{case}"], CASE_WEIGHTS.get(case, 1.0)) for case in CASES)
 
 
 def weighed(mixture: Mixture, weight: float) -> Mixture:
@@ -84,18 +84,21 @@ WRONG: Mapping[str, Mixture] = {
 """Storms in which anything may be wrong, half of them on slewing actuators; the weights add up to 1."""
 HARDEST: Mapping[str, float] = {"noise": 2.0, "actuator": 4.0, "storm": 4.0}
 """Weights of a regime's cases where commands cost little: what is left of the error, and what spins then."""
-SLEW_WEIGHT = 3.0  # of storms on slewing actuators beside a regime's cases, for `helm`
-WRONG_WEIGHT = 3.0  # of storms in which anything may be wrong beside a regime's cases, for `helm`
+SLEW_WEIGHT = 3.0  # of slewing actuators beside a regime's cases, for `helm`
+WRONG_WEIGHT = 1.0  # of storms in which anything may be wrong beside a regime's cases, for `helm`
 
 
-def everything(regime: str) -> Mixture:
-    """Return what `helm` learns of a regime: its cases, storms on slewing actuators, and those where all is wrong."""
-    slew, wrong = weighed(SLEWING[f"{regime}-slew"], SLEW_WEIGHT), weighed(WRONG[f"{regime}-wrong"], WRONG_WEIGHT)
-    return (*regime_mixture(regime, HARDEST), *slew, *wrong)
+def everything() -> Mixture:
+    """Return what `helm` learns: the cases of both regimes, slewing actuators, and storms where anything is wrong."""
+    hardest_first = sorted(CASES, key=lambda case: case not in HARDEST)
+    cases = ((PRESETS[f"{regime}-{case}"], HARDEST.get(case, 1.0)) for regime in REGIMES for case in hardest_first)
+    slew = (part for regime in REGIMES for part in weighed(SLEWING[f"{regime}-slew"], SLEW_WEIGHT))
+    wrong = (part for regime in REGIMES for part in weighed(WRONG[f"{regime}-wrong"], WRONG_WEIGHT))
+    return (*cases, *slew, *wrong)
 
 
 MIXTURES: Mapping[str, Mixture] = {
-    "helm": tuple(part for regime in REGIMES for part in everything(regime)),
+    "helm": everything(),
     **SLEWING,
     **WRONG,
     **{regime: regime_mixture(regime) for regime in REGIMES},

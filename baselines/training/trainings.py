@@ -78,20 +78,20 @@ HELM: Mapping[str, Any] = {
     "preview": EXACT["preview"],
     "hidden_size": 128,
     "matrix_learning_rate": 0.02,
-    "effort_weight": 0.008,
+    "effort_weight": 0.02,
     "rate_weight": 0.0025,
-    "cruise_effort_weight": 0.0007,
+    "cruise_effort_weight": 0.001,
     "cruise_rate_weight": 0.0008,
     "cruise_share": 0.375,
     "cut": 12,
     "fine": True,
     "filters": True,
-    "validations": 4,
+    "validations": 1,
 }
 """Of the agent for both regimes: small errors seen as well as large ones, filters, and commands no rougher than
 those of `nmpc`."""
 SHIPPED: Mapping[str, Options] = {
-    "helm": training("apg", "helm", (1.0, 1.6), None, 8_000_000, HELM),
+    "helm": training("apg", "helm", (1.0, 1.6), None, 12_000_000, HELM),
     "apg-cruise": training("apg", "cruise"),
     "apg-slow": training("apg", "slow", SLOW_AUTHORITY, changes=SLOW),
     "apg-preview-cruise": training("apg", weighted("cruise", **HARDEST), (1.0, 1.6), None, 16_000_000, FREE),

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from auv_gym.codegen.derivatives import gradient
 from auv_gym.codegen.graph import SYMBOLS, Symbol
@@ -103,7 +103,7 @@ class LoopKernels:
             )  # fmt: skip
             action = self.loop.expert(observation, SYMBOLS)
             through = gradient(action, _sum(d_base, shares[3]), seen)  # the law's slope, whoever acts
-            steered = dict(zip(STEERED, _sum(shares[0], through), strict=True))
+            steered: dict[int, Any] = dict(zip(STEERED, _sum(shares[0], through), strict=True))
             return {
                 "d_observation": [steered.get(i, 0.0) for i in range(SIZE)],
                 "d_correction": shares[1],
