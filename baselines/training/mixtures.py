@@ -64,6 +64,13 @@ def slewing(scenario: Scenario, seconds: float) -> Scenario:
     return replace(scenario, name=f"{scenario.name}-slew-{seconds:g}", actuators=slow)
 
 
+def hasty() -> Scenario:
+    """Return the slow actuators of calm water at cruise where they are hardest: late, on a fast and unstable vehicle."""
+    preset = PRESETS["cruise-actuator"]
+    path = replace(preset.path, speed=(1.2, 1.6))
+    return replace(preset, name="cruise-hasty", path=path, actuators=replace(preset.actuators, lag=(0.45, 0.7)))
+
+
 SLEW_TIMES = (0.5, 1.0)  # [s] in which slewing actuators go from zero to their limits
 SLEWING: Mapping[str, Mixture] = {
     f"{regime}-slew": tuple(
@@ -84,6 +91,7 @@ WRONG: Mapping[str, Mixture] = {
 """Storms in which anything may be wrong, half of them on slewing actuators; the weights add up to 1."""
 HARDEST: Mapping[str, float] = {"noise": 2.0, "actuator": 4.0, "storm": 4.0}
 """Weights of a regime's cases where commands cost little: what is left of the error, and what spins then."""
+HASTY_WEIGHT = 3.0  # of `hasty` beside the regimes' cases, for `helm`
 SLEW_WEIGHT = 3.0  # of slewing actuators beside a regime's cases, for `helm`
 WRONG_WEIGHT = 1.0  # of storms in which anything may be wrong beside a regime's cases, for `helm`
 
@@ -94,7 +102,7 @@ def everything() -> Mixture:
     cases = ((PRESETS[f"{regime}-{case}"], HARDEST.get(case, 1.0)) for regime in REGIMES for case in hardest_first)
     slew = (part for regime in REGIMES for part in weighed(SLEWING[f"{regime}-slew"], SLEW_WEIGHT))
     wrong = (part for regime in REGIMES for part in weighed(WRONG[f"{regime}-wrong"], WRONG_WEIGHT))
-    return (*cases, *slew, *wrong)
+    return (*cases, *slew, *wrong, (hasty(), HASTY_WEIGHT))
 
 
 MIXTURES: Mapping[str, Mixture] = {
