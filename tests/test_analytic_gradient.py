@@ -30,12 +30,13 @@ from baselines.training.run_folder import Run
 from baselines.training.validation import PRECISION
 
 SIZES = Gru(len(FEATURES), 8, 8, 8)
-INPUTS = [Inputs(), Inputs((3, 20)), Inputs((40,), integrals=False)]
+INPUTS = [Inputs(), Inputs((3, 20)), Inputs((40,), integrals=False), Inputs((3,), fine=True, filters=True)]
 CASES = [  # expert, whether the network has a memory, and what it sees
     ("backstepping", True, INPUTS[0]),
     ("backstepping", False, INPUTS[1]),
     ("none", True, INPUTS[2]),
     ("ekf", True, INPUTS[1]),
+    ("backstepping", True, INPUTS[3]),
     ("current-observer", False, INPUTS[0]),
 ]
 
@@ -147,6 +148,31 @@ def test_loss_has_no_kink_and_a_slope_everywhere():
     assert float(values[2]) == pytest.approx(NEAR + CURVE * NEAR**2, rel=1e-4)
     moved = Loss(effort=0.5, rate=0.08).of(0.0, 1.0, (0.1, 0.1), (0.0, 0.0), 0.2, FLOATS)
     assert moved == pytest.approx(1e-3 + 0.5 * 0.02 + 2 * 0.02, rel=1e-4)
+
+
+def test_derivatives_of_a_vehicle_in_chaos_are_shortened():
+    """A cut that nothing reaches changes nothing; a low one shortens the gradient; what is no number counts nothing."""
+    names, found = ["cruise-storm", "cruise-actuator", "cruise-noise"], {}
+    for cut in (0.0, 1e9, 0.01):
+        torch.manual_seed(0)
+        setting = Setting(names, network(), "backstepping", steps=12)
+        given = *setting.fleet.window(), setting.fleet.constants, AUTHORITY, LOSS
+        setting.window.run(setting.carried, *given, cut=cut)
+        found[cut] = gradient_of(setting.net).clone()
+    assert torch.equal(found[0.0], found[1e9])
+    assert float(found[0.01].norm()) < 0.9 * float(found[0.0].norm())
+    setting.window._d["d_state"][:, 1] = np.nan
+    setting.window._bound(12.0)
+    assert (setting.window._d["d_state"][:, 1] == 0).all()
+
+
+def test_each_regime_has_its_price_and_its_share():
+    settings = Settings(effort_weight=0.2, cruise_effort_weight=0.1, rate_weight=0.3, cruise_share=0.25)
+    loss, share = settings.loss(["slow-calm", "slow-storm", "cruise-calm"])
+    assert np.array(loss.effort).tolist() == [0.2, 0.2, 0.1]
+    assert np.array(loss.rate).tolist() == [0.3, 0.3, 0.3]
+    assert share.tolist() == [0.375, 0.375, 0.25]
+    assert settings.loss(["cruise-calm"] * 4)[1].tolist() == [0.25] * 4
 
 
 def test_fleet_begins_episodes_between_windows():

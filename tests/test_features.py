@@ -28,21 +28,23 @@ def features(o, integrals=None, base=(0.0, 0.0), correction=(0.0, 0.0)):
     return dict(zip(NAMES, np.array(rows)[:, 0].tolist(), strict=True)), sums
 
 
-def test_numpy_equals_torch_along_an_episode():
+@pytest.mark.parametrize("inputs", [Inputs(), Inputs(fine=True, filters=True)], ids=["plain", "all"])
+def test_numpy_equals_torch_along_an_episode(inputs):
     env = UnderactuatedAUVTrackVectorEnv(4, ["slow-storm", "cruise-actuator", "cruise-storm", "slow-current"])
     law, rng = Backstepping(), np.random.default_rng(0)
     observation, _ = env.reset(seed=0)
-    sums = np.zeros((INTEGRALS, 4))
-    peer = list(torch.zeros(INTEGRALS, 4, dtype=torch.float64))
+    sums = np.zeros((inputs.memory, 4))
+    peer = list(torch.zeros(inputs.memory, 4, dtype=torch.float64))
     for _ in range(50):
         base, _ = law.predict(observation)
         o, base, correction = decoded_terms(observation), base.T.astype(float), rng.uniform(-1, 1, (2, 4))
-        rows, sums = Inputs().update(o, (), base, correction, sums, ARRAYS)
+        rows, sums = inputs.update(o, (), base, correction, sums, ARRAYS)
         here, *actions = (torch.tensor(np.array(x)) for x in (o, base, correction))
-        others, peer = Inputs().update(here, (), *actions, peer, tensors())
+        others, peer = inputs.update(here, (), *actions, peer, tensors())
         np.testing.assert_allclose(torch.stack(others).numpy(), rows, rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(torch.stack(peer).numpy(), sums, rtol=1e-12, atol=1e-12)
         assert np.abs(rows).max() <= BOUND
+        assert len(rows) == len(inputs.features)
         observation, *_ = env.step(rng.uniform(-1, 1, (4, 2)))
 
 

@@ -232,8 +232,8 @@ def test_validation_is_what_an_evaluation_measures(tmp_path):
     capped[1][results[1].lost] = 2.0
     assert verdict.error_m == pytest.approx(np.mean([c.mean() for c in capped]), rel=1e-5)
     assert verdict.lost == pytest.approx(np.mean([(c == 2.0).mean() for c in capped]))
-    assert validation.score(validation.oracle_m) == 1
-    assert 0 < validation.oracle_m < validation.expert_m
+    assert validation.score(validation.yardsticks["cruise"].oracle_m, "cruise") == 1
+    assert all(0 < own.oracle_m < own.expert_m for own in validation.yardsticks.values())
 
 
 def test_yardsticks_are_kept_and_belong_to_the_episodes(tmp_path, monkeypatch):
@@ -241,7 +241,7 @@ def test_yardsticks_are_kept_and_belong_to_the_episodes(tmp_path, monkeypatch):
     first = Validation(cells, tmp_path)
     monkeypatch.setattr("baselines.evaluation.suites.yardsticks.rollout", None)
     second = Validation(cells, tmp_path)
-    assert (first.expert_m, first.oracle_m) == (second.expert_m, second.oracle_m)
+    assert first.yardsticks == second.yardsticks
     with pytest.raises(TypeError):
         Validation([drawn(STORM, 3, 1)], tmp_path)
 

@@ -12,8 +12,11 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from auv_gym.errors import to_body, to_world
-from auv_gym.namespaces import Namespace, Number
+from auv_gym.namespaces import Namespace, Number, wrap_angle
 from auv_gym.preview import checked_preview
+from auv_gym.task import Observation
+from baselines.agents import filters
+from baselines.estimation.sea_model import measurement
 from baselines.policy import reference_speed
 
 BOUND = 8.0
@@ -66,6 +69,12 @@ INTEGRALS = 4
 """Rows that are remembered: the two integrals, scaled by U * 1 s, each with its x and y in the world."""
 
 
+FINE = 100.0
+"""How much larger small errors are seen by `fine`, beside errors of 1."""
+LOADS = tuple(name for name in filters.KEPT if name[0] in "XYN" and name not in ("x_e", "y_e"))
+"""Entries of a filter's estimate that are loads on the hull."""
+
+
 def scaled_errors(o: Sequence[Number], ns: Namespace) -> tuple[Any, ...]:
     """Return the first `ERRORS` features before they are clipped."""
     e_x, e_y, psi_e, u_e, v_e, r_e, u_R, v_R = o[:8]
@@ -83,17 +92,27 @@ class Inputs:
 
     preview: tuple[int, ...] = ()  # control periods ahead
     integrals: bool = True  # whether the integrals of the position error are among them
+    fine: bool = False  # whether the errors are seen on finer scales too
+    filters: bool = False  # whether what `filters.filtered` believes is among them
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "preview", checked_preview(self.preview))
-        if not isinstance(self.integrals, bool):
-            raise ValueError(f"integrals is {self.integrals!r}; it must be true or false")
+        for name in ("integrals", "fine", "filters"):
+            if not isinstance(value := getattr(self, name), bool):
+                raise ValueError(f"{name} is {value!r}; it must be true or false")
 
     @property
     def features(self) -> tuple[Feature, ...]:
         """The features, one for each row of `update`."""
         known = FEATURES if self.integrals else FEATURES[: _SUMS.start] + FEATURES[_SUMS.stop :]
-        return known + tuple(feature for periods in self.preview for feature in _ahead(periods))
+        known += tuple(feature for periods in self.preview for feature in _ahead(periods))
+        known += FINE_FEATURES if self.fine else ()
+        return known + (FILTER_FEATURES if self.filters else ())
+
+    @property
+    def memory(self) -> int:
+        """How many rows are remembered from one control instant to the next."""
+        return INTEGRALS + (filters.ROWS if self.filters else 0)
 
     def update(
         self,
@@ -111,11 +130,11 @@ class Inputs:
             ahead: the columns of the preview [m], two for each of its times, see `auv_gym.preview.Preview`.
             base: the expert's action at this instant, surge and yaw.
             correction: the policy's own action before this instant, surge and yaw; zero at an episode's start.
-            integrals: as the last call returned them, `INTEGRALS` rows; zero at an episode's start.
+            integrals: what is remembered, `memory` rows as the last call returned them; zero at an episode's start.
             ns: the namespace of the numbers.
         """
         u_R, v_R, r_R, F_uR, F_rR, c, s, F_u_max, F_r_max, a_u, a_r, dt = o[6:18]
-        x1, y1, x2, y2 = integrals
+        (x1, y1, x2, y2), rest = (kept := tuple(integrals))[:INTEGRALS], kept[INTEGRALS:]
         errors = scaled_errors(o, ns)
         x, y = (ns.clip(e, -FAR, FAR) for e in errors[:2])
         x, y = to_world(x, y, c, s)
@@ -132,11 +151,46 @@ class Inputs:
             *correction, a_u, a_r, F_u_max / 256, F_r_max / 128, 8 * dt,
             *(row for k, X, Y in later for row in (4 * (X * k - 1), 4 * Y * k)),
         )  # fmt: skip
-        return tuple(ns.clip(row, -BOUND, BOUND) for row in rows), (x1, y1, x2, y2)
+        if self.fine:
+            rows += _fine(o[:ERRORS], per_U, ns)
+        if self.filters:
+            believed, rest = filters.filtered(Observation._make(o), 1 / per_U, rest, ns)
+            rows += _believed(believed, Observation._make(o), per_U, ns)
+        return tuple(ns.clip(row, -BOUND, BOUND) for row in rows), (x1, y1, x2, y2, *rest)
 
 
 STANDARD = Inputs()
 """What a network sees unless something else is asked for."""
+
+
+def fine(x: Number, ns: Namespace) -> Number:
+    """Return a quantity so that small values stand apart and large ones stay small: 50 x at zero, 5 at 1, 16 at 10."""
+    return 0.5 * FINE * x / ns.sqrt(1 + FINE * abs(x))
+
+
+def _fine(errors: Sequence[Number], per_U: Number, ns: Namespace) -> tuple[Number, ...]:
+    """Return the rows of `FINE_FEATURES` for e_x, e_y [m], psi_e [rad], u_e, v_e [m/s], r_e [rad/s]."""
+    e_x, e_y, psi_e, u_e, v_e, r_e = errors
+    scaled = e_x * per_U, e_y * per_U, psi_e, u_e * per_U, v_e * per_U, r_e
+    return (8 * scaled[0], 8 * scaled[1], 16 * e_x, 16 * e_y, *(fine(x, ns) for x in scaled))
+
+
+def _believed(believed: filters.Believed, o: Observation, per_U: Number, ns: Namespace) -> tuple[Number, ...]:
+    """Return the rows of `FILTER_FEATURES`."""
+    rows: tuple[Number, ...] = (ns.where(believed.held, 1.0, 0.0),)
+    limits = {"X": o.F_u_max, "Y": o.F_u_max, "N": o.F_r_max}
+    psi_R = ns.arctan2(o.sin_psi, o.cos_psi) - o.psi_e
+    for z in believed.estimates:
+        e_x, e_y = to_body(z.x_e, z.y_e, o.cos_psi, o.sin_psi)
+        _, _, _, u, v, _ = measurement(z, ns)
+        errors = e_x, e_y, wrap_angle(z.psi - psi_R, ns), u - o.u_R, v - o.v_R, z.r - o.r_R
+        V_u, V_v = to_body(z.V_x, z.V_y, o.cos_psi, o.sin_psi)
+        rows += (
+            *_fine(errors, per_U, ns), 2 * errors[2], 2 * errors[3] * per_U, 2 * errors[4] * per_U,
+            4 * V_u * per_U, 4 * V_v * per_U, z.F_u / o.F_u_max, z.F_r / o.F_r_max,
+            *(16 * getattr(z, name) / limits[name[0]] for name in LOADS),
+        )  # fmt: skip
+    return rows
 
 
 def _ahead(periods: int) -> tuple[Feature, Feature]:
@@ -147,3 +201,48 @@ def _ahead(periods: int) -> tuple[Feature, Feature]:
         Feature(f"ahead_{periods}_x", "m", scale, f"{what} along the surge axis, less U * {periods} dt"),
         Feature(f"ahead_{periods}_y", "m", scale, f"{what} along the sway axis"),
     )
+
+
+def _fine_features(whose: str, what: str) -> tuple[Feature, ...]:
+    """Return the features that `_fine` gives."""
+    errors = {
+        "e_x": ("m", " U * 1 s"), "e_y": ("m", " U * 1 s"), "psi_e": ("rad", " 1 rad"),
+        "u_e": ("m/s", " U"), "v_e": ("m/s", " U"), "r_e": ("rad/s", " 1 rad/s"),
+    }  # fmt: skip
+    linear = (("", "U * 0.125 s"), ("_m", "0.0625 m"))
+    return (
+        *(Feature(f"{whose}{e}8{m}", "m", scale, f"{what}: {e}") for m, scale in linear for e in ("e_x", "e_y")),
+        *(
+            Feature(f"{whose}{e}_fine", u, f"fine{scale}", f"{what}: {e}, see `fine`")
+            for e, (u, scale) in errors.items()
+        ),
+    )
+
+
+def _filter_features(whose: str, what: str) -> tuple[Feature, ...]:
+    """Return the features that `_believed` gives of one filter."""
+    return (
+        *_fine_features(whose, what),
+        Feature(f"{whose}psi_e", "rad", "0.5 rad", f"{what}: heading error"),
+        Feature(f"{whose}u_e", "m/s", "0.5 U", f"{what}: surge velocity error, over ground"),
+        Feature(f"{whose}v_e", "m/s", "0.5 U", f"{what}: sway velocity error, over ground"),
+        Feature(f"{whose}V_u", "m/s", "0.25 U", f"{what}: current along the surge axis"),
+        Feature(f"{whose}V_v", "m/s", "0.25 U", f"{what}: current along the sway axis"),
+        Feature(f"{whose}F_u", "N", "F_u_max", f"{what}: force of the surge actuator"),
+        Feature(f"{whose}F_r", "N m", "F_r_max", f"{what}: torque of the yaw actuator"),
+        *(
+            Feature(whose + name, "N m" if name[0] == "N" else "N",
+                    "0.0625 F_r_max" if name[0] == "N" else "0.0625 F_u_max", f"{what}: load {name}")
+            for name in LOADS
+        ),
+    )  # fmt: skip
+
+
+FINE_FEATURES = _fine_features("", "measured")
+"""What a network sees besides with `Inputs.fine`: the errors on finer scales."""
+FILTER_FEATURES = (
+    Feature("held", "1", "1", "1 where there is no new position fix"),
+    *_filter_features("rough_", "filter for a rough sea"),
+    *_filter_features("calm_", "filter for a calm sea"),
+)
+"""What a network sees besides with `Inputs.filters`."""

@@ -18,6 +18,11 @@ def shipped_agents() -> list[str]:
     return sorted(file.parent.name for file in AGENTS.glob("*/agent.json"))
 
 
+def agent_of(study: str) -> str:
+    """Return the name of the agent that a study is of: "helm" of "helm-slow", which says what it does in one regime."""
+    return study if study in shipped_agents() else study.rpartition("-")[0] or study
+
+
 def agent_folder(name: str) -> Path | None:
     """Return the folder of an agent, by its name, its path or that of the run that trained it; None for no agent."""
     if name.startswith(COMMAND):

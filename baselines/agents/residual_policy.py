@@ -17,7 +17,7 @@ from auv_gym.namespaces import ARRAYS
 from auv_gym.policy import Forces, Law, Policy, corrected, preview_of, traceable
 from auv_gym.preview import shared_preview
 from auv_gym.task import SIZE, action_of, decode
-from baselines.agents.features import INTEGRALS, STANDARD, Inputs, scaled_errors
+from baselines.agents.features import STANDARD, Inputs, scaled_errors
 from baselines.agents.networks import ACTIONS, Network, Weights
 from baselines.policy import U_R, V_R, Array, Memory, batched, renewed, squared_speed, warn_of_lost_memory
 
@@ -48,8 +48,9 @@ def feature_kernel(inputs: Inputs, forces: Forces | None) -> Kernel:
         errors = scaled_errors(o, SYMBOLS)
         return {"terms": o, "errors": errors, "features": features, "integrals": sums, "base": base}
 
-    rows = {"observation": SIZE, "ahead": 2 * len(inputs.preview), "correction": ACTIONS, "integrals": INTEGRALS}
-    return Kernel.traced(equation, rows if forces is not None else rows | {"base": ACTIONS})
+    rows = {"observation": SIZE, "ahead": 2 * len(inputs.preview), "correction": ACTIONS, "integrals": inputs.memory}
+    rows = rows if forces is not None else rows | {"base": ACTIONS}
+    return Kernel.traced(equation, rows, blocked=inputs.filters)
 
 
 @lru_cache(maxsize=1)
@@ -77,9 +78,9 @@ class _Desk:
 class ResidualPolicy:
     """command = clip(expert + authority * network(features)), with Stable-Baselines3's `predict`.
 
-    Its memory: the integrals of the features, (N, INTEGRALS); the last correction, (N, 2); the network's hidden state,
-    (N, hidden); and behind them whatever the expert remembers. A network that gives zero leaves the expert's actions as
-    they are, bit for bit. It is for one thread at a time.
+    Its memory: what its inputs remember, (N, `Inputs.memory`); the last correction, (N, 2); the network's hidden
+    state, (N, hidden); and behind them whatever the expert remembers. A network that gives zero leaves the expert's
+    actions as they are, bit for bit. It is for one thread at a time.
     """
 
     OWN = 3
@@ -186,7 +187,11 @@ class ResidualPolicy:
         """Return this policy's own memory of n vehicles."""
         if state and len(state[0]) == n and (episode_start is None or not np.count_nonzero(episode_start)):
             return state[: self.OWN]
-        fresh = np.zeros((n, INTEGRALS)), np.zeros((n, ACTIONS)), np.zeros((n, self.network.memory), self.precision)
+        fresh = (
+            np.zeros((n, self.inputs.memory)),
+            np.zeros((n, ACTIONS)),
+            np.zeros((n, self.network.memory), self.precision),
+        )
         return renewed(state and state[: self.OWN], fresh, episode_start)
 
     def _at(self, n: int) -> _Desk:

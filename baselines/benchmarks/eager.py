@@ -52,7 +52,7 @@ class Setting:
         self.loop = ClosedLoop(law, inputs, self.fleet.parts)
         self.net = net
         self.window = Window(LoopKernels(self.loop, self.exact, precision), net, len(names), steps)
-        self.carried: Carried = self.fleet.reset(net.sizes.memory)
+        self.carried: Carried = self.fleet.reset(net.sizes.memory, inputs.memory)
         self._memory: Any = None
 
     def act(self, observation: Any) -> Any:

@@ -40,6 +40,7 @@ POLICIES = (
     *FORESIGHTED,
     "ekf",
     *(f"{family}-{regime}" for family in AGENTS for regime in REGIMES),
+    "helm",
     ADVERSE_RIVAL,
     RIVAL,
 )

@@ -22,7 +22,6 @@ from auv_gym.preview import preview_columns
 from auv_gym.simulation import PARAMETER_ROWS, PARAMETERS, SAMPLE, SAMPLE_ROWS, Parameters, Parts, start
 from auv_gym.task import TERMS, Observation, decode, encode
 from baselines.agents.agent import RECORD, Agent, make_expert
-from baselines.agents.features import INTEGRALS
 from baselines.agents.names import FADING, agent_folder, shipped_agents
 from baselines.agents.networks import ACTIONS
 from baselines.agents.residual_policy import command_kernel, feature_kernel
@@ -61,7 +60,7 @@ class Exported:
     @property
     def memory(self) -> dict[str, int]:
         """How many numbers of each kind it remembers; all are zero at an episode's start."""
-        sizes = {"integrals": INTEGRALS, "correction": ACTIONS, "hidden": self.agent.network.memory}
+        sizes = {"integrals": self.agent.inputs.memory, "correction": ACTIONS, "hidden": self.agent.network.memory}
         return {name: size for name, size in sizes.items() if size}
 
     @property

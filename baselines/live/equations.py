@@ -119,5 +119,6 @@ def shape_of(agent: Exported) -> str:
     """Return what tells agents with different equations apart, as a part of a name."""
     network = agent.agent.network
     sizes = [entry for name, shape in network.shapes.items() if name.endswith("weight") for entry in shape]
-    ahead = [f"p{n}" for n in agent.preview]
-    return "_".join((network.kind, agent.agent.expert, *map(str, sizes), *ahead)).replace("-", "_")
+    inputs = agent.agent.inputs
+    seen = [f"p{n}" for n in agent.preview] + [f for f in ("integrals", "fine", "filters") if getattr(inputs, f)]
+    return "_".join((network.kind, agent.agent.expert, *map(str, sizes), *seen)).replace("-", "_")

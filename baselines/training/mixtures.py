@@ -24,6 +24,11 @@ def regime_mixture(regime: str) -> Mixture:
     return tuple((PRESETS[f"{regime}-{case}"], CASE_WEIGHTS.get(case, 1.0)) for case in CASES)
 
 
+def weighed(mixture: Mixture, weight: float) -> Mixture:
+    """Return a mixture whose weights are multiplied by a number."""
+    return tuple((scenario, weight * share) for scenario, share in mixture)
+
+
 def adverse(regime: str) -> Scenario:
     """Return a storm in which anything may be wrong, and mostly a little: sensors, commands, actuators and current.
 
@@ -52,7 +57,58 @@ def adverse(regime: str) -> Scenario:
     )
 
 
+def slewing(scenario: Scenario, seconds: float) -> Scenario:
+    """Return a scenario whose actuators take so many seconds from zero to their limits."""
+    act = scenario.actuators
+    slow = replace(act, F_u_rate=act.F_u_max / seconds, F_r_rate=act.F_r_max / seconds)
+    return replace(scenario, name=f"{scenario.name}-slew-{seconds:g}", actuators=slow)
+
+
+def hasty() -> Scenario:
+    """Return the slow actuators of calm water at cruise where they are hardest: late, on a fast and unstable vehicle."""
+    preset = PRESETS["cruise-actuator"]
+    path = replace(preset.path, speed=(1.2, 1.6))
+    return replace(preset, name="cruise-hasty", path=path, actuators=replace(preset.actuators, lag=(0.45, 0.7)))
+
+
+SLEW_TIMES = (0.5, 1.0)  # [s] in which slewing actuators go from zero to their limits
+SLEWING: Mapping[str, Mixture] = {
+    f"{regime}-slew": tuple(
+        (slewing(PRESETS[f"{regime}-{case}"], seconds), 0.25)
+        for case in ("storm", "actuator")
+        for seconds in SLEW_TIMES
+    )
+    for regime in REGIMES
+}
+"""Storms, and the slow actuators of calm water, that also slew, by regime; their weights add up to 1."""
+WRONG: Mapping[str, Mixture] = {
+    f"{regime}-wrong": (
+        (adverse(regime), 0.5),
+        *((slewing(adverse(regime), seconds), 0.25) for seconds in SLEW_TIMES),
+    )
+    for regime in REGIMES
+}
+"""Storms in which anything may be wrong, half of them on slewing actuators; the weights add up to 1."""
+HARDEST: Mapping[str, float] = {"noise": 2.0, "actuator": 4.0, "storm": 4.0}
+"""Weights of a regime's cases where commands cost little: what is left of the error, and what spins then."""
+HASTY_WEIGHT = 3.0  # of `hasty` beside the regimes' cases, for `helm`
+SLEW_WEIGHT = 3.0  # of slewing actuators beside a regime's cases, for `helm`
+WRONG_WEIGHT = 1.0  # of storms in which anything may be wrong beside a regime's cases, for `helm`
+
+
+def everything() -> Mixture:
+    """Return what `helm` learns: the cases of both regimes, slewing actuators, and storms where anything is wrong."""
+    hardest_first = sorted(CASES, key=lambda case: case not in HARDEST)
+    cases = ((PRESETS[f"{regime}-{case}"], HARDEST.get(case, 1.0)) for regime in REGIMES for case in hardest_first)
+    slew = (part for regime in REGIMES for part in weighed(SLEWING[f"{regime}-slew"], SLEW_WEIGHT))
+    wrong = (part for regime in REGIMES for part in weighed(WRONG[f"{regime}-wrong"], WRONG_WEIGHT))
+    return (*cases, *slew, *wrong, (hasty(), HASTY_WEIGHT))
+
+
 MIXTURES: Mapping[str, Mixture] = {
+    "helm": everything(),
+    **SLEWING,
+    **WRONG,
     **{regime: regime_mixture(regime) for regime in REGIMES},
     **{f"{regime}-adverse": (*regime_mixture(regime), (adverse(regime), ADVERSE_WEIGHT)) for regime in REGIMES},
 }

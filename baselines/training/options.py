@@ -25,7 +25,8 @@ class Options:
     scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ("cruise",)
     """What to train on: names of presets, .toml and .json files, or a regime, "cruise" or "slow", for all of its cases
     (storms three times, noise and slow actuators twice as often), or "cruise-adverse" or "slow-adverse", for these and
-    storms in which sensors, commands, actuators and current are not as told; NAME:WEIGHT weighs one against the others.
+    storms in which sensors, commands, actuators and current are not as told, or "helm", for both regimes and slewing
+    actuators, as the agent of that name; NAME:WEIGHT weighs one against the others.
     Default: cruise."""
     expert: Annotated[str | None, arg(metavar="E", help_behavior_hint="")] = None
     """The policy that is corrected, by name; "none" to learn without one. Default: backstepping."""

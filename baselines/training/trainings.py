@@ -13,6 +13,7 @@ from auv_gym.presets import CASES
 from baselines.control.open_loop import NO_EXPERT
 from baselines.tools.command_line import words_of
 from baselines.training.hyperparameters import words_of as changed_words
+from baselines.training.mixtures import HARDEST
 from baselines.training.options import PROGRAM, Options
 from baselines.training.request import Request
 
@@ -52,9 +53,9 @@ def request_of(training: Options, folder: Path, jobs: int = 1) -> Request:
     return Request.of(replace(training, out=folder, jobs=jobs, resume=True), f"python {PROGRAM} {shlex.join(words)}")
 
 
-def weighted(regime: str, **weights: int) -> str:
+def weighted(regime: str, **weights: float) -> str:
     """Return a regime's cases, some of them with weights, as `train.py --scenario` takes them."""
-    return " ".join(f"{regime}-{case}:{weights[case]}" if case in weights else f"{regime}-{case}" for case in CASES)
+    return " ".join(f"{regime}-{case}:{weights[case]:g}" if case in weights else f"{regime}-{case}" for case in CASES)
 
 
 SLOW_AUTHORITY = (0.6, 1.6)
@@ -71,15 +72,30 @@ EXACT: Mapping[str, Any] = {
 """Of the analytic gradient where nothing counts but the error: sight ahead, a larger network, cheap commands."""
 FREE: Mapping[str, Any] = {**EXACT, "effort_weight": 0.0003, "rate_weight": 0.0003}
 """`EXACT` at cruise, where calm commands cost more of the error."""
-SPINS: Mapping[str, int] = {"actuator": 3, "storm": 2}
+SPINS: Mapping[str, float] = {"actuator": 3, "storm": 2}
 """Weights of the cases for PPO: fast vehicles with slow actuators spin under it."""
 PPO_AUTHORITY: Mapping[str, tuple[float, float]] = {"slow": (0.6, 1.0), "cruise": (1.0, 0.6)}
 """Of PPO, with memory or without: more lets fast vehicles with slow actuators spin."""
 WIDE: Mapping[str, Any] = {"n_envs": 512, "n_steps": 64, "batch_size": 4096, "n_epochs": 4}
 """Of PPO where it is trained until its score has stopped to rise: less noise in each update."""
-HARDEST: Mapping[str, int] = {"noise": 2, "actuator": 4, "storm": 4}
-"""Weights of the cases where commands cost next to nothing: what is left of the error, and what spins then."""
+HELM: Mapping[str, Any] = {
+    "preview": EXACT["preview"],
+    "hidden_size": 128,
+    "matrix_learning_rate": 0.02,
+    "effort_weight": 0.014,
+    "rate_weight": 0.0018,
+    "cruise_effort_weight": 0.001,
+    "cruise_rate_weight": 0.0006,
+    "cruise_share": 0.375,
+    "cut": 12,
+    "fine": True,
+    "filters": True,
+    "validations": 1,
+}
+"""Of the agent for both regimes: small errors seen as well as large ones, filters, and commands no rougher than
+those of `nmpc`."""
 SHIPPED: Mapping[str, Options] = {
+    "helm": training("apg", "helm", (1.0, 1.6), None, 12_000_000, HELM),
     "apg-cruise": training("apg", "cruise"),
     "apg-slow": training("apg", "slow", SLOW_AUTHORITY, changes=SLOW),
     "apg-preview-cruise": training("apg", weighted("cruise", **HARDEST), (1.0, 1.6), None, 16_000_000, FREE),

@@ -21,7 +21,7 @@ from baselines.agents.features import ERRORS, scaled_errors
 from baselines.evaluation.metrics import Array
 from baselines.evaluation.rollout import Moment
 from baselines.evaluation.runner import Cell, drawn
-from baselines.evaluation.score import cut, is_lost, largest_tail, waters_of
+from baselines.evaluation.score import cut, is_lost, largest_tail, regime_of, waters_of
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.evaluation.suites import load
 from baselines.evaluation.suites.yardsticks import Yardstick, kept, measured
@@ -64,10 +64,11 @@ class Validation:
         self.cells = cells
         self._caps = [_cap(cell.scenario) for cell in cells]
         self._episodes = SideBySide(cells)
-        self.expert_m, self.oracle_m = _yardsticks(cells, folder)
+        known = self._by_regime(_yardsticks(cells, folder))
+        self.yardsticks = {regime: _means(own) for regime, own in known.items()}
 
     def run(self, policy: Policy) -> Verdict:
-        """Return what a policy does, the mean over scenarios.
+        """Return what a policy does, the mean over scenarios; the score is that over regimes.
 
         Raises:
             PolicyError: its actions are not finite.
@@ -81,13 +82,24 @@ class Validation:
         found = list(zip(self._caps, self._episodes.run(policy, watch), strict=True))
         tails = [cut(ended.tail, ended.lost, cap) for cap, ended in found]
         gone = [is_lost(ended.tail, ended.lost, cap) for cap, ended in found]
-        error = _mean(tails)
-        return Verdict(self.score(error), error, _mean(gone), _seen(scaled))
+        scores = [self.score(_mean(own), regime) for regime, own in self._by_regime(tails).items()]
+        return Verdict(float(np.mean(scores)), _mean(tails), _mean(gone), _seen(scaled))
 
-    def score(self, error_m: float) -> float:
-        """Return the score of a mean capped tail [m]; where the oracle is no better than the expert, 1 is no error."""
-        best = self.oracle_m if self.oracle_m < self.expert_m else 0.0
-        return (self.expert_m - error_m) / (self.expert_m - best) if self.expert_m > 0 else math.nan
+    def score(self, error_m: float, regime: str | None) -> float:
+        """Return the score of a mean capped tail [m] in the scenarios of a regime, None for those of no regime.
+
+        Where the oracle is no better than the expert, 1 is no error.
+        """
+        expert_m, oracle_m = self.yardsticks[regime]
+        best = oracle_m if oracle_m < expert_m else 0.0
+        return (expert_m - error_m) / (expert_m - best) if expert_m > 0 else math.nan
+
+    def _by_regime(self, values: Sequence[Any]) -> dict[str | None, list[Any]]:
+        """Return values of each cell by the cell's regime."""
+        found: dict[str | None, list[Any]] = {}
+        for cell, value in zip(self.cells, values, strict=True):
+            found.setdefault(regime_of(cell.scenario.name), []).append(value)
+        return found
 
 
 def _seen(scaled: Array) -> tuple[float, ...]:
@@ -105,30 +117,30 @@ def _mean(cells: Sequence[Any]) -> float:
     return float(np.mean([np.mean(cell) for cell in cells]))
 
 
-def _yardsticks(cells: Sequence[Cell], folder: Path | None) -> tuple[float, float]:
-    """Return the mean capped tails [m] of expert and oracle: the suite's where it has them, else the folder's."""
+def _yardsticks(cells: Sequence[Cell], folder: Path | None) -> list[Yardstick]:
+    """Return what expert and oracle do in each cell: the suite's where it has it, else the folder's."""
     known = [kept(cell) for cell in cells]
     if all(known):
-        return _means(filter(None, known))
+        return list(filter(None, known))
     file = folder / YARDSTICKS if folder else None
     key = hashlib.sha256(" ".join([__version__, *(cell.hash for cell in cells)]).encode()).hexdigest()
     if file and (found := _read(file, key)):
         return found
-    expert_m, oracle_m = _means(its or measured(cell) for its, cell in zip(known, cells, strict=True))
+    found = [its or measured(cell) for its, cell in zip(known, cells, strict=True)]
     if file:
-        write_atomically(file, json_text({"hash": key, "expert_m": expert_m, "oracle_m": oracle_m}))
-    return expert_m, oracle_m
+        write_atomically(file, json_text({"hash": key, "yardsticks": found}))
+    return found
 
 
-def _means(yardsticks: Iterable[Yardstick]) -> tuple[float, float]:
+def _means(yardsticks: Iterable[Yardstick]) -> Yardstick:
     """Return the means over cells, of the expert and of the oracle."""
-    expert_m, oracle_m = (_mean(its) for its in zip(*yardsticks, strict=True))
-    return expert_m, oracle_m
+    return Yardstick(*(_mean(its) for its in zip(*yardsticks, strict=True)))
 
 
-def _read(file: Path, key: str) -> tuple[float, float] | None:
+def _read(file: Path, key: str) -> list[Yardstick] | None:
     """Return what a file has kept for the episodes of a key; None where it is missing, damaged or of others."""
     with suppress(OSError, ValueError), guarded(str(file)):
         record = read_json(file)
-        return (float(record["expert_m"]), float(record["oracle_m"])) if record["hash"] == key else None
+        own = [Yardstick(*map(float, its)) for its in record["yardsticks"]]
+        return own if record["hash"] == key else None
     return None

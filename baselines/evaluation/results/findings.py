@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from auv_gym.presets import REGIMES
+from baselines.agents.names import agent_of
 from baselines.evaluation import fresh, recorded
 from baselines.evaluation.metrics import Array, most_lost
 from baselines.evaluation.results.collection import Results
@@ -107,7 +108,7 @@ def _leads(results: Results, anew: Results | None, studies: Mapping[str, Study],
 
 def _on_fresh(anew: Results, name: str, regime: str, rival: str) -> tuple[str, str, str]:
     """Return the lead of the shipped agent on fresh episodes, its interval and their number."""
-    if not (own := _tails(anew, name, regime)):
+    if not (own := _tails(anew, agent_of(name), regime)):
         return "-", "-", "-"
     above, count = _lead(anew, regime, {case: tail[None] for case, tail in own.items()}, rival)
     return *_text(above), str(count)
@@ -121,7 +122,7 @@ def _by_case(results: Results, studies: Mapping[str, Study], regime: str) -> str
     """Return in how many episodes of each case shipped agents are nearer to the path than the rival is."""
     rival, rows = _tails(results, RIVAL, regime), []
     for name, study in _agents(studies, *LEARNERS):
-        if study.regime == regime and (own := _tails(results, name, regime)):
+        if study.regime == regime and (own := _tails(results, agent_of(name), regime)):
             nearer = (100 * np.mean(own[case][: len(tail)] < tail) for case, tail in rival.items())
             rows.append([f"`{name}`", *(f"{share:.0f} %" for share in nearer)])
     return table([regime, *(case.removeprefix(f"{regime}-") for case in rival)], rows)

@@ -29,7 +29,7 @@ Rows = Sequence[Number]
 
 
 class Loss(NamedTuple):
-    """Weights of the loss of a control step."""
+    """Weights of the loss of a control step, for all vehicles or for each of them."""
 
     effort: Number = 0.003  # of the squared command
     rate: Number = 0.003  # [s^2] of its squared rate of change

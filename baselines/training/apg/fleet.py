@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from auv_gym.envs.lanes import Lanes
 from auv_gym.scenario import Scenario
 from auv_gym.simulation import SAMPLE_ROWS, Parts
-from baselines.agents.features import INTEGRALS
+from baselines.agents.features import STANDARD
 from baselines.agents.networks import ACTIONS
 from baselines.training.apg.window import Array, Carried
 
@@ -47,10 +47,13 @@ class Fleet:
         """The rows of `simulation.Parameters` of the running episodes, shape (PARAMETER_ROWS, N)."""
         return self._lanes.constants
 
-    def reset(self, hidden: int) -> Carried:
-        """Begin an episode everywhere; return what is carried into it, for a network of so many hidden units."""
+    def reset(self, hidden: int, memory: int = STANDARD.memory) -> Carried:
+        """Begin an episode everywhere; return what is carried into it, for a network of so many hidden units.
+
+        `memory` is how many rows its inputs remember.
+        """
         n, beginning = len(self.fresh), self._lanes.reset(self._seed, None)
-        nothing = (np.zeros((rows, n)) for rows in (INTEGRALS, ACTIONS, hidden))
+        nothing = (np.zeros((rows, n)) for rows in (memory, ACTIONS, hidden))
         return Carried(beginning.plant, beginning.seen, *nothing)
 
     def window(self) -> tuple[Array, Array]:

@@ -9,15 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from auv_gym.codegen.derivatives import gradient
 from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Equation, Kernel
 from auv_gym.namespaces import Number
 from auv_gym.simulation import PARAMETER_ROWS, PLANT_ROWS, SAMPLE_ROWS
-from auv_gym.task import SIZE
-from baselines.agents.features import INTEGRALS
+from auv_gym.task import ERRORS, SIZE, Observation
 from baselines.agents.networks import ACTIONS
 from baselines.training.apg.closed_loop import ClosedLoop, Loss, Moved
 
@@ -35,8 +34,10 @@ class Chosen(NamedTuple):
     share: Number  # of a vehicle's control step in the window's loss
 
 
-SEEN = {"observation": SIZE, "correction": ACTIONS, "integrals": INTEGRALS}
-"""What the features are made of, rows by array, but for `ahead` and the expert's action."""
+SEEN = {"observation": SIZE, "correction": ACTIONS}
+"""What the features are made of, rows by array, but for what is remembered, `ahead` and the expert's action."""
+STEERED = tuple(map(Observation._fields.index, (*Observation._fields[:ERRORS], "cos_psi", "sin_psi", "a_u", "a_r")))
+"""Terms of an observation that the vehicle's motion changes; the others are not differentiated by."""
 MOVED = {
     "state": PLANT_ROWS,
     "base": ACTIONS,
@@ -94,20 +95,26 @@ class LoopKernels:
             d_integrals: Symbols,
         ) -> Results:
             features, following = self.loop.features(observation, ahead, base, correction, integrals, SYMBOLS)
-            within = (*observation, *correction, *integrals, *base)
+            seen = [observation[i] for i in STEERED]
+            within = (*seen, *correction, *integrals, *base)
             shares = _split(
                 gradient((*features, *following), (*d_features, *d_integrals), within),
-                SIZE, ACTIONS, INTEGRALS, ACTIONS,
+                len(seen), ACTIONS, self.loop.inputs.memory, ACTIONS,
             )  # fmt: skip
             action = self.loop.expert(observation, SYMBOLS)
-            through = gradient(action, _sum(d_base, shares[3]), observation)  # the law's slope, whoever acts
+            through = gradient(action, _sum(d_base, shares[3]), seen)  # the law's slope, whoever acts
+            steered: dict[int, Any] = dict(zip(STEERED, _sum(shares[0], through), strict=True))
             return {
-                "d_observation": _sum(shares[0], through),
+                "d_observation": [steered.get(i, 0.0) for i in range(SIZE)],
                 "d_correction": shares[1],
                 "d_integrals": shares[2],
             }
 
-        after = {"d_features": len(self.loop.inputs.features), "d_base": ACTIONS, "d_integrals": INTEGRALS}
+        after = {
+            "d_features": len(self.loop.inputs.features),
+            "d_base": ACTIONS,
+            "d_integrals": self.loop.inputs.memory,
+        }
         return self._traced(equation, self._seen | {"base": ACTIONS} | after)
 
     @cached_property
@@ -137,7 +144,8 @@ class LoopKernels:
 
     @property
     def _seen(self) -> dict[str, int]:
-        return SEEN | {"ahead": 2 * len(self.loop.inputs.preview)}
+        inputs = self.loop.inputs
+        return SEEN | {"integrals": inputs.memory, "ahead": 2 * len(inputs.preview)}
 
     def _moved(
         self,
@@ -155,7 +163,8 @@ class LoopKernels:
     def _traced(self, equation: Equation, rows: Mapping[str, int]) -> Kernel:
         arrays = {*rows, "features", "following", "landed", "observation", "squared_error", "base"}
         over_time = sorted(arrays - FIXED)
-        return Kernel.traced(equation, rows, over_time, precision=self.precision, structural=True)
+        wide = self.loop.inputs.filters and "ahead" in rows  # the filters' equations are long
+        return Kernel.traced(equation, rows, over_time, precision=self.precision, structural=True, blocked=wide)
 
 
 def _sum(a: Symbols, b: Symbols) -> list[Symbol]:

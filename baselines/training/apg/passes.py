@@ -34,6 +34,8 @@ class Tape(NamedTuple):
 class Pass(Protocol):
     """The steps of a window through a network."""
 
+    d_hidden: Tensor  # derivatives by the hidden state that the next step back begins with, shape (memory, N)
+
     def begin(self) -> None:
         """Take up the weights as they are now."""
 
@@ -110,7 +112,7 @@ class GruPass:
             for rows in (sizes.encoder, sizes.decoder, 4 * sizes.hidden, 4 * sizes.hidden)
         )
         self._gru, self._units, self._encoded, self._hidden = network.gru, sizes.hidden, encoded, tape.hidden
-        self._d_hidden = tape.inputs.new_empty(sizes.hidden, n)
+        self.d_hidden = tape.inputs.new_empty(sizes.hidden, n)
         self._d_correction = tape.d_correction
         self._encoder = Layer(network.encoder, tape.inputs, encoded, tape.d_inputs)
         self._decoder = Layer(network.decoder, tape.hidden[1:], decoded)
@@ -123,7 +125,7 @@ class GruPass:
             gates=gates.view(steps, 4, -1).numpy(),
             hidden=tape.hidden[:-1].view(steps, 1, -1).numpy(),
             d_gates=self._d_gates.view(steps, 4, -1).numpy(),
-            d_hidden=self._d_hidden.view(1, -1).numpy(),
+            d_hidden=self.d_hidden.view(1, -1).numpy(),
         )
 
     def begin(self) -> None:
@@ -134,7 +136,7 @@ class GruPass:
         bias = self._gru.bias_hh.detach()
         shared = torch.cat((bias[:split], torch.zeros_like(bias[split:])))
         self._bias, self._memory_bias = (self._gru.bias_ih.detach() + shared)[:, None], bias[split:, None]
-        self._d_hidden.zero_()
+        self.d_hidden.zero_()
 
     def forward(self, k: int) -> None:
         """See `Pass`."""
@@ -152,10 +154,10 @@ class GruPass:
         """See `Pass`."""
         self._head.backward(k, self._d_correction)
         self._decoder.backward(k, self._head.through(k))
-        self._d_hidden.add_(self._decoder.through(k))
+        self.d_hidden.add_(self._decoder.through(k))
         self._gates_back(k, 1)
         d_sums, d_shared, (*_, d_m) = self._backward[k]
-        self._d_hidden.addmm_(self._of_hidden.t(), d_shared).addmm_(self._of_memory.t(), d_m)
+        self.d_hidden.addmm_(self._of_hidden.t(), d_shared).addmm_(self._of_memory.t(), d_m)
         torch.mm(self._of_inputs.t(), d_sums, out=self._encoder.d_y)
         self._encoder.backward(k, self._encoder.d_y)
         self._encoder.through(k)
@@ -178,6 +180,7 @@ class MlpPass:
 
     def __init__(self, network: TorchMlp, tape: Tape) -> None:
         self._d_correction, (steps, _, n) = tape.d_correction, tape.inputs.shape
+        self.d_hidden = tape.inputs.new_empty(0, n)
         wide = [tape.inputs.new_empty(steps, size, n) for size in network.sizes.layers]
         values = (tape.inputs, *wide, tape.corrections[1:])
         self._layers = [

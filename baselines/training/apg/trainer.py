@@ -7,6 +7,7 @@ loss is the tracking error itself: no value function, no exploration, no reward.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +26,7 @@ from auv_gym.task import decode_observation
 from baselines.agents.agent import Agent
 from baselines.agents.features import Inputs
 from baselines.agents.networks import Gru, Mlp
+from baselines.evaluation.score import regime_of
 from baselines.policy import Memory
 from baselines.training.apg.closed_loop import ClosedLoop, Loss, law_of
 from baselines.training.apg.fleet import Fleet
@@ -53,8 +55,14 @@ class Settings:
     hidden_size: int = 64  # of each layer of the network
     effort_weight: float = 0.006  # [1] of the squared command in `closed_loop.Loss`
     rate_weight: float = 0.006  # [s^2] of its squared rate of change in `closed_loop.Loss`
+    cruise_effort_weight: float | None = None  # `effort_weight` in scenarios of the cruise regime, if it is another
+    cruise_rate_weight: float | None = None  # `rate_weight` in scenarios of the cruise regime, if it is another
+    cruise_share: float = 0.5  # what the loss of cruise counts for, where both regimes are trained on
+    cut: float = 0.0  # medians over vehicles beyond which a vehicle's derivatives are shortened; 0: never
     memory: bool = True  # whether the network has recurrent units, else it is of two tanh layers
     integrals: bool = True  # whether it sees the integrals of the position error
+    fine: bool = False  # whether it sees the errors on finer scales too
+    filters: bool = False  # whether it sees what Kalman filters believe
     preview: tuple[int, ...] = ()  # where it sees the reference ahead, in control periods
     validations: int = VALIDATIONS  # how often in the run the agent is validated, and a checkpoint kept
 
@@ -65,10 +73,11 @@ class Settings:
                 raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")
         for name in ("learning_rate", "max_grad_norm"):
             check_number(name, getattr(self, name), 1e-9, 1e6)
-        for name in ("matrix_learning_rate", "weight_decay", "final_share", "average"):
+        for name in ("matrix_learning_rate", "weight_decay", "final_share", "average", "cruise_share"):
             check_number(name, getattr(self, name), 0, 1)
-        for name in ("effort_weight", "rate_weight"):
-            check_number(name, getattr(self, name), 0, 1e6)
+        for name in ("cut", "effort_weight", "rate_weight", "cruise_effort_weight", "cruise_rate_weight"):
+            if getattr(self, name) is not None or not name.startswith("cruise"):
+                check_number(name, getattr(self, name), 0, 1e6)
         if not isinstance(self.memory, bool):
             raise ValueError(f"memory is {self.memory!r}; it must be true or false")
         _ = self.network
@@ -76,13 +85,23 @@ class Settings:
     @property
     def inputs(self) -> Inputs:
         """What the network sees."""
-        return Inputs(self.preview, self.integrals)
+        return Inputs(self.preview, self.integrals, self.fine, self.filters)
 
     @property
     def network(self) -> Gru | Mlp:
         """The sizes of the network."""
         inputs, size = len(self.inputs.features), self.hidden_size
         return Gru(inputs, size, size, size) if self.memory else Mlp(inputs, (size, size), bound="tanh")
+
+    def loss(self, names: Sequence[str]) -> tuple[Loss, NDArray[np.float64]]:
+        """Return the weights of the loss for vehicles in scenarios of these names, and what each one counts for."""
+        fast = np.array([regime_of(name) == "cruise" for name in names])
+        cruise = (self.cruise_effort_weight, self.cruise_rate_weight)
+        pairs = zip((self.effort_weight, self.rate_weight), cruise, strict=True)
+        loss = Loss(*(np.where(fast, slow if own is None else own, slow) for slow, own in pairs))
+        both = fast.any() and not fast.all()
+        share = np.where(fast, self.cruise_share / max(1, fast.sum()), (1 - self.cruise_share) / max(1, (~fast).sum()))
+        return loss, share if both else np.full(len(fast), 1 / len(fast))
 
     def share_at(self, progress: float) -> float:
         """Return the share of the learning rates that is left after a share `progress` of the run."""
@@ -157,13 +176,13 @@ class Trainer:
         self.best = weights_of(self.averaged.module)
         self._memory: Memory | None = None  # of an expert on NumPy
         if (state := run.load_checkpoint()) is None:
-            self.carried = self.fleet.reset(settings.network.memory)
+            self.carried = self.fleet.reset(settings.network.memory, settings.inputs.memory)
         else:
             self._restore(state)
         law, self._exact = law_of(self._expert)
         kernels = LoopKernels(ClosedLoop(law, settings.inputs, self.fleet.parts), self._exact)
         self._window = Window(kernels, self.network, settings.n_envs, settings.n_steps)
-        self._loss = Loss(settings.effort_weight, settings.rate_weight)
+        self._loss, self._shares = settings.loss([scenario.name for scenario in config.lanes(settings.n_envs)])
 
     @property
     def _groups(self) -> list[dict[str, Any]]:
@@ -216,6 +235,8 @@ class Trainer:
             self.run.config.authority,
             self._loss,
             None if self._exact else act,
+            self._shares,
+            self.settings.cut,
         )
         self.carried = self.fleet.renew(carried, squared_error)
         return loss, error

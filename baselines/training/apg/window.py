@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from auv_gym.namespaces import ARRAYS
 from auv_gym.simulation import PARAMETERS, PLANT, PLANT_ROWS
 from auv_gym.task import SIZE
-from baselines.agents.features import INTEGRALS
 from baselines.agents.networks import ACTIONS, Network
 from baselines.training.apg.closed_loop import Loss
 from baselines.training.apg.kernels import MOVED, LoopKernels
@@ -32,12 +31,16 @@ class Steering(Protocol):
         """What it is on NumPy."""
 
 
+CARRIED = ("d_state", "d_observation", "d_integrals", "d_correction")
+"""Derivatives that go from one control instant back to the one before."""
+
+
 class Carried(NamedTuple):
     """What goes from one control instant to the next: arrays whose last axis counts the N vehicles."""
 
     state: Array  # rows of a `simulation.Plant`, shape (PLANT_ROWS, N)
     observation: Array  # shape (SIZE, N)
-    integrals: Array  # of the features, shape (INTEGRALS, N)
+    integrals: Array  # of the features, shape (`Inputs.memory`, N)
     correction: Array  # the last one, shape (ACTIONS, N)
     hidden: Array  # of the network, shape (memory, N)
 
@@ -65,7 +68,7 @@ class Window:
         inputs, self._substeps = kernels.loop.inputs, kernels.loop.parts.substeps
         features, memory = len(inputs.features), network.sizes.memory
         self._carried = Carried(
-            *(self._zeros(steps + 1, rows, n) for rows in (PLANT_ROWS, SIZE, INTEGRALS, ACTIONS, memory))
+            *(self._zeros(steps + 1, rows, n) for rows in (PLANT_ROWS, SIZE, inputs.memory, ACTIONS, memory))
         )
         self._ahead, self._samples, self._features, self._base, self._squared = (
             self._zeros(steps, rows, n) for rows in (2 * len(inputs.preview), MOVED["sample"], features, ACTIONS, 1)
@@ -76,7 +79,7 @@ class Window:
             for name, rows in (
                 ("d_state", PLANT_ROWS),
                 ("d_observation", SIZE),
-                ("d_integrals", INTEGRALS),
+                ("d_integrals", inputs.memory),
                 ("d_base", ACTIONS),
                 ("d_correction", ACTIONS),
                 ("d_features", features),
@@ -127,6 +130,8 @@ class Window:
         authority: Sequence[float],
         loss: Loss,
         act: Act | None = None,
+        shares: Array | None = None,
+        cut: float = 0.0,
         back: bool = True,
     ) -> tuple[float, float, Carried, Array]:
         """Run the window and set the gradients of the network's weights, those of its mean loss.
@@ -137,8 +142,10 @@ class Window:
             samples: the rows of `simulation.Sample`s, shape (T, SAMPLE_ROWS, N).
             parameters: the rows of `simulation.Parameters`, shape (PARAMETER_ROWS, N).
             authority: largest corrections of surge and yaw.
-            loss: of a control step.
+            loss: of a control step; its weights may be of each vehicle, shape (N,).
             act: the expert, if it does not compute in the kernels.
+            shares: what each vehicle's loss counts for in their mean, shape (N,) of sum 1; None: the same.
+            cut: how many medians over the vehicles a vehicle's derivatives may reach going back; 0: anything.
             back: whether gradients are wanted.
 
         Returns:
@@ -149,13 +156,14 @@ class Window:
             mine[0] = given
         self._ahead[:], self._samples[:], self._parameters[:] = ahead, samples, parameters
         n = self._parameters.shape[-1]
-        self._chosen[:] = np.array((*authority, *loss, 1 / (n * self.steps)))[:, None]  # as in `Chosen`
+        own = np.full(n, 1 / n) if shares is None else shares
+        self._chosen[:] = np.stack([np.broadcast_to(x, n) for x in (*authority, *loss, own / self.steps)])  # `Chosen`
         with torch.no_grad():
             self._forward(act)
             if back:
-                self._backward()
+                self._backward(cut)
         with np.errstate(all="ignore"):  # of vehicles that are lost altogether
-            mean, error = self._mean_loss(loss), float(np.sqrt(self._squared, dtype=np.float64).mean())
+            mean, error = self._mean_loss(loss, own), float(np.sqrt(self._squared, dtype=np.float64).mean())
         return mean, error, Carried(*(x[-1] for x in self._carried)), self._squared[-1, 0]
 
     def _forward(self, act: Act | None) -> None:
@@ -167,17 +175,30 @@ class Window:
             self._pass.forward(k)
             self._move(k, 1)
 
-    def _backward(self) -> None:
+    def _backward(self, cut: float) -> None:
         for derivative in self._d.values():
             derivative.fill(0.0)
         for k in reversed(range(self.steps)):
             self._move_back(k, 1)
             self._pass.backward(k)
             self._look_back(k, 1)
+            if cut:
+                self._bound(cut)
         self._pass.finish()
 
-    def _mean_loss(self, loss: Loss) -> float:
+    def _bound(self, cut: float) -> None:
+        """Shorten the derivatives of vehicles in chaos, all of one vehicle alike; what is no number counts nothing."""
+        carried = (*(self._d[name] for name in CARRIED), self._pass.d_hidden.numpy())
+        with np.errstate(all="ignore"):
+            size = np.sqrt(sum(np.einsum("ij,ij->j", d, d) for d in carried))
+            share = np.where(np.isfinite(size), np.minimum(1.0, cut * np.median(size) / (size + 1e-30)), 0.0)
+        if (share < 1).any():
+            for d in carried:
+                np.nan_to_num(d, copy=False, posinf=0.0, neginf=0.0)
+                np.multiply(d, share, out=d)
+
+    def _mean_loss(self, loss: Loss, shares: Array) -> float:
         a_u, a_r = self._carried.state[:, PLANT.a_u], self._carried.state[:, PLANT.a_r]
         dt, scale = self._substeps * self._parameters[PARAMETERS.h], self._parameters[PARAMETERS.error_scale]
         of = loss.of(self._squared[:, 0], scale, (a_u[1:], a_r[1:]), (a_u[:-1], a_r[:-1]), dt, ARRAYS)
-        return float(np.mean(of, dtype=np.float64))
+        return float(np.mean(of @ shares.astype(of.dtype), dtype=np.float64))

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from auv_gym.installation import checkout
+from auv_gym.presets import REGIMES
 from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation import suites
 from baselines.evaluation.progress import progress
@@ -38,9 +39,10 @@ class Variant:
     """Agents that differ in the seed alone."""
 
     about: str  # one line for the results page
-    regime: str
+    regime: str  # in which they are run
     training: TrainOptions  # the number of seeds included
     suites: tuple[str, ...] = SUITES
+    runs: str = ""  # folder of the runs, where it is not that of the variant's name
 
 
 SEEDS = 5  # of each agent that ships with the package
@@ -57,6 +59,7 @@ FAMILIES: Mapping[str, str] = {
     "apg": "The expert corrected by the analytic gradient, from measurements alone.",
     "apg-preview": "A larger network, which sees the reference ahead and pays nearly nothing for its commands.",
     "apg-adverse": "Trained also where sensors, commands, actuators and current are not as told.",
+    "helm": "One agent for both regimes: small errors seen as well as large ones, filters, and slewing thrusters.",
     "apg-scratch": "Without an expert: the network commands alone.",
     "ppo": "The expert corrected by a network without memory, which learns from rewards until it gets no better.",
     "ppo-lstm": "The same with long short-term memory.",
@@ -89,13 +92,17 @@ SHORT_TRAININGS: Mapping[str, Variant] = {
 """Trainings that show what one thing is worth."""
 
 
-def _shipped(name: str, each: TrainOptions) -> Variant:
-    family, regime = name.rsplit("-", 1)
-    return Variant(FAMILIES[family], regime, replace(each, seeds=SEEDS))
+def _shipped(name: str, each: TrainOptions) -> dict[str, Variant]:
+    """Return the variants of an agent that ships: one, or one for each regime of an agent for both."""
+    family, _, regime = name.rpartition("-")
+    if regime in REGIMES:
+        return {name: Variant(FAMILIES[family], regime, replace(each, seeds=SEEDS))}
+    own = replace(each, seeds=SEEDS)
+    return {f"{name}-{regime}": Variant(FAMILIES[name], regime, own, runs=name) for regime in REGIMES}
 
 
 VARIANTS: Mapping[str, Variant] = {
-    **{name: _shipped(name, each) for name, each in SHIPPED.items()},
+    **{variant: own for name, each in SHIPPED.items() for variant, own in _shipped(name, each).items()},
     **BRIEF,
     **SHORT_TRAININGS,
 }
@@ -130,11 +137,12 @@ def main(arguments: Sequence[str]) -> int:
         raise UsageError(f"the study has no {unknown[0]!r}; allowed are {', '.join(VARIANTS)}")
     for name in options.name or VARIANTS:
         variant = VARIANTS[name]
-        request = request_of(variant.training, options.out / name, options.jobs)
+        agent = variant.runs or name
+        request = request_of(variant.training, options.out / agent, options.jobs)
         if (status := train(request)) != DONE:
             return status
-        if options.install and name in SHIPPED:
-            install(name, request.folders[0])
+        if options.install and agent in SHIPPED:
+            install(agent, request.folders[0])
         save(name, studied(variant, request, options.jobs), FOLDER if checkout() else options.out)
     return DONE
 

@@ -1,0 +1,149 @@
+"""The filters with fixed gains: their table, their equations against a linear filter, and what they are for."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from auv_gym.errors import to_world
+from auv_gym.namespaces import ARRAYS
+from auv_gym.presets import PRESETS
+from auv_gym.task import Observation, decode_observation
+from auv_gym.vehicle import PAPER_VEHICLE
+from baselines.agents import filter_gains, filters
+from baselines.agents.filters import ACROSS, ACROSS_MEASURED, ALONG, ALONG_MEASURED, KEPT, LAGS, ROWS, SHARED
+from baselines.control.backstepping import Backstepping
+from baselines.control.linearisation import error_dynamics
+from baselines.estimation.sea_model import AT, SIZE
+from baselines.evaluation.rollout import make_env
+
+KINDS = list(zip(filter_gains.TUNINGS, LAGS, strict=True))
+SPEEDS = (0.08, 0.12, 0.28, 0.6, 1.1, 1.7)
+
+
+def tabled(kind, speed):
+    """Return the gain of the table at a speed, shape (SIZE, 6)."""
+    own = filters.gains("cruise" if speed > 0.4 else "slow")[kind]
+    K, s = np.zeros((SIZE, 6)), filters.speed_share(speed)
+    for part, entries, measured in zip(own, (ALONG, ACROSS), (ALONG_MEASURED, ACROSS_MEASURED), strict=True):
+        for entry, row in zip(entries, part, strict=True):
+            for sensor, coefficients in zip(measured, row, strict=True):
+                K[getattr(AT, entry), getattr(AT, sensor)] = np.polyval(coefficients[::-1], s)
+    return K
+
+
+def test_the_table_is_what_its_command_writes():
+    kept, made = (json.loads(t) for t in (filters.TABLE.read_text(encoding="utf-8"), filter_gains.text()))
+    assert kept.keys() == made.keys()
+    for regime in kept:
+        for a, b in zip(kept[regime], made[regime], strict=True):
+            for part in ("along", "across"):
+                np.testing.assert_allclose(a[part], b[part], rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", [0, 1])
+@pytest.mark.parametrize("speed", [0.2, 1.0])
+def test_a_gain_is_where_a_filter_with_covariance_ends(kind, speed):
+    """Prediction and update of a covariance, Joseph's form, until nothing changes any more."""
+    tuning, lag = KINDS[kind]
+    A, H, Q, R = filter_gains.problem(speed, lag, tuning)
+    P = np.eye(len(A))
+    for _ in range(3000):
+        P = A @ P @ A.T + Q
+        K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
+        left = np.eye(len(A)) - K @ H
+        P = left @ P @ left.T + K @ R @ K.T
+    found = np.delete(filter_gains.gain(speed, lag, tuning), AT.lag, axis=0)
+    np.testing.assert_allclose(found, K, rtol=1e-3, atol=1e-5 * np.abs(K).max())
+
+
+def test_the_model_of_the_hull_is_that_of_the_linearised_equations():
+    A, H, dt = filter_gains.model(1.0, 0.24)
+    errors, _ = error_dynamics(PAPER_VEHICLE, 1.0, 0.0, 0.0)
+    np.testing.assert_allclose(A[:6, :6], expm(errors * dt), atol=2e-6)
+    np.testing.assert_allclose(H[:, :6], np.eye(6), atol=1e-9)
+    np.testing.assert_allclose(H[3:5, AT.V_x : AT.V_y + 1], np.eye(2), atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", [0, 1])
+def test_gains_between_the_speeds_are_stable_and_near_those_of_the_equation(kind):
+    for speed in SPEEDS:
+        A, H, _ = filter_gains.model(speed, LAGS[kind])
+        kept = [i for i in range(SIZE) if i != AT.lag]
+        exact, table = filter_gains.gain(speed, LAGS[kind], filter_gains.TUNINGS[kind]), tabled(kind, speed)
+        radius = [max(abs(np.linalg.eigvals(((np.eye(SIZE) - K @ H) @ A)[np.ix_(kept, kept)]))) for K in (exact, table)]
+        assert max(radius) < 0.999
+        assert np.abs(table - exact).sum() < 0.1 * np.abs(exact).sum()
+
+
+def straight(speed, heading, errors=(0.0,) * 6, action=(0.0, 0.0)):
+    """Return an observation on a straight line, with measured errors: e_x, e_y in the body, and the others."""
+    storm = filter_gains.storm_at(speed)
+    psi = heading + errors[2]
+    terms = (*errors, speed, 0.0, 0.0, PAPER_VEHICLE.d11 * speed, 0.0, np.cos(psi), np.sin(psi))
+    limits = storm.actuators.F_u_max, storm.actuators.F_r_max
+    return Observation(*(np.array([float(x)]) for x in (*terms, *limits, *action, storm.control_dt)))
+
+
+def seen(memory, kind, name):
+    """Return an entry of a filter's estimate from the memory."""
+    return float(memory[SHARED + kind * len(KEPT) + KEPT.index(name)][0])
+
+
+@pytest.mark.parametrize("heading", [0.0, 2.5])
+def test_small_deviations_follow_the_linear_filter(heading):
+    """Along the world's x, and turned: what is a vector in the world turns along."""
+    speed, rng = 1.0, np.random.default_rng(0)
+    A, H, _ = filter_gains.model(speed, LAGS[0])
+    K, z, memory = tabled(0, speed), np.zeros(SIZE), [np.zeros(1)] * ROWS
+    storm = filter_gains.storm_at(speed)
+    F_u = PAPER_VEHICLE.d11 * speed
+    held = F_u / storm.actuators.F_u_max
+    for k in range(40):
+        y = 1e-4 * rng.standard_normal(6)
+        o = straight(speed, heading, y, (held, 0.0))
+        _, memory = filters.filtered(o, speed, memory, ARRAYS)
+        if k == 0:
+            z[:6] = y
+            memory = list(memory)
+            memory[SHARED + KEPT.index("F_u")] = np.array([F_u])  # not from rest, which would be no small deviation
+        else:
+            ahead = A @ z
+            z = ahead + K @ (y - H @ ahead)
+    c, s = np.cos(heading), np.sin(heading)
+    found = {name: seen(memory, 0, name) for name in KEPT}
+    for a, b in filters.VECTORS:
+        found[a], found[b] = c * found[a] + s * found[b], c * found[b] - s * found[a]
+    found |= {"psi": found["psi"] - heading, "u": found["u"] - speed, "F_u": found["F_u"] - F_u}
+    for name in KEPT:
+        assert found[name] == pytest.approx(z[getattr(AT, name)], rel=2e-3, abs=3e-6 * max(1, abs(z).max())), name
+
+
+def test_a_position_that_is_held_moves_nothing():
+    speed, dt = 1.0, 0.1
+    memory = [np.zeros(1)] * ROWS
+    held = []
+    for k in range(6):
+        stale = -dt * speed if k == 4 else 0.0  # the fix of the period before: the reference has moved on
+        believed, memory = filters.filtered(straight(speed, 0.0, (stale, 0, 0, 0, 0, 0)), speed, memory, ARRAYS)
+        held.append(bool(believed.held[0]))
+    assert held == [False, False, False, False, True, False]
+
+
+def test_in_noise_the_calm_filter_knows_more_than_is_measured():
+    """What it is for: the expert steers through noise alone, and the filters say where the vehicle is."""
+    scenario, errors = PRESETS["slow-noise"], []
+    env, law, memory = make_env(scenario), Backstepping(), [np.zeros(1)] * ROWS
+    observation, _ = env.reset(seed=3)
+    for _ in range(300):
+        o = decode_observation(observation[None])
+        believed, memory = filters.filtered(o, np.hypot(o.u_R, o.v_R), memory, ARRAYS)
+        true = env.unwrapped.state[:2] - np.array((env.unwrapped.reference.x, env.unwrapped.reference.y))
+        measured = to_world(o.e_x, o.e_y, o.cos_psi, o.sin_psi)
+        places = [measured, *((z.x_e, z.y_e) for z in believed.estimates)]
+        errors.append([np.hypot(*(np.ravel(p) - true)) for p in places])
+        observation, *_ = env.step(law.predict(observation)[0])
+    seen, rough, calm = np.sqrt(np.square(errors[120:]).mean(axis=0))
+    assert calm < 0.25 * seen
+    assert calm < rough < 0.7 * seen
