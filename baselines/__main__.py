@@ -31,6 +31,7 @@ VERBS = {
     "train-all": Verb("baselines.training.shipped", "train"),
     "study": Verb("baselines.training.study.command", "train"),
     "residual": Verb("baselines.training.residual.command", "train"),
+    "front": Verb("baselines.training.study.front", "train,tuning"),
     "tune": Verb("baselines.tuning.command", "tuning"),
     "suites": Verb("baselines.evaluation.suites.__main__", "eval"),
     "fresh": Verb("baselines.evaluation.fresh", "eval"),

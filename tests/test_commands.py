@@ -99,6 +99,8 @@ def quick(line):
         return [*words, "--episodes", "1", "--out", "floor.json"]
     if words[:2] == ["-m", "baselines.training.residual"] and "--help" not in words:
         return [*words, *(["residual-0.5-cruise"] if words[2:] == [] else []), *BRIEF]
+    if words[:2] == ["-m", "baselines.training.study.front"]:
+        return [*words[:2], "lqi", "--case", "slow-calm", "--episodes", "1", "--out", "fronts"]
     if words[:2] == ["-m", "baselines.datasets"]:
         return [*words, "--episodes", "1"]
     if words[:2] == ["-m", "baselines.film"]:

@@ -20,7 +20,6 @@ from baselines.evaluation.results import page as results_page
 from baselines.evaluation.results.collection import ROUNDING, SUITES, TOLERANCE, Results, better_than, collected
 from baselines.evaluation.results.left import what_is_left
 from baselines.evaluation.results.residual import what_it_is_for
-from baselines.evaluation.results.studies import section
 from baselines.evaluation.study_files import load_all
 
 ROOT = Path(__file__).parents[1]
@@ -43,7 +42,7 @@ def test_the_page_is_what_the_rows_say(found):
     whole = [entry for entry, _ in found.values() if entry is not None]
     missing = [name for name, (entry, _) in found.items() if entry is None]
     text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
-    parts = section(load_all(), whole), what_it_is_for(residual_file.load())
+    parts = results.sections(whole, load_all()), what_it_is_for(residual_file.load())
     assert text == results_page.page(whole, missing, *parts), "run `make results`"
     assert {name: refused for name, (_, refused) in found.items() if refused} == {}
     for image in re.findall(r"\]\((images/.+?)\)", text):

@@ -29,7 +29,6 @@ from baselines.tuning.tunables import TUNABLES
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(gain_files, "FOLDER", tmp_path / "gains")
-    monkeypatch.setattr(tuning, "FOLDER", tmp_path / "gains")
     monkeypatch.setattr(tuning, "VALIDATION_EPISODES", 16)
     shutil.copytree(Path(gain_files.__file__).parent, tmp_path / "gains", ignore=shutil.ignore_patterns("*.py", "__*"))
     return tmp_path / "gains"

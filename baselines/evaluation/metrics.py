@@ -133,6 +133,21 @@ def bootstrap_interval(values: Sequence[float] | Array) -> tuple[float, float]:
     return float(low), float(high)
 
 
+@lru_cache(maxsize=4)
+def resamplings(lengths: tuple[int, ...]) -> list[Array]:
+    """Return how often each episode of each case counts: a first row of ones, then one for each bootstrap sample."""
+    rng = np.random.default_rng(0)
+    counts = (rng.multinomial(n, np.full(n, 1 / n), RESAMPLES) for n in lengths)
+    return [np.vstack((np.ones((1, n)), count)) for n, count in zip(lengths, counts, strict=True)]
+
+
+@lru_cache(maxsize=4)
+def seed_shares(count: int) -> Array:
+    """Return the share of each training seed: a first row of equal ones, then one for each bootstrap sample."""
+    drawn = np.random.default_rng(1).multinomial(count, np.full(count, 1 / count), RESAMPLES) / count
+    return np.vstack((np.full((1, count), 1 / count), drawn))
+
+
 def cvar(values: Array) -> float:
     """Return the mean of the worst share `WORST` of the values, shape (M,); at least of one."""
     worst = max(1, math.ceil(WORST * len(values) - 1e-9))

@@ -155,9 +155,9 @@ class Repeatable:
         """Take what makes their beginning with a preview."""
         self._begin = cache(begin)
 
-    def play(self, policy: Policy, steps: int) -> Iterator[Moment]:
+    def play(self, policy: Policy, steps: int, watch: Watch | None = None) -> Iterator[Moment]:
         """Yield what a policy does, see `play`."""
-        return play(policy, copy.deepcopy(self._begin(preview_of(policy))), steps)
+        return play(policy, copy.deepcopy(self._begin(preview_of(policy))), steps, watch)
 
 
 def rollout(
@@ -185,7 +185,8 @@ def rollout(
     if isinstance(policy, Privileged):
         policy.prepare(scenario, episodes)
     env, observation = beginning([(scenario, episodes)], preview_of(policy))
-    log = _Log(scenario.steps, len(episodes), _row(env))
+    log = Log(scenario.steps, len(episodes))
+    log.rows.append(_row(env))
     for k, moment in enumerate(play(policy, (env, observation), scenario.steps, watch)):
         log.add(k, moment)
         if log.running[:TRACED].any() and k + 1 < scenario.steps:
@@ -200,12 +201,13 @@ def rollout(
     )
 
 
-class _Log:
+class Log:
     """What K steps of N episodes give, each until its own end."""
 
-    def __init__(self, steps: int, n: int, row: Array) -> None:
+    def __init__(self, steps: int, n: int) -> None:
+        """Begin with nothing."""
         self.errors, self._rewards, self._actions = np.zeros((steps, n)), np.zeros((steps, n)), np.zeros((steps, n, 2))
-        self.rows = [row]  # of the traced episodes, see `_row`
+        self.rows: list[Array] = []  # of the traced episodes, see `_row`
         self.running, self._lost, self._length = np.ones(n, dtype=bool), np.zeros(n, dtype=bool), np.full(n, steps)
 
     def add(self, k: int, m: Moment) -> None:

@@ -12,14 +12,13 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.presets import REGIMES
-from baselines.evaluation.metrics import RESAMPLES, Array, Measures
+from baselines.evaluation.metrics import RESAMPLES, Array, Measures, resamplings, seed_shares
 
 EXPERT = "backstepping"  # the policy that scores 0
 ORACLE = "oracle"  # the policy that knows plant and sea, and regulates; it scores 1 in the oldest suites
@@ -135,7 +134,7 @@ def score(zero: Sequence[Array], policy: Sequence[Array], one: Sequence[Array]) 
     The interval is that of a bootstrap over episodes, the same ones for all three policies, within each case.
     """
     sums = np.zeros((RESAMPLES + 1, 3))
-    for weights, errors in zip(_weights(tuple(map(len, zero))), zip(zero, policy, one, strict=True), strict=True):
+    for weights, errors in zip(resamplings(tuple(map(len, zero))), zip(zero, policy, one, strict=True), strict=True):
         sums += weights @ np.stack(errors, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         values = (sums[:, 0] - sums[:, 1]) / (sums[:, 0] - sums[:, 2])
@@ -167,22 +166,13 @@ def lead(zero: Sequence[Array], rival: Sequence[Array], seeds: Sequence[Array], 
         seeds: see `seeds_score`.
         one: as `zero`.
     """
-    count, weights = len(seeds[0]), _weights(tuple(map(len, zero)))
+    count, weights = len(seeds[0]), resamplings(tuple(map(len, zero)))
     above, span = np.zeros((RESAMPLES + 1, count)), np.zeros(RESAMPLES + 1)
     for w, e, r, p, o in zip(weights, zero, rival, seeds, one, strict=True):
         above += w @ (r - p).T
         span += w @ (e - o)
-    drawn = np.random.default_rng(1).multinomial(count, np.full(count, 1 / count), RESAMPLES) / count
-    shares = np.vstack((np.full((1, count), 1 / count), drawn))
+    shares = seed_shares(count)
     with np.errstate(divide="ignore", invalid="ignore"):
         values = (above * shares).sum(axis=1) / span
     low, high = np.quantile(values[1:], (0.025, 0.975)).tolist()
     return Score(float(values[0]), (low, high))
-
-
-@lru_cache(maxsize=4)
-def _weights(lengths: tuple[int, ...]) -> list[Array]:
-    """Return how often each episode of each case counts: a first row of ones, then one for each bootstrap sample."""
-    rng = np.random.default_rng(0)
-    counts = (rng.multinomial(n, np.full(n, 1 / n), RESAMPLES) for n in lengths)
-    return [np.vstack((np.ones((1, n)), count)) for n, count in zip(lengths, counts, strict=True)]

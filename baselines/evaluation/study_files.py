@@ -111,14 +111,32 @@ def save(name: str, study: Study, folder: Path = FOLDER) -> None:
     record: dict[str, Any] = {key: getattr(study, key) for key in ("about", "regime", "command", "date")}
     record |= {"versions": dict(study.versions), "suites": {}}
     for suite, found in study.suites.items():
-        entry = asdict(found)
-        for key in ("tails", "lost"):
-            kind = np.float32 if key == "tails" else np.bool_
-            arrays[f"{suite}/{key}"] = np.concatenate(entry.pop(key), axis=1).astype(kind)
-        lengths = [tail.shape[1] for tail in found.tails]
-        entry |= {"effort": found.effort.tolist(), "smoothness": found.smoothness.tolist(), "lengths": lengths}
-        record["suites"][suite] = entry
+        record["suites"][suite], own = packed(suite, found)
+        arrays |= own
     write(folder / f"{name}.npz", Stored(record, arrays))
+
+
+def packed(suite: str, found: InSuite) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return what agents do in a suite as plain JSON and arrays by name, see `unpacked`."""
+    entry, arrays = asdict(found), {}
+    for key in ("tails", "lost"):
+        kind = np.float32 if key == "tails" else np.bool_
+        arrays[f"{suite}/{key}"] = np.concatenate(entry.pop(key), axis=1).astype(kind)
+    lengths = [tail.shape[1] for tail in found.tails]
+    entry |= {"effort": found.effort.tolist(), "smoothness": found.smoothness.tolist(), "lengths": lengths}
+    return entry, arrays
+
+
+def unpacked(suite: str, packed_entry: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> InSuite | None:
+    """Return what agents do in a suite from plain JSON and arrays; None if the suite is another one since."""
+    entry = dict(packed_entry)
+    if entry["hash"] != suites.load(suite).hash:
+        return None
+    bounds = np.cumsum(entry.pop("lengths"))[:-1]
+    tails, lost = (tuple(np.split(arrays[f"{suite}/{key}"], bounds, axis=1)) for key in ("tails", "lost"))
+    values: dict[str, Any] = {key: np.array(entry.pop(key)) for key in ("effort", "smoothness")}
+    entry["cells"] = tuple(entry["cells"])
+    return InSuite(tails=tuple(t.astype(np.float64) for t in tails), lost=lost, **entry, **values)
 
 
 def load_all(folder: Path = FOLDER) -> dict[str, Study]:
@@ -132,14 +150,8 @@ def load_all(folder: Path = FOLDER) -> dict[str, Study]:
 
 def _load(file: Path) -> Study:
     with reading(file) as stored:
-        record, arrays, found = dict(stored.record), stored.arrays, {}
-        for suite, entry in record.pop("suites").items():
-            if entry["hash"] != suites.load(suite).hash:
-                continue
-            bounds = np.cumsum(entry.pop("lengths"))[:-1]
-            tails, lost = (tuple(np.split(arrays[f"{suite}/{key}"], bounds, axis=1)) for key in ("tails", "lost"))
-            values: dict[str, Any] = {key: np.array(entry.pop(key)) for key in ("effort", "smoothness")}
-            entry["cells"] = tuple(entry["cells"])
-            found[suite] = InSuite(tails=tuple(t.astype(np.float64) for t in tails), lost=lost, **entry, **values)
+        record, arrays = dict(stored.record), stored.arrays
+        all_of = {suite: unpacked(suite, entry, arrays) for suite, entry in record.pop("suites").items()}
+        found = {suite: own for suite, own in all_of.items() if own is not None}
         curves = [arrays[f"curve/{i}"] for i in range(sum(name.startswith("curve/") for name in arrays))]
         return Study(**record, suites=found, curves=tuple(curves))

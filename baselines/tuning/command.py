@@ -1,7 +1,8 @@
 """Tune a controller's gains on episodes of its own: `auv-gym tune --help`.
 
 The objective is the error that the score is made of: the mean over the cases of a regime of the tail RMSE, that of an
-episode at most the distance from which it counts as lost.
+episode at most the distance from which it counts as lost. With a price it is that error times the mean squared change
+of the command to the power of the price, and the gains are those of a point on a front, see `baselines.tuning.priced`.
 """
 
 from __future__ import annotations
@@ -12,14 +13,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
 from baselines import make_policy
-from baselines.gains.loading import FOLDER, gain_file, load_gains
+from baselines.gains.loading import gain_file, load_gains
 from baselines.tools.command_line import DONE, UsageError, parse, typed
 from baselines.tuning.objective import Course, compared, course, scenarios_of
+from baselines.tuning.priced import before, priced_file, priced_gains
 from baselines.tuning.search import EPISODES, EVALUATIONS, VALIDATION_EPISODES, VALIDATION_SEED, Budget, GainSet, tune
 from baselines.tuning.tunables import TUNABLES, Tunable
 
@@ -30,7 +33,9 @@ PROGRAM = "python -m baselines.tuning"
 class Options:
     """Tune the gains of a controller and keep them in baselines/gains/NAME-REGIME.json, with where they come from.
 
-    The search begins at what that file has under "start", or at its gains. Exit status: 0 done, 2 wrong usage.
+    The search begins at what that file has under "start", or at its gains. With a price the gains go to
+    baselines/tuning/priced/NAME-REGIME-PRICE.json, and the search begins at those of the next lower price there.
+    Exit status: 0 done, 2 wrong usage.
     """
 
     name: Annotated[Positional[str], arg(metavar="NAME")]
@@ -66,6 +71,7 @@ def main(arguments: Sequence[str]) -> int:
         "regime": options.regime,
         "gains": gains,
         "start": dict(start),
+        **({"price": options.price} if options.price else {}),
         "command": typed(PROGRAM, arguments),
         "evaluations": options.evaluations,
         "episodes": options.episodes,
@@ -76,9 +82,17 @@ def main(arguments: Sequence[str]) -> int:
     }
     print(json.dumps(record, indent=2))
     if not options.dry:
-        FOLDER.mkdir(exist_ok=True)
-        gain_file(options.name, options.regime).write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+        file = _file(options)
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
     return DONE
+
+
+def _file(options: Options) -> Path:
+    """Return where the gains go."""
+    if options.price:
+        return priced_file(options.name, options.regime, options.price)
+    return gain_file(options.name, options.regime)
 
 
 def _course(regime: str, world: str, episodes: int, seed: int) -> Course:
@@ -114,9 +128,14 @@ def _checked(options: Options) -> Budget:
 
 def _start(options: Options, tunable: Tunable) -> GainSet:
     """Return the gains that a search begins at."""
-    part = "gains" if options.resume else "start"
+    part, price = "gains" if options.resume else "start", options.price
     try:
-        start = load_gains(options.name, options.regime, tunable.names, part)
+        if price and not options.resume:
+            start = priced_gains(options.name, options.regime, before(options.name, options.regime, price))
+        elif price:
+            start = priced_gains(options.name, options.regime, price)
+        else:
+            start = load_gains(options.name, options.regime, tunable.names, part)
     except ValueError as error:
         raise UsageError(str(error)) from error
     if zero := [name for name, gain in start.items() if not gain > 0]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 from baselines.control import ekf_law
 from baselines.control.adaptive import AdaptiveGains, make_adaptive
@@ -27,11 +27,19 @@ class Tunable:
     factory: Factory  # the policy with these gains at every speed
     names: Sequence[str]  # of the gains
     world: str = "plain"  # that it is tuned in, one of `objective.WORLDS`
+    sweep: Mapping[str, float] = field(default_factory=dict)  # powers of a factor that make its commands calmer
 
 
 def _printed(gains: dict[str, float]) -> Backstepping:
     return Backstepping(Gains(**gains))
 
+
+LQI_SWEEP = dict.fromkeys(("surge_effort", "surge_rate", "yaw_effort", "yaw_rate"), 1.0)
+"""The weights of the commands of `lqi` follow the factor of a sweep."""
+EKF_SWEEP = dict.fromkeys(("k", "cu", "c", "cr"), -0.25)
+"""The law of `ekf` has no weights: all of its rates go down."""
+NMPC_SWEEP = dict.fromkeys(("surge", "yaw"), 1.0)
+"""The weights of the commands of `nmpc` follow the factor of a sweep."""
 
 TUNABLES: dict[str, Tunable] = {
     "backstepping-tuned": Tunable(_printed, LAW_GAINS),
@@ -39,14 +47,14 @@ TUNABLES: dict[str, Tunable] = {
     "integral": Tunable(make_integral, PRINTED_GAINS),
     "integral-normalised": Tunable(make_integral_normalised, NORMALISED_GAINS),
     "los-pid": Tunable(make_los_pid, PIDGains._fields),
-    "lqi": Tunable(make_lqi, LqiWeights._fields),
+    "lqi": Tunable(make_lqi, LqiWeights._fields, sweep=LQI_SWEEP),
     "current-observer": Tunable(make_current_observer, OBSERVER_GAINS),
     "ilos": Tunable(make_ilos, IlosGains._fields),
     "adaptive": Tunable(make_adaptive, AdaptiveGains._fields),
     "smc-dob": Tunable(make_smc_dob, SmcGains._fields),
-    "ekf": Tunable(make_ekf_law, EKF_GAINS),
+    "ekf": Tunable(make_ekf_law, EKF_GAINS, sweep=EKF_SWEEP),
     "ekf-adverse": Tunable(make_ekf_adverse, ekf_law.ADVERSE_GAINS, "adverse"),
-    "nmpc": Tunable(make_nmpc, NMPC_GAINS),
+    "nmpc": Tunable(make_nmpc, NMPC_GAINS, sweep=NMPC_SWEEP),
     "nmpc-adverse": Tunable(make_nmpc_adverse, nmpc.ADVERSE_GAINS, "adverse"),
 }
 """What can be tuned, by name: add an entry here."""
