@@ -25,6 +25,7 @@ FEWEST = 3  # segments of a log
 SHORTEST_SEGMENT = 20  # rows
 FIRST_SEGMENT = 15  # rows of the segments of a first, rough fit: in so short a time nothing can go far astray
 PIECES = 10  # segments of a log in which it is looked for what shows at all
+EVIDENCE = 30.0  # [variances of the noise] by which limits must explain the log better than none do
 FAINT = 8.0  # [standard deviations] effect below which nothing shows
 TRIED = 3  # rough starts that are fitted from, the best ones
 FINEST = 1.0  # largest product of an integration step and the hull's fastest rate
@@ -68,9 +69,12 @@ def begun(log: Log, over_ground: bool) -> tuple[Start, Array, set[str]]:
             held = _hidden(
                 Model(log, segment_starts(log, log.duration / PIECES), substeps, over_ground), values, scales
             )
-            own = np.array([j for j in free if PARAMETERS[j] not in held])
-            done, left = fit(model, values, own, bounds, scales, first_states(model), noise)
-            fits.append((float(np.sum(left.errors**2)), len(fits), rough, done, held))
+            for unlimited in (set(LIMITS), set[str]()):
+                own = np.array([j for j in free if PARAMETERS[j] not in held | unlimited])
+                begin = np.where(np.isin(PARAMETERS, list(unlimited)), bounds[1], values)
+                done, left = fit(model, begin, own, bounds, scales, first_states(model), noise)
+                price = 0.0 if unlimited else EVIDENCE
+                fits.append((float(np.sum(left.errors**2)) + price, len(fits), rough, done, held | unlimited))
         if fits:
             *_, rough, values, held = min(fits, key=lambda entry: entry[:2])
             return replace(rough, hull=values[: len(HULL)]), values, held

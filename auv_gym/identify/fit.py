@@ -159,9 +159,9 @@ class _Search:
         return float(np.mean(self.left.errors**2))
 
     def _inside(self) -> tuple[Array, Array]:
-        """Return the bounds, the limits a little below the largest commands: beyond these they have no effect."""
+        """Return the bounds, free limits a little below the largest commands: beyond these they have no effect."""
         low, high = self.bounds
-        below = np.array([0.999 if name in LIMITS else 1.0 for name in PARAMETERS])
+        below = np.array([0.999 if name in LIMITS and name in self.free else 1.0 for name in PARAMETERS])
         return low, high * below
 
     def _fitted(self, values: Array) -> tuple[Array, Left]:
@@ -226,7 +226,9 @@ class _Search:
             return replace(estimate, value=math.nan) if estimate.verdict == UNKNOWN else estimate
         if name in self.dropped:
             return self.dropped[name]
-        return Estimate(name, math.inf if name in LIMITS else math.nan, -math.inf, math.inf, UNKNOWN)
+        if name in LIMITS:
+            return Estimate(name, math.inf, float(self.peaks[LIMITS.index(name)]), math.inf, UNREACHED)
+        return Estimate(name, math.nan, -math.inf, math.inf, UNKNOWN)
 
     def _identified(self) -> Identified:
         errors = self.left.errors * self.noise

@@ -19,11 +19,11 @@ from auv_gym.identify.log import MEASURED, Array, unwrapped
 from auv_gym.identify.model import STATES, Model
 
 Indices = NDArray[np.int64]
-INNER = 12  # most steps to the best first states
+INNER = 5  # most steps to the best first states
 SETTLED = 1e-6  # [standard deviations] change of the predictions at which they are found
 BLOWN_UP = 1e60  # [standard deviations] error that nothing is learned from
-MOST = 60  # evaluations of a fit
-TOLERANCE = 1e-9  # relative change of the squared errors, or of the parameters, at which it ends
+MOST = 30  # evaluations of a fit
+TOLERANCE = 1e-7  # relative change of the squared errors, or of the parameters, at which it ends
 
 
 @dataclass(frozen=True)
