@@ -34,6 +34,7 @@ VEHICLES = {
 }
 """Whose logs are simulated."""
 FILE = "identify.json"
+BEGIN, END = "<!-- coverage -->", "<!-- end of coverage -->"  # around the tables in the page
 NEAR = 0.05  # share of the true value within which a fitted one is near
 
 
@@ -96,6 +97,14 @@ def table(record: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def section(name: str, record: Mapping[str, Any]) -> str:
+    """Return what the page says about the logs of a vehicle."""
+    says = (
+        f"**{name[0].upper()}{name[1:]}**, {record['logs']} logs, {record['processor_s']:.1f} s of processor time each:"
+    )
+    return f"{says}\n\n{table(record)}"
+
+
 def main(arguments: Sequence[str]) -> int:
     """Count as the arguments say and return the exit status.
 
@@ -108,8 +117,7 @@ def main(arguments: Sequence[str]) -> int:
     records = {}
     for name in VEHICLES:
         records[name] = counted(name, options.logs)
-        print(f"{name}, {options.logs} logs, {records[name]['processor_s']:.2f} s of processor time each\n")
-        print(table(records[name]), flush=True)
+        print(section(name, records[name]), flush=True)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(options.out, json_text(records))
     return DONE
