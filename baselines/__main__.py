@@ -41,6 +41,7 @@ VERBS = {
     "datasets": Verb("baselines.datasets", "data,eval"),
     "export": Verb("baselines.export.command", "export"),
     "live": Verb("baselines.live.command", "eval"),
+    "identify": Verb("baselines.identification.command", "eval"),
     "bench": Verb("baselines.benchmarks.command", "train"),
 }
 """The commands by name; a new one is a line here."""

@@ -1,0 +1,138 @@
+"""Where the fit begins: the equations of motion, linear in the parameters, by least squares on smoothed speeds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+from typing import Any
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.signal import savgol_filter
+
+from auv_gym.actuators import Response, respond
+from auv_gym.codegen.derivatives import jacobian
+from auv_gym.codegen.graph import SYMBOLS
+from auv_gym.codegen.kernel import Kernel
+from auv_gym.dynamics import rates
+from auv_gym.identify.log import Array, Log
+from auv_gym.identify.model import HULL
+from auv_gym.namespaces import ARRAYS
+from auv_gym.vehicle import Coefficients
+
+LAGS = (0.0, 1.0, 3.0, 8.0, 20.0)  # candidates of the lag, in time steps
+SHARES = (1.0, 0.8, 0.6, 0.4)  # candidates of a limit, as shares of the largest command
+WINDOWS = (5, 11, 21, 41)  # rows that a speed is smoothed over: which are right depends on vehicle and noise
+SIMPLER = 0.03
+"""By how much the logarithm of what is left must fall before a lag or a limit is believed."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """Rough values from equations that hold at each instant."""
+
+    hull: Array  # of `HULL`, what is optional 0, shape (H,)
+    lag: float  # [s]
+    limits: Array  # [N], [N m], shape (2,)
+    shares: Array  # force that a unit of each hull parameter makes, as a share of all forces, shape (H,)
+
+
+@cache
+def _equations() -> Kernel:
+    """Return the kernel of how the forces that do not balance depend on each parameter: the equations are linear."""
+
+    def equation(motion: Any, hull: Any) -> Mapping[str, Sequence[Any]]:
+        u, v, r, a_u, a_v, a_r, X, N = motion
+        _, _, *found = rates(0.0, u, v, r, (X, 0.0, N), Coefficients(*hull), SYMBOLS)
+        left = [m * (a - b) for m, a, b in zip(hull[:3], (a_u, a_v, a_r), found, strict=True)]
+        return {"terms": [entry for row in jacobian(left, hull) for entry in row]}
+
+    return Kernel.traced(equation, {"motion": 8, "hull": len(HULL)}, shared=["hull"])
+
+
+def start(log: Log, needed: Sequence[str], window: int) -> Start:
+    """Return rough values for a log: what is `needed` of the hull, and the likeliest lag and limits.
+
+    Args:
+        log: what was measured and commanded.
+        needed: names of the hull's parameters that are not taken as 0.
+        window: rows that speeds are smoothed over.
+    """
+    speeds, accelerations = _smoothed(log, window)
+    motion = np.concatenate((speeds, accelerations, np.zeros((2, len(log.t)))))
+    terms = _equations()(motion=motion, hull=np.ones(len(HULL)))["terms"].reshape(3, len(HULL), -1)
+    columns = [HULL.index(name) for name in needed]
+    best: tuple[float, Array, float, Array] | None = None
+    peaks = np.abs(log.commands).max(axis=0)
+    for lag, *shares in product(LAGS, SHARES, SHARES):
+        if any(share < 1 and peak == 0 for share, peak in zip(shares, peaks, strict=True)):
+            continue
+        limits = np.where(peaks > 0, peaks * shares, math.inf)
+        force = forces(log, lag * log.dt, limits)
+        load = np.stack((force[0], np.zeros_like(force[0]), force[1]))
+        left, values = _solved(terms[:, columns], load)
+        if best is None or left < best[0] - SIMPLER:
+            best = left, values, lag * log.dt, limits
+    assert best is not None
+    hull = np.zeros(len(HULL))
+    hull[columns] = best[1]
+    _fill(hull, log)
+    return Start(hull, best[2], best[3], _shares(terms, hull))
+
+
+def forces(log: Log, lag: float, limits: Array) -> Array:
+    """Return the mean force [N] and moment [N m] of the actuators from each row to the next, shape (2, T)."""
+    response = Response.of(lag, math.inf, math.inf, log.dt)
+    commands = np.clip(log.commands, -limits, limits)
+    force = tuple(commands[0])
+    acting = np.empty((2, len(log.t)))
+    if lag == 0:
+        return commands.T
+    for k, command in enumerate(commands.tolist()):
+        acting[:, k], force = respond(force, tuple(command), response, ARRAYS)
+    return acting
+
+
+def _smoothed(log: Log, window: int) -> tuple[Array, Array]:
+    """Return u, v, r and their rates, each of shape (3, T), by local polynomials."""
+    even = np.linspace(log.t[0], log.t[-1], len(log.t))
+    rows = np.stack([np.interp(even, log.t, column) for column in log.measured[:, 3:].T])
+    spacing = float(even[1] - even[0])
+    speeds = savgol_filter(rows, window, 2)
+    accelerations = savgol_filter(rows, window, 2, deriv=1, delta=spacing)
+    return speeds, accelerations
+
+
+def _solved(terms: Array, load: Array) -> tuple[float, Array]:
+    """Return the logarithm of what is left of the equations, and the parameters that leave it; none is negative.
+
+    Nothing pushes sideways: forces there count as those ahead do. Counted by what is left of them, they would be
+    explained best by a vehicle without mass.
+    """
+    ahead, _, turning = np.sqrt(np.mean(load**2, axis=1)).tolist()
+    scales = np.array((ahead or turning, ahead or turning, turning or ahead))  # one of them is not 0
+    matrix = (terms / scales[:, None, None]).transpose(0, 2, 1).reshape(-1, terms.shape[1])
+    norms = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
+    values, left = nnls(matrix / norms, (load / scales[:, None]).ravel())
+    return math.log(max(left, 1e-300)), values / norms
+
+
+def _fill(hull: Array, log: Log) -> None:
+    """Give masses and linear drags that the equations have left at 0 a value of a likely order, in place."""
+    masses, drags = hull[:3], hull[3:6]
+    speed = max(float(np.abs(log.measured[:, 3]).max()), 1e-6)
+    length = max(speed * log.duration / 20, 1e-6)
+    masses[0] = masses[0] or drags[0] * log.duration / 10 or float(np.abs(log.commands).max()) * log.duration / speed
+    masses[1] = masses[1] or 1.5 * masses[0]
+    masses[2] = masses[2] or masses[0] * min(length, 1.0) ** 2
+    np.copyto(drags, masses / log.duration, where=drags <= 0)
+
+
+def _shares(terms: Array, hull: Array) -> Array:
+    """Return the force of a unit of each parameter as a share of all forces, in the equation where that is largest."""
+    sizes = np.sqrt(np.mean(terms**2, axis=2))  # (3, H)
+    total = np.maximum((sizes * np.abs(hull)).sum(axis=1), 1e-300)
+    return np.asarray((sizes / total[:, None]).max(axis=0))

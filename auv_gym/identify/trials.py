@@ -1,0 +1,126 @@
+"""Manoeuvres that show what a vehicle is: surge steps, zig-zag and turning circle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from auv_gym.actuators import Actuators, Response, respond
+from auv_gym.dynamics import STILL_WATER, Current, Force, State, rk4_step
+from auv_gym.errors import to_body
+from auv_gym.identify.log import Log
+from auv_gym.namespaces import FLOATS
+from auv_gym.sensors import Sensors
+from auv_gym.vehicle import Vehicle
+
+SEGMENTS = (
+    # end [s], share of the surge limit, share of the yaw limit, heading at which a zig-zag turns back [rad]
+    (1.0, 0.00, 0.00, 0.0),  # at rest: what acts when the log begins must be known
+    (6.0, 0.15, 0.00, 0.0),  # surge step
+    (24.0, 0.15, 0.15, math.radians(20)),  # zig-zag 20/20
+    (36.0, 0.20, 0.15, 0.0),  # turning circle
+    (39.0, 1.25, 0.05, math.radians(10)),  # all that the thruster has, in a narrow zig-zag
+    (42.0, 0.00, -1.25, 0.0),  # all that the rudder has
+    (53.0, 0.30, 0.40, math.radians(30)),  # zig-zag 30/30, faster
+    (60.0, -0.15, 0.10, math.radians(20)),  # astern
+)
+"""The trial of a minute. A zig-zag turns the rudder over whenever the heading has gone so far to that side."""
+
+CURRENT: Current = (0.12, -0.08)  # [m/s] of an example
+FINER = 5  # steps of the simulated vehicle in a row of the log: more than the fit takes
+
+Plant = Callable[[State, Force, float], State]
+"""Returns the state one time step later: `plant(state, command, dt)`; what it remembers is its own."""
+
+
+@dataclass
+class Trial:
+    """Commands of the trial, one after the other; a zig-zag looks at the heading.
+
+    Args:
+        F_u_max: limit of the surge force [N].
+        F_r_max: limit of the yaw moment [N m].
+        duration: of the whole trial [s]; its parts are longer or shorter together.
+    """
+
+    F_u_max: float = 400.0
+    F_r_max: float = 200.0
+    duration: float = 60.0
+    _part: int = field(default=0, init=False)
+    _about: float = field(default=0.0, init=False)  # [rad] heading at which the part has begun
+    _side: float = field(default=1.0, init=False)
+
+    def command(self, t: float, psi: float) -> Force:
+        """Return F_u [N] and F_r [N m] at a time [s] and heading [rad]; times must not decrease."""
+        part = next((i for i, s in enumerate(SEGMENTS) if t < s[0] * self.duration / 60), len(SEGMENTS) - 1)
+        if part != self._part:
+            self._part, self._about, self._side = part, psi, 1.0
+        _, surge, yaw, band = SEGMENTS[part]
+        if band and self._side * (psi - self._about) > band:
+            self._side = -self._side
+        return surge * self.F_u_max, self._side * yaw * self.F_r_max
+
+
+class Simulated:
+    """A vehicle of the simulator with its actuators, as a `Plant`."""
+
+    def __init__(self, vehicle: Vehicle, actuators: Actuators, current: Current = STILL_WATER) -> None:
+        if isinstance(actuators.lag, tuple):
+            raise ValueError(f"actuators lag is {actuators.lag!r}; a simulated trial needs a number")
+        self._vehicle, self._actuators, self._current = vehicle, actuators, current
+        self._lag = float(actuators.lag)
+        self._force: Force = (0.0, 0.0)
+
+    def __call__(self, state: State, command: Force, dt: float) -> State:
+        """Return x, y, psi, u, v relative to the water, r after dt [s] of a command [N], [N m]."""
+        act, h = self._actuators, dt / FINER
+        limited = tuple(
+            FLOATS.clip(F, -most, most) for F, most in zip(command, (act.F_u_max, act.F_r_max), strict=True)
+        )
+        response = Response.of(self._lag, act.F_u_rate, act.F_r_rate, h)
+        for _ in range(FINER):
+            acting, self._force = respond(self._force, (limited[0], limited[1]), response, FLOATS)
+            load = (acting[0], 0.0, acting[1])
+            state = rk4_step(state, load, self._vehicle.coefficients, h, self._current)
+        return state
+
+
+def recorded(
+    plant: Plant,
+    trial: Trial,
+    sensors: Sensors,
+    rng: np.random.Generator,
+    current: Current = STILL_WATER,
+    dt: float = 0.1,
+) -> Log:
+    """Return the log of a trial, which begins at rest in the water.
+
+    Args:
+        plant: what is steered.
+        trial: the commands, which see the measured heading.
+        sensors: the noise of the measurements; the rest of them is left out.
+        rng: draws it.
+        current: that the plant is in [m/s], which speeds over ground contain.
+        dt: time [s] between rows.
+    """
+    t = np.linspace(0.0, trial.duration, round(trial.duration / dt) + 1)
+    noise = rng.standard_normal((len(t), 6)) * np.array(sensors.noise)
+    state: State = (0.0,) * 6
+    measured, commands = np.empty((len(t), 6)), np.empty((len(t), 2))
+    for k, time in enumerate(t.tolist()):
+        x, y, psi, u, v, r = state
+        V_u, V_v = to_body(*current, math.cos(psi), math.sin(psi))
+        measured[k] = np.array((x, y, psi, u + V_u, v + V_v, r)) + noise[k]
+        commands[k] = command = trial.command(time, float(measured[k, 2]))
+        state = plant(state, command, dt)
+    return Log(t, measured, commands)
+
+
+def example(vehicle: Vehicle, actuators: Actuators, sensors: Sensors, seed: int, current: Current = CURRENT) -> Log:
+    """Return the log of a minute's trial of a simulated vehicle with noise, in a current [m/s]."""
+    trial = Trial(actuators.F_u_max, actuators.F_r_max)
+    plant = Simulated(vehicle, actuators, current)
+    return recorded(plant, trial, sensors, np.random.default_rng(seed), current)

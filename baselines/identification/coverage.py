@@ -1,0 +1,133 @@
+"""Count how often the intervals of an identification hold what is true: `python -m baselines.identification.coverage`.
+
+Logs of a minute are simulated with noise, each with another, and a vehicle is fitted to each. docs/identify.md shows
+the counts.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from auv_gym.identify import identify
+from auv_gym.identify.model import CURRENT as V
+from auv_gym.identify.model import HULL, LIMITS, PARAMETERS
+from auv_gym.identify.trials import CURRENT, example
+from auv_gym.installation import checkout
+from auv_gym.presets import PRESETS
+from auv_gym.vehicle import PAPER_VEHICLE
+from baselines.identification.command import EXAMPLE, EXAMPLE_LAG
+from baselines.tools.command_line import DONE, UsageError, parse, run
+from baselines.tools.files import json_text, write_atomically
+
+PROGRAM = "python -m baselines.identification.coverage"
+VEHICLES = {
+    "the paper's vehicle": PAPER_VEHICLE,
+    "with quadratic drag": replace(PAPER_VEHICLE, X_uu=20.0, Y_vv=60.0, N_rr=25.0),
+}
+"""Whose logs are simulated."""
+FILE = "identify.json"
+BEGIN, END = "<!-- coverage -->", "<!-- end of coverage -->"  # around the tables in the page
+NEAR = 0.05  # share of the true value within which a fitted one is near
+
+
+@dataclass(frozen=True)
+class Options:
+    """Count how often the intervals of an identification hold what is true.
+
+    Exit status: 0 done, 2 wrong usage.
+    """
+
+    logs: int = 100
+    """Logs of each vehicle."""
+    out: Path = Path("docs" if checkout() else "runs") / FILE
+    """File for the counts."""
+
+
+def counted(name: str, logs: int) -> dict[str, Any]:
+    """Return what so many identifications of a vehicle come to: counts, errors and processor time."""
+    vehicle, sensors = VEHICLES[name], PRESETS["cruise-noise"].sensors
+    truth = dict(zip(HULL, vehicle.coefficients, strict=True)) | dict(zip(V, CURRENT, strict=True))
+    truth |= dict(zip(LIMITS, (EXAMPLE.F_u_max, EXAMPLE.F_r_max), strict=True)) | {"lag": EXAMPLE_LAG}
+    held, near = dict.fromkeys(PARAMETERS, 0), dict.fromkeys(PARAMETERS, 0)
+    errors: dict[str, list[float]] = {n: [] for n in PARAMETERS}
+    begin = time.process_time()
+    for seed in range(logs):
+        for e in identify(example(vehicle, EXAMPLE, sensors, seed)).estimates:
+            inside, error = e.low <= truth[e.name] <= e.high, abs(e.value - truth[e.name])
+            held[e.name] += inside
+            near[e.name] += inside or error <= NEAR * abs(truth[e.name])
+            errors[e.name].append(error / (abs(truth[e.name]) or 1.0))
+    seconds = (time.process_time() - begin) / logs
+    rows = {
+        n: {
+            "true": truth[n],
+            "held": held[n],
+            "near": near[n],
+            "median": float(np.median(errors[n])),
+            "worst": max(errors[n]),
+        }
+        for n in PARAMETERS
+    }
+    return {"logs": logs, "processor_s": seconds, "parameters": rows}
+
+
+def table(record: Mapping[str, Any]) -> str:
+    """Return the counts of a vehicle as a table in Markdown; errors of what is truly 0 are in SI units."""
+    logs = record["logs"]
+    lines = [
+        f"| parameter | true | in the 95 % interval | in it or within 5 % | median error | worst of {logs} |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, row in record["parameters"].items():
+        size = "{:.2g}" if row["true"] == 0 else "{:.2%}"
+        median, worst = (size.format(row[key]).replace("%", " %") for key in ("median", "worst"))
+        lines.append(f"| {name} | {row['true']:g} | {row['held']} | {row['near']} | {median} | {worst} |")
+    held = sum(row["held"] for row in record["parameters"].values())
+    of = logs * len(record["parameters"])
+    near = sum(row["near"] for row in record["parameters"].values())
+    lines.append(f"| all | | {held / of:.1%} | {near / of:.1%} | | |".replace("%", " %"))
+    return "\n".join(lines) + "\n"
+
+
+def section(name: str, record: Mapping[str, Any]) -> str:
+    """Return what the page says about the logs of a vehicle."""
+    says = (
+        f"**{name[0].upper()}{name[1:]}**, {record['logs']} logs, {record['processor_s']:.1f} s of processor time each:"
+    )
+    return f"{says}\n\n{table(record)}"
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Count as the arguments say and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    if options.logs < 1:
+        raise UsageError(f"--logs is {options.logs}; it must be 1 or more")
+    records = {}
+    for name in VEHICLES:
+        records[name] = counted(name, options.logs)
+        print(section(name, records[name]), flush=True)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(options.out, json_text(records))
+    return DONE
+
+
+def load(file: Path) -> dict[str, Any]:
+    """Return what `main` has written."""
+    record: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return record
+
+
+if __name__ == "__main__":
+    sys.exit(run(main, PROGRAM))

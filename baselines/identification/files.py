@@ -1,0 +1,90 @@
+"""An identified vehicle as files: its parameters, and a scenario that evaluations and trainings take."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import re
+from functools import cache
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from auv_gym.actuators import Actuators
+from auv_gym.identify import Estimate, Identified
+from auv_gym.identify.fit import UNKNOWN
+from auv_gym.identify.model import CURRENT, HULL, LIMITS
+from auv_gym.scenario import RandomPath, Scenario
+from auv_gym.sensors import Sensors
+from auv_gym.stiffness import MAX_STIFFNESS, fastest_rate
+from auv_gym.vehicle import Vehicle
+
+TURN = 0.3  # turn rate of a scenario's paths, as a share of the log's root mean square
+
+
+@cache
+def meanings() -> dict[str, tuple[str, str]]:
+    """Return unit and meaning of each parameter that is fitted; those of the hull stand beside its fields."""
+    found = {
+        m[1]: (m[2], m[3])
+        for m in re.finditer(r"^    (\w+): float.*?# \[(.*?)\] (.*)$", inspect.getsource(Vehicle), re.MULTILINE)
+    }
+    found |= {name: ("N" if name == "F_u_max" else "N m", "limit of the actuator") for name in LIMITS}
+    found |= dict.fromkeys(CURRENT, ("m/s", "current while the log was taken"))
+    return found | {"lag": ("s", "time constant of both actuators")}
+
+
+def number(value: float) -> str:
+    """Return a number with five digits."""
+    return f"{value:.5g}" if math.isfinite(value) else "-"
+
+
+def interval(estimate: Estimate) -> str:
+    """Return an interval, with words for an end that is open."""
+    if estimate.verdict == UNKNOWN:
+        return "-"
+    if math.isinf(estimate.high):
+        return f"above {number(estimate.low)}"
+    return f"{number(estimate.low)} ... {number(estimate.high)}"
+
+
+def vehicle_text(found: Identified, vehicle: Vehicle) -> str:
+    """Return vehicle.toml: the parameters of `auv_gym.Vehicle`, intervals as comments."""
+    lines = ["# 95 % intervals stand behind the values."]
+    for name in HULL:
+        estimate, value = found[name], getattr(vehicle, name)
+        unit = meanings()[name][0]
+        known = "not from the log" if estimate.verdict == UNKNOWN else interval(estimate)
+        if value or estimate.verdict != UNKNOWN:
+            lines.append(f"{name} = {float(f'{value:.6g}')!r}  # [{unit}] {known}")
+    return "\n".join(lines) + "\n"
+
+
+def scenario(found: Identified, vehicle: Vehicle) -> Scenario:
+    """Return a scenario with the vehicle, its actuators and its sensors, at speeds and turns like those of the log.
+
+    Raises:
+        ValueError: a limit or a speed is outside of what scenarios have.
+    """
+    log = found.model.log
+    peaks = np.abs(log.commands).max(axis=0)
+    limits = [float(min(found[name].value, peak)) for name, peak in zip(LIMITS, peaks, strict=True)]
+    speed = float(np.abs(log.measured[:, 3]).mean())
+    turn = TURN * float(np.sqrt(np.mean(log.measured[:, 5] ** 2)))
+    x, y, psi, u, v, r = found.noise.tolist()
+    parts: dict[str, Any] = {
+        "name": "identified",
+        "path": RandomPath(speed=(0.5 * speed, speed), turn_rate=turn),
+        "vehicle": vehicle,
+        "actuators": Actuators(limits[0], limits[1], lag=found["lag"].value),
+        "sensors": Sensors(max(x, y), psi, max(u, v), r),
+        "steps": 600,
+    }
+    rate = float(fastest_rate(vehicle.coefficients, (limits[0], 0.0, limits[1])))
+    return Scenario(**parts, substeps=max(1, math.ceil(Scenario.control_dt * rate / MAX_STIFFNESS)))
+
+
+def scenario_text(found: Identified, vehicle: Vehicle) -> str:
+    """Return scenario.toml; raises as `scenario`."""
+    return tomli_w.dumps(scenario(found, vehicle).to_dict())
