@@ -58,9 +58,8 @@ def call(monkeypatch, tmp_path):
     """Run the script in-process in an empty folder and return its exit status."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("baselines.training.validation.EPISODES", 4)
-    for name in (f"{part}.{what}" for part in ("apg.trainer", "rma.trainer") for what in ("VALIDATIONS", "LOGS")):
+    for name in ("sb3.tracker.VALIDATIONS", "apg.trainer.LOGS", "rma.trainer.LOGS"):
         monkeypatch.setattr(f"baselines.training.{name}", 5)
-    monkeypatch.setattr("baselines.training.sb3.tracker.VALIDATIONS", 5)
     SMALL.save("small.toml")
     for algo, values in TINY.items():
         Path(f"{algo}.yml").write_text(yaml.safe_dump({ENV_ID: {"n_envs": 8, **values}}), encoding="utf-8")

@@ -110,7 +110,7 @@ SHIPPED: Mapping[str, Options] = {
     },
     "ppo-lstm-cruise": training("ppo_lstm", weighted("cruise", **SPINS), PPO_AUTHORITY["cruise"], None, 1_000_000),
     "ppo-lstm-slow": training("ppo_lstm", weighted("slow", **SPINS), PPO_AUTHORITY["slow"], None, 1_500_000),
-    "rma-cruise": training("rma", "cruise", timesteps=3_200_000),
+    "rma-cruise": training("rma", "cruise"),
     "rma-slow": training("rma", "slow", SLOW_AUTHORITY, changes=SLOW),
     "sac-cruise": training("sac", "cruise"),
     "sac-slow": training("sac", "slow", (0.6, 1.0)),

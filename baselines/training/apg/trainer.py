@@ -67,7 +67,7 @@ class Settings:
     validations: int = VALIDATIONS  # how often in the run the agent is validated, and a checkpoint kept
 
     def __post_init__(self) -> None:
-        for name, high in (("n_envs", 2**16), ("n_steps", 10**4), ("validations", LOGS)):
+        for name, high in (("n_envs", 2**16), ("n_steps", 10**4), ("validations", 1000)):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= high:
                 raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")

@@ -37,7 +37,7 @@ from baselines.training.config import Config
 from baselines.training.rma.extrinsics import extrinsics
 from baselines.training.rma.passes import Student, StudentPass, TeacherPass
 from baselines.training.rma.torch_networks import Filters, Teacher
-from baselines.training.run_folder import VALIDATIONS, Run, TrainingError
+from baselines.training.run_folder import Run, TrainingError
 from baselines.training.validation import PRECISION
 
 
@@ -168,9 +168,9 @@ class Trainer:
         """Run one window, learn from it, and log, validate and save where it is time to."""
         learned = self._teach() if self.updates < self.lessons else self._adapt()
         self.updates += 1
-        if self._due(LOGS) or self._due(VALIDATIONS):
+        if self._due(LOGS) or self._due(self.settings.gradient.validations):
             self.run.log(self.timesteps, **learned)
-        if self._due(VALIDATIONS):
+        if self._due(self.settings.gradient.validations):
             self.validate()
 
     def _due(self, times: int) -> bool:
