@@ -111,7 +111,9 @@ class _Draws:
         return Estimate(math.exp(middle), (low, high), p)
 
     def _sums(self, values: Array | NDArray[np.bool_]) -> Array:
-        parts = np.split(values, np.cumsum([w.shape[1] for w in self._weights])[:-1], axis=1)
+        parts = np.split(
+            np.asarray(values, dtype=np.float64), np.cumsum([w.shape[1] for w in self._weights])[:-1], axis=1
+        )
         return np.asarray(sum(w @ part.T for w, part in zip(self._weights, parts, strict=True)))
 
 
