@@ -118,7 +118,8 @@ def save(name: str, study: Study, folder: Path = FOLDER) -> None:
 
 def packed(suite: str, found: InSuite) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Return what agents do in a suite as plain JSON and arrays by name, see `unpacked`."""
-    entry, arrays = asdict(found), {}
+    entry = asdict(found)
+    arrays: dict[str, NDArray[Any]] = {}
     for key in ("tails", "lost"):
         kind = np.float32 if key == "tails" else np.bool_
         arrays[f"{suite}/{key}"] = np.concatenate(entry.pop(key), axis=1).astype(kind)

@@ -132,8 +132,9 @@ eight times as large (for `ekf`, which has none, all rates of the law by the fou
 tuned anew for the error times the command's rate to the power of a price ([Controllers](controllers.md#at-a-price)).
 
 An agent *leads at equal effort* where its mean tail is smaller than that of every point of the opponent's front that
-spends at least as much of both effort and rate: nobody can say then that it bought its lead. The points that spend less
-of either are told beside; where an agent leads those too, no point of the front is level with it. The smallest lead of
+spends at least as much of both effort and rate: nobody can say then that it bought its lead. But a point that spends
+more need not be a better one: with half the weights a controller may chatter. So the points that spend less of either
+are told beside; only where an agent leads those too is no point of the front level with it. The smallest lead of
 each kind, in millimetres over the same episodes, has a 95 % interval over episodes and training seeds;
 counted as led are points whose lead holds after Holm's correction over all pairs of the table.
 

@@ -88,7 +88,7 @@ class _Draws:
         self._weights = resamplings(tuple(map(len, rival)))
         self._shares = seed_shares(len(self.own))
 
-    def mean(self, values: Array) -> Array:
+    def mean(self, values: Array | NDArray[np.bool_]) -> Array:
         """Return the sums over episodes of values, shape (S, M), their mean over seeds, for each sample."""
         return np.asarray((self._sums(values) * self._shares).sum(axis=1))
 
@@ -110,8 +110,10 @@ class _Draws:
         p = _estimate(self.mean(values < 0) / self.episodes - 0.5).p
         return Estimate(math.exp(middle), (low, high), p)
 
-    def _sums(self, values: Array) -> Array:
-        parts = np.split(values, np.cumsum([w.shape[1] for w in self._weights])[:-1], axis=1)
+    def _sums(self, values: Array | NDArray[np.bool_]) -> Array:
+        parts = np.split(
+            np.asarray(values, dtype=np.float64), np.cumsum([w.shape[1] for w in self._weights])[:-1], axis=1
+        )
         return np.asarray(sum(w @ part.T for w, part in zip(self._weights, parts, strict=True)))
 
 
