@@ -24,7 +24,7 @@ from auv_gym.intervals import check_number
 from auv_gym.vehicle import PAPER_VEHICLE
 from baselines.agents.agent import Agent
 from baselines.agents.networks import LARGEST, Rma
-from baselines.training.apg.closed_loop import ClosedLoop, Loss, law_of
+from baselines.training.apg.closed_loop import ClosedLoop, law_of
 from baselines.training.apg.fleet import Fleet
 from baselines.training.apg.kernels import LoopKernels
 from baselines.training.apg.passes import Tape
@@ -126,7 +126,8 @@ class Trainer:
         self.fleet = Fleet(config.lanes(gradient.n_envs), config.episode_seed, gradient.n_steps, gradient.preview)
         self.updates, self.skipped, self.score = 0, 0, -math.inf
         self.best = self.weights
-        self.carried = self.fleet.reset(0)
+        self.carried = self.fleet.reset(0, gradient.inputs.memory)
+        self._loss, self._shares = gradient.loss([scenario.name for scenario in config.lanes(gradient.n_envs)])
         if (state := run.load_checkpoint()) is not None:
             self._restore(state)
 
@@ -189,7 +190,9 @@ class Trainer:
             samples,
             self.fleet.constants,
             self.run.config.authority,
-            Loss(self.settings.gradient.effort_weight, self.settings.gradient.rate_weight),
+            self._loss,
+            shares=self._shares,
+            cut=self.settings.gradient.cut,
             back=back,
         )
         self.carried = self.fleet.renew(carried, squared_error)
