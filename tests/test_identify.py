@@ -19,9 +19,9 @@ from auv_gym.identify.log import COLUMNS
 from auv_gym.identify.model import HULL, PARAMETERS, Model
 from auv_gym.identify.trials import CURRENT, Trial, example, recorded
 from auv_gym.identify.uncertainty import covariance
-from auv_gym.scenario import Scenario, tomllib
+from auv_gym.scenario import Scenario, as_vehicle
 from auv_gym.sensors import Sensors
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.vehicle import PAPER_VEHICLE
 from baselines.identification import coverage
 from baselines.identification.command import PROGRAM, main
 from baselines.tools.command_line import run
@@ -244,7 +244,7 @@ def test_the_command_writes_a_vehicle_that_scenarios_take(tmp_path, monkeypatch,
     assert run(main, PROGRAM, ["log.csv", "--terms", "X_uu", "--out", "out"]) == 0
     printed = capsys.readouterr().out
     assert "m11" in printed
-    vehicle = Vehicle(**tomllib.loads(Path("out/vehicle.toml").read_text(encoding="utf-8")))
+    vehicle = as_vehicle("out/vehicle.toml")
     assert vehicle.m11 == pytest.approx(215, rel=0.05)
     scenario = Scenario.load("out/scenario.toml")
     assert scenario.vehicle.m22 == pytest.approx(vehicle.m22, rel=1e-5)

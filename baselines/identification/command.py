@@ -51,7 +51,7 @@ class Options:
     segment: float = 0.0
     """Length [s] of the pieces that are predicted from a first state. Default: by the vehicle's time constants."""
     like: Annotated[str | None, arg(metavar="VEHICLE", help_behavior_hint="")] = None
-    """A vehicle by name, to take what the log does not show from."""
+    """A vehicle by name or file, to take what the log does not show from."""
     out: Path = Path("runs/identify")
     """Folder for the results."""
 
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str]) -> int:
     for name, content in report(found, options.log.name, says).items():
         write_atomically(options.out / name, content)
     if vehicle is not None:
-        write_atomically(options.out / "vehicle.toml", vehicle_text(found, vehicle))
+        write_atomically(options.out / "vehicle.toml", vehicle_text(found, vehicle, options.log.name))
         says = _written_scenario(found, vehicle, options.out / "scenario.toml") or says
     print(f"written: {options.out / 'report.md'}{'' if vehicle is None else ' and vehicle.toml beside it'}")
     if says:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 import math
 import re
 from functools import cache
@@ -49,16 +50,47 @@ def interval(estimate: Estimate) -> str:
     return f"{number(estimate.low)} ... {number(estimate.high)}"
 
 
-def vehicle_text(found: Identified, vehicle: Vehicle) -> str:
-    """Return vehicle.toml: the parameters of `auv_gym.Vehicle`, intervals as comments."""
-    lines = ["# 95 % intervals stand behind the values."]
+def vehicle_text(found: Identified, vehicle: Vehicle, log: str) -> str:
+    """Return vehicle.toml, a file of `auv_gym.fleet.Craft`, with intervals as comments.
+
+    Args:
+        found: the fit.
+        vehicle: its hull.
+        log: name of the log.
+    """
+    missing = ", ".join(found.unknown) or "nothing"
+    lines = [
+        'name = "identified"',
+        f"about = {json.dumps(f'a vehicle fitted to the log {log}')}",
+        'source = "python -m auv_gym.identify; 95 % intervals stand behind the values"',
+        f"left_out = {json.dumps(f'rate limits, delay; not from the log: {missing}')}",
+        'ours = "the speed, the mean of the log"',
+        f"speed = {ahead(found):.6g}  # [m/s]",
+    ]
+    if found["lag"].value > 0:
+        lines.append(f"lag = {found['lag'].value:.6g}  # [s] {interval(found['lag'])}")
+    lines.append("\n[vehicle]")
     for name in HULL:
         estimate, value = found[name], getattr(vehicle, name)
-        unit = meanings()[name][0]
         known = "not from the log" if estimate.verdict == UNKNOWN else interval(estimate)
         if value or estimate.verdict != UNKNOWN:
-            lines.append(f"{name} = {float(f'{value:.6g}')!r}  # [{unit}] {known}")
+            lines.append(f"{name} = {float(f'{value:.6g}')!r}  # [{meanings()[name][0]}] {known}")
+    lines.append("\n[actuators]")
+    for name, limit in zip(LIMITS, limits(found), strict=True):
+        lines.append(f"{name} = {limit:.6g}  # [{meanings()[name][0]}] {interval(found[name])}")
     return "\n".join(lines) + "\n"
+
+
+def limits(found: Identified) -> tuple[float, float]:
+    """Return the limits [N], [N m] that were found, or the largest commands where none was reached."""
+    peaks = np.abs(found.model.log.commands).max(axis=0).tolist()
+    F_u, F_r = (min(found[name].value, peak) for name, peak in zip(LIMITS, peaks, strict=True))
+    return F_u or F_r, F_r or F_u  # what was never commanded has no limit to know
+
+
+def ahead(found: Identified) -> float:
+    """Return the mean surge speed [m/s] of the log."""
+    return float(np.abs(found.model.log.measured[:, 3]).mean())
 
 
 def scenario(found: Identified, vehicle: Vehicle) -> Scenario:
@@ -68,20 +100,19 @@ def scenario(found: Identified, vehicle: Vehicle) -> Scenario:
         ValueError: a limit or a speed is outside of what scenarios have.
     """
     log = found.model.log
-    peaks = np.abs(log.commands).max(axis=0)
-    limits = [float(min(found[name].value, peak)) for name, peak in zip(LIMITS, peaks, strict=True)]
-    speed = float(np.abs(log.measured[:, 3]).mean())
+    F_u_max, F_r_max = limits(found)
+    speed = ahead(found)
     turn = TURN * float(np.sqrt(np.mean(log.measured[:, 5] ** 2)))
     x, y, psi, u, v, r = found.noise.tolist()
     parts: dict[str, Any] = {
         "name": "identified",
         "path": RandomPath(speed=(0.5 * speed, speed), turn_rate=turn),
         "vehicle": vehicle,
-        "actuators": Actuators(limits[0], limits[1], lag=found["lag"].value),
+        "actuators": Actuators(F_u_max, F_r_max, lag=found["lag"].value),
         "sensors": Sensors(max(x, y), psi, max(u, v), r),
         "steps": 600,
     }
-    rate = float(fastest_rate(vehicle.coefficients, (limits[0], 0.0, limits[1])))
+    rate = float(fastest_rate(vehicle.coefficients, (F_u_max, 0.0, F_r_max)))
     return Scenario(**parts, substeps=max(1, math.ceil(Scenario.control_dt * rate / MAX_STIFFNESS)))
 
 
