@@ -22,7 +22,7 @@ from auv_gym.identify.uncertainty import covariance
 from auv_gym.scenario import Scenario, as_vehicle
 from auv_gym.sensors import Sensors
 from auv_gym.vehicle import PAPER_VEHICLE
-from baselines.identification import coverage
+from baselines.identification import command, coverage
 from baselines.identification.command import PROGRAM, main
 from baselines.tools.command_line import run
 
@@ -88,6 +88,11 @@ def straight():
     return Log(t, np.array(rows), commands)
 
 
+@pytest.fixture(scope="module")
+def ahead(straight):
+    return identify(straight)
+
+
 def test_a_minute_of_noise_shows_every_parameter_of_an_independent_plant(found):
     for e in found.estimates:
         near = abs(e.value - TRUE[e.name]) <= 0.05 * abs(TRUE[e.name])
@@ -117,8 +122,8 @@ def test_derivatives_are_those_of_the_prediction(log):
     assert not numeric[400:].any()
 
 
-def test_what_a_straight_run_does_not_show_has_no_number(straight):
-    found = identify(straight)
+def test_what_a_straight_run_does_not_show_has_no_number(ahead):
+    found = ahead
     assert found["m11"].verdict == found["d11"].verdict == IDENTIFIED
     assert found["m11"].low <= 215 <= found["m11"].high
     assert found["d11"].low <= 70 <= found["d11"].high
@@ -257,8 +262,9 @@ def test_the_command_writes_a_vehicle_that_scenarios_take(tmp_path, monkeypatch,
     assert "unknown vehicle 'canoe'" in capsys.readouterr().err
 
 
-def test_a_log_without_a_turn_gives_a_report_and_no_vehicle(straight, tmp_path, monkeypatch, capsys):
+def test_a_log_without_a_turn_gives_a_report_and_no_vehicle(straight, ahead, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "identify", lambda *_: ahead)
     straight.save("log.csv")
     assert run(main, PROGRAM, ["log.csv", "--out", "out"]) == 1
     assert "no vehicle.toml: the log does not show" in capsys.readouterr().out
