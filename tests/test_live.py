@@ -17,6 +17,7 @@ from baselines import make_policy
 from baselines.export.parts import exported
 from baselines.export.players import HeaderPolicy
 from baselines.live import command
+from baselines.live import page as live_page
 from baselines.live.data import STEPS, episode_of, path_of, scenario_of
 from baselines.live.page import LARGEST, links, write
 
@@ -32,12 +33,28 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def bench(browser, folder, tmp_path_factory):
     """A page with the equations alone."""
-    names = ("equations.js", "data.js", "engine.js")
-    scripts = "".join(f'<script src="{(folder / name).as_uri()}"></script>' for name in names)
-    file = tmp_path_factory.mktemp("bench") / "bench.html"
-    file.write_text(f"<!doctype html><title>bench</title>{scripts}", encoding="utf-8")
-    with opened(browser, file) as page:
+    with opened(browser, bare(folder, tmp_path_factory.mktemp("bench"))) as page:
         yield page
+
+
+@pytest.fixture(scope="module")
+def bench_with_filters(browser, tmp_path_factory):
+    """The same of a page on which `helm` takes the places of the other agents."""
+    made = tmp_path_factory.mktemp("filters")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(live_page, "page_agents", lambda: dict.fromkeys(("apg slow", "apg cruise"), exported("helm")))
+        write(made)
+    with opened(browser, bare(made, made)) as page:
+        yield page
+
+
+def bare(scripts, folder):
+    """Return a file in a folder: a page with the equations of another folder alone."""
+    names = ("equations.js", "data.js", "engine.js")
+    tags = "".join(f'<script src="{(scripts / name).as_uri()}"></script>' for name in names)
+    file = folder / "bench.html"
+    file.write_text(f"<!doctype html><title>bench</title>{tags}", encoding="utf-8")
+    return file
 
 
 def episode_in_python(policy, regime, family, case, seed=1):
@@ -85,6 +102,11 @@ def test_laws_and_filter_are_those_of_python_over_whole_episodes(bench, page_nam
 def test_agents_are_those_of_python_over_whole_episodes(bench, page_name, regime, family):
     policy = make_policy(AGENTS[page_name].format(regime))
     assert differences(bench, page_name, policy, regime, family, "storm").max() < 1e-9
+
+
+@pytest.mark.parametrize("regime", REGIMES)
+def test_filters_are_those_of_python_over_a_whole_episode(bench_with_filters, regime):
+    assert differences(bench_with_filters, "apg", make_policy("helm"), regime, "circle", "storm").max() < 1e-8
 
 
 @pytest.mark.parametrize("name", ["apg-slow", "apg-preview-cruise"])

@@ -65,7 +65,7 @@ def slewing(scenario: Scenario, seconds: float) -> Scenario:
 
 
 def hasty() -> Scenario:
-    """Return the slow actuators of calm water at cruise where they are hardest: late, on a fast and unstable vehicle."""
+    """Return the slow actuators of cruise where they are hardest: late ones on a fast and unstable vehicle."""
     preset = PRESETS["cruise-actuator"]
     path = replace(preset.path, speed=(1.2, 1.6))
     return replace(preset, name="cruise-hasty", path=path, actuators=replace(preset.actuators, lag=(0.45, 0.7)))
