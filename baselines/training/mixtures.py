@@ -19,9 +19,9 @@ WAVELENGTHS = {"slow": (5.0, 20.0), "cruise": (20.0, 80.0)}  # [m] of a sheared 
 OUTAGE_TIMES = {"slow": (0.5, 3.0), "cruise": (0.3, 2.0)}  # [s] how long an outage of the position fix lasts
 
 
-def regime_mixture(regime: str) -> Mixture:
-    """Return the eight cases of a regime."""
-    return tuple((PRESETS[f"{regime}-{case}"], CASE_WEIGHTS.get(case, 1.0)) for case in CASES)
+def regime_mixture(regime: str, weights: Mapping[str, float] = CASE_WEIGHTS) -> Mixture:
+    """Return the eight cases of a regime with weights by case, 1 for those that have none."""
+    return tuple((PRESETS[f"{regime}-{case}"], weights.get(case, 1.0)) for case in CASES)
 
 
 def weighed(mixture: Mixture, weight: float) -> Mixture:
@@ -93,15 +93,14 @@ HARDEST: Mapping[str, float] = {"noise": 2.0, "actuator": 4.0, "storm": 4.0}
 """Weights of a regime's cases where commands cost little: what is left of the error, and what spins then."""
 HASTY_WEIGHT = 3.0  # of `hasty` beside the regimes' cases, for `helm`
 SLEW_WEIGHT = 3.0  # of slewing actuators beside a regime's cases, for `helm`
-WRONG_WEIGHT = 1.0  # of storms in which anything may be wrong beside a regime's cases, for `helm`
+WRONG_WEIGHTS = {"slow": 0.5, "cruise": 1.0}  # of storms in which anything may be wrong, likewise
 
 
 def everything() -> Mixture:
     """Return what `helm` learns: the cases of both regimes, slewing actuators, and storms where anything is wrong."""
-    hardest_first = sorted(CASES, key=lambda case: case not in HARDEST)
-    cases = ((PRESETS[f"{regime}-{case}"], HARDEST.get(case, 1.0)) for regime in REGIMES for case in hardest_first)
+    cases = (part for regime in REGIMES for part in regime_mixture(regime, {**HARDEST, "waves": 2.0}))
     slew = (part for regime in REGIMES for part in weighed(SLEWING[f"{regime}-slew"], SLEW_WEIGHT))
-    wrong = (part for regime in REGIMES for part in weighed(WRONG[f"{regime}-wrong"], WRONG_WEIGHT))
+    wrong = (part for regime in REGIMES for part in weighed(WRONG[f"{regime}-wrong"], WRONG_WEIGHTS[regime]))
     return (*cases, *slew, *wrong, (hasty(), HASTY_WEIGHT))
 
 
