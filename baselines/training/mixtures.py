@@ -8,7 +8,7 @@ from dataclasses import replace
 from auv_gym.actuators import Actuators
 from auv_gym.disturbances import RandomCurrent, RandomWaves
 from auv_gym.presets import CASES, PRESETS, REGIMES
-from auv_gym.scenario import Scenario
+from auv_gym.scenario import RandomPath, Scenario
 
 Mixture = tuple[tuple[Scenario, float], ...]
 
@@ -67,6 +67,7 @@ def slewing(scenario: Scenario, seconds: float) -> Scenario:
 def hasty() -> Scenario:
     """Return the slow actuators of cruise where they are hardest: late ones on a fast and unstable vehicle."""
     preset = PRESETS["cruise-actuator"]
+    assert isinstance(preset.path, RandomPath)
     path = replace(preset.path, speed=(1.2, 1.6))
     return replace(preset, name="cruise-hasty", path=path, actuators=replace(preset.actuators, lag=(0.45, 0.7)))
 
