@@ -89,10 +89,11 @@ def test_mistakes_are_refused(arguments, message):
 def leads():
     """Return the rows of leads over nmpc in the page of policies, as the page of findings has them."""
     section, storms = PAGE.split("### Where an agent leads")[0], PAGE.split("### Where an agent leads")[1]
-    for name in (f"{family}-{regime}" for regime in ("slow", "cruise") for family in ("apg", "apg-preview")):
-        cells = re.search(rf"^\| `{name}` \| (.*) \|$", section, re.MULTILINE)[1].split(" | ")
-        share = re.search(rf"^\| `{name}` \|.* (\d+ %) \|$", storms.split("## Where all")[0], re.MULTILINE)[1]
-        yield f"| `{name}` | {cells[2]} ({cells[3]}) of {cells[4]} | {cells[5]} ({cells[6]}) of {cells[7]} | {share} |"
+    families = ("`helm`, {}", "`apg-{}`", "`apg-preview-{}`")
+    for name in (family.format(regime) for regime in ("slow", "cruise") for family in families):
+        cells = re.search(rf"^\| {name} \| (.*) \|$", section, re.MULTILINE)[1].split(" | ")
+        share = re.search(rf"^\| {name} \|.* (\d+ %) \|$", storms.split("## Where all")[0], re.MULTILINE)[1]
+        yield f"| {name} | {cells[2]} ({cells[3]}) of {cells[4]} | {cells[5]} ({cells[6]}) of {cells[7]} | {share} |"
 
 
 def test_readme_and_page_of_policies_say_the_same():

@@ -172,7 +172,7 @@ def test_another_package_called_baselines_is_named(tmp_path):
 
 
 def test_without_a_checkout_it_says_where_rows_are(monkeypatch, tmp_path, capsys):
-    for module in (recorded, results):
+    for module in (recorded, results, suites):
         monkeypatch.setattr(module, "checkout", lambda: None)
     monkeypatch.setattr(installation, "ROOT", tmp_path)
     monkeypatch.setattr(recorded, "FOLDER", tmp_path)
@@ -180,6 +180,9 @@ def test_without_a_checkout_it_says_where_rows_are(monkeypatch, tmp_path, capsys
     assert "the recorded rows of ood-v1 are not part of" in recorded.missing("ood-v1", tmp_path)
     with pytest.raises(UsageError, match=r"not part of the installed package; the sources have them"):
         results.main([])
+    (tmp_path / suites.SUMS).write_text("0  ood-v1.json\n")
+    with pytest.raises(suites.SuiteError, match="the episodes of ood-v1 are not part of the installed package"):
+        suites.load("ood-v1", tmp_path)
     monkeypatch.setattr(recorded, "missing", lambda suite: f"no rows of {suite}")
     options = Options(suite="unmodelled-v1", episodes=1, out=tmp_path / "out")
     assert Request.of(options).notes[0] == "no rows of unmodelled-v1"

@@ -24,7 +24,7 @@ from baselines.evaluation.study_files import load_all
 
 ROOT = Path(__file__).parents[1]
 ENDS = ("clairvoyant", "backstepping")
-AGENT = "apg-preview-cruise"  # the one that the README begins with
+AGENT = "helm"  # the one that the README begins with
 WORDS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
 
 

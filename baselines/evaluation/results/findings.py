@@ -93,7 +93,7 @@ def _leads(results: Results, anew: Results | None, studies: Mapping[str, Study],
         above, count = _lead(results, regime, tails, rival)
         total, lost = sum(tail.size for tail in own.tails), own.losses(regime)
         rows.append([
-            f"`{name}`",
+            _named(name, regime),
             score_text(_score(results, study)),
             f"{total // len(own.tails[0])}",
             *_text(above),
@@ -114,6 +114,12 @@ def _on_fresh(anew: Results, name: str, regime: str, rival: str) -> tuple[str, s
     return *_text(above), str(count)
 
 
+def _named(name: str, regime: str) -> str:
+    """Return a study's agent as tables name it, with the regime where it serves both."""
+    agent = agent_of(name)
+    return f"`{name}`" if agent == name else f"`{agent}`, {regime}"
+
+
 def _text(value: Score) -> tuple[str, str]:
     return score_text(value), interval_text(value)
 
@@ -124,7 +130,7 @@ def _by_case(results: Results, studies: Mapping[str, Study], regime: str) -> str
     for name, study in _agents(studies, *LEARNERS):
         if study.regime == regime and (own := _tails(results, agent_of(name), regime)):
             nearer = (100 * np.mean(own[case][: len(tail)] < tail) for case, tail in rival.items())
-            rows.append([f"`{name}`", *(f"{share:.0f} %" for share in nearer)])
+            rows.append([_named(name, regime), *(f"{share:.0f} %" for share in nearer)])
     return table([regime, *(case.removeprefix(f"{regime}-") for case in rival)], rows)
 
 
@@ -143,7 +149,7 @@ def _trainings(results: Results, studies: Mapping[str, Study], *kinds: str) -> s
             steps = float(np.mean([curve[-1, 0] for curve in study.curves])) / 1e6
             score, total = _score(results, study), sum(tail.size for tail in own.tails)
             lost = f"{own.losses(study.regime)} of {total}"
-            rows.append((score.mean, [f"`{name}`: {study.about}", f"{steps:.3g} M", *_text(score), lost]))
+            rows.append((score.mean, [f"{_named(name, study.regime)}: {study.about}", f"{steps:.3g} M", *_text(score), lost]))
     ordered = [row for _, row in sorted(rows, key=lambda row: -row[0])]
     return table(("training", "steps", "score", "95 %", "lost"), ordered)
 
@@ -184,8 +190,8 @@ UNMODELLED = f"""## Where all is not as told
 `unmodelled-v1`, in the same columns. The rival here is `{ADVERSE_RIVAL}`, predictive control on a filter that estimates
 biased sensors and weak, late actuators too, tuned in the mixture of troubles in which `apg-adverse-*` were trained.
 Intervals are wide, since a few episodes that go badly wrong weigh much.
-`apg-adverse-*` were trained on these kinds of trouble, all at once and in slightly wider ranges, and on the sheared
-current of `ood-v1`: for them this is no test of the unforeseen. The others had met none of it. What robustness costs
+`helm` and `apg-adverse-*` were trained on these kinds of trouble, all at once and in slightly wider ranges, and on the
+sheared current of `ood-v1`: for them this is no test of the unforeseen. The others had met none of it. What robustness costs
 where nothing is wrong is the distance between `apg-adverse-*` and `apg-*` above."""
 RESIDUAL = """## What the expert is for
 
@@ -207,7 +213,8 @@ UNTABLED = """## What no table shows
 
 - **An authority is no safety bound** where it is large: a correction of the whole limit can undo any command. Only a
   small one leaves the expert in charge.
-- **One agent does not serve every speed.** Each was trained in its regime; outside it, it may do worse than the expert.
+- **An agent serves the speeds that it has seen.** `helm` has seen both regimes, every other one its own; outside of
+  it, it may do worse than the expert.
 - **Memory belongs to the policy.** The recurrent agents need their state handed back at each call; without it they act
   as at an episode's first step.
 - Where commands cost next to nothing, storms and slow actuators need larger weights in training, or now and then a fast

@@ -23,7 +23,7 @@ from baselines.tools.files import versions
 if TYPE_CHECKING:
     from baselines.evaluation.request import Request
 
-OWN = ("backstepping", "nmpc", "apg-preview-cruise", "apg-preview-slow")
+OWN = ("backstepping", "nmpc", "helm", "apg-preview-cruise", "apg-preview-slow")
 """Policies of the project that are on its leaderboard."""
 OWN_SUITES = ("benchmark-v2",)
 """Suites in which they are."""

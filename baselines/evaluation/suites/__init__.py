@@ -25,6 +25,7 @@ import numpy as np
 
 from auv_gym.disturbances import Current, Waves
 from auv_gym.episode import Episode
+from auv_gym.installation import checkout, left_out
 from auv_gym.paths import PATHS
 from auv_gym.records import from_record, to_record
 from auv_gym.scenario import Scenario
@@ -88,6 +89,8 @@ def _loaded(name: str, folder: Path) -> Suite:
     if name not in sums:
         raise SuiteError(f"unknown suite {name!r}; allowed are {', '.join(sorted(sums))}")
     file = folder / f"{name}.json.bz2"
+    if not file.exists() and checkout() is None:
+        raise SuiteError(left_out(f"the episodes of {name} are"))
     try:
         text = bz2.decompress(file.read_bytes())
     except (OSError, EOFError, ValueError) as error:

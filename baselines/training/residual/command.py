@@ -51,7 +51,7 @@ FOLLOWED = {(RESIDUAL, 0.5, "cruise"), (SCRATCH, 1.0, "cruise")}
 VALIDATIONS = {True: 20, False: 1}  # of a training that is followed, and of another
 EPISODES = 10  # of each case for the agents of the study
 EPISODES_SHIPPED = 40  # of each case for a policy of the registry, of which there is one
-POLICIES = (EXPERT, RIVAL, *(f"{family}-{regime}" for family in AGENTS for regime in REGIMES))
+POLICIES = (EXPERT, RIVAL, "helm", *(f"{family}-{regime}" for family in AGENTS for regime in REGIMES))
 """Policies of the registry that are measured beside them."""
 BOUNDS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.75, 1.0, 1.5, 2.0)
 """Authorities of which it is measured what they bound, whatever a network was trained to."""
