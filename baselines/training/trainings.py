@@ -108,10 +108,10 @@ SHIPPED: Mapping[str, Options] = {
         f"ppo-{regime}": training("ppo", weighted(regime, **SPINS), authority, None, 12_000_000, WIDE)
         for regime, authority in PPO_AUTHORITY.items()
     },
-    "ppo-lstm-cruise": training("ppo_lstm", weighted("cruise", **SPINS), PPO_AUTHORITY["cruise"], None, 1_000_000),
-    "ppo-lstm-slow": training("ppo_lstm", weighted("slow", **SPINS), PPO_AUTHORITY["slow"], None, 1_500_000),
-    "rma-cruise": training("rma", "cruise"),
-    "rma-slow": training("rma", "slow", SLOW_AUTHORITY, changes=SLOW),
+    "ppo-lstm-cruise": training("ppo_lstm", weighted("cruise", **SPINS), PPO_AUTHORITY["cruise"], None, 6_000_000),
+    "ppo-lstm-slow": training("ppo_lstm", weighted("slow", **SPINS), PPO_AUTHORITY["slow"], None, 6_000_000),
+    "rma-cruise": training("rma", "cruise", timesteps=12_000_000),
+    "rma-slow": training("rma", "slow", SLOW_AUTHORITY, None, 12_000_000, SLOW),
     "sac-cruise": training("sac", "cruise"),
     "sac-slow": training("sac", "slow", (0.6, 1.0)),
     "td3-cruise": training("td3", "cruise"),
