@@ -189,6 +189,7 @@ SUITES: dict[str, tuple[int | None, Callable[[], list[Recipe]]]] = {
     "unmodelled-v1": (1_000_004, _unmodelled),
     "deep-v1": (1_000_005, _deep),
     "sealed-v1": (None, _sealed),
+    "sealed-v2": (None, _sealed),
 }
 """Suites by name: the seed, None for that of a secret, and what makes its recipes. Training selects on the validation
 split, never on a test."""
