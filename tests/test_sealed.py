@@ -2,9 +2,9 @@
 
 from functools import partial
 
-import numpy as np
 import pytest
 
+from auv_gym.presets import REGIMES
 from baselines.evaluation import suites
 from baselines.evaluation.suites import SuiteError, builder, sealed
 from baselines.evaluation.suites.__main__ import main
@@ -34,7 +34,7 @@ def test_from_a_seal_to_a_suite(empty, capsys, monkeypatch):
     assert "not the secret" in capsys.readouterr().err
     assert main(["open", "sealed-v1", "--secret", secret]) == DONE
     suite = suites.load("sealed-v1", empty)
-    assert [cell.scenario for cell in suite.cells] == [scenario for scenario, _ in sealed.worlds()]
+    assert [cell.scenario for cell in suite.cells] == [s for s, _ in sealed.worlds(**sealed.FIRST)]
     again = builder.build("sealed-v1")
     assert all(a.episodes == b.episodes for a, b in zip(suite.cells, again, strict=True))
 
@@ -70,6 +70,18 @@ def test_secrets_stand_for_seeds_of_their_own():
     assert 0 <= sealed.seed_of("a") < 2**64
 
 
+def slew_time(scenario):
+    """Return the time in which its thruster goes from zero to the limit."""
+    return scenario.actuators.F_u_max / scenario.actuators.F_u_rate
+
+
+def test_the_first_suite_has_the_worlds_that_it_was_opened_with():
+    known, now = ([s for s, _ in sealed.worlds(**changes)] for changes in (sealed.FIRST, {}))
+    assert [cell.scenario for cell in suites.load("sealed-v1").cells] == known
+    slewing = {f"{regime}-{name}" for regime in REGIMES for name in ("slew", "all-at-once")}
+    assert {s.name for s in known if s not in now} == {"cruise-beyond", *slewing}
+
+
 def test_every_world_has_something_that_training_never_draws():
     """A speed, a length, a rate limit, an outage, a start or a hull that no mixture has."""
     trained = [scenario for mixture in MIXTURES.values() for scenario, _ in mixture]
@@ -80,7 +92,7 @@ def test_every_world_has_something_that_training_never_draws():
         other = {
             "speed": all(high <= a or b <= low for a, b in speeds),
             "length": all(scenario.duration > s.duration for s in trained),
-            "slew": np.isfinite(scenario.actuators.F_u_rate) and all(np.isinf(s.actuators.F_u_rate) for s in trained),
+            "slew": all(slew_time(scenario) > slew_time(s) for s in trained),
             "outages": scenario.sensors.outages > 0
             and all(scenario.sensors.outage_time[0] >= s.sensors.outage_time[1] for s in trained if s.sensors.outages),
             "start": all(scenario.start.x_e[1] > s.start.x_e[1] for s in trained),

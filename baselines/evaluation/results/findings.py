@@ -149,7 +149,9 @@ def _trainings(results: Results, studies: Mapping[str, Study], *kinds: str) -> s
             steps = float(np.mean([curve[-1, 0] for curve in study.curves])) / 1e6
             score, total = _score(results, study), sum(tail.size for tail in own.tails)
             lost = f"{own.losses(study.regime)} of {total}"
-            rows.append((score.mean, [f"{_named(name, study.regime)}: {study.about}", f"{steps:.3g} M", *_text(score), lost]))
+            rows.append(
+                (score.mean, [f"{_named(name, study.regime)}: {study.about}", f"{steps:.3g} M", *_text(score), lost])
+            )
     ordered = [row for _, row in sorted(rows, key=lambda row: -row[0])]
     return table(("training", "steps", "score", "95 %", "lost"), ordered)
 
@@ -191,8 +193,8 @@ UNMODELLED = f"""## Where all is not as told
 biased sensors and weak, late actuators too, tuned in the mixture of troubles in which `apg-adverse-*` were trained.
 Intervals are wide, since a few episodes that go badly wrong weigh much.
 `helm` and `apg-adverse-*` were trained on these kinds of trouble, all at once and in slightly wider ranges, and on the
-sheared current of `ood-v1`: for them this is no test of the unforeseen. The others had met none of it. What robustness costs
-where nothing is wrong is the distance between `apg-adverse-*` and `apg-*` above."""
+sheared current of `ood-v1`: for them this is no test of the unforeseen. The others had met none of it. What robustness
+costs where nothing is wrong is the distance between `apg-adverse-*` and `apg-*` above."""
 RESIDUAL = """## What the expert is for
 
 The expert does not make the final score better: `apg-scratch-*`, networks that command alone, end level with the

@@ -27,9 +27,11 @@ SEALS = Path(__file__).parent / "seals.json"
 SHORTEST = 16  # characters of a secret
 
 BETWEEN = {"slow": (0.3, 0.4), "cruise": (0.4, 0.5)}  # [m/s] speeds between the regimes
-BEYOND = {"slow": (0.05, 0.1), "cruise": (1.5, 2.0)}  # [m/s] speeds outside of them
+BEYOND = {"slow": (0.05, 0.1), "cruise": (1.6, 2.0)}  # [m/s] speeds outside of them
 MISSION = 300.0  # [s] a mission of five minutes
-SLEW = 1.0  # [s] in which the actuators go from zero to the limit
+SLEW = 2.0  # [s] in which the actuators go from zero to the limit
+FIRST: Mapping[str, Any] = {"beyond": {**BEYOND, "cruise": (1.5, 2.0)}, "slew": 1.0}
+"""What was otherwise in `sealed-v1`; `helm` has been trained up to 1.6 m/s and with a slew of a second since."""
 OUTAGES = 3.0  # [1/min] how often the position fix fails
 LONG = {"slow": (5.0, 10.0), "cruise": (3.0, 6.0)}  # [s] for how long
 FAR = 5.0  # [m] how far off a far start is, on each axis
@@ -105,24 +107,28 @@ def seed(name: str) -> int:
     return seed_of(seal.secret)
 
 
-def worlds() -> list[tuple[Scenario, bool]]:
+def worlds(beyond: Mapping[str, tuple[float, float]] = BEYOND, slew: float = SLEW) -> list[tuple[Scenario, bool]]:
     """Return the scenarios of a sealed suite, and whether each follows random waypoints in place of path families.
 
     They lie outside of what agents are trained on (`baselines.training.mixtures`) and controllers are tuned on: speeds
     between and beyond the regimes, missions of five minutes, slewing actuators, long outages of the position fix, far
     starts, other hulls, and all of it at once.
+
+    Args:
+        beyond: speeds [m/s] outside of the regimes, by regime.
+        slew: time [s] in which slewing actuators go from zero to the limit.
     """
     found = []
     for regime in REGIMES:
         storm = PRESETS[f"{regime}-storm"]
         assert isinstance(storm.path, RandomPath)
-        slewing = _slewing(storm)
+        slewing = _slewing(storm, slew)
         patchy = replace(storm.sensors, outages=OUTAGES, outage_time=LONG[regime])
         far = Start(x_e=(-FAR, FAR), y_e=(-FAR, FAR), psi_e=(-math.pi, math.pi), surge=(0.0, 1.0))
         hulls = _hulls(storm)
         changes: Mapping[str, dict[str, Any]] = {
             "between": {"path": replace(storm.path, speed=BETWEEN[regime])},
-            "beyond": {"path": replace(storm.path, speed=BEYOND[regime])},
+            "beyond": {"path": replace(storm.path, speed=beyond[regime])},
             "mission": {"steps": round(MISSION / storm.control_dt)},
             "slew": {"actuators": slewing},
             "outages": {"sensors": patchy},
@@ -142,9 +148,9 @@ def worlds() -> list[tuple[Scenario, bool]]:
     return found
 
 
-def _slewing(storm: Scenario) -> Any:
+def _slewing(storm: Scenario, slew: float) -> Any:
     act = storm.actuators
-    return replace(act, F_u_rate=act.F_u_max / SLEW, F_r_rate=act.F_r_max / SLEW)
+    return replace(act, F_u_rate=act.F_u_max / slew, F_r_rate=act.F_r_max / slew)
 
 
 def _hulls(storm: Scenario) -> RandomMismatch:
