@@ -37,6 +37,7 @@ LOST = (
     "the simulator follows this log from no values that were tried; are commands in [N] and [N m], do they hold until "
     "the next row, and are rows close enough for the vehicle?"
 )
+"""What is said of a log that no vehicle explains."""
 
 
 def check_segment(log: Log, segment: float) -> None:

@@ -25,6 +25,7 @@ DRAWS = 200  # vehicles that the fit does not tell apart, for the intervals
 STEPS = 4000  # integration steps of a manoeuvre, at most
 RATE = 0.05  # integration step, in the shortest time constant of the drag
 CIRCLE = ("advance", "transfer", "tactical diameter")
+"""The figures of a turning circle."""
 ZIG_ZAGS = (10.0, 20.0)  # [degrees] headings at which the rudder is turned over
 
 

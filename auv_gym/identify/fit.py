@@ -29,10 +29,10 @@ from auv_gym.identify.start import Start
 from auv_gym.identify.uncertainty import NORMAL, covariance, found_noise, rough_noise
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 
-IDENTIFIED = "identified"
-ZERO = "not told from 0, taken as 0"
-UNREACHED = "not reached"
-UNKNOWN = "not identified"
+IDENTIFIED = "identified"  # what a log says of a parameter, as are the next three: its interval is narrow enough
+ZERO = "not told from 0, taken as 0"  # its interval holds zero
+UNREACHED = "not reached"  # a limit that no command came up to
+UNKNOWN = "not identified"  # nothing in the log depends on it enough
 
 LONGER = 4  # times the rows of the segments of the fit before
 WORSE = 1.5  # squared errors, as a multiple of those of shorter segments, at which segments are too long

@@ -26,8 +26,8 @@ from auv_gym.identify.log import Array, Log
 from auv_gym.vehicle import Coefficients
 
 HULL = Coefficients._fields  # the parameters of the vehicle
-LIMITS = ("F_u_max", "F_r_max")
-CURRENT = ("V_x", "V_y")
+LIMITS = ("F_u_max", "F_r_max")  # [N], [N m] of the actuators
+CURRENT = ("V_x", "V_y")  # [m/s] in the world, constant
 PARAMETERS = (*HULL, *LIMITS, *CURRENT, "lag")
 """All that is fitted besides the states at which the segments begin. The current is that of the log, the lag is one for
 both actuators, as in `auv_gym.actuators.Actuators`."""

@@ -33,8 +33,9 @@ VEHICLES = {
     "with quadratic drag": replace(PAPER_VEHICLE, X_uu=20.0, Y_vv=60.0, N_rr=25.0),
 }
 """Whose logs are simulated."""
-FILE = "identify.json"
-BEGIN, END = "<!-- coverage -->", "<!-- end of coverage -->"  # around the tables in the page
+FILE = "identify.json"  # of what was counted, in docs/
+BEGIN = "<!-- coverage -->"  # before the tables in the page
+END = "<!-- end of coverage -->"  # behind them
 NEAR = 0.05  # share of the true value within which a fitted one is near
 
 

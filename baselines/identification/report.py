@@ -15,9 +15,9 @@ from auv_gym.identify.log import MEASURED, unwrapped
 from baselines.identification.files import interval, meanings, number
 from baselines.tools.figure_style import COLOURS, panels, styled, to_png
 
-UNITS = {"x": "m", "y": "m", "psi": "rad", "u": "m/s", "v": "m/s", "r": "rad/s"}
+UNITS = {"x": "m", "y": "m", "psi": "rad", "u": "m/s", "v": "m/s", "r": "rad/s"}  # of what is measured
 LAGS = 40  # rows that the autocorrelation is drawn over
-HEAD = ("parameter", "value", "unit", "95 % interval", "what the log says", "what it is")
+HEAD = ("parameter", "value", "unit", "95 % interval", "what the log says", "what it is")  # of the main table
 
 
 def rows(found: Identified) -> list[tuple[str, ...]]:
