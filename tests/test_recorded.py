@@ -26,7 +26,13 @@ from baselines.evaluation.suites import __main__ as command
 from baselines.evaluation.suites.verify import Verdict, cells_to_run, told
 from baselines.tools.command_line import DONE, FAILED
 
-SAMPLE = {"benchmark-v1": "cruise-storm", "ood-v1": "slow-current-x1.5", "unmodelled-v1": "slow-everything"}
+SAMPLE = {
+    "benchmark-v1": "cruise-storm",
+    "ood-v1": "slow-current-x1.5",
+    "unmodelled-v1": "slow-everything",
+    "deep-v1": "cruise-deep",
+    "sealed-v1": "slow-far-start",
+}
 CLOSEST = 1e-6
 """Relative difference that another processor may make; on the one that recorded the rows there is none."""
 

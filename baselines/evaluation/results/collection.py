@@ -12,9 +12,9 @@ from baselines.evaluation.runner import Run
 from baselines.evaluation.score import BOUND, Score, paired, regime_of, score
 from baselines.evaluation.suites import Suite
 
-SUITES = ("benchmark-v2", "ood-v1", "unmodelled-v1", "deep-v1")
+SUITES = ("benchmark-v2", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v1")
 """The suites of the results page."""
-TOLERANCE = {"benchmark-v2": 2e-3, "ood-v1": 1e-2, "unmodelled-v1": 1e-2, "deep-v1": 1e-2}
+TOLERANCE = {"benchmark-v2": 2e-3, "ood-v1": 1e-2, "unmodelled-v1": 1e-2, "deep-v1": 1e-2, "sealed-v1": 1e-2}
 """Mean tail error [m] by which another policy may be better than the oracle in a case, by suite: where a current is
 nearly as fast as the path, the oracle's plan through the water turns sharply, and a few episodes settle late."""
 ROUNDING = 1e-5
