@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from auv_gym.presets import REGIMES
-from baselines.agents.names import agent_of
+from baselines.agents.names import agent_of, shipped_agents
 from baselines.evaluation import fresh, recorded
 from baselines.evaluation.metrics import Array, most_lost
 from baselines.evaluation.results.collection import Results
@@ -18,10 +19,13 @@ from baselines.evaluation.score import (
     RIVAL,
     Score,
     interval_text,
+    is_lost,
+    largest_tail,
     lead,
     regime_of,
     score_text,
     seeds_score,
+    waters_of,
 )
 from baselines.evaluation.study_files import Study
 
@@ -48,6 +52,8 @@ def findings(found: Sequence[Results], anew: Sequence[Results], studies: Mapping
         parts += [CASES, *(_by_case(benchmark, studies, regime) for regime in REGIMES)]
     if (unmodelled := by_name.get("unmodelled-v1")) is not None:
         parts += [UNMODELLED, _leads(unmodelled, fresh_by_name.get("unmodelled-v1"), studies, ADVERSE_RIVAL)]
+    if (opened := by_name.get("sealed-v1")) is not None:
+        parts += [SEALED, _unforeseen(opened)]
     if benchmark is not None:
         parts += [RESIDUAL, SHORTS, _trainings(benchmark, studies, SHORT)]
         parts += [REWARDS, _trainings(benchmark, studies, *LEARNERS)]
@@ -124,6 +130,30 @@ def _text(value: Score) -> tuple[str, str]:
     return score_text(value), interval_text(value)
 
 
+def _unforeseen(results: Results) -> str:
+    """Return the leads of shipped agents over both rivals in a suite that no study ran in, and what they lose."""
+    rows, expert = [], results.suite.anchors.zero
+    for name in (name for name in shipped_agents() if name.startswith(("helm", "apg"))):
+        for regime in REGIMES:
+            if own := _tails(results, name, regime):
+                seeds = {case: tail[None] for case, tail in own.items()}
+                leads = (
+                    part for rival in (RIVAL, ADVERSE_RIVAL) for part in _text(_lead(results, regime, seeds, rival)[0])
+                )
+                mine, its = _gone(results, name, regime), _gone(results, expert, regime)
+                losses = f"{mine.sum()} of {len(mine)}", f"{(mine & ~its).sum()} of {(~its).sum()}"
+                rows.append([f"`{name}`, {regime}", *leads, *losses])
+    return table(["agent", *(x for rival in (RIVAL, ADVERSE_RIVAL) for x in (f"lead over {rival}", "95 %")), "lost",
+                  f"lost of those that {expert} keeps"], rows)  # fmt: skip
+
+
+def _gone(results: Results, policy: str, regime: str) -> NDArray[np.bool_]:
+    """Return which episodes of a regime a policy loses, case by case, shape (M,)."""
+    own = [r for r in results.runs if r.policy == policy and regime_of(r.scenario.name) == regime]
+    cap = {r.scenario.name: largest_tail(waters_of(r.scenario.name)) for r in own}
+    return np.concatenate([is_lost(r.measures.tail, r.measures.lost, cap[r.scenario.name]) for r in own if r.measures])
+
+
 def _by_case(results: Results, studies: Mapping[str, Study], regime: str) -> str:
     """Return in how many episodes of each case shipped agents are nearer to the path than the rival is."""
     rival, rows = _tails(results, RIVAL, regime), []
@@ -195,6 +225,13 @@ Intervals are wide, since a few episodes that go badly wrong weigh much.
 `helm` and `apg-adverse-*` were trained on these kinds of trouble, all at once and in slightly wider ranges, and on the
 sheared current of `ood-v1`: for them this is no test of the unforeseen. The others had met none of it. What robustness
 costs where nothing is wrong is the distance between `apg-adverse-*` and `apg-*` above."""
+SEALED = f"""## In worlds that nobody had seen
+
+`sealed-v1`: its episodes were drawn from a secret of which only the hash was known until everything was frozen, and
+policies ran in them once, 512 episodes a regime, one shipped agent each. Speeds between and beyond the regimes,
+missions of five minutes, slewing actuators, long outages of the position fix, far starts, other hulls, and all at once.
+`helm` knows slewing actuators and some of the speeds ([Evaluation](metrics.md#sealed-suites)); it trails where the fix
+is out for longer than in its training. The first lead is over `{RIVAL}`, the second over `{ADVERSE_RIVAL}`."""
 RESIDUAL = """## What the expert is for
 
 The expert does not make the final score better: `apg-scratch-*`, networks that command alone, end level with the
