@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cache
 from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import numpy as np
@@ -77,9 +76,7 @@ def bounds(span: int) -> NDArray[np.float64]:
     return BOUNDS * np.where([term.unit in LARGE for term in TERMS], float(span), 1.0)
 
 
-@cache
-def _error_bounds(span: int) -> Constants:
-    return Constants.of(bounds(span)[:ERRORS])
+_ERROR_BOUNDS = {2**k: Constants.of(bounds(2**k)[:ERRORS]) for k in range(32)}  # by span
 
 
 def encode(terms: Sequence[Number], ns: Namespace, span: int = 1) -> Any:
@@ -94,7 +91,7 @@ def encode(terms: Sequence[Number], ns: Namespace, span: int = 1) -> Any:
     if ns is not FLOATS or not (
         -far < e_x < far and -far < e_y < far and -V < u_e < V and -V < v_e < V and -W < r_e < W
     ):
-        rows[:ERRORS] = ns.bounded(rows[:ERRORS], _error_bounds(span))
+        rows[:ERRORS] = ns.bounded(rows[:ERRORS], _ERROR_BOUNDS[span])
     return rows if isinstance(rows, np.ndarray) else ns.stack(rows)
 
 

@@ -175,7 +175,7 @@ def test_demo_recomputes_the_paper_runs_every_preset_and_shows_what_an_agent_win
     for name in ("paper", "scenarios", "storm"):
         assert (copy / "runs" / "demo" / name / "report.html").exists()
     assert re.fullmatch(
-        r"apg-cruise keeps 0\.\d+ m where backstepping keeps 0\.\d+ m \(1 paired episode .*", printed[0]
+        r"helm keeps 0\.\d+ m where backstepping keeps 0\.\d+ m \(1 paired episode .*", printed[0]
     )
     assert printed[1].startswith("written: runs/demo/storm/film.webp")
     assert "runs/demo/storm/film.webp" in printed[2]
@@ -184,7 +184,7 @@ def test_demo_recomputes_the_paper_runs_every_preset_and_shows_what_an_agent_win
 
 def test_film_is_made_in_a_quick_form(copy):
     printed = made(copy, "film").splitlines()[-3:]
-    assert [line.split()[0] for line in printed] == ["nmpc", "apg-preview-cruise", "written:"]
+    assert [line.split()[0] for line in printed] == ["nmpc", "helm", "written:"]
     assert (copy / "film.webp").exists()
 
 
