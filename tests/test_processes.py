@@ -183,7 +183,7 @@ def test_half_a_checkpoint_is_refused(checkpoint, left):
 
 @pytest.mark.parametrize(
     "text",
-    ["timesteps,score\n10,1,2,3\n", "timesteps\nmany\n", "a\n1\n", "", "timesteps,loss\n10,1\n", 'timesteps\n"1'],
+    ["timesteps,score\n10,1,2,3\n", "timesteps\nmany\n", "a\n1\n", "", "timesteps,loss\n11,1\n", 'timesteps\n"1'],
 )
 def test_damaged_progress_is_refused(checkpoint, text):
     folder, _ = checkpoint
