@@ -131,7 +131,8 @@ def test_figures_of_the_table_by_hand(benchmark):
     folder = ROOT / "baselines/evaluation/data/recorded/benchmark-v1"
     raw = {p: np.load(folder / f"{p}.npz") for p in ("ekf", "backstepping")}
     own, expert = (raw[p]["measures"].reshape(9, 16, 260)[:, cells].reshape(9, -1) for p in ("ekf", "backstepping"))
-    text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8").split("### cruise")[1]
+    text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    text = text.split("## benchmark-v2")[1].split("### cruise")[1]
     rows = [line.strip("| ").split(" | ") for line in text.split("\n\n")[1].splitlines()]
     row = dict(zip(rows[0], next(row for row in rows if row[0] == "`ekf`"), strict=True))
     tail = own[1].astype(float)
