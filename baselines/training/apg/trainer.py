@@ -152,11 +152,46 @@ def train(run: Run) -> Agent:
     return trainer.agent(trainer.best)
 
 
-class Trainer:
-    """Network, optimiser and vehicles of a run; goes on from the run's checkpoint, if there is one."""
+class Descent:
+    """What trainers share that follow the gradient of a window: its steps, and when something is due in the run."""
 
     PATIENCE = 50
     """Updates in a row that may be skipped for a gradient that is not finite."""
+    updates: int  # so far
+    total: int  # updates of the whole run
+    skipped: int  # updates in a row whose gradient was not finite
+    optimizers: tuple[torch.optim.Optimizer, ...]
+    averaged: AveragedModel
+
+    @property
+    def _groups(self) -> list[dict[str, Any]]:
+        return [group for optimizer in self.optimizers for group in optimizer.param_groups]
+
+    def _due(self, times: int) -> bool:
+        """Return whether one of so many moments, spread evenly over the run, has come; the last one is its end."""
+        return self.updates * times // self.total > (self.updates - 1) * times // self.total
+
+    def _follow(self, network: nn.Module, max_grad_norm: float) -> float:
+        """Take a step along a network's gradient, if it is finite, and return its norm.
+
+        Raises:
+            TrainingError: too many in a row were not finite.
+        """
+        norm = float(nn.utils.clip_grad_norm_(network.parameters(), max_grad_norm))
+        if math.isfinite(norm):
+            for optimizer in self.optimizers:
+                optimizer.step()
+            self.averaged.update_parameters(network)
+            self.skipped = 0
+        elif self.skipped >= self.PATIENCE:
+            raise TrainingError(f"{self.skipped} gradients in a row were not finite; lower learning_rate or n_steps")
+        else:
+            self.skipped += 1
+        return norm
+
+
+class Trainer(Descent):
+    """Network, optimiser and vehicles of a run; goes on from the run's checkpoint, if there is one."""
 
     def __init__(self, run: Run) -> None:
         """Begin a run, or take it up."""
@@ -185,10 +220,6 @@ class Trainer:
         self._loss, self._shares = settings.loss([scenario.name for scenario in config.lanes(settings.n_envs)])
 
     @property
-    def _groups(self) -> list[dict[str, Any]]:
-        return [group for optimizer in self.optimizers for group in optimizer.param_groups]
-
-    @property
     def timesteps(self) -> int:
         """Control steps so far, summed over vehicles."""
         return self.updates * self.settings.n_envs * self.settings.n_steps
@@ -199,25 +230,12 @@ class Trainer:
         for group, rate in zip(self._groups, self._rates, strict=True):
             group["lr"] = rate * share
         loss, error = self._run()
-        norm = float(nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.max_grad_norm))
-        if math.isfinite(norm):
-            for optimizer in self.optimizers:
-                optimizer.step()
-            self.averaged.update_parameters(self.network)
-            self.skipped = 0
-        elif self.skipped >= self.PATIENCE:
-            raise TrainingError(f"{self.skipped} gradients in a row were not finite; lower learning_rate or n_steps")
-        else:
-            self.skipped += 1
+        norm = self._follow(self.network, self.settings.max_grad_norm)
         self.updates += 1
         if self._due(LOGS):
             self.run.log(self.timesteps, loss=loss, window_error_m=error, gradient_norm=norm)
         if self._due(self.settings.validations):
             self.validate()
-
-    def _due(self, times: int) -> bool:
-        """Return whether one of so many moments, spread evenly over the run, has come; the last one is its end."""
-        return self.updates * times // self.total > (self.updates - 1) * times // self.total
 
     def _run(self) -> tuple[float, float]:
         """Return the mean loss of a window and its mean position error [m]; begin new episodes behind it."""

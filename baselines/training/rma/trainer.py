@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from auv_gym.intervals import check_number
@@ -29,7 +29,7 @@ from baselines.training.apg.fleet import Fleet
 from baselines.training.apg.kernels import LoopKernels
 from baselines.training.apg.passes import Tape
 from baselines.training.apg.torch_network import weights_of
-from baselines.training.apg.trainer import LOGS
+from baselines.training.apg.trainer import LOGS, Descent
 from baselines.training.apg.trainer import Settings as Gradient
 from baselines.training.apg.trainer import check as check_gradient
 from baselines.training.apg.window import Window
@@ -37,7 +37,7 @@ from baselines.training.config import Config
 from baselines.training.rma.extrinsics import extrinsics
 from baselines.training.rma.passes import Student, StudentPass, TeacherPass
 from baselines.training.rma.torch_networks import Filters, Teacher
-from baselines.training.run_folder import Run, TrainingError
+from baselines.training.run_folder import Run
 from baselines.training.validation import PRECISION
 
 
@@ -104,11 +104,8 @@ def train(run: Run) -> Agent:
     return trainer.agent(trainer.best)
 
 
-class Trainer:
+class Trainer(Descent):
     """Networks, optimisers and vehicles of a run; goes on from the run's checkpoint, if there is one."""
-
-    PATIENCE = 50
-    """Updates in a row that may be skipped for a gradient that is not finite."""
 
     def __init__(self, run: Run) -> None:
         """Begin a run, or take it up."""
@@ -174,10 +171,6 @@ class Trainer:
         if self._due(self.settings.gradient.validations):
             self.validate()
 
-    def _due(self, times: int) -> bool:
-        """Return whether one of so many moments, spread evenly over the run, has come; the last one is its end."""
-        return self.updates * times // self.total > (self.updates - 1) * times // self.total
-
     def _run(self, window: Window, tell: Any, back: bool) -> tuple[float, float, Tensor]:
         """Return mean loss and position error [m] of a window, and its extrinsics, which `tell` is given before."""
         ahead, samples = self.fleet.window()
@@ -202,23 +195,11 @@ class Trainer:
         """Let the teacher follow the gradient of a window."""
         window, way = self._lesson
         gradient = self.settings.gradient
-        for group, rate in zip(self._groups(), self._rates, strict=True):
+        for group, rate in zip(self._groups, self._rates, strict=True):
             group["lr"] = rate * gradient.share_at(self.updates / self.lessons)
         loss, error, _ = self._run(window, lambda told: setattr(way, "extrinsics", told), back=True)
-        norm = float(nn.utils.clip_grad_norm_(self.teacher.parameters(), gradient.max_grad_norm))
-        if math.isfinite(norm):
-            for optimizer in self.optimizers:
-                optimizer.step()
-            self.averaged.update_parameters(self.teacher)
-            self.skipped = 0
-        elif self.skipped >= self.PATIENCE:
-            raise TrainingError(f"{self.skipped} gradients in a row were not finite; lower learning_rate or n_steps")
-        else:
-            self.skipped += 1
+        norm = self._follow(self.teacher, gradient.max_grad_norm)
         return {"loss": loss, "window_error_m": error, "gradient_norm": norm}
-
-    def _groups(self) -> list[dict[str, Any]]:
-        return [group for optimizer in self.optimizers for group in optimizer.param_groups]
 
     def _adapt(self) -> Mapping[str, float]:
         """Let the student act in a window and its filters learn the latent that the teacher would have had."""
