@@ -94,8 +94,14 @@ HELM: Mapping[str, Any] = {
 }
 """Of the agent for both regimes: small errors seen as well as large ones, filters, and commands no rougher than
 those of `nmpc`."""
+SMALL: Mapping[str, Any] = {**HELM, "hidden_size": 11}
+"""`HELM` for a microcontroller: about 2,000 weights."""
+BLIND: Mapping[str, Any] = {**HELM, "preview": []}
+"""`HELM` that is shown nothing of the reference ahead."""
 SHIPPED: Mapping[str, Options] = {
     "helm": training("apg", "helm", (1.0, 1.6), None, 12_000_000, HELM),
+    "helm-blind": training("apg", "helm", (1.0, 1.6), None, 12_000_000, BLIND),
+    "helm-small": training("apg", "helm", (1.0, 1.6), None, 12_000_000, SMALL),
     "apg-cruise": training("apg", "cruise"),
     "apg-slow": training("apg", "slow", SLOW_AUTHORITY, changes=SLOW),
     "apg-preview-cruise": training("apg", weighted("cruise", **HARDEST), (1.0, 1.6), None, 16_000_000, FREE),
