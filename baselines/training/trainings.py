@@ -94,6 +94,8 @@ HELM: Mapping[str, Any] = {
 }
 """Of the agent for both regimes: small errors seen as well as large ones, filters, and commands no rougher than
 those of `nmpc`."""
+ANY_HULL: Mapping[str, Any] = {**HELM, "hull": True, "hulls": 0.5}
+"""Of the agent for every vehicle: `HELM`, told the hull, on half of whose vehicles the hull is drawn."""
 SHIPPED: Mapping[str, Options] = {
     "helm": training("apg", "helm", (1.0, 1.6), None, 12_000_000, HELM),
     "apg-cruise": training("apg", "cruise"),
