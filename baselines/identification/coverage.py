@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from auv_gym.identify import identify
+from auv_gym.identify.fit import UNKNOWN
 from auv_gym.identify.model import CURRENT as V
 from auv_gym.identify.model import HULL, LIMITS, PARAMETERS
 from auv_gym.identify.trials import CURRENT, example
@@ -59,25 +60,32 @@ def counted(name: str, logs: int) -> dict[str, Any]:
     truth |= dict(zip(LIMITS, (EXAMPLE.F_u_max, EXAMPLE.F_r_max), strict=True)) | {"lag": EXAMPLE_LAG}
     held, near = dict.fromkeys(PARAMETERS, 0), dict.fromkeys(PARAMETERS, 0)
     errors: dict[str, list[float]] = {n: [] for n in PARAMETERS}
+    unknown, whole = dict.fromkeys(PARAMETERS, 0), 0
     begin = time.process_time()
     for seed in range(logs):
-        for e in identify(example(vehicle, EXAMPLE, sensors, seed)).estimates:
+        found = identify(example(vehicle, EXAMPLE, sensors, seed)).estimates
+        good = []
+        for e in found:
             inside, error = e.low <= truth[e.name] <= e.high, abs(e.value - truth[e.name])
+            good.append(inside or error <= NEAR * abs(truth[e.name]))
             held[e.name] += inside
-            near[e.name] += inside or error <= NEAR * abs(truth[e.name])
+            near[e.name] += good[-1]
+            unknown[e.name] += e.verdict == UNKNOWN
             errors[e.name].append(error / (abs(truth[e.name]) or 1.0))
+        whole += all(good)
     seconds = (time.process_time() - begin) / logs
     rows = {
         n: {
             "true": truth[n],
             "held": held[n],
             "near": near[n],
+            "unknown": unknown[n],
             "median": float(np.median(errors[n])),
             "worst": max(errors[n]),
         }
         for n in PARAMETERS
     }
-    return {"logs": logs, "processor_s": seconds, "parameters": rows}
+    return {"logs": logs, "processor_s": seconds, "whole": whole, "parameters": rows}
 
 
 def table(record: Mapping[str, Any]) -> str:

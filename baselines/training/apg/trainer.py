@@ -213,7 +213,8 @@ class Trainer(Descent):
         if (state := run.load_checkpoint()) is None:
             self.carried = self.fleet.reset(settings.network.memory, settings.inputs.memory)
         else:
-            self._restore(state)
+            with run.restoring():
+                self._restore(state)
         law, self._exact = law_of(self._expert)
         kernels = LoopKernels(ClosedLoop(law, settings.inputs, self.fleet.parts), self._exact)
         self._window = Window(kernels, self.network, settings.n_envs, settings.n_steps)
