@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
 
 from auv_gym.identify import identify
 from auv_gym.identify.fit import UNKNOWN
@@ -108,10 +109,22 @@ def table(record: Mapping[str, Any]) -> str:
 
 def section(name: str, record: Mapping[str, Any]) -> str:
     """Return what the page says about the logs of a vehicle."""
+    logs, rows = record["logs"], record["parameters"].values()
+    there = [row["near"] for row in rows if row["true"] != 0]
+    not_there = [row["near"] for row in rows if row["true"] == 0]
     says = (
-        f"**{name[0].upper()}{name[1:]}**, {record['logs']} logs, {record['processor_s']:.1f} s of processor time each:"
+        f"**{name[0].upper()}{name[1:]}**, {logs} logs, {record['processor_s']:.1f} s of processor time each. Of the numbers "
+        f"that are not 0 in truth, {_share(there, logs)} are inside their interval or within 5 %; of those that are 0, "
+        f"{_share(not_there, logs)}; in {record['whole']} of {logs} logs all of them."
     )
     return f"{says}\n\n{table(record)}"
+
+
+def _share(counts: Sequence[int], logs: int) -> str:
+    """Return a count of all numbers in words, with its 95 % interval (Clopper and Pearson 1934)."""
+    done, of = sum(counts), len(counts) * logs
+    low, high = binomtest(done, of).proportion_ci(0.95) if of else (0.0, 1.0)
+    return f"{done} of {of} ({100 * low:.1f} to {100 * high:.1f} %)"
 
 
 def main(arguments: Sequence[str]) -> int:

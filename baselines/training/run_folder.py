@@ -101,8 +101,10 @@ class Run:
 
     @cached_property
     def validation(self) -> Validation:
-        """The validation episodes of the run's scenarios."""
-        return Validation([validation_cell(scenario) for scenario, _ in self.config.scenarios], self.folder)
+        """The validation episodes of the run's scenarios; few, and without the oracle, if it begins with an agent."""
+        brief = self.config.origin is not None
+        cells = [validation_cell(scenario, brief) for scenario, _ in self.config.scenarios]
+        return Validation(cells, self.folder, brief)
 
     @property
     def seconds(self) -> float:

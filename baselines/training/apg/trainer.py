@@ -31,8 +31,9 @@ from baselines.policy import Memory
 from baselines.training.apg.closed_loop import ClosedLoop, Loss, law_of
 from baselines.training.apg.fleet import Fleet
 from baselines.training.apg.kernels import LoopKernels
-from baselines.training.apg.torch_network import torch_network, weights_of
+from baselines.training.apg.torch_network import put, torch_network, weights_of
 from baselines.training.apg.window import Array, Window
+from baselines.training.beginning import loaded
 from baselines.training.config import Config
 from baselines.training.run_folder import VALIDATIONS, Run, TrainingError
 from baselines.training.validation import PRECISION
@@ -51,6 +52,7 @@ class Settings:
     weight_decay: float = 0.02  # of those matrices: without it they grow until the vehicles move in chaos
     final_share: float = 0.03  # of both rates that is left at the end; they fall along a cosine
     max_grad_norm: float = 0.05  # less than most gradients have, so that every window weighs the same
+    warm_up: float = 0.0  # share of the run in which both rates rise from nothing
     average: float = 0.02  # share of the run over which weights are averaged; it is their average that an agent gets
     hidden_size: int = 64  # of each layer of the network
     effort_weight: float = 0.006  # [1] of the squared command in `closed_loop.Loss`
@@ -73,7 +75,7 @@ class Settings:
                 raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")
         for name in ("learning_rate", "max_grad_norm"):
             check_number(name, getattr(self, name), 1e-9, 1e6)
-        for name in ("matrix_learning_rate", "weight_decay", "final_share", "average", "cruise_share"):
+        for name in ("matrix_learning_rate", "weight_decay", "final_share", "warm_up", "average", "cruise_share"):
             check_number(name, getattr(self, name), 0, 1)
         for name in ("cut", "effort_weight", "rate_weight", "cruise_effort_weight", "cruise_rate_weight"):
             if getattr(self, name) is not None or not name.startswith("cruise"):
@@ -105,7 +107,8 @@ class Settings:
 
     def share_at(self, progress: float) -> float:
         """Return the share of the learning rates that is left after a share `progress` of the run."""
-        return self.final_share + (1 - self.final_share) * 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
+        risen = min(1.0, progress / self.warm_up) if self.warm_up else 1.0
+        return risen * (self.final_share + (1 - self.final_share) * 0.5 * (1 + math.cos(math.pi * min(progress, 1.0))))
 
     def optimizers(self, network: nn.Module) -> tuple[torch.optim.Optimizer, ...]:
         """Return what follows a network's gradient.
@@ -133,6 +136,10 @@ def check(config: Config) -> Settings:
     shortest = min(scenario.steps for scenario, _ in config.scenarios)
     if settings.n_steps > shortest:
         raise ValueError(f"n_steps is {settings.n_steps}; it must be at most {shortest}, the steps of an episode")
+    if config.origin:
+        agent = loaded(config.origin)
+        if (settings.network, settings.inputs) != (agent.network, agent.inputs):
+            raise ValueError(f"agent {config.origin.agent!r} has another network, or other inputs, than is asked for")
     return settings
 
 
@@ -200,6 +207,8 @@ class Trainer(Descent):
         self.total = max(1, math.ceil(config.timesteps / (settings.n_envs * settings.n_steps)))
         torch.manual_seed(config.seed)
         self.network = torch_network(settings.network)
+        if config.origin:
+            put(loaded(config.origin).weights, self.network)
         kept = 1 - 1 / max(1.0, settings.average * self.total)
         self.averaged = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(kept))  # type: ignore[no-untyped-call]
         self.optimizers = settings.optimizers(self.network)
