@@ -80,7 +80,7 @@ def test_gains_between_the_speeds_are_stable_and_near_those_of_the_equation(kind
 
 
 def spread(A, H, Q, R, K):
-    """Return the standard deviations of what a filter with a gain predicts, and the radius that its errors shrink by."""
+    """Return the standard deviations of what a filter with a gain predicts; its errors must shrink."""
     F = A @ (np.eye(len(A)) - K @ H)
     radius = max(abs(np.linalg.eigvals(F)))
     assert radius < 1

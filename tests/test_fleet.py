@@ -19,7 +19,8 @@ from auv_gym.actuators import LEAST_SHARE, Actuators
 from auv_gym.disturbances import RandomCurrent, RandomWaves
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.feasibility import InfeasibleReferenceError
-from auv_gym.fleet import FOLDER, PAPER, POWERS, Craft, craft, fleet
+from auv_gym.fleet import FOLDER, PAPER, Craft, craft, fleet
+from auv_gym.fleet.scaling import POWERS
 from auv_gym.navigation import RandomReckoning
 from auv_gym.paths import PATHS
 from auv_gym.planner import plan

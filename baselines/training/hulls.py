@@ -49,8 +49,8 @@ SOME = 0.65  # share of the hulls that have quadratic drag, of each kind; and of
 LIFTING = 0.5  # share of the hulls that have lift
 FINNED = 0.5  # share of them with fins in place of a rudder that steers at any speed
 WRONG = 0.25  # share of the hulls that are told wrong by up to `MISTAKE`
-MISTAKE = RandomMismatch((0.7, 1.4), (0.8, 1.25), (0.5, 1.7), (0.4, 1.9), (0.4, 1.9), (0.4, 1.9))
-"""How wrong a hull may be told."""
+MISTAKE = RandomMismatch((0.7, 1.4), 1.0, (0.5, 1.7), (0.4, 1.9), (0.4, 1.9), (0.4, 1.9))
+"""How wrong a hull may be told; and m22/m11 by a fifth or a quarter, as far as it stays a slender hull."""
 
 
 def turns(scenarios: Sequence[Scenario], share: float, seed: int) -> list[list[Scenario]]:
@@ -109,12 +109,10 @@ def drawn(rng: np.random.Generator) -> Craft:
 
 def _mistaken(scenario: Scenario) -> RandomMismatch:
     """Return the mismatch of a scenario whose hull is told wrong."""
-    hull, (low, high) = scenario.vehicle, (0.8, 1.25)
+    hull, own = scenario.vehicle, scenario.mismatch or MISTAKE
     least = 1.02 * hull.m11 / hull.m22
-    own = scenario.mismatch or MISTAKE
-    quadratic = own.quadratic, own.quadratic_drag
-    wrong = replace(MISTAKE, ratio=(max(low, least), max(high, 1.01 * least)))
-    return replace(wrong, quadratic=quadratic[0], quadratic_drag=quadratic[1])
+    ratio = max(0.8, least), max(1.25, least)
+    return replace(MISTAKE, ratio=ratio, quadratic=own.quadratic, quadratic_drag=own.quadratic_drag)
 
 
 def _followed(scenario: Scenario, rng: np.random.Generator) -> bool:

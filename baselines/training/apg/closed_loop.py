@@ -82,10 +82,12 @@ class ClosedLoop:
     parts: Parts = Parts()  # noqa: RUF009 - a tuple; of the simulation, what is in use
     believer: Backstepping | None = None  # the expert, where each vehicle has a hull of its own: `law` for any of them
 
-    def expert(self, observation: Rows, ns: Namespace, known: Rows = ()) -> tuple[Number, Number]:
-        """Return the law's action on an observation without its preview, for the known hulls if there are any."""
+    def expert(
+        self, observation: Rows, ns: Namespace, known: Rows = PAPER_VEHICLE.coefficients
+    ) -> tuple[Number, Number]:
+        """Return the law's action on an observation without its preview; a `believer` is told the known hulls."""
         o = decode(observation, ns)
-        law = told(self.believer, Coefficients._make(known)) if self.believer and known else self.law
+        law = told(self.believer, Coefficients._make(known)) if self.believer else self.law
         return action_of(law(o, ns), o, ns)
 
     def features(

@@ -83,7 +83,7 @@ class LoopKernels:
             base: Symbols = (),
             known: Symbols = (),
         ) -> Results:
-            action = base or self.loop.expert(observation, SYMBOLS, known)
+            action = base or self.loop.expert(observation, SYMBOLS, known or _PAPER)
             seen = (observation, ahead, action, correction, integrals)
             features, following = self.loop.features(*seen, SYMBOLS, known or _PAPER)
             return {"features": features, "following": following, **({} if base else {"base": action})}
@@ -113,7 +113,7 @@ class LoopKernels:
                 gradient((*features, *following), (*d_features, *d_integrals), within),
                 len(seen), ACTIONS, self.loop.inputs.memory, ACTIONS,
             )  # fmt: skip
-            action = self.loop.expert(observation, SYMBOLS, known)
+            action = self.loop.expert(observation, SYMBOLS, known or _PAPER)
             through = gradient(action, _sum(d_base, shares[3]), seen)  # the law's slope, whoever acts
             steered: dict[int, Any] = dict(zip(STEERED, _sum(shares[0], through), strict=True))
             return {

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from auv_gym.policy import preview_of
 from auv_gym.preview import encode_preview, shared_preview
 from auv_gym.records import from_record
 from auv_gym.task import decode_observation
+from auv_gym.vehicle import PAPER_VEHICLE
 from baselines.agents.agent import Agent
 from baselines.agents.features import Inputs
 from baselines.agents.networks import Gru, Mlp
@@ -33,13 +34,16 @@ from baselines.policy import Memory
 from baselines.training.apg.closed_loop import ClosedLoop, Loss, law_of
 from baselines.training.apg.fleet import Fleet
 from baselines.training.apg.kernels import LoopKernels
-from baselines.training.apg.torch_network import torch_network, weights_of
+from baselines.training.apg.torch_network import put, torch_network, weights_of
 from baselines.training.apg.window import Array, Window
+from baselines.training.beginning import loaded
 from baselines.training.config import Config
 from baselines.training.hulls import turns
 from baselines.training.run_folder import VALIDATIONS, Run, TrainingError
 from baselines.training.validation import PRECISION
 
+SHARES = ("final_share", "warm_up", "average", "cruise_share", "hulls")  # settings in [0, 1]
+WEIGHTS = ("cut", "hull_weight", "effort_weight", "rate_weight", "cruise_effort_weight", "cruise_rate_weight")
 LOGS = 200  # how often in a run its progress is logged
 
 
@@ -54,6 +58,7 @@ class Settings:
     weight_decay: float = 0.02  # of those matrices: without it they grow until the vehicles move in chaos
     final_share: float = 0.03  # of both rates that is left at the end; they fall along a cosine
     max_grad_norm: float = 0.05  # less than most gradients have, so that every window weighs the same
+    warm_up: float = 0.0  # share of the run in which both rates rise from nothing
     average: float = 0.02  # share of the run over which weights are averaged; it is their average that an agent gets
     hidden_size: int = 64  # of each layer of the network
     effort_weight: float = 0.006  # [1] of the squared command in `closed_loop.Loss`
@@ -79,16 +84,9 @@ class Settings:
                 raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")
         for name in ("learning_rate", "max_grad_norm"):
             check_number(name, getattr(self, name), 1e-9, 1e6)
-        for name in ("matrix_learning_rate", "weight_decay", "final_share", "average", "cruise_share", "hulls"):
+        for name in (*SHARES, "matrix_learning_rate", "weight_decay"):
             check_number(name, getattr(self, name), 0, 1)
-        for name in (
-            "cut",
-            "hull_weight",
-            "effort_weight",
-            "rate_weight",
-            "cruise_effort_weight",
-            "cruise_rate_weight",
-        ):
+        for name in WEIGHTS:
             if getattr(self, name) is not None or not name.startswith("cruise"):
                 check_number(name, getattr(self, name), 0, 1e6)
         if not isinstance(self.memory, bool):
@@ -118,7 +116,8 @@ class Settings:
 
     def share_at(self, progress: float) -> float:
         """Return the share of the learning rates that is left after a share `progress` of the run."""
-        return self.final_share + (1 - self.final_share) * 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
+        risen = min(1.0, progress / self.warm_up) if self.warm_up else 1.0
+        return risen * (self.final_share + (1 - self.final_share) * 0.5 * (1 + math.cos(math.pi * min(progress, 1.0))))
 
     def optimizers(self, network: nn.Module) -> tuple[torch.optim.Optimizer, ...]:
         """Return what follows a network's gradient.
@@ -148,6 +147,12 @@ def check(config: Config) -> Settings:
     shortest = min(scenario.steps for scenario, _ in config.scenarios)
     if settings.n_steps > shortest:
         raise ValueError(f"n_steps is {settings.n_steps}; it must be at most {shortest}, the steps of an episode")
+    if config.origin:
+        agent = loaded(config.origin)
+        known = replace(settings.inputs, hull=settings.hull and agent.inputs.hull)  # a network can be told more
+        sizes = replace(settings.network, inputs=agent.network.inputs)
+        if known != agent.inputs or sizes != agent.network:
+            raise ValueError(f"agent {config.origin.agent!r} has another network, or other inputs, than is asked for")
     return settings
 
 
@@ -215,6 +220,8 @@ class Trainer(Descent):
         self.total = max(1, math.ceil(config.timesteps / (settings.n_envs * settings.n_steps)))
         torch.manual_seed(config.seed)
         self.network = torch_network(settings.network)
+        if config.origin:
+            put(loaded(config.origin).weights, self.network)
         kept = 1 - 1 / max(1.0, settings.average * self.total)
         self.averaged = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(kept))  # type: ignore[no-untyped-call]
         self.optimizers = settings.optimizers(self.network)
@@ -222,7 +229,8 @@ class Trainer(Descent):
         self._expert = config.make_expert()
         preview, self._seen, self._seen_by_expert = shared_preview(settings.preview, preview_of(self._expert))
         lanes = config.lanes(settings.n_envs)
-        hulls = turns(lanes, settings.hulls, config.episode_seed) if settings.hulls else ()
+        drawn = settings.hulls and config.vehicle == PAPER_VEHICLE  # for another one, it alone is learned
+        hulls = turns(lanes, settings.hulls, config.episode_seed) if drawn else ()
         self.fleet = Fleet(lanes, config.episode_seed, settings.n_steps, preview, hulls)
         self.updates, self.skipped, self.score = 0, 0, -math.inf
         self.best = weights_of(self.averaged.module)
@@ -230,7 +238,8 @@ class Trainer(Descent):
         if (state := run.load_checkpoint()) is None:
             self.carried = self.fleet.reset(settings.network.memory, settings.inputs.memory)
         else:
-            self._restore(state)
+            with run.restoring():
+                self._restore(state)
         law, self._exact = law_of(self._expert)
         believer = self._expert if settings.hull and isinstance(self._expert, Backstepping) else None
         kernels = LoopKernels(ClosedLoop(law, settings.inputs, self.fleet.parts, believer), self._exact)
