@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from auv_gym.intervals import is_float
+from auv_gym.intervals import check_number, is_float
 from auv_gym.namespaces import Number
 
 
@@ -39,6 +40,8 @@ class Coefficients(NamedTuple):
 
 LIFT = Coefficients._fields[-4:]
 """The parameters of the lift, which grow with the surge velocity."""
+SPEEDS = (1e-2, 16.0)
+"""Least and largest design speed of a vehicle [m/s]."""
 LARGEST = 1e11
 """Largest parameter of a vehicle, in its SI unit."""
 MIN_MASS_RATIO = 1.01
@@ -47,16 +50,18 @@ MIN_MASS_RATIO = 1.01
 
 @dataclass(frozen=True)
 class Vehicle:
-    """Parameters of (2): rigid body plus added mass, linear drag and, beyond the paper, quadratic drag.
+    """Parameters of (2): rigid body plus added mass, linear drag and, beyond the paper, quadratic drag; a design speed.
 
     Drag enters as `-(d11 + X_uu |u|) u` in surge, in sway and yaw with their coefficients; all are magnitudes. Lift of
     hull and fins adds `-Y_uv |u| v + Y_ur |u| r` to the sway force and `N_uv |u| v - N_ur |u| r` to the yaw moment; a
     fin behind the centre has all four positive. Beyond the Munk moment (m11 - m22) u v, which (2c) has by itself.
+    The design speed acts on nothing: with mass and length it is the measure that scenarios and gains are scaled by, see
+    `auv_gym.units`.
 
     Raises:
         ValueError: a parameter is not finite or too large, one but Y_ur or N_uv is negative, a mass or linear drag is
-            zero, or m22 is not above m11 and m11 - Y_ur: the section III planner and the sideslip it describes need a
-            slender hull.
+            zero, m22 is not above m11 and m11 - Y_ur, since the section III planner and the sideslip it describes need
+            a slender hull, or the design speed is outside of `SPEEDS`.
     """
 
     m11: float  # [kg] surge inertia, added mass included
@@ -72,6 +77,7 @@ class Vehicle:
     Y_ur: float = 0.0  # [kg] lift: sway force of a yaw rate
     N_uv: float = 0.0  # [kg] lift: yaw moment of a sway velocity, positive where it turns the bow into the flow
     N_ur: float = 0.0  # [kg m] lift: yaw drag that grows with the surge velocity
+    speed: float = 1.5  # [m/s] the fastest that it is to cruise at
 
     def __post_init__(self) -> None:
         for name, value in zip(Coefficients._fields, self.coefficients, strict=True):
@@ -81,12 +87,23 @@ class Vehicle:
                 raise ValueError(f"vehicle parameter {name} is {value!r}; inertia and linear drag must be positive")
             if value < 0 and name not in ("Y_ur", "N_uv"):
                 raise ValueError(f"vehicle parameter {name} is {value!r}; drag is a magnitude, 0 or more")
-        if self.m22 < MIN_MASS_RATIO * max(self.m11, self.m11 - self.Y_ur):
+        if self.m22 < (1 - 1e-12) * MIN_MASS_RATIO * max(self.m11, self.m11 - self.Y_ur):  # in any units
             raise ValueError(
                 f"m22 = {self.m22!r} kg is not above m11 = {self.m11!r} kg, by a factor of {MIN_MASS_RATIO} at least, "
                 f"nor may Y_ur = {self.Y_ur!r} kg bring m11 - Y_ur there; "
                 "a torpedo-shaped hull adds more mass in sway than in surge, and only then the plan is stable"
             )
+        check_number("vehicle speed", self.speed, *SPEEDS)
+
+    @property
+    def length(self) -> float:
+        """Its length scale sqrt(m33/m11) [m], a radius of gyration."""
+        return math.sqrt(self.m33 / self.m11)
+
+    @property
+    def time(self) -> float:
+        """Its time scale [s]: the length scale over the design speed."""
+        return self.length / self.speed
 
     @property
     def has_lift(self) -> bool:

@@ -21,6 +21,8 @@ from baselines.agents.loading import load_policy
 from baselines.agents.names import COMMAND, FADING, agent_folder, is_path, shipped_agents
 from baselines.control import POLICIES, make_controller
 from baselines.episodes import EpisodeRecord, run_episode, run_episodes
+from baselines.policy import Privileged
+from baselines.similar import made_for
 
 __all__ = [
     "POLICIES",
@@ -50,9 +52,10 @@ def make_policy(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None = N
 
     Args:
         name: one of `list_policies`, FILE.py:FACTORY, a FILE.zip, a FILE.onnx, the folder of an agent, or cmd:COMMAND.
-        vehicle: the one that the task knows; a law, or the expert of an agent, believes in it, and a policy whose
-            factory takes no `vehicle` is not told. None: the paper's.
-        options: of the factory.
+        vehicle: the one that the task knows. None: the paper's. A controller or an agent is made for it in the paper's
+            units, see `baselines.similar`, so that its gains follow from the vehicle; what looks behind the observation
+            or comes from a file of code is told it as it is, if its factory takes a `vehicle`.
+        options: of the factory; numbers with units among them are for the vehicle in the paper's units.
 
     Raises:
         OSError: the file cannot be read.
@@ -68,7 +71,9 @@ def make_policy(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None = N
             f"unknown policy {name!r}; allowed are {known}, FILE.py:FACTORY, a FILE.zip, a FILE.onnx, an "
             "agent's folder or cmd:COMMAND"
         )
-    return make_controller(name, vehicle, **options)
+    if isinstance(POLICIES[name][0], Privileged):
+        return make_controller(name, vehicle, **options)
+    return made_for(vehicle, lambda known: make_controller(name, known, **options))
 
 
 def common_vehicle(scenarios: Sequence[Scenario]) -> Vehicle | None:

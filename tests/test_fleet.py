@@ -45,7 +45,7 @@ def test_numbers_are_those_of_the_source(name):
 def test_drag_takes_as_much_of_the_thrust_as_it_does_of_the_papers_vehicle_at_most(name):
     """At cruise, so that current and a wrong model leave as much of it."""
     mine = craft(name)
-    share, of_the_paper = (c.drag(c.speed)[0] * c.speed / c.actuators.F_u_max for c in (mine, PAPER))
+    share, of_the_paper = (c.drag(c.vehicle.speed)[0] * c.vehicle.speed / c.actuators.F_u_max for c in (mine, PAPER))
     assert share < 1.01 * of_the_paper
 
 
@@ -53,8 +53,8 @@ def test_drag_takes_as_much_of_the_thrust_as_it_does_of_the_papers_vehicle_at_mo
 def test_planned_forces_alone_keep_the_vehicle_on_its_path(name):
     """From the planned state in still water, in the matrix form, by Runge-Kutta steps of h: nothing is left over."""
     mine = craft(name)
-    h, turn_rate = 0.02 * mine.time, 0.3 * (mine.turn_rate or 0.12 * PAPER.time / mine.time)
-    path = PATHS["sine"].drawn(mine.speed, turn_rate, random.Random(1).random)
+    h, turn_rate = 0.02 * mine.vehicle.time, 0.3 * (mine.turn_rate or 0.12 * PAPER.vehicle.time / mine.vehicle.time)
+    path = PATHS["sine"].drawn(mine.vehicle.speed, turn_rate, random.Random(1).random)
     R = plan(
         path, mine.vehicle, h / 2 * np.arange(401), (mine.actuators.F_u_max, mine.actuators.F_r_max), mine.actuators.fin
     )
@@ -69,7 +69,7 @@ def test_planned_forces_alone_keep_the_vehicle_on_its_path(name):
         b = rates(state + h / 2 * a, k + 1)
         c = rates(state + h / 2 * b, k + 1)
         state = state + h / 6 * (a + 2 * (b + c) + rates(state + h * c, k + 2))
-    assert np.abs(state[:2] - table[400, :2]).max() < 1e-6 * mine.length
+    assert np.abs(state[:2] - table[400, :2]).max() < 1e-6 * mine.vehicle.length
 
 
 @FLEET
@@ -81,9 +81,9 @@ def test_its_storm_can_be_sailed_in_by_steps_that_are_short_enough(name):
     for _ in range(40):
         *_, over, _, _ = env.step(rng.choice([-1.0, 1.0], 2))
         u, v, r = np.abs(env.state[3:])
-        assert mine.drag(0.5 * u)[0] * u < limit + mine.drag(mine.speed)[0] * mine.speed
-        assert v < 5 * mine.speed
-        assert r * mine.length < 5 * mine.speed
+        assert mine.drag(0.5 * u)[0] * u < limit + mine.drag(mine.vehicle.speed)[0] * mine.vehicle.speed
+        assert v < 5 * mine.vehicle.speed
+        assert r * mine.vehicle.length < 5 * mine.vehicle.speed
         if over:
             break
 
@@ -106,9 +106,8 @@ def test_the_papers_vehicle_in_other_units_does_the_same(sensors):
     twin = replace(
         PAPER,
         name="twin",
-        vehicle=Vehicle(**inertia, **drag),
+        vehicle=Vehicle(**inertia, **drag, speed=1.5 * L / T),
         actuators=limits,
-        speed=1.5 * L / T,
         turn_rate=0.04,
         lag=0.6,
     )
@@ -202,7 +201,7 @@ def test_what_there_is_not_is_refused(scenario, says):
 
 
 def test_wrong_file_is_refused(tmp_path):
-    (tmp_path / "wrong.toml").write_text("speed = 1.0\n", encoding="utf-8")
+    (tmp_path / "wrong.toml").write_text("slowest = 1.0\n", encoding="utf-8")
     with pytest.raises(ValueError, match=r"wrong.toml: vehicle file lacks the entry 'name'"):
         PRESETS["cruise-calm"].changed(str(tmp_path / "wrong.toml"))
 
@@ -211,12 +210,12 @@ PAGE = Path(__file__).parents[1] / "docs/vehicles.md"
 
 
 def row(mine):
-    v, act, U = mine.vehicle, mine.actuators, mine.speed
+    v, act, U = mine.vehicle, mine.actuators, mine.vehicle.speed
     torque = min(act.F_r_max, act.fin * U * U) if act.fin else act.F_r_max
-    lag = 0.2 * mine.time / PAPER.time if mine.lag is None else mine.lag
+    lag = 0.2 * mine.vehicle.time / PAPER.vehicle.time if mine.lag is None else mine.lag
     _, sway, yaw = mine.drag(U)
     numbers = (
-        mine.length,
+        mine.vehicle.length,
         U,
         act.F_u_max,
         torque,

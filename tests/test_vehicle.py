@@ -8,12 +8,20 @@ import pytest
 
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 
-NAMES = [field.name for field in fields(Vehicle)]
+NAMES = [field.name for field in fields(Vehicle) if field.name != "speed"]
 
 
 def test_paper_vehicle():
     assert PAPER_VEHICLE.coefficients == (215.0, 265.0, 80.0, 70.0, 100.0, 50.0, *[0.0] * 7)
     assert PAPER_VEHICLE.coefficients._fields == tuple(NAMES)
+    assert (PAPER_VEHICLE.length, PAPER_VEHICLE.speed) == (math.sqrt(80 / 215), 1.5)
+    assert PAPER_VEHICLE.time == PAPER_VEHICLE.length / 1.5
+
+
+@pytest.mark.parametrize("speed", [math.nan, math.inf, True, "1", 0.0, -1.0, 17.0])
+def test_what_is_no_design_speed_is_refused(speed):
+    with pytest.raises(ValueError, match=rf"vehicle speed is {speed!r}; it must be a number in \[0.01, 16\]"):
+        replace(PAPER_VEHICLE, speed=speed)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, True, "1", None, 1j], ids=repr)

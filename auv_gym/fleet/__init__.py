@@ -7,7 +7,6 @@ vehicle. What has no dimension stays. For the paper's vehicle every factor is 1.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
@@ -19,6 +18,8 @@ from auv_gym.disturbances import RandomMismatch, RandomWaves
 from auv_gym.intervals import Interval, check_number
 from auv_gym.paths import Path
 from auv_gym.records import from_record, read_table
+from auv_gym.units import POWERS as UNITS
+from auv_gym.units import Units, in_paper_units
 from auv_gym.vehicle import PAPER_VEHICLE, VEHICLES, Vehicle
 
 if TYPE_CHECKING:
@@ -44,7 +45,6 @@ class Craft:
     ours: str  # what the source does not have
     vehicle: Vehicle
     actuators: Actuators
-    speed: float  # [m/s] the fastest of its cruise; the paper's vehicle has 1.5
     turn_rate: float | None = None  # [rad/s] there, at most; None: as the paper's, 0.12 rad/s in its own time
     lag: float | None = None  # [s] of its actuators, about; None: as the paper's, 0.2 s in its own time
     slowest: float = 0.0  # [m/s] below which its fins do not steer it
@@ -53,26 +53,32 @@ class Craft:
         for name in ("name", "about", "source", "left_out", "ours"):
             if not isinstance(getattr(self, name), str):
                 raise ValueError(f"craft {name} is {getattr(self, name)!r}; it must be a string")
-        check_number("craft speed", self.speed, 1e-2, 16)
-        check_number("craft slowest", self.slowest, 0, self.speed)
+        check_number("craft slowest", self.slowest, 0, self.vehicle.speed)
         for name in ("turn_rate", "lag"):
             if getattr(self, name) is not None:
                 check_number(f"craft {name}", getattr(self, name), 1e-6, 1e3)
-
-    @property
-    def length(self) -> float:
-        """Its length scale sqrt(m33/m11) [m], a radius of gyration."""
-        return math.sqrt(self.vehicle.m33 / self.vehicle.m11)
-
-    @property
-    def time(self) -> float:
-        """Its time scale [s]: the length scale over the speed."""
-        return self.length / self.speed
 
     def drag(self, speed: float) -> tuple[float, float, float]:
         """Return what the drag is per velocity at a surge speed [m/s]: surge, sway [kg/s] and yaw [kg m^2/s]."""
         v = self.vehicle
         return v.d11 + v.X_uu * speed, v.d22 + v.Y_uv * speed, v.d33 + v.N_ur * speed
+
+    @property
+    def in_paper_units(self) -> Craft:
+        """The same in units in which mass, length and design speed are those of the paper's vehicle."""
+        units = Units.of(self.vehicle)
+        if units == Units():
+            return self
+        dimensions = {"F_u_max": "N", "F_r_max": "N m", "F_u_rate": "N/s", "F_r_rate": "N m/s", "fin": "kg"}
+        limits = {n: getattr(self.actuators, n) / units.factor(*UNITS[unit]) for n, unit in dimensions.items()}
+        return replace(
+            self,
+            vehicle=in_paper_units(self.vehicle),
+            actuators=replace(self.actuators, **limits, lag=scaled(self.actuators.lag, 1 / units.time)),
+            turn_rate=None if self.turn_rate is None else self.turn_rate * units.time,
+            lag=None if self.lag is None else self.lag / units.time,
+            slowest=self.slowest / units.factor(length=1, time=-1),
+        )
 
     def adapted(self, scenario: Scenario) -> Scenario:
         """Return a scenario of the paper's vehicle as one of this vehicle; a path that is not drawn stays as it is.
@@ -104,7 +110,6 @@ PAPER = Craft(
     ours="limits, speed and lag",
     vehicle=PAPER_VEHICLE,
     actuators=Actuators(F_u_max=400.0, F_r_max=200.0),
-    speed=1.5,
     turn_rate=0.12,
     lag=0.2,
 )
@@ -132,12 +137,12 @@ class _Fit:
 
     craft: Craft
 
-    def factor(self, powers: tuple[float, float]) -> float:
-        length, time = self.craft.length / PAPER.length, self.craft.time / PAPER.time
-        return float(length ** powers[0] * time ** powers[1])
+    @property
+    def units(self) -> Units:
+        return Units.of(self.craft.vehicle)
 
     def scenario(self, scenario: Scenario) -> Scenario:
-        length, time = self.factor((1, 0)), self.factor((0, 1))
+        length, time = self.units.length, self.units.time
         parts = "path", "start", "sensors", "current", "waves"
         changes = {name: self.part(name, getattr(scenario, name)) for name in parts}
         path: Any = changes["path"]
@@ -166,13 +171,13 @@ class _Fit:
         if name == "current" and not part.relative:
             powers |= dict.fromkeys(("speed", "gust", "shear"), (1, -1))
         given = {entry: getattr(part, entry) for entry in powers}
-        return replace(part, **{e: scaled(x, self.factor(powers[e])) for e, x in given.items() if x is not None})
+        return replace(part, **{e: scaled(x, self.units.factor(*powers[e])) for e, x in given.items() if x is not None})
 
     @property
     def turn_rate(self) -> float:
         """The factor of turn rates: one over time, or what the vehicle asks for."""
         own = self.craft.turn_rate
-        return self.factor((0, -1)) if own is None else own / 0.12
+        return self.units.factor(time=-1) if own is None else own / 0.12
 
     def check_speed(self, speed: Interval, name: str) -> None:
         low = speed[0] if isinstance(speed, tuple) else speed
@@ -192,7 +197,7 @@ class _Fit:
         if waves is None:
             return None
         v, (d_u, d_v, d_r) = self.craft.vehicle, self.craft.drag(top)
-        yaw = waves.yaw * d_r / v.d33 / self.factor((1, 0))  # of d33 U / (1 m)
+        yaw = waves.yaw * d_r / v.d33 / self.units.length  # of d33 U / (1 m)
         return replace(waves, surge=waves.surge * d_u / v.d11, sway=waves.sway * d_v / v.d22, yaw=yaw)
 
     def mismatch(self, mismatch: RandomMismatch | None, top: float) -> RandomMismatch | None:
@@ -200,12 +205,12 @@ class _Fit:
         if mismatch is None:
             return None
         shares = zip(mismatch.quadratic_drag, self.drag(top), ((1, -1), (1, -1), (0, -1)), strict=True)
-        X_uu, Y_vv, N_rr = (quadratic * drag / self.factor(rate) for quadratic, drag, rate in shares)
+        X_uu, Y_vv, N_rr = (quadratic * drag / self.units.factor(*rate) for quadratic, drag, rate in shares)
         return replace(mismatch, quadratic_drag=(X_uu, Y_vv, N_rr))
 
     def actuators(self, given: Actuators) -> Actuators:
         """Return actuators with the same share of the vehicle's own limits, and of its own lag."""
-        own, time = self.craft.actuators, self.factor((0, 1))
+        own, time = self.craft.actuators, self.units.time
         force, torque = (own.F_u_max / PAPER.actuators.F_u_max, own.F_r_max / PAPER.actuators.F_r_max)
         slow = time if self.craft.lag is None else self.craft.lag / 0.2
         return replace(

@@ -72,7 +72,7 @@ class Identified:
         return tuple(name for name in NEEDED if self[name].verdict == UNKNOWN)
 
     def vehicle(self, like: Vehicle | None = None) -> Vehicle:
-        """Return the vehicle; what the log does not show is taken from another one.
+        """Return the vehicle; what the log does not show is taken from another one. The design speed is the log's mean.
 
         Raises:
             ValueError: the log does not show all and no other vehicle is given, or no vehicle can be like that.
@@ -83,7 +83,12 @@ class Identified:
         for name, value in values.items():
             if math.isnan(value):
                 values[name] = getattr(like, name) if name in NEEDED else 0.0
-        return Vehicle(**values)
+        return Vehicle(**values, speed=self.speed)
+
+    @property
+    def speed(self) -> float:
+        """The mean surge speed [m/s] of the log."""
+        return float(np.abs(self.model.log.measured[:, 3]).mean())
 
 
 def advice(names: Sequence[str]) -> str:

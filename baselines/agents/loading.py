@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from baselines.agents.onnx_models import SUFFIX, OnnxModel
 from baselines.agents.programs import Program
 from baselines.agents.sb3_models import load_model, statistics_file
 from baselines.control import make_controller, told
+from baselines.similar import made_for
 
 
 def caution(name: str) -> str | None:
@@ -50,7 +52,7 @@ def load_policy(path: str, vehicle: Any = None, **options: Any) -> Policy:
         if unknown := [name for name in options if name != allowed]:
             raise ValueError(f"policy {path!r} takes no option {unknown[0]!r}, only {allowed}")
         return (
-            load_model(Path(path), make_controller("backstepping", vehicle), **options)
+            load_model(Path(path), made_for(vehicle, partial(make_controller, "backstepping")), **options)
             if model
             else _agent(Path(path), vehicle, **options)
         )
@@ -70,7 +72,7 @@ def _onnx(file: Path) -> Policy:
 
 
 def _agent(folder: Path, vehicle: Any, fade: bool = False) -> Policy:
-    return Agent.load(agent_folder(str(folder)) or folder).policy(fade, vehicle)
+    return made_for(vehicle, partial(Agent.load(agent_folder(str(folder)) or folder).policy, fade))
 
 
 def _made(file: Path, factory: str, vehicle: Any, options: dict[str, Any]) -> Policy:

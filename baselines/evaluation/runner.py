@@ -22,6 +22,7 @@ from auv_gym import __version__
 from auv_gym.envs.lanes import plan_of, reference_tables
 from auv_gym.episode import Episode
 from auv_gym.scenario import Scenario
+from auv_gym.vehicle import Vehicle
 from baselines import make_policy
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import Measures, Track
@@ -55,10 +56,12 @@ class Cell:
 
 
 def _plain(episode: Episode) -> dict[str, Any]:
-    """Return an episode as a dict; without a dead reckoning as it was before there was any, so that hashes stay."""
+    """Return an episode as a dict; what came later is left out where it is as it was before, so that hashes stay."""
     record = asdict(episode)
     if episode.reckoning is None:
         del record["reckoning"]
+    if episode.vehicle.speed == Vehicle.speed:
+        del record["vehicle"]["speed"]
     return record
 
 

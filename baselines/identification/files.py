@@ -65,7 +65,6 @@ def vehicle_text(found: Identified, vehicle: Vehicle, log: str) -> str:
         'source = "python -m auv_gym.identify; 95 % intervals stand behind the values"',
         f"left_out = {json.dumps(f'rate limits, delay; not from the log: {missing}')}",
         'ours = "the speed, the mean of the log"',
-        f"speed = {ahead(found):.6g}  # [m/s]",
     ]
     if found["lag"].value > 0:
         lines.append(f"lag = {found['lag'].value:.6g}  # [s] {interval(found['lag'])}")
@@ -75,6 +74,7 @@ def vehicle_text(found: Identified, vehicle: Vehicle, log: str) -> str:
         known = "not from the log" if estimate.verdict == UNKNOWN else interval(estimate)
         if value or estimate.verdict != UNKNOWN:
             lines.append(f"{name} = {float(f'{value:.6g}')!r}  # [{meanings()[name][0]}] {known}")
+    lines.append(f"speed = {vehicle.speed:.6g}  # [m/s]")
     lines.append("\n[actuators]")
     for name, limit in zip(LIMITS, limits(found), strict=True):
         lines.append(f"{name} = {limit:.6g}  # [{meanings()[name][0]}] {interval(found[name])}")
@@ -88,11 +88,6 @@ def limits(found: Identified) -> tuple[float, float]:
     return F_u or F_r, F_r or F_u  # what was never commanded has no limit to know
 
 
-def ahead(found: Identified) -> float:
-    """Return the mean surge speed [m/s] of the log."""
-    return float(np.abs(found.model.log.measured[:, 3]).mean())
-
-
 def scenario(found: Identified, vehicle: Vehicle) -> Scenario:
     """Return a scenario with the vehicle, its actuators and its sensors, at speeds and turns like those of the log.
 
@@ -101,7 +96,7 @@ def scenario(found: Identified, vehicle: Vehicle) -> Scenario:
     """
     log = found.model.log
     F_u_max, F_r_max = limits(found)
-    speed = ahead(found)
+    speed = vehicle.speed
     turn = TURN * float(np.sqrt(np.mean(log.measured[:, 5] ** 2)))
     x, y, psi, u, v, r = found.noise.tolist()
     parts: dict[str, Any] = {
