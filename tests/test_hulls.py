@@ -20,7 +20,7 @@ from baselines.control.backstepping import Backstepping
 from baselines.training import hulls
 from baselines.training.apg.closed_loop import ClosedLoop, law_of
 from baselines.training.apg.fleet import Fleet
-from baselines.training.apg.torch_network import torch_network, weights_of
+from baselines.training.apg.torch_network import put, torch_network, weights_of
 from baselines.training.apg.trainer import check
 from baselines.training.config import Config
 
@@ -132,6 +132,23 @@ def test_an_agent_acts_by_what_it_is_told():
     paper, untold, other = (agent.policy(vehicle=v).predict(observation)[0] for v in (PAPER_VEHICLE, None, OTHER))
     assert (paper == untold).all()
     assert (paper != other).any()
+
+
+def test_who_is_told_more_begins_as_the_agent_that_it_begins_with():
+    torch.manual_seed(0)
+    observation = np.random.default_rng(0).uniform(-0.3, 0.3, (5, 18))
+    observation[:, [13, 14, 17]] = 0.78125, 0.78125, 0.8
+    actions, weights = [], None
+    for inputs in (Inputs(), Inputs(hull=True)):
+        net = torch_network(Gru(len(inputs.features), 8, 8, 8))
+        if weights is None:
+            torch.nn.init.normal_(net.head.weight)
+        else:
+            put(weights, net)
+        weights = weights_of(net)
+        agent = Agent(net.sizes, weights, "backstepping", (1.0, 1.0), inputs=inputs)
+        actions.append(agent.policy(vehicle=PAPER_VEHICLE).predict(observation, None, np.ones(5, dtype=bool))[0])
+    np.testing.assert_allclose(*actions, atol=1e-6)
 
 
 def test_an_expert_that_cannot_be_told_each_hull_is_refused():

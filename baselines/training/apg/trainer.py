@@ -230,7 +230,7 @@ class Trainer(Descent):
         preview, self._seen, self._seen_by_expert = shared_preview(settings.preview, preview_of(self._expert))
         lanes = config.lanes(settings.n_envs)
         drawn = settings.hulls and config.vehicle == PAPER_VEHICLE  # for another one, it alone is learned
-        hulls = turns(lanes, settings.hulls, config.episode_seed) if drawn else ()
+        self._hulls = hulls = turns(lanes, settings.hulls, config.episode_seed) if drawn else []
         self.fleet = Fleet(lanes, config.episode_seed, settings.n_steps, preview, hulls)
         self.updates, self.skipped, self.score = 0, 0, -math.inf
         self.best = weights_of(self.averaged.module)
@@ -299,11 +299,14 @@ class Trainer(Descent):
         return action.T
 
     def validate(self) -> None:
-        """Measure the agent on the validation episodes, keep the best, and save a checkpoint."""
+        """Measure the agent on the validation episodes, keep the best, and save a checkpoint.
+
+        The episodes are of the configuration's own vehicle, so where hulls are drawn the last one is kept.
+        """
         weights = weights_of(self.averaged.module)
         policy = self.agent(weights).policy(vehicle=self.run.config.vehicle, precision=PRECISION)
         score = self.run.validate(policy, self.timesteps)
-        if score > self.score:
+        if score > self.score or self._hulls:
             self.score, self.best = score, weights
         self.run.save_checkpoint(self._state())
 
