@@ -28,6 +28,7 @@ def training(
     expert: str | None = None,
     timesteps: int | None = None,
     changes: Mapping[str, Any] = MappingProxyType({}),
+    from_: str | None = None,
 ) -> Options:
     """Return what an agent is trained on and how; what is None or empty is as the algorithm's hyper-parameters say.
 
@@ -38,9 +39,10 @@ def training(
         expert: a policy's name.
         timesteps: control steps, summed over vehicles.
         changes: of the hyper-parameters, by name.
+        from_: an agent to begin with.
     """
     words = tuple(changed_words(changes))
-    return Options(algo, tuple(scenario.split()), expert, authority, timesteps=timesteps, set=words)
+    return Options(algo, tuple(scenario.split()), expert, authority, from_, timesteps=timesteps, set=words)
 
 
 def request_of(training: Options, folder: Path, jobs: int = 1) -> Request:
@@ -94,8 +96,19 @@ HELM: Mapping[str, Any] = {
 }
 """Of the agent for both regimes: small errors seen as well as large ones, filters, and commands no rougher than
 those of `nmpc`."""
+ANY_HULL: Mapping[str, Any] = {
+    "hull": True,
+    "hulls": 0.5,
+    "hull_weight": 0.5,
+    "learning_rate": 0.002,
+    "matrix_learning_rate": 0.013,
+    "validations": 1,
+}
+"""Of the agent for every vehicle, which begins as `helm`: it is told the hull, which is drawn for half of the vehicles
+that it learns on."""
 SHIPPED: Mapping[str, Options] = {
     "helm": training("apg", "helm", (1.0, 1.6), None, 12_000_000, HELM),
+    "helm-any": training("apg", "helm", timesteps=20_000_000, changes=ANY_HULL, from_="helm"),
     "apg-cruise": training("apg", "cruise"),
     "apg-slow": training("apg", "slow", SLOW_AUTHORITY, changes=SLOW),
     "apg-preview-cruise": training("apg", weighted("cruise", **HARDEST), (1.0, 1.6), None, 16_000_000, FREE),

@@ -64,5 +64,8 @@ def weights_of(network: nn.Module) -> dict[str, NDArray[np.float32]]:
 
 
 def put(weights: Mapping[str, NDArray[np.float32]], network: nn.Module) -> None:
-    """Give a network these weights, named as `weights_of` names them."""
-    network.load_state_dict({name: torch.from_numpy(np.array(array)) for name, array in weights.items()})
+    """Give a network these weights, named as `weights_of` names them; inputs behind those they know begin at zero."""
+    for name, tensor in network.state_dict().items():  # which share their memory with the parameters
+        given = torch.from_numpy(np.array(weights[name]))
+        tensor.zero_()
+        tensor[..., : given.shape[-1]] = given

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,10 +23,13 @@ from auv_gym.policy import preview_of
 from auv_gym.preview import encode_preview, shared_preview
 from auv_gym.records import from_record
 from auv_gym.task import decode_observation
+from auv_gym.vehicle import PAPER_VEHICLE
 from baselines.agents.agent import Agent
 from baselines.agents.features import Inputs
 from baselines.agents.networks import Gru, Mlp
-from baselines.evaluation.score import regime_of
+from baselines.control.backstepping import Backstepping
+from baselines.control.open_loop import NO_EXPERT
+from baselines.evaluation.score import EXPERT, regime_of
 from baselines.policy import Memory
 from baselines.training.apg.closed_loop import ClosedLoop, Loss, law_of
 from baselines.training.apg.fleet import Fleet
@@ -35,9 +38,12 @@ from baselines.training.apg.torch_network import put, torch_network, weights_of
 from baselines.training.apg.window import Array, Window
 from baselines.training.beginning import loaded
 from baselines.training.config import Config
+from baselines.training.hulls import turns
 from baselines.training.run_folder import VALIDATIONS, Run, TrainingError
 from baselines.training.validation import PRECISION
 
+SHARES = ("final_share", "warm_up", "average", "cruise_share", "hulls")  # settings in [0, 1]
+WEIGHTS = ("cut", "hull_weight", "effort_weight", "rate_weight", "cruise_effort_weight", "cruise_rate_weight")
 LOGS = 200  # how often in a run its progress is logged
 
 
@@ -66,6 +72,9 @@ class Settings:
     fine: bool = False  # whether it sees the errors on finer scales too
     filters: bool = False  # whether it sees what Kalman filters believe
     preview: tuple[int, ...] = ()  # where it sees the reference ahead, in control periods
+    hull: bool = False  # whether it is told the known vehicle
+    hulls: float = 0.0  # share of the vehicles side by side whose hulls are drawn, see `hulls`
+    hull_weight: float = 1.0  # what the loss of such a vehicle counts for beside that of another one
     validations: int = VALIDATIONS  # how often in the run the agent is validated, and a checkpoint kept
 
     def __post_init__(self) -> None:
@@ -75,9 +84,9 @@ class Settings:
                 raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")
         for name in ("learning_rate", "max_grad_norm"):
             check_number(name, getattr(self, name), 1e-9, 1e6)
-        for name in ("matrix_learning_rate", "weight_decay", "final_share", "warm_up", "average", "cruise_share"):
+        for name in (*SHARES, "matrix_learning_rate", "weight_decay"):
             check_number(name, getattr(self, name), 0, 1)
-        for name in ("cut", "effort_weight", "rate_weight", "cruise_effort_weight", "cruise_rate_weight"):
+        for name in WEIGHTS:
             if getattr(self, name) is not None or not name.startswith("cruise"):
                 check_number(name, getattr(self, name), 0, 1e6)
         if not isinstance(self.memory, bool):
@@ -87,7 +96,7 @@ class Settings:
     @property
     def inputs(self) -> Inputs:
         """What the network sees."""
-        return Inputs(self.preview, self.integrals, self.fine, self.filters)
+        return Inputs(self.preview, self.integrals, self.fine, self.filters, self.hull)
 
     @property
     def network(self) -> Gru | Mlp:
@@ -133,12 +142,16 @@ def check(config: Config) -> Settings:
     """
     settings = from_record(Settings, config.hyperparameters, "hyper-parameters of apg")
     config.lanes(settings.n_envs)
+    if settings.hulls and config.expert != NO_EXPERT and not isinstance(config.make_expert(), Backstepping):
+        raise ValueError(f"hulls are drawn, so the expert must be a form of {EXPERT} or {NO_EXPERT}: it is told them")
     shortest = min(scenario.steps for scenario, _ in config.scenarios)
     if settings.n_steps > shortest:
         raise ValueError(f"n_steps is {settings.n_steps}; it must be at most {shortest}, the steps of an episode")
     if config.origin:
         agent = loaded(config.origin)
-        if (settings.network, settings.inputs) != (agent.network, agent.inputs):
+        known = replace(settings.inputs, hull=settings.hull and agent.inputs.hull)  # a network can be told more
+        sizes = replace(settings.network, inputs=agent.network.inputs)
+        if known != agent.inputs or sizes != agent.network:
             raise ValueError(f"agent {config.origin.agent!r} has another network, or other inputs, than is asked for")
     return settings
 
@@ -215,7 +228,10 @@ class Trainer(Descent):
         self._rates = [group["lr"] for group in self._groups]
         self._expert = config.make_expert()
         preview, self._seen, self._seen_by_expert = shared_preview(settings.preview, preview_of(self._expert))
-        self.fleet = Fleet(config.lanes(settings.n_envs), config.episode_seed, settings.n_steps, preview)
+        lanes = config.lanes(settings.n_envs)
+        drawn = settings.hulls and config.vehicle == PAPER_VEHICLE  # for another one, it alone is learned
+        hulls = turns(lanes, settings.hulls, config.episode_seed) if drawn else ()
+        self.fleet = Fleet(lanes, config.episode_seed, settings.n_steps, preview, hulls)
         self.updates, self.skipped, self.score = 0, 0, -math.inf
         self.best = weights_of(self.averaged.module)
         self._memory: Memory | None = None  # of an expert on NumPy
@@ -225,9 +241,12 @@ class Trainer(Descent):
             with run.restoring():
                 self._restore(state)
         law, self._exact = law_of(self._expert)
-        kernels = LoopKernels(ClosedLoop(law, settings.inputs, self.fleet.parts), self._exact)
+        believer = self._expert if settings.hull and isinstance(self._expert, Backstepping) else None
+        kernels = LoopKernels(ClosedLoop(law, settings.inputs, self.fleet.parts, believer), self._exact)
         self._window = Window(kernels, self.network, settings.n_envs, settings.n_steps)
-        self._loss, self._shares = settings.loss([scenario.name for scenario in config.lanes(settings.n_envs)])
+        self._loss, shares = settings.loss([scenario.name for scenario in lanes])
+        shares = np.where([len(own) > 1 for own in hulls], settings.hull_weight * shares, shares) if hulls else shares
+        self._shares = shares / shares.sum()
 
     @property
     def timesteps(self) -> int:
@@ -265,6 +284,7 @@ class Trainer(Descent):
             None if self._exact else act,
             self._shares,
             self.settings.cut,
+            known=self.fleet.known,
         )
         self.carried = self.fleet.renew(carried, squared_error)
         return loss, error
