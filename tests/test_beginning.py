@@ -1,6 +1,8 @@
 """train.py --from and --vehicle: where a training begins, in whose units it takes place, and what contradicts it."""
 
 import json
+import os
+import re
 import shutil
 import sys
 from dataclasses import replace
@@ -22,18 +24,21 @@ from baselines.agents.agent import Agent
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.tools.command_line import run
+from baselines.training import fine_tuning
 from baselines.training.apg.torch_network import weights_of
 from baselines.training.apg.trainer import Settings, Trainer
 from baselines.training.beginning import OF_AGENT, fitted, in_own_units
 from baselines.training.hyperparameters import ENV_ID, TUNING, load_hyperparameters, shipped
 from baselines.training.mixtures import MIXTURES
 from baselines.training.run_folder import Run, read_config, read_progress
+from baselines.training.trainings import SHIPPED
 
 torch.set_num_threads(1)
 SMALL = replace(PRESETS["cruise-current"], name="cruise-small", steps=15)
 SLOW = replace(PRESETS["slow-current"], name="slow-small", steps=15)
 TINY = {"n_envs": 8, "n_steps": 5, "hidden_size": 8, "effort_weight": 0.25, "validations": 2}
 STEPS = 160
+ROOT = Path(__file__).parents[1]
 BEGUN = ("--from", "runs/train/apg-small-slow", "--vehicle", "otter", "--timesteps", STEPS)
 FOUND = Path("runs/train/apg-small-slow-otter")
 """The folder of that training."""
@@ -77,6 +82,11 @@ def weights(folder):
     return dict(Agent.load(folder).weights)
 
 
+def at_the_end(folder):
+    """Return the weights at the end of a run; its agent has those that did best, perhaps those of its beginning."""
+    return {k: w.numpy() for k, w in Run(read_config(folder), folder).load_checkpoint()["network"].items()}
+
+
 def same(a, b):
     return a.keys() == b.keys() and all(np.array_equal(a[name], b[name]) for name in a)
 
@@ -86,7 +96,7 @@ def test_it_begins_with_the_agents_weights_for_a_vehicle_and_remembers_both(call
     begun = Trainer(Run(config, Path("new")))
     assert same(weights_of(begun.network), weights("runs/train/apg-small-slow/agent"))
     assert same(weights_of(begun.averaged.module), weights("runs/train/apg-small-slow/agent"))
-    assert not same(weights(FOUND / "agent"), weights("runs/train/apg-small-slow/agent"))
+    assert not same(weights_of(begun.network), at_the_end(FOUND))
     assert config.origin.agent == "runs/train/apg-small-slow"
     assert config.steers == craft("otter").vehicle
     assert config.names == agent.scenarios == ("cruise-small@otter", "slow-small@otter")
@@ -125,10 +135,11 @@ def test_it_goes_on_as_if_it_had_not_been_interrupted(call, monkeypatch, capsys)
         assert call(*BEGUN, "--out", "out") == 1
     assert call(*BEGUN, "--out", "out", "--resume") == 0
     assert same(weights("out/agent"), weights(FOUND / "agent"))
+    assert same(at_the_end(Path("out")), at_the_end(FOUND))
     assert len(read_progress(Path("out"))) == len(read_progress(FOUND))
     capsys.readouterr()
     agent = Agent.load("runs/train/apg-small-slow/agent")
-    replace(agent, weights=weights(FOUND / "agent")).save("runs/train/apg-small-slow/agent")
+    replace(agent, weights={k: 2 * w for k, w in agent.weights.items()}).save("runs/train/apg-small-slow/agent")
     assert call(*BEGUN, "--out", "out", "--resume") == 2
     assert "a run with other origin" in capsys.readouterr().err
 
@@ -208,3 +219,57 @@ def test_the_shipped_table_leaves_an_agent_what_it_is():
     assert not {*values.values} & {*OF_AGENT, "effort_weight", "rate_weight", "cut"}
     assert values.timesteps < load_hyperparameters(shipped("apg")).timesteps
     json.dumps(dict(values.values))
+
+
+@pytest.mark.parametrize("page", ["training", "tutorials/log-to-agent"])
+def test_documented_commands_run(page, call, monkeypatch):
+    """In their order, with a small agent in the place of the one that ships; vehicle.toml is that of the tutorial."""
+    monkeypatch.setattr("baselines.training.beginning.agent_folder", lambda _: Path("runs/train/apg-small-slow/agent"))
+    monkeypatch.setattr("baselines.training.run_folder.validation_cell", lambda s, _: drawn(replace(s, steps=15), 1, 0))
+    tutorial = (ROOT / "docs" / "tutorials" / "log-to-agent.md").read_text(encoding="utf-8")
+    Path("vehicle.toml").write_text(
+        re.search(r"^```toml\n(.*?)^```$", tutorial, re.MULTILINE | re.DOTALL)[1], encoding="utf-8"
+    )
+    text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
+    lines = [line for line in re.findall(r"^python train.py ([^#\n]*)", text, re.MULTILINE) if "--vehicle" in line]
+    assert lines
+    for line in lines:
+        scenario = () if "--scenario" in line else ("--scenario", "small.toml")
+        assert call(*line.split(), *scenario, "--timesteps", 40) == 0, line
+
+
+def test_what_fine_tuning_is_worth_is_measured_and_shown(tmp_path, monkeypatch, capsys):
+    """A quick form of the command, whose agents have learned nothing; the page's table is that of the kept file."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(fine_tuning, "CASES", ("calm", "noise"))
+    words = ["--vehicle", "otter", "--episodes", "2", "--out", "new.json", "--policy", "backstepping", "helm"]
+    assert run(fine_tuning.main, fine_tuning.PROGRAM, words) == 0
+    record = json.loads(Path("new.json").read_text(encoding="utf-8"))
+    own = record["vehicles"]["otter"]
+    assert [len(own["helm"][name]) for name in ("tails", "lost")] == [2, 2]
+    own["alone"] = {"tails": [[2 * x for x in case] for case in own["helm"]["tails"]], "lost": [0, 0]}
+    assert fine_tuning.ratio(own["helm"], own["alone"]) == pytest.approx((0.5, 0.5, 0.5))
+    assert "the agent as it is | " in fine_tuning.table(record)
+    assert "| 0.50 (0.50 ... 0.50) |" in fine_tuning.table(record)
+    capsys.readouterr()
+    assert run(fine_tuning.main, fine_tuning.PROGRAM, words) == 0
+    assert capsys.readouterr().out == ""  # all is there
+    page = ROOT / "docs" / "training.md"
+    text = page.read_text(encoding="utf-8")
+    head, _, rest = text.partition(f"{fine_tuning.BEGIN}\n")
+    _, _, tail = rest.partition(f"{fine_tuning.END}\n")
+    kept = ROOT / "docs" / fine_tuning.FILE
+    shown = fine_tuning.section(json.loads(kept.read_text(encoding="utf-8")))
+    made = f"{head}{fine_tuning.BEGIN}\n\n{shown}\n{fine_tuning.END}\n{tail}"
+    if os.environ.get("REFRESH_DOCS"):
+        page.write_text(made, encoding="utf-8")
+    else:
+        assert text == made
+
+
+def test_the_two_trainings_differ_in_where_they_begin():
+    own = fine_tuning.trainings("helm", "lauv")
+    assert (own["tuned"].from_, own["tuned"].vehicle, own["tuned"].timesteps) == ("helm", "lauv", None)
+    assert (own["alone"].from_, own["alone"].vehicle) == (None, "lauv")
+    assert own["alone"].timesteps == SHIPPED["helm"].timesteps
+    assert own["alone"].set[:-1] == SHIPPED["helm"].set
