@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from auv_gym.dynamics import Force
 from auv_gym.intervals import Interval, check_interval, check_number
 from auv_gym.namespaces import Namespace, Number
+
+if TYPE_CHECKING:
+    from auv_gym.simulation import Parameters
 
 LONGEST_DELAY = 3
 """Most control periods that a command may be late."""
@@ -56,6 +59,20 @@ def told_torque(u: Number, fin: Number, F_r_max: Number, ns: Namespace) -> Numbe
     """Return the yaw torque [N m] that full fins are taken to give at a measured surge speed u [m/s], over ground."""
     share = fin_share(u, fin, F_r_max, ns)
     return F_r_max * ns.where(share < LEAST_SHARE, LEAST_SHARE, share)
+
+
+def ordered(command: Force, u: Number, p: Parameters, ns: Namespace) -> Force:
+    """Return the force [N] and torque [N m] that reach the actuators, before their lag.
+
+    Args:
+        command: as fractions of what action 1 gives.
+        u: surge speed [m/s] through water, which fins need.
+        p: the episode's constants.
+        ns: the namespace of the numbers.
+    """
+    a_u = ns.clip(command[0], -p.astern, 1.0) if p.parts.astern else command[0]
+    thrust_r = p.thrust_r * fin_share(u, p.fin, p.F_r_max, ns) if p.parts.finned else p.thrust_r
+    return a_u * p.thrust_u, command[1] * thrust_r
 
 
 class Response(NamedTuple):

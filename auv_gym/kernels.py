@@ -5,9 +5,9 @@ The equations are those of `simulation`, `task` and `policy`, traced here and wr
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,12 +101,36 @@ def columns(forces: Forces | None) -> int:
     return SIZE if forces is None else SIZE + ACTIONS
 
 
-class _Side(NamedTuple):
+class Side(NamedTuple):
     """What is known at one control instant, rows of N vehicles."""
 
     plant: Array  # shape (PLANT_ROWS, N)
     seen: Array  # the observation, shape (columns, N)
     outcome: Array  # of the step that led here, shape (OUTCOMES, N)
+
+
+class Bodies(Protocol):
+    """N vehicles that an environment steps; see `Vehicles`, which are those of the equations of motion."""
+
+    action: Array
+    now: Side
+
+    @property
+    def plant(self) -> Plant:
+        """What is now: rows of shape (N,)."""
+
+    def place(self, lanes: Any, plant: Array, seen: Array) -> None:
+        """Put n of the vehicles, an index of which is given, where `begun` says, now."""
+
+    def step(self, row: int) -> None:
+        """Go on by a control step, with `action` and a row of the samples."""
+
+    def undo(self) -> None:
+        """Take the last step back."""
+
+
+MadeBodies = Callable[[Parts, Array, Array], Bodies]
+"""Makes vehicles of the parts in use, and where samples and parameters will be, see `Vehicles`."""
 
 
 class Vehicles:
@@ -140,7 +164,7 @@ class Vehicles:
         self._samples, self._parameters = samples, parameters
         self._authority = np.repeat(np.array(authority, dtype=np.float64)[:, None], n, axis=1)
         sizes = PLANT_ROWS, columns(forces), OUTCOMES
-        self.now, self._other = (_Side(*(np.zeros((rows, n)) for rows in sizes)) for _ in range(2))
+        self.now, self._other = (Side(*(np.zeros((rows, n)) for rows in sizes)) for _ in range(2))
         self._bind()
 
     def _bind(self) -> None:

@@ -132,6 +132,11 @@ def tensors() -> Namespace:
     def scaled(rows: Any, factors: Constants) -> Any:
         return [x * k for x, k in zip(rows, factors.numbers, strict=True)]
 
+    def clip(x: Any, low: Any, high: Any) -> Any:
+        if isinstance(low, torch.Tensor) == isinstance(high, torch.Tensor):
+            return torch.clamp(x, low, high)
+        return torch.clamp(torch.clamp(x, min=low), max=high)  # it takes two numbers or two tensors at once
+
     def bounded(rows: Any, bounds: Constants) -> Any:
         return [torch.clamp(x, -b, b) for x, b in zip(rows, bounds.numbers, strict=True)]
 
@@ -145,7 +150,7 @@ def tensors() -> Namespace:
         arctan2=torch.arctan2,
         arcsin=torch.arcsin,
         floor=torch.floor,
-        clip=torch.clamp,
+        clip=clip,
         where=torch.where,
         scaled=scaled,
         bounded=bounded,

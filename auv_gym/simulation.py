@@ -6,10 +6,10 @@ A pure function of (plant, action, sample) on components: the scalar, the vector
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeAlias
 
-from auv_gym.actuators import Response, fin_share, respond, told_torque
+from auv_gym.actuators import Response, ordered, respond, told_torque
 from auv_gym.dynamics import Current, Force, State, rk4_step
 from auv_gym.errors import to_body, to_world, tracking_errors
 from auv_gym.namespaces import Namespace, Number
@@ -192,41 +192,6 @@ def start(state: State, sample: Sequence[Number], p: Parameters, ns: Namespace) 
     return Plant(*state, zero, zero, zero, zero, memory), terms
 
 
-def step(
-    plant: Plant, action: Sequence[Number], sample: Sequence[Number], p: Parameters, ns: Namespace
-) -> tuple[Plant, Terms, Outcome]:
-    """Return the plant one control period later, what is observed of it, and what the task makes of it.
-
-    Args:
-        plant: before.
-        action: surge and yaw command as fractions of the limits; clipped to [-1, 1].
-        sample: the outside at the end of the period, the numbers of a `Sample`.
-        p: the episode's constants.
-        ns: the namespace of the numbers.
-    """
-    x, y, psi, u, v, r, F_u, F_r, a_u0, a_r0, memory = plant
-    parts = p.parts
-    a_u, a_r = ns.clip(action[0], -1.0, 1.0), ns.clip(action[1], -1.0, 1.0)
-    command_u, command_r = a_u, a_r
-    if parts.delayed:
-        command_u, command_r, memory = _late((a_u, a_r), (a_u0, a_r0), memory, p.delay, ns)
-    if parts.weak:
-        command_u, command_r = ns.clip(command_u, -p.reach_u, p.reach_u), ns.clip(command_r, -p.reach_r, p.reach_r)
-    before = (x, y, psi, u, v, r)
-    state, (F_u, F_r) = moved(before, (F_u, F_r), (command_u, command_r), sample, p, ns)
-    memory, terms = _observe(state, before, (a_u, a_r), memory, sample, p, ns)
-    x, y, psi, u, v, r = state
-    e_x, e_y, d_u, d_r = x - sample[SAMPLE.x_R], y - sample[SAMPLE.y_R], a_u - a_u0, a_r - a_r0
-    squared_error = e_x * e_x + e_y * e_y
-    outcome = (
-        reward(squared_error, d_u * d_u + d_r * d_r, p.error_scale, p.rate_weight, ns),
-        lost(squared_error, p.lost_distance),
-        squared_error,
-        (abs(a_u) >= 1.0) | (abs(a_r) >= 1.0),
-    )
-    return _new(Plant, (x, y, psi, u, v, r, F_u, F_r, a_u, a_r, memory)), terms, outcome
-
-
 def moved(
     state: State, force: Force, command: Force, sample: Sequence[Number], p: Parameters, ns: Namespace
 ) -> tuple[State, Force]:
@@ -242,14 +207,50 @@ def moved(
     """
     x, y, _, u, *_ = state
     _, _, _, _, _, _, _, _, V_x, V_y, X, Y, N, *_ = sample
-    a_u = ns.clip(command[0], -p.astern, 1.0) if p.parts.astern else command[0]
-    thrust_r = p.thrust_r * fin_share(u, p.fin, p.F_r_max, ns) if p.parts.finned else p.thrust_r
-    mean, force = respond(force, (a_u * p.thrust_u, command[1] * thrust_r), p.response, ns)
+    mean, force = respond(force, ordered(command, u, p, ns), p.response, ns)
     load, current = (mean[0] + X, Y, mean[1] + N), current_at(x, y, (V_x, V_y), p, ns)
     coefficients = p.coefficients if p.parts.lifting else p.coefficients.without_lift
     for _ in range(p.parts.substeps):
         state = rk4_step(state, load, coefficients, p.h, current, ns)
     return state, force
+
+
+Motion: TypeAlias = Callable[[State, Force, Force, Sequence[Number], Parameters, Namespace], tuple[State, Force]]
+"""Moves a vehicle by a control period, as `moved` does."""
+
+
+def step(
+    plant: Plant, action: Sequence[Number], sample: Sequence[Number], p: Parameters, ns: Namespace, move: Motion = moved
+) -> tuple[Plant, Terms, Outcome]:
+    """Return the plant one control period later, what is observed of it, and what the task makes of it.
+
+    Args:
+        plant: before.
+        action: surge and yaw command as fractions of the limits; clipped to [-1, 1].
+        sample: the outside at the end of the period, the numbers of a `Sample`.
+        p: the episode's constants.
+        ns: the namespace of the numbers.
+        move: what moves the vehicle, in place of the equations of motion.
+    """
+    before, (F_u, F_r, a_u0, a_r0, memory), parts = plant[:6], plant[6:], p.parts
+    a_u, a_r = ns.clip(action[0], -1.0, 1.0), ns.clip(action[1], -1.0, 1.0)
+    command_u, command_r = a_u, a_r
+    if parts.delayed:
+        command_u, command_r, memory = _late((a_u, a_r), (a_u0, a_r0), memory, p.delay, ns)
+    if parts.weak:
+        command_u, command_r = ns.clip(command_u, -p.reach_u, p.reach_u), ns.clip(command_r, -p.reach_r, p.reach_r)
+    state, (F_u, F_r) = move(before, (F_u, F_r), (command_u, command_r), sample, p, ns)
+    memory, terms = _observe(state, before, (a_u, a_r), memory, sample, p, ns)
+    x, y, *_ = state
+    e_x, e_y, d_u, d_r = x - sample[SAMPLE.x_R], y - sample[SAMPLE.y_R], a_u - a_u0, a_r - a_r0
+    squared_error = e_x * e_x + e_y * e_y
+    outcome = (
+        reward(squared_error, d_u * d_u + d_r * d_r, p.error_scale, p.rate_weight, ns),
+        lost(squared_error, p.lost_distance),
+        squared_error,
+        (abs(a_u) >= 1.0) | (abs(a_r) >= 1.0),
+    )
+    return _new(Plant, (*state, F_u, F_r, a_u, a_r, memory)), terms, outcome
 
 
 def current_at(x: Number, y: Number, current: Current, p: Parameters, ns: Namespace) -> Current:

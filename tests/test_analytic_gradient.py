@@ -31,6 +31,7 @@ from baselines.training.validation import PRECISION
 
 SIZES = Gru(len(FEATURES), 8, 8, 8)
 INPUTS = [Inputs(), Inputs((3, 20)), Inputs((40,), integrals=False), Inputs((3,), fine=True, filters=True)]
+TOLD = Inputs((3,), hull=True)
 CASES = [  # expert, whether the network has a memory, and what it sees
     ("backstepping", True, INPUTS[0]),
     ("backstepping", False, INPUTS[1]),
@@ -70,7 +71,7 @@ def native(request, monkeypatch):
 
 
 @pytest.mark.usefixtures("native")
-@pytest.mark.parametrize(("expert", "memory", "inputs"), CASES)
+@pytest.mark.parametrize(("expert", "memory", "inputs"), [*CASES, ("backstepping", False, TOLD)])
 def test_gradient_equals_that_of_torch(expert, memory, inputs):
     n = len(inputs.features)
     sizes = Gru(n, 8, 6, 7) if memory else Mlp(n, (8, 6), bound="tanh")

@@ -60,6 +60,7 @@ ELSEWHERE = {
     r"auv-gym bench .*": "`make bench`, below",
     r"python -m venv .*": "the environment that runs the tests",
     r"pip install .*": "`make`'s stamps, and the extras exist, below",
+    r"python train\.py .*--(from|vehicle) .*": "test_beginning.py::test_documented_commands_run",
     r"python train\.py.*": "test_training.py::test_documented_commands_run",
     r"python -m baselines\.evaluation\.suites check .*": "test_suites.py::test_episodes_generate_what_they_did",
     r"python -m baselines\.evaluation\.suites\.bound": "test_bound.py::test_a_run_goes_on_where_the_last_one_ended",
@@ -299,7 +300,7 @@ def folder(tmp_path_factory):
             name = text.split("\n", 1)[0].removeprefix("# ")
             if re.fullmatch(r"\w+\.(py|toml|yml)", name) and language in ("python", "toml", "yaml"):
                 (folder / name).write_text(text, encoding="utf-8")
-    for run, agent in (("apg-cruise", "apg-cruise"), ("ppo-slow", "ppo-slow")):
+    for run, agent in (("apg-cruise", "apg-cruise"), ("ppo-slow", "ppo-slow"), ("helm-vehicle", "helm")):
         shutil.copytree(AGENTS / agent, folder / "runs" / "train" / run / "agent")
     (folder / "runs" / "ppo").mkdir()
     model = PPO("MlpPolicy", make_env(PRESETS["cruise-calm"]), n_steps=8, batch_size=8, device="cpu")

@@ -1,12 +1,14 @@
 """The filters with fixed gains: their table, their equations against a linear filter, and what they are for."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_discrete_are, solve_discrete_lyapunov
 
 from auv_gym.errors import to_world
+from auv_gym.fleet import craft, fleet
 from auv_gym.namespaces import ARRAYS
 from auv_gym.presets import PRESETS
 from auv_gym.task import Observation, decode_observation
@@ -75,6 +77,33 @@ def test_gains_between_the_speeds_are_stable_and_near_those_of_the_equation(kind
         radius = [max(abs(np.linalg.eigvals(((np.eye(SIZE) - K @ H) @ A)[np.ix_(kept, kept)]))) for K in (exact, table)]
         assert max(radius) < 0.999
         assert np.abs(table - exact).sum() < 0.1 * np.abs(exact).sum()
+
+
+def spread(A, H, Q, R, K):
+    """Return the standard deviations of what a filter with a gain predicts; its errors must shrink."""
+    F = A @ (np.eye(len(A)) - K @ H)
+    radius = max(abs(np.linalg.eigvals(F)))
+    assert radius < 1
+    return np.sqrt(np.diag(solve_discrete_lyapunov(F, A @ K @ R @ K.T @ A.T + Q)))
+
+
+@pytest.mark.parametrize("name", fleet())
+def test_the_gains_serve_other_hulls_whose_own_model_predicts(name):
+    """Errors of position, heading and velocity beside those of a filter with gains of the hull's own."""
+    hull = craft(name).in_paper_units
+    worst = np.zeros(6)
+    for speed in (0.5, 1.5) if hull.slowest else (0.2, 0.5, 1.5):
+        drags = dict(zip(("d11", "d22", "d33"), hull.drag(speed), strict=True))  # what the sea's loads are scaled by
+        for kind, (tuning, lag) in enumerate(KINDS):
+            A, H, _, R = filter_gains.problem(speed, lag, tuning, hull.vehicle)
+            Q = filter_gains.problem(speed, lag, tuning, replace(hull.vehicle, **drags))[2]
+            P = solve_discrete_are(A.T, H.T, Q, R)
+            own = np.linalg.solve(H @ P @ H.T + R, H @ P).T
+            theirs = np.delete(tabled(kind, speed), AT.lag, axis=0)
+            worst = np.maximum(worst, (spread(A, H, Q, R, theirs) / spread(A, H, Q, R, own))[:6])
+    assert worst[:3].max() < 1.3  # position and heading
+    assert worst[[3, 5]].max() < 3.5  # velocities through the water, which nobody measures, and the yaw rate
+    assert worst[4] < 2.5
 
 
 def straight(speed, heading, errors=(0.0,) * 6, action=(0.0, 0.0)):

@@ -19,7 +19,8 @@ from auv_gym.actuators import LEAST_SHARE, Actuators
 from auv_gym.disturbances import RandomCurrent, RandomWaves
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.feasibility import InfeasibleReferenceError
-from auv_gym.fleet import FOLDER, PAPER, POWERS, Craft, craft, fleet
+from auv_gym.fleet import FOLDER, PAPER, Craft, craft, fleet
+from auv_gym.fleet.scaling import POWERS, in_vehicle_units
 from auv_gym.navigation import RandomReckoning
 from auv_gym.paths import PATHS
 from auv_gym.planner import plan
@@ -27,6 +28,7 @@ from auv_gym.presets import as_scenario
 from auv_gym.scenario import RandomPath, Start, as_vehicle
 from auv_gym.sensors import Sensors
 from auv_gym.task import decode_observation
+from auv_gym.units import Units
 from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 
 FLEET = pytest.mark.parametrize("name", fleet())
@@ -256,3 +258,32 @@ def test_page_shows_the_fleet():
         PAGE.write_text(f"{text[:start]}\n{fleet_tables()}\n\n{text[end:]}", encoding="utf-8")
     else:
         assert text[start:end].strip() == fleet_tables()
+
+
+@pytest.mark.parametrize("name", ["lauv", "gunnerus"])
+@pytest.mark.parametrize(
+    "sensors", [{"outages": 3.0, "low_pass": 2.0}, {"reckoning": RandomReckoning((5.0, 9.0))}], ids=str
+)
+def test_a_scenario_in_its_vehicles_own_units_is_the_same_in_other_numbers(name, sensors):
+    """Every state is the same in lengths and times of the vehicle, step by step, for the same actions."""
+    storm = PRESETS["cruise-storm"]
+    there = replace(storm, sensors=replace(storm.sensors, **sensors)).changed(craft(name))
+    here, units = in_vehicle_units(there), Units.of(craft(name).vehicle)
+    L, T = units.length, units.time
+    assert Units.of(here.vehicle) == Units()
+    envs = [UnderactuatedAUVTrackEnv(scenario) for scenario in (here, there)]
+    for env in envs:
+        env.reset(seed=4)
+    rng, own = np.random.default_rng(0), np.array([L, L, 1, L / T, L / T, 1 / T])
+    for _ in range(150):
+        action = rng.uniform(-0.3, 0.9, 2).astype(np.float32)
+        rewards = [env.step(action)[1] for env in envs]
+        assert rewards[0] == pytest.approx(rewards[1], abs=1e-6)
+        np.testing.assert_allclose(envs[1].state / own, envs[0].state, atol=1e-6)
+
+
+def test_a_scenario_of_the_papers_vehicle_is_in_its_own_units():
+    for name in ("cruise-storm", "paper-circle"):
+        assert in_vehicle_units(PRESETS[name]) is PRESETS[name]
+    with pytest.raises(ValueError, match=r"'paper-circle@lauv' has one path of its own, .*; give it paths that are"):
+        in_vehicle_units(PRESETS["paper-circle"].changed("lauv"))

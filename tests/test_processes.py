@@ -1,7 +1,9 @@
 """Real processes: what a signal, a full device, a second process and other damage leave behind."""
 
+import importlib
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -237,3 +239,65 @@ def test_a_lost_worker_is_one_line(tmp_path):
     assert process.returncode == 1
     assert process.stderr.startswith("it: a worker process was lost")
     assert process.stderr.count("\n") == 1
+
+
+CLASSES = '''"""A module whose classes a checkpoint holds."""
+from dataclasses import dataclass
+from typing import NamedTuple
+
+
+class Lane(NamedTuple):
+    x: float
+    y: float
+
+
+@dataclass(frozen=True)
+class Fleet:
+    lanes: tuple[Lane, ...]
+    speed: float = 1.0
+'''
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "of"),
+    [
+        ("    y: float\n", "", "Lane"),  # without the check: TypeError from within pickle
+        ("    speed: float = 1.0\n", "", "Fleet"),  # without the check: no error, and a field too many
+        ("    y: float\n", "    y: float\n    psi: float\n", "Lane"),
+        ("class Fleet:", "class Ships:", "Fleet"),
+    ],
+)
+def test_a_checkpoint_of_a_class_that_has_changed_is_refused_and_says_which(tmp_path, monkeypatch, old, new, of):
+    import baselines
+
+    monkeypatch.setattr(baselines, "__path__", [*baselines.__path__, str(tmp_path)])
+    file = tmp_path / "classes_of_a_checkpoint.py"
+    file.write_text(CLASSES)
+    name = f"baselines.{file.stem}"
+    module, folder = importlib.import_module(name), tmp_path / "run"
+    run = Run(CONFIG, folder)
+    run.log(10, score=0.5)
+    run.save_checkpoint({"timesteps": 10, "fleet": module.Fleet((module.Lane(1.0, 2.0),))})
+    run.close()
+    for text, changed in ((CLASSES.replace('"""A module', '"""The module'), False), (CLASSES.replace(old, new), True)):
+        file.write_text(f"{text}\n# changed\n")
+        del sys.modules[name]
+        importlib.invalidate_caches()
+        shutil.rmtree(tmp_path / "__pycache__", ignore_errors=True)
+        importlib.import_module(name)
+        if not changed:
+            assert Run(CONFIG, folder).load_checkpoint()["fleet"].lanes[0].y == 2.0
+            continue
+        message = rf"cannot go on from .*: it holds objects of {name}\.{of}.* changed since; begin again in another"
+        with pytest.raises(TrainingError, match=message):
+            Run(CONFIG, folder).load_checkpoint()
+    del sys.modules[name]
+
+
+def test_what_a_trainer_misses_in_a_checkpoint_is_one_line(checkpoint):
+    run = Run(CONFIG, checkpoint[0])
+    with (
+        pytest.raises(TrainingError, match=r"cannot go on from .*: it has no 'fleet'; begin again in another folder"),
+        run.restoring(),
+    ):
+        run.load_checkpoint()["fleet"]

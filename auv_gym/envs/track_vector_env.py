@@ -15,7 +15,7 @@ from auv_gym.envs.lanes import Beginning, Lanes, ScenarioLike
 from auv_gym.envs.spaces import ReferencePoint, checked_actions, with_action
 from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
 from auv_gym.fleet import Craft
-from auv_gym.kernels import Vehicles
+from auv_gym.kernels import Bodies, MadeBodies, Vehicles
 from auv_gym.namespaces import ARRAYS
 from auv_gym.policy import Forces, Law
 from auv_gym.preview import observation_bounds
@@ -87,7 +87,7 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._law: Law | None = None
-        self._vehicles = self._made()
+        self._vehicles: Bodies = self._made()
         self._everywhere = np.ones(num_envs, dtype=bool)
 
     def reset(
@@ -120,6 +120,12 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         self._lanes.begun = False
         self.single_observation_space = with_action(self.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+
+    def embody(self, bodies: MadeBodies) -> None:
+        """Let another simulator move the vehicles from now on; all episodes must begin anew."""
+        lanes = self._lanes
+        self._vehicles = bodies(lanes.parts, lanes.samples, lanes.constants)
+        lanes.begun = False
 
     def _begin(self, beginning: Beginning) -> Array:
         """Put vehicles at the start of their episodes; return their observations, shape (n, columns)."""
@@ -218,7 +224,7 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         return self._lanes.time
 
     @property
-    def _running(self) -> Vehicles:
+    def _running(self) -> Bodies:
         if not self._lanes.begun:
             raise ResetNeeded("no episode has begun: call reset() first")
         return self._vehicles

@@ -7,7 +7,6 @@ vehicle. What has no dimension stays. For the paper's vehicle every factor is 1.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path as FilePath
@@ -15,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 from auv_gym.actuators import Actuators
 from auv_gym.disturbances import RandomMismatch, RandomWaves
+from auv_gym.fleet.scaling import actuators_in, scaled, scaled_part
 from auv_gym.intervals import Interval, check_number
 from auv_gym.paths import Path
 from auv_gym.records import from_record, read_table
-from auv_gym.units import POWERS as UNITS
 from auv_gym.units import Units, in_paper_units
 from auv_gym.vehicle import PAPER_VEHICLE, VEHICLES, Vehicle
 
@@ -69,12 +68,10 @@ class Craft:
         units = Units.of(self.vehicle)
         if units == Units():
             return self
-        dimensions = {"F_u_max": "N", "F_r_max": "N m", "F_u_rate": "N/s", "F_r_rate": "N m/s", "fin": "kg"}
-        limits = {n: getattr(self.actuators, n) / units.factor(*UNITS[unit]) for n, unit in dimensions.items()}
         return replace(
             self,
             vehicle=in_paper_units(self.vehicle),
-            actuators=replace(self.actuators, **limits, lag=scaled(self.actuators.lag, 1 / units.time)),
+            actuators=actuators_in(units, self.actuators),
             turn_rate=None if self.turn_rate is None else self.turn_rate * units.time,
             lag=None if self.lag is None else self.lag / units.time,
             slowest=self.slowest / units.factor(length=1, time=-1),
@@ -115,21 +112,6 @@ PAPER = Craft(
 )
 """The vehicle that the presets are made for."""
 
-POWERS: Mapping[str, Mapping[str, tuple[float, float]]] = {
-    "path": {"speed": (1, -1)},
-    "start": {"x_e": (1, 0), "y_e": (1, 0)},
-    "sensors": {
-        "position": (1, 0), "velocity": (1, -1), "yaw_rate": (0, -1), "position_bias": (1, 0),
-        "velocity_bias": (1, -1), "yaw_rate_bias": (0, -1), "outages": (0, -1), "outage_time": (0, 1),
-        "low_pass": (0, -1),
-    },
-    "reckoning": {"interval": (0, 1), "drift": (0, -1), "walk": (0, -0.5)},
-    "current": {"gust_time": (0, 1), "smoothing": (0, 1), "turn": (0, -1), "wavelength": (1, 0)},
-    "waves": {"band": (0, -1)},
-}  # fmt: skip
-"""Powers of length and time in the dimensions of a scenario's entries; those that have none, or a rule of their own,
-are left out."""
-
 
 @dataclass(frozen=True)
 class _Fit:
@@ -163,15 +145,7 @@ class _Fit:
 
     def part(self, name: str, part: Any) -> Any:
         """Return a part of a scenario with its entries scaled by their dimensions."""
-        if part is None or isinstance(part, Path):
-            return part
-        powers = dict(POWERS[name])
-        if name == "sensors":
-            part = replace(part, reckoning=self.part("reckoning", part.reckoning))
-        if name == "current" and not part.relative:
-            powers |= dict.fromkeys(("speed", "gust", "shear"), (1, -1))
-        given = {entry: getattr(part, entry) for entry in powers}
-        return replace(part, **{e: scaled(x, self.units.factor(*powers[e])) for e, x in given.items() if x is not None})
+        return scaled_part(name, part, self.units)
 
     @property
     def turn_rate(self) -> float:
@@ -234,11 +208,6 @@ class _Fit:
                 if "raise substeps" not in str(error) or substeps >= MOST_SUBSTEPS:
                     raise
             substeps += 1
-
-
-def scaled(value: Interval, factor: float) -> Interval:
-    """Return a number, or both ends of an interval, times a factor."""
-    return (value[0] * factor, value[1] * factor) if isinstance(value, tuple) else value * factor
 
 
 def fleet() -> list[str]:

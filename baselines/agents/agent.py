@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from auv_gym.policy import Policy, checked_authority
 from auv_gym.records import from_record, to_record
 from auv_gym.task import TERMS
-from auv_gym.vehicle import Vehicle
+from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 from baselines.agents.features import ERRORS, STANDARD, Inputs
 from baselines.agents.model_card import CURVE, model_card
 from baselines.agents.names import FADING, agent_folder, is_path
@@ -92,7 +92,7 @@ class Agent:
         Args:
             fade: whether corrections fade to the expert's bare action where an error leaves the region that was seen in
                 training; at twice its size nothing of them is left.
-            vehicle: what the expert believes in, None: the paper's.
+            vehicle: what the expert believes in, and what a network with `Inputs.hull` is told. None: the paper's.
             precision: of the network's numbers, "float64", or "float32", which takes a fifth of the time in batches.
 
         Raises:
@@ -104,10 +104,11 @@ class Agent:
             raise ValueError("the agent does not know the region that it has seen, so it cannot fade; train it again")
         expert = make_expert(self.expert, vehicle=vehicle)
         region = self.region if fade else None
+        hull = (vehicle or PAPER_VEHICLE).coefficients
         own = {name.partition("-")[0] for name in self.scenarios}
         speeds = SPEEDS[own.pop()] if len(own) == 1 and own <= set(SPEEDS) else (0.0, math.inf)
         return ResidualPolicy(
-            expert, self.network, self.weights, self.authority, region, self.inputs, precision, speeds
+            expert, self.network, self.weights, self.authority, region, self.inputs, precision, speeds, hull
         )
 
     def save(self, folder: str | Path, curve: bytes | None = None) -> None:

@@ -15,6 +15,7 @@ from auv_gym.errors import to_body, to_world
 from auv_gym.namespaces import Namespace, Number, wrap_angle
 from auv_gym.preview import checked_preview
 from auv_gym.task import Observation
+from auv_gym.vehicle import PAPER_VEHICLE, Coefficients
 from baselines.agents import filters
 from baselines.estimation.sea_model import measurement
 from baselines.policy import reference_speed
@@ -94,10 +95,11 @@ class Inputs:
     integrals: bool = True  # whether the integrals of the position error are among them
     fine: bool = False  # whether the errors are seen on finer scales too
     filters: bool = False  # whether what `filters.filtered` believes is among them
+    hull: bool = False  # whether the known vehicle is among them, and what the filters believe in
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "preview", checked_preview(self.preview))
-        for name in ("integrals", "fine", "filters"):
+        for name in ("integrals", "fine", "filters", "hull"):
             if not isinstance(value := getattr(self, name), bool):
                 raise ValueError(f"{name} is {value!r}; it must be true or false")
 
@@ -107,7 +109,8 @@ class Inputs:
         known = FEATURES if self.integrals else FEATURES[: _SUMS.start] + FEATURES[_SUMS.stop :]
         known += tuple(feature for periods in self.preview for feature in _ahead(periods))
         known += FINE_FEATURES if self.fine else ()
-        return known + (FILTER_FEATURES if self.filters else ())
+        known += FILTER_FEATURES if self.filters else ()
+        return known + (HULL_FEATURES if self.hull else ())
 
     @property
     def memory(self) -> int:
@@ -122,6 +125,7 @@ class Inputs:
         correction: Iterable[Number],
         integrals: Iterable[Number],
         ns: Namespace,
+        hull: Coefficients = PAPER_VEHICLE.coefficients,
     ) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
         """Return the features, one row for each, and the integrals to hand in at the next control instant.
 
@@ -132,6 +136,7 @@ class Inputs:
             correction: the policy's own action before this instant, surge and yaw; zero at an episode's start.
             integrals: what is remembered, `memory` rows as the last call returned them; zero at an episode's start.
             ns: the namespace of the numbers.
+            hull: the known vehicle in the paper's units, see `auv_gym.units`; not looked at without `Inputs.hull`.
         """
         u_R, v_R, r_R, F_uR, F_rR, c, s, F_u_max, F_r_max, a_u, a_r, dt = o[6:18]
         (x1, y1, x2, y2), rest = (kept := tuple(integrals))[:INTEGRALS], kept[INTEGRALS:]
@@ -154,8 +159,10 @@ class Inputs:
         if self.fine:
             rows += _fine(o[:ERRORS], per_U, ns)
         if self.filters:
-            believed, rest = filters.filtered(Observation._make(o), 1 / per_U, rest, ns)
+            believed, rest = filters.filtered(Observation._make(o), 1 / per_U, rest, ns, hull if self.hull else _PAPER)
             rows += _believed(believed, Observation._make(o), per_U, ns)
+        if self.hull:
+            rows += _known(hull)
         return tuple(ns.clip(row, -BOUND, BOUND) for row in rows), (x1, y1, x2, y2, *rest)
 
 
@@ -238,6 +245,21 @@ def _filter_features(whose: str, what: str) -> tuple[Feature, ...]:
     )  # fmt: skip
 
 
+def _known(hull: Coefficients) -> tuple[Number, ...]:
+    """Return the rows of `HULL_FEATURES`."""
+    h = hull
+    decades = (
+        h.d11 / h.m11, h.X_uu / h.m11, h.d22 / h.m22, h.Y_vv / h.m22, h.Y_uv / h.m22,
+        h.d33 / h.m33, h.N_rr / h.m33, h.N_ur / h.m33,
+    )  # fmt: skip
+    shares = (2 * x / (x + half) for x, half in zip(decades, HALVES, strict=True))
+    return (h.m22 / h.m11 - 1, *shares, h.Y_ur / h.m22, h.N_uv / h.m33)
+
+
+_PAPER = PAPER_VEHICLE.coefficients
+HALVES = (0.1, 0.05, 0.4, 1.0, 0.5, 1.0, 4.0, 0.5)
+"""Drag and lift over inertia, in the order of `_known`, of which `HULL_FEATURES` are 1: about in the middle of what
+vehicles have."""
 FINE_FEATURES = _fine_features("", "measured")
 """What a network sees besides with `Inputs.fine`: the errors on finer scales."""
 FILTER_FEATURES = (
@@ -246,3 +268,20 @@ FILTER_FEATURES = (
     *_filter_features("calm_", "filter for a calm sea"),
 )
 """What a network sees besides with `Inputs.filters`."""
+HULL_FEATURES = (
+    Feature("m22", "1", "1", "m22 / m11 - 1 of the known vehicle"),
+    *(
+        Feature(name, unit, f"x / (x + {half:g}) * 2", f"{name} / {inertia} of the known vehicle in the paper's units")
+        for half, (name, inertia, unit) in zip(
+            HALVES,
+            (
+                ("d11", "m11", "1/s"), ("X_uu", "m11", "1/m"), ("d22", "m22", "1/s"), ("Y_vv", "m22", "1/m"),
+                ("Y_uv", "m22", "1/m"), ("d33", "m33", "1/s"), ("N_rr", "m33", "1"), ("N_ur", "m33", "1/m"),
+            ),
+            strict=True,
+        )
+    ),
+    Feature("Y_ur", "1", "1", "Y_ur / m22 of the known vehicle"),
+    Feature("N_uv", "1/m^2", "1 / m^2", "N_uv / m33 of the known vehicle in the paper's units"),
+)  # fmt: skip
+"""What a network sees besides with `Inputs.hull`: ratios, with drag and lift on a scale on which decades are alike."""

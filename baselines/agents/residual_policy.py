@@ -17,9 +17,12 @@ from auv_gym.namespaces import ARRAYS
 from auv_gym.policy import Forces, Law, Policy, corrected, preview_of, traceable
 from auv_gym.preview import shared_preview
 from auv_gym.task import SIZE, action_of, decode
+from auv_gym.units import Units
+from auv_gym.vehicle import PAPER_VEHICLE, Coefficients
 from baselines.agents.features import STANDARD, Inputs, scaled_errors
 from baselines.agents.networks import ACTIONS, Network, Weights
 from baselines.policy import U_R, V_R, Array, Memory, batched, renewed, squared_speed, warn_of_lost_memory
+from baselines.similar import shown_factors
 
 BLOCK = 128
 """Most vehicles that go through the network at once: what it computes on the way stays in the processor's cache."""
@@ -27,7 +30,12 @@ Symbols = Sequence[Symbol]
 
 
 @lru_cache(maxsize=64)
-def feature_kernel(inputs: Inputs, forces: Forces | None) -> Kernel:
+def feature_kernel(
+    inputs: Inputs,
+    forces: Forces | None,
+    hull: Coefficients = PAPER_VEHICLE.coefficients,
+    units: Units = Units(),  # noqa: B008, it is frozen
+) -> Kernel:
     """Return the kernel from an observation, with its preview's columns `ahead`, to the features.
 
     Its results: terms, the observation's in SI units; errors, see `scaled_errors`; features and integrals, see
@@ -36,15 +44,21 @@ def feature_kernel(inputs: Inputs, forces: Forces | None) -> Kernel:
     Args:
         inputs: what the network sees.
         forces: of the expert, if it is a law; None: its action, base, is an argument.
+        hull: the known vehicle, see `Inputs.update`.
+        units: in which everything is seen, while the observation is in SI units; none, and neither is scaled.
     """
+    factors = () if units == Units() else shown_factors(units)
 
     def equation(
         observation: Symbols, ahead: Symbols, correction: Symbols, integrals: Symbols, base: Symbols = ()
     ) -> Mapping[str, Symbols]:
         o = decode(observation, SYMBOLS)
+        if factors:
+            o = [term * factor for term, factor in zip(o, factors, strict=True)]
+            ahead = [way * (1 / units.length) for way in ahead]
         if forces is not None:
             base = [single(a) for a in action_of(forces(o, SYMBOLS), o, SYMBOLS)]  # as `Law.predict` gives it
-        features, sums = inputs.update(o, ahead, base, correction, integrals, SYMBOLS)
+        features, sums = inputs.update(o, ahead, base, correction, integrals, SYMBOLS, hull)
         errors = scaled_errors(o, SYMBOLS)
         return {"terms": o, "errors": errors, "features": features, "integrals": sums, "base": base}
 
@@ -67,8 +81,8 @@ def command_kernel() -> Kernel:
 class _Desk:
     """The arrays of n vehicles that the kernels read and write."""
 
-    def __init__(self, n: int, inputs: Inputs, forces: Forces | None) -> None:
-        features, command = feature_kernel(inputs, forces), command_kernel()
+    def __init__(self, n: int, features: Kernel) -> None:
+        command = command_kernel()
         rows = features.rows | command.rows
         self.arrays = {name: np.zeros((size, n)) for name, size in rows.items()}
         self.see = features.bound(**{name: self.arrays[name] for name in features.rows})
@@ -96,11 +110,13 @@ class ResidualPolicy:
         inputs: Inputs = STANDARD,
         precision: str = "float64",
         speeds: tuple[float, float] = (0.0, math.inf),
+        hull: Coefficients = PAPER_VEHICLE.coefficients,
     ) -> None:
         """Make the policy of checked weights.
 
         With a region, see `trust`, corrections fade outside of it; the network computes in a precision, "float64" or
-        "float32". Where an episode begins at a reference speed [m/s] outside of `speeds`, a warning says so, once.
+        "float32". Where an episode begins at a reference speed [m/s] outside of `speeds`, a warning says so, once. The
+        hull is the known vehicle, see `Inputs.update`.
         """
         self.speeds = speeds
         self.region, self.inputs = None if region is None else np.array(region), inputs
@@ -108,6 +124,7 @@ class ResidualPolicy:
         self.expert, self.network, self.authority = expert, network, np.array(authority)
         self._layers, self.precision = network.prepared(weights, precision), np.dtype(precision)
         self._law = cast(Law, expert) if traceable(expert) else None
+        self._hull = hull if inputs.hull else PAPER_VEHICLE.coefficients  # who does not look shares one kernel
         self._desk: tuple[int, _Desk] | None = None
         self._at(1)  # what is to be compiled is compiled before it has to decide
 
@@ -197,7 +214,8 @@ class ResidualPolicy:
     def _at(self, n: int) -> _Desk:
         """Return the arrays of n vehicles, those of the last call if it was of as many."""
         if self._desk is None or self._desk[0] != n:
-            self._desk = n, _Desk(n, self.inputs, None if self._law is None else self._law.forces)
+            forces = None if self._law is None else self._law.forces
+            self._desk = n, _Desk(n, feature_kernel(self.inputs, forces, self._hull))
         return self._desk[1]
 
 

@@ -14,11 +14,13 @@ from auv_gym.presets import PRESETS
 from baselines import make_policy
 from baselines.agents.features import STANDARD, Inputs
 from baselines.agents.networks import Mlp
+from baselines.control.backstepping import Backstepping
 from baselines.control.open_loop import NO_EXPERT, Zero
 from baselines.training.apg.closed_loop import ClosedLoop, Loss, law_of
 from baselines.training.apg.fleet import Fleet
 from baselines.training.apg.kernels import LoopKernels
 from baselines.training.apg.window import Carried, Window
+from baselines.training.hulls import turns
 
 AUTHORITY = (0.3, 0.6)  # largest corrections of surge and yaw
 LOSS = Loss(effort=0.1, rate=0.01)  # weights of the loss
@@ -26,7 +28,7 @@ SEED = 7  # of the episodes
 
 
 class Setting:
-    """Vehicles, and a window of control steps that they run through with a network.
+    """Vehicles, and a window of control steps that they run through with a network; told drawn hulls if it wants them.
 
     Args:
         names: of the presets, one for each vehicle.
@@ -48,8 +50,11 @@ class Setting:
     ) -> None:
         self.expert = Zero() if expert == NO_EXPERT else make_policy(expert)
         law, self.exact = law_of(self.expert)
-        self.fleet = Fleet([PRESETS[name] for name in names], SEED, steps, inputs.preview)
-        self.loop = ClosedLoop(law, inputs, self.fleet.parts)
+        scenarios = [PRESETS[name] for name in names]
+        hulls = turns(scenarios, 1.0, SEED) if inputs.hull else ()
+        self.fleet = Fleet(scenarios, SEED, steps, inputs.preview, hulls)
+        believer = self.expert if inputs.hull and isinstance(self.expert, Backstepping) else None
+        self.loop = ClosedLoop(law, inputs, self.fleet.parts, believer)
         self.net = net
         self.window = Window(LoopKernels(self.loop, self.exact, precision), net, len(names), steps)
         self.carried: Carried = self.fleet.reset(net.sizes.memory, inputs.memory)
@@ -64,7 +69,7 @@ class Setting:
         """Return the mean loss and the squared error at the end of the next window; the gradient is the network's."""
         act = None if self.exact else lambda _, observation: self.act(observation)
         given = (*self.fleet.window(), self.fleet.constants, AUTHORITY, LOSS, act)
-        loss, _, carried, squared_error = self.window.run(self.carried, *given)
+        loss, _, carried, squared_error = self.window.run(self.carried, *given, known=self.fleet.known)
         self.carried = Carried(*(x.copy() for x in carried))
         return loss, squared_error
 
@@ -77,13 +82,15 @@ class Setting:
 
         base: Any
         state, observation, integrals, correction = map(rows, self.carried[:-1])
+        known = rows(self.fleet.known)
         hidden, total = torch.tensor(self.carried.hidden, dtype=dtype).T, torch.zeros(())
         for ahead, sample in zip(*self.fleet.window(), strict=True):
-            base = self.loop.expert(observation, TENSORS)
+            base = self.loop.expert(observation, TENSORS, known)
             if not self.exact:  # the expert's value, the law's slope
                 value = rows(self.act(torch.stack(observation).detach()))
                 base = [v + (b - b.detach()) for v, b in zip(value, base, strict=True)]
-            features, integrals = self.loop.features(observation, rows(ahead), base, correction, integrals, TENSORS)
+            seen = observation, rows(ahead), base, correction, integrals
+            features, integrals = self.loop.features(*seen, TENSORS, known)
             output, hidden = applied(self.net, torch.stack(features, dim=1), hidden)
             correction = output.unbind(dim=1)
             outside = rows(sample), rows(self.fleet.constants), AUTHORITY, LOSS

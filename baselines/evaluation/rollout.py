@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.envs.vector_api import AutoresetMode
 from auv_gym.episode import Episode
+from auv_gym.kernels import MadeBodies
 from auv_gym.paths import Line
 from auv_gym.policy import Policy, preview_of
 from auv_gym.scenario import Scenario
@@ -132,6 +133,7 @@ def beginning(
     cells: Sequence[tuple[Scenario, Sequence[Episode]]],
     preview: tuple[int, ...],
     autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP,
+    bodies: MadeBodies | None = None,
 ) -> Begun:
     """Return the beginning of the episodes of some scenarios, all side by side.
 
@@ -139,11 +141,14 @@ def beginning(
         cells: scenarios of the same number of substeps, with episodes of each.
         preview: what is observed of the reference ahead, see `auv_gym.preview`.
         autoreset_mode: with NEXT_STEP the environment shows the end of an episode for one step.
+        bodies: makes the vehicles of another simulator, if it is to move them.
     """
     # What an environment begins where an episode has ended is left alone: a straight line, which costs nothing to plan.
     after = [replace(scenario, path=Line(episodes[0].path.speed)) for scenario, episodes in cells]
     scenarios = [scenario for scenario, (_, own) in zip(after, cells, strict=True) for _ in own]
     env = UnderactuatedAUVTrackVectorEnv(len(scenarios), scenarios, preview=preview, autoreset_mode=autoreset_mode)
+    if bodies is not None:
+        env.embody(bodies)
     observation, _ = env.reset(seed=0, options={"episode": [episode for _, own in cells for episode in own]})
     return env, observation
 
@@ -166,6 +171,7 @@ def rollout(
     episodes: Sequence[Episode],
     step_limit: float = math.inf,
     on_step: Callable[[int], None] = lambda _: None,
+    bodies: MadeBodies | None = None,
 ) -> Rollout:
     """Return N episodes of a policy, side by side; each ends where the scenario ends it.
 
@@ -175,6 +181,7 @@ def rollout(
         episodes: what is to run.
         step_limit: largest time for a decision of one vehicle [s], on average since the start.
         on_step: called after each control step with their number so far.
+        bodies: makes the vehicles of another simulator, if it is to move them.
 
     Raises:
         PolicyError: see `play`.
@@ -184,7 +191,7 @@ def rollout(
         policy.step_limit = step_limit
     if isinstance(policy, Privileged):
         policy.prepare(scenario, episodes)
-    env, observation = beginning([(scenario, episodes)], preview_of(policy))
+    env, observation = beginning([(scenario, episodes)], preview_of(policy), bodies=bodies)
     log = Log(scenario.steps, len(episodes))
     log.rows.append(_row(env))
     for k, moment in enumerate(play(policy, (env, observation), scenario.steps, watch)):

@@ -15,8 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
 
 from auv_gym.identify import identify
+from auv_gym.identify.fit import UNKNOWN
 from auv_gym.identify.model import CURRENT as V
 from auv_gym.identify.model import HULL, LIMITS, PARAMETERS
 from auv_gym.identify.trials import CURRENT, example
@@ -59,25 +61,32 @@ def counted(name: str, logs: int) -> dict[str, Any]:
     truth |= dict(zip(LIMITS, (EXAMPLE.F_u_max, EXAMPLE.F_r_max), strict=True)) | {"lag": EXAMPLE_LAG}
     held, near = dict.fromkeys(PARAMETERS, 0), dict.fromkeys(PARAMETERS, 0)
     errors: dict[str, list[float]] = {n: [] for n in PARAMETERS}
+    unknown, whole = dict.fromkeys(PARAMETERS, 0), 0
     begin = time.process_time()
     for seed in range(logs):
-        for e in identify(example(vehicle, EXAMPLE, sensors, seed)).estimates:
+        found = identify(example(vehicle, EXAMPLE, sensors, seed)).estimates
+        good = []
+        for e in found:
             inside, error = e.low <= truth[e.name] <= e.high, abs(e.value - truth[e.name])
+            good.append(inside or error <= NEAR * abs(truth[e.name]))
             held[e.name] += inside
-            near[e.name] += inside or error <= NEAR * abs(truth[e.name])
+            near[e.name] += good[-1]
+            unknown[e.name] += e.verdict == UNKNOWN
             errors[e.name].append(error / (abs(truth[e.name]) or 1.0))
+        whole += all(good)
     seconds = (time.process_time() - begin) / logs
     rows = {
         n: {
             "true": truth[n],
             "held": held[n],
             "near": near[n],
+            "unknown": unknown[n],
             "median": float(np.median(errors[n])),
             "worst": max(errors[n]),
         }
         for n in PARAMETERS
     }
-    return {"logs": logs, "processor_s": seconds, "parameters": rows}
+    return {"logs": logs, "processor_s": seconds, "whole": whole, "parameters": rows}
 
 
 def table(record: Mapping[str, Any]) -> str:
@@ -100,10 +109,22 @@ def table(record: Mapping[str, Any]) -> str:
 
 def section(name: str, record: Mapping[str, Any]) -> str:
     """Return what the page says about the logs of a vehicle."""
+    logs, rows = record["logs"], record["parameters"].values()
+    there = [row["near"] for row in rows if row["true"] != 0]
+    not_there = [row["near"] for row in rows if row["true"] == 0]
     says = (
-        f"**{name[0].upper()}{name[1:]}**, {record['logs']} logs, {record['processor_s']:.1f} s of processor time each:"
+        f"**{name[0].upper()}{name[1:]}**, {logs} logs, {record['processor_s']:.1f} s of processor time each. "
+        f"Of the numbers that are not 0 in truth, {_share(there, logs)} are inside their interval or within 5 %; of those that are 0, "
+        f"{_share(not_there, logs)}; in {record['whole']} of {logs} logs all of them."
     )
     return f"{says}\n\n{table(record)}"
+
+
+def _share(counts: Sequence[int], logs: int) -> str:
+    """Return a count of all numbers in words, with its 95 % interval (Clopper and Pearson 1934)."""
+    done, of = sum(counts), len(counts) * logs
+    low, high = binomtest(done, of).proportion_ci(0.95) if of else (0.0, 1.0)
+    return f"{done} of {of} ({100 * low:.1f} to {100 * high:.1f} %)"
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -83,6 +83,8 @@ def _first_paragraph(box: str) -> str:
 def words_of(options: Any, defaults: Any) -> list[str]:
     """Return the words of a command line that turn one value of a dataclass into another.
 
+    A field whose option is a word of Python has a `_` behind its name, such as `from_`.
+
     Args:
         options: what the words are to give.
         defaults: what is there without a word; of the same class.
@@ -91,7 +93,7 @@ def words_of(options: Any, defaults: Any) -> list[str]:
     for f in fields(options):
         if (value := getattr(options, f.name)) != getattr(defaults, f.name):
             given = value if isinstance(value, tuple) else () if value is True else (value,)
-            words += [f"--{f.name.replace('_', '-')}", *map(str, given)]
+            words += [f"--{f.name.rstrip('_').replace('_', '-')}", *map(str, given)]
     return words
 
 

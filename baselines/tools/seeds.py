@@ -40,8 +40,15 @@ SWEEP = Seeds(
     90_000_000, 100_000_000, "baselines.evaluation.suites.bound", "the bound is tried on these: does it lose a vehicle?"
 )
 """Those of the episodes on which the bound is tried."""
+FINE_TUNING = Seeds(
+    130_000_000,
+    140_000_000,
+    "baselines.training.fine_tuning",
+    "agents that were tuned to a vehicle are compared on these",
+)
+"""Those that agents are compared on that were tuned to a vehicle."""
 TRAINING = Seeds(1_000_000_000, 2**62, "baselines.training.config", "agents are trained on these")
 """Those that agents are trained on."""
 
-TABLE = (USERS, TUNING, TUNING_CHECK, VALIDATION, FRESH, SWEEP, TRAINING)
+TABLE = (USERS, TUNING, TUNING_CHECK, VALIDATION, FRESH, SWEEP, FINE_TUNING, TRAINING)
 """Every range, in order; none overlaps another."""

@@ -37,6 +37,14 @@ _LANES = 2**20  # seeds reserved for the vehicles of one run
 
 
 @dataclass(frozen=True)
+class Origin:
+    """The agent that a training begins with."""
+
+    agent: str  # its name or folder
+    weights_sha256: str  # of its weights, so that a run does not go on with those of another one
+
+
+@dataclass(frozen=True)
 class Config:
     """A training run: the same one, on as many threads with the same libraries, gives the same agent.
 
@@ -51,6 +59,8 @@ class Config:
     seed: int = 0
     timesteps: int = 1_000_000  # control steps, summed over vehicles
     hyperparameters: Mapping[str, Any] = field(default_factory=dict)  # of the algorithm, plain JSON values
+    origin: Origin | None = None  # what it begins with, None: a network that corrects nothing yet
+    steers: Vehicle | None = None  # in SI units, the one whose own units the scenarios are in; None: the paper's
 
     def __post_init__(self) -> None:
         if self.algo not in ALGORITHMS:
@@ -73,7 +83,7 @@ class Config:
 
     @property
     def vehicle(self) -> Vehicle | None:
-        """The vehicle that all scenarios know and the expert believes in; None where they differ."""
+        """The vehicle that all scenarios know and the expert believes in, in their units; None where they differ."""
         return common_vehicle([scenario for scenario, _ in self.scenarios])
 
     @property
@@ -106,6 +116,8 @@ class Config:
         record = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         record["scenarios"] = [{"weight": weight, "scenario": s.to_dict()} for s, weight in self.scenarios]
         record["authority"] = list(self.authority)
+        for name in ("origin", "steers"):
+            record[name] = None if record[name] is None else dataclasses.asdict(record[name])
         plain: dict[str, Any] = json.loads(json.dumps(record | {"hyperparameters": dict(self.hyperparameters)}))
         return plain
 

@@ -22,17 +22,23 @@ class Options:
     """The algorithm: "apg" (analytic gradient: back-propagation through the simulator), "rma" (rapid motor adaptation:
     a teacher that knows the sea, and a student that estimates it), or one of Stable-Baselines3: "ppo", "ppo_lstm",
     "sac", "td3", "tqc"."""
-    scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ("cruise",)
+    scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ()
     """What to train on: names of presets, .toml and .json files, or a regime, "cruise" or "slow", for all of its cases
     (storms three times, noise and slow actuators twice as often), or "cruise-adverse" or "slow-adverse", for these and
     storms in which sensors, commands, actuators and current are not as told, or "helm", for both regimes and slewing
     actuators, as the agent of that name; NAME:WEIGHT weighs one against the others.
-    Default: cruise."""
+    Default: cruise, or what the agent was trained on that it begins with."""
     expert: Annotated[str | None, arg(metavar="E", help_behavior_hint="")] = None
     """The policy that is corrected, by name; "none" to learn without one. Default: backstepping."""
     authority: Annotated[tuple[float, ...], arg(metavar="A [A]", help_behavior_hint="")] = ()
     """Largest correction of surge and yaw command, as fractions of the vehicle's limits, in (0, 2]; one number for
     both. Default: what the hyper-parameters say."""
+    from_: Annotated[str | None, arg(name="from", metavar="AGENT", help_behavior_hint="")] = None
+    """An agent to begin with, by name or folder, such as "helm": its weights, network, inputs, expert and authority, in
+    a short training at low rates. Default: a network that corrects nothing yet."""
+    vehicle: Annotated[str | None, arg(metavar="V", help_behavior_hint="")] = None
+    """The vehicle that it is for, a published one by name or a .toml file: the scenarios are made to fit it, and those
+    below the speed at which its fins steer it are left out."""
     seed: int = 0
     """Seed of networks, exploration and episodes."""
     seeds: int = 1
@@ -49,6 +55,7 @@ class Options:
     set: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE [...]", help_behavior_hint="")] = ()
     """Hyper-parameters in place of the file's, such as "effort_weight=0.1" or "preview=[5,10]"."""
     out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
-    """Folder of the run; nothing in it is overwritten. Default: runs/train/ALGO-SCENARIO."""
+    """Folder of the run; nothing in it is overwritten. Default: runs/train/ALGO-SCENARIO, with the agent
+    that it begins with in place of these, and -VEHICLE behind."""
     resume: bool = False
     """Go on with the run that the same options have begun in the folder, from its last checkpoint."""

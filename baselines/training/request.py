@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -11,17 +12,20 @@ from pathlib import Path
 from typing import Any
 
 from auv_gym.scenario import Scenario
+from auv_gym.vehicle import Vehicle
 from baselines.evaluation.request import checked, checked_folder, checked_scenario
 from baselines.evaluation.score import EXPERT
 from baselines.tools.command_line import UsageError
 from baselines.tools.workers import Workers
+from baselines.training.beginning import ALGO, Beginning, checked_craft, fitted, in_own_units
 from baselines.training.config import ALGORITHMS, Config
-from baselines.training.hyperparameters import changes_of, load_hyperparameters, shipped
-from baselines.training.mixtures import MIXTURES
+from baselines.training.hyperparameters import ENV_ID, TUNING, changes_of, load_hyperparameters, shipped
+from baselines.training.mixtures import MIXTURES, Mixture
 from baselines.training.options import Options
 from baselines.training.run_folder import AGENT, LOCK, read_config
 
 DEFAULT_AUTHORITY = (0.5,)  # largest correction of surge and yaw, a fraction of the limits
+DEFAULT_SCENARIO = ("cruise",)  # words of `--scenario` where none is given
 DEFAULT_TIMESTEPS = 1_000_000  # control steps, summed over vehicles
 
 
@@ -45,11 +49,12 @@ class Request:
         if options.seeds < 1:
             raise UsageError(f"--seeds is {options.seeds}; it must be 1 or more")
         workers = checked(partial(Workers.of, options.jobs, options.cluster))
-        config = _config(options)
+        config, notes = _config(options)
+        for note in notes:
+            print(f"note: {note}", file=sys.stderr)
         configs = tuple(checked(partial(replace, config, seed=config.seed + i)) for i in range(options.seeds))
         checked(partial(check, config))
-        name = f"{options.algo}-{'-'.join(name_of(s) for s in options.scenario)}"
-        out = options.out or Path("runs/train") / name
+        out = options.out or Path("runs/train") / _name(options)
         folders = (out,) if len(configs) == 1 else tuple(out / f"seed-{c.seed}" for c in configs)
         for each, folder in zip(configs, folders, strict=True):
             _check_contents(each, folder, options.resume)
@@ -58,23 +63,64 @@ class Request:
         return cls(configs, folders, out, workers, command)
 
 
-def _config(options: Options) -> Config:
-    """Return the configuration of a command line's options; what they leave open the hyper-parameters say."""
+def _config(options: Options) -> tuple[Config, list[str]]:
+    """Return the configuration of a command line's options, and what to know about it.
+
+    What the options leave open the agent says that it begins with, or the hyper-parameters.
+    """
     if options.algo not in ALGORITHMS:
         raise UsageError(f"unknown algorithm {options.algo!r}; allowed are {', '.join(ALGORITHMS)}")
-    found = checked(partial(load_hyperparameters, options.hyperparameters or shipped(options.algo)))
+    begun = None if options.from_ is None else checked(partial(Beginning.of, options.from_))
+    if begun and options.algo != ALGO:
+        raise UsageError(f"--from goes on by the analytic gradient, not by {options.algo}; leave out --algo")
+    file = options.hyperparameters or shipped(options.algo)
+    found = checked(partial(load_hyperparameters, file, TUNING if begun else ENV_ID))
     changed = checked(partial(changes_of, options.set))
-    return checked(
+    values = {**found.values, **changed}
+    expert, authority = options.expert or found.expert or EXPERT, options.authority or found.authority
+    if begun:
+        checked(partial(begun.check, options.expert, options.authority, changed))
+        values = {**begun.config.hyperparameters, **values}
+        expert, authority = begun.agent.expert, begun.agent.authority
+    scenarios, steers, notes = _scenarios(options, begun)
+    made = checked(
         lambda: Config(
             options.algo,
-            resolved(options.scenario),
-            options.expert or found.expert or EXPERT,
-            _pair(options.authority or found.authority or DEFAULT_AUTHORITY),
+            scenarios,
+            expert,
+            _pair(authority or DEFAULT_AUTHORITY),
             options.seed,
             next(n for n in (options.timesteps, found.timesteps, DEFAULT_TIMESTEPS) if n is not None),
-            {**found.values, **changed},
+            values,
+            begun.origin if begun else None,
+            steers,
         )
     )
+    return made, notes
+
+
+def _scenarios(options: Options, begun: Beginning | None) -> tuple[Mixture, Vehicle | None, list[str]]:
+    """Return what is trained on, the vehicle in whose units that is, and what was left out."""
+    if begun and not options.scenario:
+        if begun.config.steers is not None and options.vehicle is None:
+            return begun.config.scenarios, begun.config.steers, []
+        given = begun.config.scenarios
+    else:
+        given = resolved(options.scenario or DEFAULT_SCENARIO)
+    craft, notes = None if options.vehicle is None else checked(partial(checked_craft, options.vehicle)), []
+    if craft is not None:
+        given, reasons = checked(partial(fitted, given, craft))
+        if reasons:
+            notes = [f"{len(reasons)} scenarios are left out: {reasons[0]}"]
+    own, steers = checked(partial(in_own_units, given))
+    return own, steers, notes
+
+
+def _name(options: Options) -> str:
+    """Return the name of the folder of a run whose options name none."""
+    what = "-".join(name_of(word) for word in options.scenario or (() if options.from_ else DEFAULT_SCENARIO))
+    words = Path(options.from_).name if options.from_ else options.algo, what, Path(options.vehicle or "").stem
+    return "-".join(word for word in words if word)
 
 
 def resolved(words: Sequence[str]) -> tuple[tuple[Scenario, float], ...]:

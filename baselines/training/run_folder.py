@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import hashlib
 import io
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -11,7 +10,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock, Timeout
@@ -19,6 +17,7 @@ from filelock import FileLock, Timeout
 from auv_gym.policy import Policy
 from baselines.tools.command_line import UsageError
 from baselines.tools.files import guarded, json_text, read_csv, read_json, write_atomically
+from baselines.training.checkpoint import UNREADABLE, packed, unpacked
 from baselines.training.config import Config
 from baselines.training.validation import Validation, validation_cell
 
@@ -31,8 +30,6 @@ CHECKPOINT = "checkpoint.pt"  # file that a run is resumed from
 AGENT = "agent"  # folder of the trained agent
 EVENTS = "tensorboard"  # folder of TensorBoard's files
 LOCK = ".lock"  # file that the process holds which writes in the run folder; left behind, it means nothing
-DIGEST = hashlib.sha256().digest_size
-"""Bytes in front of a checkpoint: the SHA-256 of the rest."""
 VALIDATIONS = 20
 """How often in a run an agent is validated; as often a checkpoint is kept."""
 
@@ -104,8 +101,10 @@ class Run:
 
     @cached_property
     def validation(self) -> Validation:
-        """The validation episodes of the run's scenarios."""
-        return Validation([validation_cell(scenario) for scenario, _ in self.config.scenarios], self.folder)
+        """The validation episodes of the run's scenarios; few, and without the oracle, if it begins with an agent."""
+        brief = self.config.origin is not None
+        cells = [validation_cell(scenario, brief) for scenario, _ in self.config.scenarios]
+        return Validation(cells, self.folder, brief)
 
     @property
     def seconds(self) -> float:
@@ -158,40 +157,44 @@ class Run:
         Raises:
             OSError: the folder cannot be written to.
         """
-        import torch
-
-        buffer = io.BytesIO()
-        torch.save({"state": dict(state), "seconds": self.seconds, "timesteps": int(state["timesteps"])}, buffer)
-        data = buffer.getvalue()
-        write_atomically(self.folder / CHECKPOINT, hashlib.sha256(data).digest() + data)
+        record = {"state": dict(state), "seconds": self.seconds, "timesteps": int(state["timesteps"])}
+        write_atomically(self.folder / CHECKPOINT, packed(record))
 
     def load_checkpoint(self) -> dict[str, Any] | None:
         """Return the state of the last checkpoint, None if there is none; what was logged after it is forgotten.
 
         Raises:
             OSError: the folder cannot be read.
-            TrainingError: a file is damaged, or of other versions of the libraries.
+            TrainingError: a file is damaged, or of other code, or of other versions of the libraries.
         """
-        import torch
-
         file = self.folder / CHECKPOINT
         if not file.exists():
             return None
-        content = file.read_bytes()
-        digest, data = content[:DIGEST], content[DIGEST:]
-        try:
-            if hashlib.sha256(data).digest() != digest:  # before anything is unpickled
-                raise ValueError("it is damaged, its SHA-256 differs")
-            record = torch.load(io.BytesIO(data), map_location="cpu", weights_only=False)
+        with self.restoring():
+            record = unpacked(file.read_bytes())
             rows = [row for row in read_progress(self.folder) if row["timesteps"] <= record["timesteps"]]
             if not rows or rows[-1]["timesteps"] != record["timesteps"]:
                 raise ValueError(f"{PROGRESS} is damaged, it ends before the checkpoint")
-        except (AttributeError, EOFError, ImportError, KeyError, RuntimeError, ValueError, UnpicklingError) as error:
-            raise TrainingError(f"cannot go on from {file}: {error}; begin again in another folder") from error
         self._earlier, self._begin, self._start = record["seconds"], time.monotonic(), record["timesteps"]
         self._rows = rows
         state: dict[str, Any] = record["state"]
         return state
+
+    @contextmanager
+    def restoring(self) -> Iterator[None]:
+        """Say what is to be done where a checkpoint cannot be gone on from; a trainer takes up its state within.
+
+        Raises:
+            TrainingError: in place of what damage, other code or other libraries raise.
+        """
+        try:
+            yield
+        except UNREADABLE as error:
+            what = f"it has no {error}" if isinstance(error, KeyError) else str(error)
+            raise TrainingError(
+                f"cannot go on from {self.folder / CHECKPOINT}: {what}; begin again in another folder, or go on with "
+                "the code and the libraries that wrote it"
+            ) from error
 
     def close(self) -> None:
         """Write out what TensorBoard still holds."""

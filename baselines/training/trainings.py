@@ -28,6 +28,7 @@ def training(
     expert: str | None = None,
     timesteps: int | None = None,
     changes: Mapping[str, Any] = MappingProxyType({}),
+    from_: str | None = None,
 ) -> Options:
     """Return what an agent is trained on and how; what is None or empty is as the algorithm's hyper-parameters say.
 
@@ -38,9 +39,10 @@ def training(
         expert: a policy's name.
         timesteps: control steps, summed over vehicles.
         changes: of the hyper-parameters, by name.
+        from_: an agent to begin with.
     """
     words = tuple(changed_words(changes))
-    return Options(algo, tuple(scenario.split()), expert, authority, timesteps=timesteps, set=words)
+    return Options(algo, tuple(scenario.split()), expert, authority, from_, timesteps=timesteps, set=words)
 
 
 def request_of(training: Options, folder: Path, jobs: int = 1) -> Request:
@@ -98,8 +100,19 @@ SMALL: Mapping[str, Any] = {**HELM, "hidden_size": 11}
 """`HELM` for a microcontroller: about 2,000 weights."""
 BLIND: Mapping[str, Any] = {**HELM, "preview": []}
 """`HELM` that is shown nothing of the reference ahead."""
+ANY_HULL: Mapping[str, Any] = {
+    "hull": True,
+    "hulls": 0.5,
+    "hull_weight": 0.5,
+    "learning_rate": 0.002,
+    "matrix_learning_rate": 0.013,
+    "validations": 1,
+}
+"""Of the agent for every vehicle, which begins as `helm`: it is told the hull, which is drawn for half of the vehicles
+that it learns on."""
 SHIPPED: Mapping[str, Options] = {
     "helm": training("apg", "helm", (1.0, 1.6), None, 12_000_000, HELM),
+    "helm-any": training("apg", "helm", timesteps=20_000_000, changes=ANY_HULL, from_="helm"),
     "helm-blind": training("apg", "helm", (1.0, 1.6), None, 12_000_000, BLIND),
     "helm-small": training("apg", "helm", (1.0, 1.6), None, 12_000_000, SMALL),
     "apg-cruise": training("apg", "cruise"),

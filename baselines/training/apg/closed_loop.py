@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from auv_gym.preview import preview_columns
 from auv_gym.rows import filled, leaves
 from auv_gym.simulation import PLANT, Parameters, Parts
 from auv_gym.task import Observation, action_of, decode, encode
+from auv_gym.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
 from baselines.agents.features import STANDARD, Inputs
 from baselines.control.backstepping import Backstepping, tracking_forces
 from baselines.control.ekf_law import EkfLaw
@@ -78,14 +80,25 @@ class ClosedLoop:
     law: Forces
     inputs: Inputs = STANDARD  # of the network
     parts: Parts = Parts()  # noqa: RUF009 - a tuple; of the simulation, what is in use
+    believer: Backstepping | None = None  # the expert, where each vehicle has a hull of its own: `law` for any of them
 
-    def expert(self, observation: Rows, ns: Namespace) -> tuple[Number, Number]:
-        """Return the law's action on an observation without its preview."""
+    def expert(
+        self, observation: Rows, ns: Namespace, known: Rows = PAPER_VEHICLE.coefficients
+    ) -> tuple[Number, Number]:
+        """Return the law's action on an observation without its preview; a `believer` is told the known hulls."""
         o = decode(observation, ns)
-        return action_of(self.law(o, ns), o, ns)
+        law = told(self.believer, Coefficients._make(known)) if self.believer else self.law
+        return action_of(law(o, ns), o, ns)
 
     def features(
-        self, observation: Rows, ahead: Rows, base: Rows, correction: Rows, integrals: Rows, ns: Namespace
+        self,
+        observation: Rows,
+        ahead: Rows,
+        base: Rows,
+        correction: Rows,
+        integrals: Rows,
+        ns: Namespace,
+        known: Rows = PAPER_VEHICLE.coefficients,
     ) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
         """Return what the network sees, and the integrals to hand in at the next control instant.
 
@@ -96,9 +109,10 @@ class ClosedLoop:
             correction: the last one.
             integrals: of the features.
             ns: the namespace of the numbers.
+            known: the coefficients of the hull as it is known.
         """
-        o = Observation._make(decode(observation, ns))
-        return self.inputs.update(o, preview_columns(ahead, o, ns), base, correction, integrals, ns)
+        o, hull = Observation._make(decode(observation, ns)), Coefficients._make(known)
+        return self.inputs.update(o, preview_columns(ahead, o, ns), base, correction, integrals, ns, hull)
 
     def move(
         self,
@@ -130,6 +144,13 @@ class ClosedLoop:
         previous, dt = (before.a_u, before.a_r), self.parts.substeps * p.h
         lost = loss.of(squared_error, p.error_scale, command, previous, dt, ns)
         return Moved(leaves(plant), tuple(encode(terms, ns, self.parts.span)), squared_error, lost)
+
+
+def told(expert: Backstepping, hull: Coefficients) -> Forces:
+    """Return the law of an expert that believes in another hull, of any kind of numbers."""
+    law = copy.copy(expert)
+    law.vehicle = cast(Vehicle, hull)  # whose fields it has
+    return law.forces
 
 
 def law_of(expert: Policy) -> tuple[Forces, bool]:

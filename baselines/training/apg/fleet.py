@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,8 @@ from baselines.training.apg.window import Array, Carried
 class Fleet:
     """N vehicles; vehicle i runs the episodes of an environment of seed + i, one after the other.
 
+    Where a vehicle has several scenarios, of the same clock, each of its episodes is of the next one, round and round.
+
     In a window nothing begins or ends; a vehicle that is lost drifts on to its end. The first episodes are cut short by
     different amounts, so that not all end at once.
 
@@ -26,10 +29,23 @@ class Fleet:
         fresh: whether an episode began at the last renewal, shape (N,).
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], seed: int, window: int, preview: Sequence[int] = ()) -> None:
-        """Make the fleet; `window` control steps are run between beginnings."""
+    def __init__(
+        self,
+        scenarios: Sequence[Scenario],
+        seed: int,
+        window: int,
+        preview: Sequence[int] = (),
+        turns: Sequence[Sequence[Scenario]] = (),
+    ) -> None:
+        """Make the fleet; `window` control steps are run between beginnings.
+
+        With `turns` each vehicle's episodes are of those scenarios in place of its only one.
+        """
         n = len(scenarios)
-        self._lanes = Lanes(n, scenarios, None, None, preview)
+        self._turns = turns or [[scenario] for scenario in scenarios]
+        self._begun = np.zeros(n, dtype=np.int64)  # episodes of each vehicle
+        self._lanes = Lanes(n, [own[0] for own in self._turns], None, None, preview)
+        self._lanes.parts = reduce(Parts.joined, {s.parts: None for own in self._turns for s in own})
         self._seed, self._window = seed, window
         self._steps = np.array([s.steps for s in scenarios])
         self._lost = np.array([s.lost_distance**2 for s in scenarios])
@@ -46,6 +62,11 @@ class Fleet:
     def constants(self) -> Array:
         """The rows of `simulation.Parameters` of the running episodes, shape (PARAMETER_ROWS, N)."""
         return self._lanes.constants
+
+    @property
+    def known(self) -> Array:
+        """The coefficients of the hulls as they are known, shape (len(Coefficients._fields), N)."""
+        return np.array([scenario.vehicle.coefficients for scenario in self._lanes.scenarios]).T
 
     def reset(self, hidden: int, memory: int = STANDARD.memory) -> Carried:
         """Begin an episode everywhere; return what is carried into it, for a network of so many hidden units.
@@ -77,6 +98,9 @@ class Fleet:
         self.fresh = ~(squared_error <= self._lost) | (self._left < self._window)
         self._left[self.fresh] = self._steps[self.fresh]
         lanes = self.fresh.nonzero()[0]
+        self._begun[lanes] += 1
+        for i in lanes.tolist():
+            self._lanes.scenarios[i] = self._turns[i][self._begun[i] % len(self._turns[i])]
         renewed = Carried(*(np.where(self.fresh, 0.0, x) for x in carried))
         if len(lanes):
             beginning = self._lanes.begin(lanes, self._lanes.planned(lanes))

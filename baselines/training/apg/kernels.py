@@ -17,6 +17,7 @@ from auv_gym.codegen.kernel import Equation, Kernel
 from auv_gym.namespaces import Number
 from auv_gym.simulation import PARAMETER_ROWS, PLANT_ROWS, SAMPLE_ROWS
 from auv_gym.task import ERRORS, SIZE, Observation
+from auv_gym.vehicle import PAPER_VEHICLE, Coefficients
 from baselines.agents.networks import ACTIONS
 from baselines.training.apg.closed_loop import ClosedLoop, Loss, Moved
 
@@ -48,9 +49,12 @@ MOVED = {
 }
 """What a control step is made of, rows by array."""
 FIXED = frozenset(
-    ("parameters", "chosen", "d_state", "d_observation", "d_base", "d_correction", "d_features", "d_integrals")
+    ("parameters", "chosen", "known", "d_state", "d_observation", "d_base", "d_correction", "d_features", "d_integrals")
 )
 """Arrays that have no row for each step."""
+KNOWN_ROWS = len(Coefficients._fields)
+"""Rows of what is known of each vehicle's hull, where the network is told: its `Coefficients`."""
+_PAPER = PAPER_VEHICLE.coefficients
 
 
 @dataclass(frozen=True)
@@ -69,13 +73,19 @@ class LoopKernels:
 
     @cached_property
     def look(self) -> Kernel:
-        """observation, ahead, correction, integrals (and base, if that is given) -> features, following, base."""
+        """observation, ahead, correction, integrals (and base, known where given) -> features, following, base."""
 
         def equation(
-            observation: Symbols, correction: Symbols, integrals: Symbols, ahead: Symbols, base: Symbols = ()
+            observation: Symbols,
+            correction: Symbols,
+            integrals: Symbols,
+            ahead: Symbols,
+            base: Symbols = (),
+            known: Symbols = (),
         ) -> Results:
-            action = base or self.loop.expert(observation, SYMBOLS)
-            features, following = self.loop.features(observation, ahead, action, correction, integrals, SYMBOLS)
+            action = base or self.loop.expert(observation, SYMBOLS, known or _PAPER)
+            seen = (observation, ahead, action, correction, integrals)
+            features, following = self.loop.features(*seen, SYMBOLS, known or _PAPER)
             return {"features": features, "following": following, **({} if base else {"base": action})}
 
         return self._traced(equation, self._seen if self.exact else self._seen | {"base": ACTIONS})
@@ -93,15 +103,17 @@ class LoopKernels:
             d_features: Symbols,
             d_base: Symbols,
             d_integrals: Symbols,
+            known: Symbols = (),
         ) -> Results:
-            features, following = self.loop.features(observation, ahead, base, correction, integrals, SYMBOLS)
+            given = (observation, ahead, base, correction, integrals)
+            features, following = self.loop.features(*given, SYMBOLS, known or _PAPER)
             seen = [observation[i] for i in STEERED]
             within = (*seen, *correction, *integrals, *base)
             shares = _split(
                 gradient((*features, *following), (*d_features, *d_integrals), within),
                 len(seen), ACTIONS, self.loop.inputs.memory, ACTIONS,
             )  # fmt: skip
-            action = self.loop.expert(observation, SYMBOLS)
+            action = self.loop.expert(observation, SYMBOLS, known or _PAPER)
             through = gradient(action, _sum(d_base, shares[3]), seen)  # the law's slope, whoever acts
             steered: dict[int, Any] = dict(zip(STEERED, _sum(shares[0], through), strict=True))
             return {
@@ -145,7 +157,8 @@ class LoopKernels:
     @property
     def _seen(self) -> dict[str, int]:
         inputs = self.loop.inputs
-        return SEEN | {"integrals": inputs.memory, "ahead": 2 * len(inputs.preview)}
+        known = {"known": KNOWN_ROWS} if inputs.hull else {}
+        return SEEN | {"integrals": inputs.memory, "ahead": 2 * len(inputs.preview)} | known
 
     def _moved(
         self,

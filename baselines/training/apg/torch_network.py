@@ -6,6 +6,7 @@ The modules hold the weights; `passes` has the way through them.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 
 import numpy as np
 import torch
@@ -60,3 +61,11 @@ def torch_network(sizes: Gru | Mlp) -> TorchGru | TorchMlp:
 def weights_of(network: nn.Module) -> dict[str, NDArray[np.float32]]:
     """Return the weights by the names of `baselines.agents.networks`."""
     return {name: tensor.detach().cpu().numpy().copy() for name, tensor in network.state_dict().items()}
+
+
+def put(weights: Mapping[str, NDArray[np.float32]], network: nn.Module) -> None:
+    """Give a network these weights, named as `weights_of` names them; inputs behind those they know begin at zero."""
+    for name, tensor in network.state_dict().items():  # which share their memory with the parameters
+        given = torch.from_numpy(np.array(weights[name]))
+        tensor.zero_()
+        tensor[..., : given.shape[-1]] = given

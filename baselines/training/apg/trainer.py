@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,20 +23,27 @@ from auv_gym.policy import preview_of
 from auv_gym.preview import encode_preview, shared_preview
 from auv_gym.records import from_record
 from auv_gym.task import decode_observation
+from auv_gym.vehicle import PAPER_VEHICLE
 from baselines.agents.agent import Agent
 from baselines.agents.features import Inputs
 from baselines.agents.networks import Gru, Mlp
-from baselines.evaluation.score import regime_of
+from baselines.control.backstepping import Backstepping
+from baselines.control.open_loop import NO_EXPERT
+from baselines.evaluation.score import EXPERT, regime_of
 from baselines.policy import Memory
 from baselines.training.apg.closed_loop import ClosedLoop, Loss, law_of
 from baselines.training.apg.fleet import Fleet
 from baselines.training.apg.kernels import LoopKernels
-from baselines.training.apg.torch_network import torch_network, weights_of
+from baselines.training.apg.torch_network import put, torch_network, weights_of
 from baselines.training.apg.window import Array, Window
+from baselines.training.beginning import loaded
 from baselines.training.config import Config
+from baselines.training.hulls import turns
 from baselines.training.run_folder import VALIDATIONS, Run, TrainingError
 from baselines.training.validation import PRECISION
 
+SHARES = ("final_share", "warm_up", "average", "cruise_share", "hulls")  # settings in [0, 1]
+WEIGHTS = ("cut", "hull_weight", "effort_weight", "rate_weight", "cruise_effort_weight", "cruise_rate_weight")
 LOGS = 200  # how often in a run its progress is logged
 
 
@@ -51,6 +58,7 @@ class Settings:
     weight_decay: float = 0.02  # of those matrices: without it they grow until the vehicles move in chaos
     final_share: float = 0.03  # of both rates that is left at the end; they fall along a cosine
     max_grad_norm: float = 0.05  # less than most gradients have, so that every window weighs the same
+    warm_up: float = 0.0  # share of the run in which both rates rise from nothing
     average: float = 0.02  # share of the run over which weights are averaged; it is their average that an agent gets
     hidden_size: int = 64  # of each layer of the network
     effort_weight: float = 0.006  # [1] of the squared command in `closed_loop.Loss`
@@ -64,6 +72,9 @@ class Settings:
     fine: bool = False  # whether it sees the errors on finer scales too
     filters: bool = False  # whether it sees what Kalman filters believe
     preview: tuple[int, ...] = ()  # where it sees the reference ahead, in control periods
+    hull: bool = False  # whether it is told the known vehicle
+    hulls: float = 0.0  # share of the vehicles side by side whose hulls are drawn, see `hulls`
+    hull_weight: float = 1.0  # what the loss of such a vehicle counts for beside that of another one
     validations: int = VALIDATIONS  # how often in the run the agent is validated, and a checkpoint kept
 
     def __post_init__(self) -> None:
@@ -73,9 +84,9 @@ class Settings:
                 raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")
         for name in ("learning_rate", "max_grad_norm"):
             check_number(name, getattr(self, name), 1e-9, 1e6)
-        for name in ("matrix_learning_rate", "weight_decay", "final_share", "average", "cruise_share"):
+        for name in (*SHARES, "matrix_learning_rate", "weight_decay"):
             check_number(name, getattr(self, name), 0, 1)
-        for name in ("cut", "effort_weight", "rate_weight", "cruise_effort_weight", "cruise_rate_weight"):
+        for name in WEIGHTS:
             if getattr(self, name) is not None or not name.startswith("cruise"):
                 check_number(name, getattr(self, name), 0, 1e6)
         if not isinstance(self.memory, bool):
@@ -85,7 +96,7 @@ class Settings:
     @property
     def inputs(self) -> Inputs:
         """What the network sees."""
-        return Inputs(self.preview, self.integrals, self.fine, self.filters)
+        return Inputs(self.preview, self.integrals, self.fine, self.filters, self.hull)
 
     @property
     def network(self) -> Gru | Mlp:
@@ -105,7 +116,8 @@ class Settings:
 
     def share_at(self, progress: float) -> float:
         """Return the share of the learning rates that is left after a share `progress` of the run."""
-        return self.final_share + (1 - self.final_share) * 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
+        risen = min(1.0, progress / self.warm_up) if self.warm_up else 1.0
+        return risen * (self.final_share + (1 - self.final_share) * 0.5 * (1 + math.cos(math.pi * min(progress, 1.0))))
 
     def optimizers(self, network: nn.Module) -> tuple[torch.optim.Optimizer, ...]:
         """Return what follows a network's gradient.
@@ -130,9 +142,17 @@ def check(config: Config) -> Settings:
     """
     settings = from_record(Settings, config.hyperparameters, "hyper-parameters of apg")
     config.lanes(settings.n_envs)
+    if settings.hulls and config.expert != NO_EXPERT and not isinstance(config.make_expert(), Backstepping):
+        raise ValueError(f"hulls are drawn, so the expert must be a form of {EXPERT} or {NO_EXPERT}: it is told them")
     shortest = min(scenario.steps for scenario, _ in config.scenarios)
     if settings.n_steps > shortest:
         raise ValueError(f"n_steps is {settings.n_steps}; it must be at most {shortest}, the steps of an episode")
+    if config.origin:
+        agent = loaded(config.origin)
+        known = replace(settings.inputs, hull=settings.hull and agent.inputs.hull)  # a network can be told more
+        sizes = replace(settings.network, inputs=agent.network.inputs)
+        if known != agent.inputs or sizes != agent.network:
+            raise ValueError(f"agent {config.origin.agent!r} has another network, or other inputs, than is asked for")
     return settings
 
 
@@ -200,24 +220,33 @@ class Trainer(Descent):
         self.total = max(1, math.ceil(config.timesteps / (settings.n_envs * settings.n_steps)))
         torch.manual_seed(config.seed)
         self.network = torch_network(settings.network)
+        if config.origin:
+            put(loaded(config.origin).weights, self.network)
         kept = 1 - 1 / max(1.0, settings.average * self.total)
         self.averaged = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(kept))  # type: ignore[no-untyped-call]
         self.optimizers = settings.optimizers(self.network)
         self._rates = [group["lr"] for group in self._groups]
         self._expert = config.make_expert()
         preview, self._seen, self._seen_by_expert = shared_preview(settings.preview, preview_of(self._expert))
-        self.fleet = Fleet(config.lanes(settings.n_envs), config.episode_seed, settings.n_steps, preview)
+        lanes = config.lanes(settings.n_envs)
+        drawn = settings.hulls and config.vehicle == PAPER_VEHICLE  # for another one, it alone is learned
+        self._hulls = hulls = turns(lanes, settings.hulls, config.episode_seed) if drawn else []
+        self.fleet = Fleet(lanes, config.episode_seed, settings.n_steps, preview, hulls)
         self.updates, self.skipped, self.score = 0, 0, -math.inf
         self.best = weights_of(self.averaged.module)
         self._memory: Memory | None = None  # of an expert on NumPy
         if (state := run.load_checkpoint()) is None:
             self.carried = self.fleet.reset(settings.network.memory, settings.inputs.memory)
         else:
-            self._restore(state)
+            with run.restoring():
+                self._restore(state)
         law, self._exact = law_of(self._expert)
-        kernels = LoopKernels(ClosedLoop(law, settings.inputs, self.fleet.parts), self._exact)
+        believer = self._expert if settings.hull and isinstance(self._expert, Backstepping) else None
+        kernels = LoopKernels(ClosedLoop(law, settings.inputs, self.fleet.parts, believer), self._exact)
         self._window = Window(kernels, self.network, settings.n_envs, settings.n_steps)
-        self._loss, self._shares = settings.loss([scenario.name for scenario in config.lanes(settings.n_envs)])
+        self._loss, shares = settings.loss([scenario.name for scenario in lanes])
+        shares = np.where([len(own) > 1 for own in hulls], settings.hull_weight * shares, shares) if hulls else shares
+        self._shares = shares / shares.sum()
 
     @property
     def timesteps(self) -> int:
@@ -255,6 +284,7 @@ class Trainer(Descent):
             None if self._exact else act,
             self._shares,
             self.settings.cut,
+            known=self.fleet.known,
         )
         self.carried = self.fleet.renew(carried, squared_error)
         return loss, error
@@ -269,11 +299,14 @@ class Trainer(Descent):
         return action.T
 
     def validate(self) -> None:
-        """Measure the agent on the validation episodes, keep the best, and save a checkpoint."""
+        """Measure the agent on the validation episodes, keep the best, and save a checkpoint.
+
+        The episodes are of the configuration's own vehicle, so where hulls are drawn the last one is kept.
+        """
         weights = weights_of(self.averaged.module)
         policy = self.agent(weights).policy(vehicle=self.run.config.vehicle, precision=PRECISION)
         score = self.run.validate(policy, self.timesteps)
-        if score > self.score:
+        if score > self.score or self._hulls:
             self.score, self.best = score, weights
         self.run.save_checkpoint(self._state())
 

@@ -14,7 +14,7 @@ from auv_gym.simulation import PARAMETERS, PLANT, PLANT_ROWS
 from auv_gym.task import SIZE
 from baselines.agents.networks import ACTIONS, Network
 from baselines.training.apg.closed_loop import Loss
-from baselines.training.apg.kernels import MOVED, LoopKernels
+from baselines.training.apg.kernels import KNOWN_ROWS, MOVED, LoopKernels
 from baselines.training.apg.passes import Pass, Tape, pass_of
 from baselines.training.apg.torch_network import TorchGru, TorchMlp
 
@@ -74,6 +74,7 @@ class Window:
             self._zeros(steps, rows, n) for rows in (2 * len(inputs.preview), MOVED["sample"], features, ACTIONS, 1)
         )
         self._parameters, self._chosen = self._zeros(MOVED["parameters"], n), self._zeros(MOVED["chosen"], n)
+        self._known = {"known": self._zeros(KNOWN_ROWS, n)} if inputs.hull else {}
         self._d = {
             name: self._zeros(rows, n)
             for name, rows in (
@@ -102,6 +103,7 @@ class Window:
             "integrals": before.integrals,
             "ahead": self._ahead,
             "base": self._base,
+            **self._known,
         }
         moved = {
             "state": before.state,
@@ -133,6 +135,7 @@ class Window:
         shares: Array | None = None,
         cut: float = 0.0,
         back: bool = True,
+        known: Array | None = None,
     ) -> tuple[float, float, Carried, Array]:
         """Run the window and set the gradients of the network's weights, those of its mean loss.
 
@@ -147,6 +150,7 @@ class Window:
             shares: what each vehicle's loss counts for in their mean, shape (N,) of sum 1; None: the same.
             cut: how many medians over the vehicles a vehicle's derivatives may reach going back; 0: anything.
             back: whether gradients are wanted.
+            known: what the network is told of the hulls, shape (KNOWN_ROWS, N), if its inputs have that.
 
         Returns:
             The mean loss, the mean position error [m], what is carried on, which the next run overwrites, and the
@@ -155,6 +159,8 @@ class Window:
         for mine, given in zip(self._carried, carried, strict=True):
             mine[0] = given
         self._ahead[:], self._samples[:], self._parameters[:] = ahead, samples, parameters
+        for mine in self._known.values():
+            mine[:] = known
         n = self._parameters.shape[-1]
         own = np.full(n, 1 / n) if shares is None else shares
         self._chosen[:] = np.stack([np.broadcast_to(x, n) for x in (*authority, *loss, own / self.steps)])  # `Chosen`

@@ -18,6 +18,8 @@ from baselines.tools.files import parse_yaml, read_yaml
 
 FOLDER = Path(__file__).parent
 ENV_ID = "UnderactuatedAUVTrackResidual-v0"  # the key of the files
+TUNING = "fine-tuning"
+"""The key of what is other than in an agent's own training, where a training begins with that agent."""
 
 
 @dataclass(frozen=True)
@@ -30,17 +32,21 @@ class Hyperparameters:
     authority: tuple[float, ...] | None
 
 
-def load_hyperparameters(file: Path) -> Hyperparameters:
-    """Return the hyper-parameters of a YAML file for the residual environment.
+def load_hyperparameters(file: Path, key: str = ENV_ID) -> Hyperparameters:
+    """Return the hyper-parameters of a YAML file.
+
+    Args:
+        file: the file.
+        key: of the table in it: that of the residual environment, or `TUNING`.
 
     Raises:
         OSError: the file cannot be read.
         ValueError: it is no such file.
     """
     tables = read_yaml(file)
-    table = tables.get(ENV_ID) if isinstance(tables, Mapping) else None
+    table = tables.get(key) if isinstance(tables, Mapping) else None
     if not isinstance(table, Mapping) or not all(isinstance(key, str) for key in table):
-        raise ValueError(f"{file} has no table of hyper-parameters under {ENV_ID}")
+        raise ValueError(f"{file} has no table of hyper-parameters under {key}")
     values = dict(table)
     env = values.pop("env_kwargs", {})
     if not isinstance(env, Mapping):

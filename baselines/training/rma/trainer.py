@@ -126,7 +126,8 @@ class Trainer(Descent):
         self.carried = self.fleet.reset(0, gradient.inputs.memory)
         self._loss, self._shares = gradient.loss([scenario.name for scenario in config.lanes(gradient.n_envs)])
         if (state := run.load_checkpoint()) is not None:
-            self._restore(state)
+            with run.restoring():
+                self._restore(state)
 
     @property
     def timesteps(self) -> int:

@@ -72,7 +72,8 @@ def train(run: Run) -> Agent:
     state = run.load_checkpoint()
     model = make_model(config)
     if state is not None:
-        restore(model, state)
+        with run.restoring():
+            restore(model, state)
     tracker = Tracker(run, state)
     rest = config.timesteps - model.num_timesteps
     callbacks = CallbackList([*_callbacks(config.hyperparameters.get("callback", [])), tracker])

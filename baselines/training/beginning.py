@@ -1,0 +1,142 @@
+"""Where a training begins: with an agent, and for a vehicle.
+
+An agent sees everything in the units of the vehicle that it steers (`auv_gym.units`), so a training for a vehicle takes
+place in those units: scenarios are made to fit the vehicle, and then seen in its own units.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from auv_gym.fleet import Craft, as_craft
+from auv_gym.fleet.scaling import in_vehicle_units
+from auv_gym.scenario import Scenario, as_vehicle
+from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from baselines.agents.agent import WEIGHTS, Agent
+from baselines.agents.names import agent_folder, shipped_agents
+from baselines.tools.files import read_bytes
+from baselines.training.config import Config, Origin
+from baselines.training.mixtures import Mixture
+
+ALGO = "apg"  # the algorithm that goes on with an agent
+OF_AGENT = ("hidden_size", "memory", "preview", "integrals", "fine", "filters")
+"""Hyper-parameters that an agent's weights are made for."""
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """An agent that a training begins with."""
+
+    origin: Origin
+    agent: Agent
+    config: Config  # of its own training
+
+    @classmethod
+    def of(cls, name: str) -> Beginning:
+        """Return the agent of a name or a folder.
+
+        Raises:
+            OSError: a file cannot be read.
+            ValueError: there is no such agent, or none that a training can begin with.
+        """
+        if (folder := agent_folder(name)) is None:
+            known = ", ".join(shipped_agents())
+            raise ValueError(f"there is no agent {name!r} to begin with; allowed are the folder of one, or {known}")
+        agent = Agent.load(folder)
+        algo = agent.training.get("config", {}).get("algo")
+        if algo != ALGO:
+            raise ValueError(
+                f"agent {name!r} was trained by {algo or 'something else'}; a training can begin with one of {ALGO}, "
+                "such as helm"
+            )
+        return cls(Origin(name, digest(folder)), agent, Config.from_dict(agent.training["config"]))
+
+    def check(self, expert: str | None, authority: Sequence[float], changes: Mapping[str, Any]) -> None:
+        """Raise ValueError where options contradict the agent.
+
+        Args:
+            expert: of `--expert`, None if it is not given.
+            authority: of `--authority`, empty if it is not given.
+            changes: of `--set`, by name.
+        """
+        name, own = self.origin.agent, self.config.hyperparameters
+        if expert not in (None, self.agent.expert):
+            raise ValueError(f"agent {name!r} corrects {self.agent.expert}; leave out --expert {expert}")
+        if authority and {*authority} != {*self.agent.authority}:
+            raise ValueError(f"agent {name!r} has the authority {self.agent.authority}; leave out --authority")
+        for key in OF_AGENT:
+            if key in changes and changes[key] != own.get(key, changes[key]):
+                raise ValueError(f"agent {name!r} was trained with {key} {own[key]}; leave out {key}={changes[key]}")
+
+
+def digest(folder: Path) -> str:
+    """Return the SHA-256 of the weights in an agent's folder."""
+    return hashlib.sha256(read_bytes(folder / WEIGHTS)).hexdigest()
+
+
+def loaded(origin: Origin) -> Agent:
+    """Return the agent that a training begins with.
+
+    Raises:
+        OSError: a file cannot be read.
+        ValueError: it is gone, or another one by now.
+    """
+    folder = agent_folder(origin.agent)
+    if folder is None or digest(folder) != origin.weights_sha256:
+        raise ValueError(f"the agent {origin.agent!r} that this training is to begin with is another one by now")
+    return Agent.load(folder)
+
+
+def checked_craft(vehicle: str) -> Craft | None:
+    """Return the vehicle of a name or a file with all that belongs to it; None for the paper's.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: there is no such vehicle, or its file is wrong.
+    """
+    as_vehicle(vehicle)
+    return as_craft(vehicle)
+
+
+def fitted(mixture: Mixture, craft: Craft) -> tuple[Mixture, tuple[str, ...]]:
+    """Return a mixture whose scenarios fit a vehicle, and why some of them were left out.
+
+    Raises:
+        ValueError: a scenario is not one of the paper's vehicle, or none is left.
+    """
+    found: list[tuple[Scenario, float]] = []
+    reasons: list[str] = []
+    for scenario, weight in mixture:
+        if scenario.vehicle != PAPER_VEHICLE:
+            raise ValueError(
+                f"scenario {scenario.name!r} has a vehicle of its own, so it cannot be made to fit another one; leave "
+                "out --vehicle, or name scenarios of the paper's vehicle"
+            )
+        try:
+            found.append((scenario.changed(craft), weight))
+        except ValueError as error:
+            reasons.append(str(error))
+    if not found:
+        raise ValueError(reasons[0])
+    return tuple(found), tuple(reasons)
+
+
+def in_own_units(mixture: Mixture) -> tuple[Mixture, Vehicle | None]:
+    """Return a mixture in the units of its vehicles, with the same integration steps, and the one vehicle they steer.
+
+    That is None for the paper's vehicle, or where there are several. Without other vehicles nothing is changed.
+
+    Raises:
+        ValueError: see `auv_gym.fleet.scaling.in_vehicle_units`.
+    """
+    own = tuple((in_vehicle_units(scenario), weight) for scenario, weight in mixture)
+    if all(new is old for (new, _), (old, _) in zip(own, mixture, strict=True)):
+        return mixture, None
+    steps = max(scenario.substeps for scenario, _ in own)
+    first = mixture[0][0].vehicle
+    one = first if all(scenario.vehicle == first for scenario, _ in mixture) else None
+    return tuple((replace(scenario, substeps=steps), weight) for scenario, weight in own), one

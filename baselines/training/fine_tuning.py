@@ -1,0 +1,201 @@
+"""What fine-tuning to a vehicle is worth: `python -m baselines.training.fine_tuning --help`.
+
+For each vehicle an agent is tuned as `train.py --from AGENT --vehicle VEHICLE` does it, one is trained for the vehicle
+alone, and both are run through fresh episodes of the cruise cases, beside the agent as it is, the expert and predictive
+control, all of them told the vehicle. docs/training.md shows what comes out.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from tyro.conf import arg
+
+from auv_gym.fleet import fleet
+from auv_gym.installation import checkout
+from auv_gym.presets import CASES
+from auv_gym.presets import as_scenario as preset
+from auv_gym.units import Units
+from baselines import make_policy
+from baselines.evaluation.metrics import Array, resamplings
+from baselines.evaluation.rollout import rollout
+from baselines.evaluation.runner import drawn
+from baselines.evaluation.score import EXPERT, LARGEST_TAIL, RIVAL, cut, is_lost
+from baselines.tools.command_line import DONE, UsageError, parse, run
+from baselines.tools.files import json_text, read_json, write_atomically
+from baselines.tools.seeds import FINE_TUNING
+from baselines.training.command import train
+from baselines.training.options import Options as Training
+from baselines.training.run_folder import AGENT
+from baselines.training.trainings import SHIPPED, request_of
+
+PROGRAM = "python -m baselines.training.fine_tuning"
+VEHICLES = ("lauv", "otter", "remus100")
+"""Whom it is measured for."""
+TUNED, ALONE = "tuned", "alone"  # the two agents that are trained for a vehicle
+FILE = "fine-tuning.json"  # of what was measured, in docs/
+BEGIN = "<!-- fine-tuning -->"  # before the table in the page
+END = "<!-- end of fine-tuning -->"  # behind it
+PIECES = 6
+"""How often the training for a vehicle alone is validated: it goes on from there when it is interrupted."""
+SAYS = {
+    EXPERT: "the expert",
+    RIVAL: "predictive control",
+    "": "the agent as it is",
+    TUNED: "tuned to the vehicle",
+    ALONE: "trained for it alone",
+}
+"""What the table calls them."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Tune an agent to vehicles, train one for each alone, and compare them on fresh episodes.
+
+    What is in the file already is not measured again, and trainings go on where they were interrupted.
+
+    Exit status: 0 done, 1 a training failed, 2 wrong usage.
+    """
+
+    vehicle: Annotated[tuple[str, ...], arg(metavar="V [V ...]", help_behavior_hint="")] = VEHICLES
+    """Published vehicles by name."""
+    agent: str = "helm"
+    """The agent that is tuned, one that ships with the package."""
+    policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
+    """Who is measured: "tuned", "alone", or policies by name. Default: these two, the agent, the expert and nmpc."""
+    episodes: int = 64
+    """Episodes of each case."""
+    timesteps: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
+    """Control steps of each training, to try it out."""
+    runs: Path = Path("runs/fine-tuning")
+    """Folder for the trainings."""
+    out: Path = Path("docs" if checkout() else "runs") / FILE
+    """File for what is measured."""
+
+
+def trainings(agent: str, vehicle: str, timesteps: int | None = None) -> dict[str, Training]:
+    """Return the two trainings for a vehicle: the agent's own from nothing, and what begins with the agent.
+
+    Args:
+        agent: one of `trainings.SHIPPED`.
+        vehicle: its name.
+        timesteps: of both, None: their own.
+    """
+    own = SHIPPED[agent]
+    begun = SHIPPED.get(own.from_ or "", own)  # of an agent that began with another, the whole of what both were told
+    whole = replace(begun, set=(*begun.set, *(word for word in own.set if own.from_), f"validations={PIECES}"))
+    return {
+        TUNED: replace(Training(), from_=agent, vehicle=vehicle, timesteps=timesteps),
+        ALONE: replace(whole, vehicle=vehicle, timesteps=timesteps or whole.timesteps),
+    }
+
+
+def errors(policy: str, vehicle: str, episodes: int) -> dict[str, Any]:
+    """Return what a policy does in the cruise cases of a vehicle.
+
+    Returns:
+        tails, the tail errors in lengths of the paper's vehicle [m], of lost episodes the cap; and which were lost.
+    """
+    tails, lost = [], []
+    for case in CASES:
+        scenario = preset(f"cruise-{case}@{vehicle}")
+        found = drawn(scenario, episodes, FINE_TUNING.first)
+        measures = rollout(make_policy(policy, scenario.vehicle), scenario, found.episodes).measures
+        own = measures.tail / Units.of(scenario.vehicle).length
+        cap = LARGEST_TAIL["cruise"]
+        tails.append([float(f"{x:.4g}") for x in cut(own, measures.lost, cap)])
+        lost.append(int(is_lost(own, measures.lost, cap).sum()))
+    return {"tails": tails, "lost": lost}
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Train and measure as the arguments say and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    if unknown := [name for name in options.vehicle if name not in fleet()]:
+        raise UsageError(f"{unknown[0]!r} is no published vehicle; allowed are {', '.join(fleet())}")
+    if options.agent not in SHIPPED:
+        raise UsageError(f"--agent {options.agent} does not ship; allowed are {', '.join(SHIPPED)}")
+    if options.episodes < 2:
+        raise UsageError(f"--episodes is {options.episodes}; it must be 2 or more")
+    names = options.policy or (EXPERT, RIVAL, options.agent, TUNED, ALONE)
+    record = read_json(options.out) if options.out.exists() else {}
+    if record.get("agent") != options.agent or record.get("episodes") != options.episodes:
+        record = {"agent": options.agent, "episodes": options.episodes, "vehicles": {}}
+    status = DONE
+    for vehicle in options.vehicle:
+        kept = record["vehicles"].setdefault(vehicle, {})
+        for name in names:
+            if name not in kept:
+                found = _measured(name, vehicle, options)
+                status = max(status, found.pop("status", DONE))
+                kept |= {name: found} if found else {}
+                options.out.parent.mkdir(parents=True, exist_ok=True)
+                write_atomically(options.out, json_text(record))
+                print(f"{vehicle}: {name}", flush=True)
+    return status
+
+
+def _measured(name: str, vehicle: str, options: Options) -> dict[str, Any]:
+    """Return what one of them does, once it is trained; only a status where that has failed."""
+    if name not in (TUNED, ALONE):
+        return errors(name, vehicle, options.episodes)
+    folder, seconds = options.runs / f"{vehicle}-{name}", time.process_time()
+    there = folder.exists()
+    training = trainings(options.agent, vehicle, options.timesteps)[name]
+    if status := train(request_of(training, folder)):
+        return {"status": status}
+    took = {} if there else {"processor_s": round(time.process_time() - seconds, 1)}
+    return errors(str(folder / AGENT), vehicle, options.episodes) | took
+
+
+def ratio(policy: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[float, float, float]:
+    """Return the geometric mean over paired episodes of one's tail error over another's, with its 95 % interval."""
+    logs = [np.log(np.array(a) / np.array(b)) for a, b in zip(policy["tails"], other["tails"], strict=True)]
+    drawn_again = resamplings(tuple(map(len, logs)))
+    sums: Array = sum((w @ own / len(own) for w, own in zip(drawn_again, logs, strict=True)), np.zeros(1))
+    values = np.exp(sums / len(logs))
+    low, high = np.quantile(values[1:], (0.025, 0.975)).tolist()
+    return float(values[0]), low, high
+
+
+def section(record: Mapping[str, Any]) -> str:
+    """Return what the page says about what was measured."""
+    return (
+        f"What that is worth for `{record['agent']}`, in the cruise cases of published vehicles, {record['episodes']} fresh "
+        "episodes each; everybody is told the vehicle. The typical error is the geometric mean of the tails, those of lost "
+        "episodes cut at the cap; ratios are over paired episodes, with 95 % intervals over episodes. One training seed.\n\n"
+        f"{table(record)}"
+    )
+
+
+def table(record: Mapping[str, Any]) -> str:
+    """Return what was measured as a table in Markdown."""
+    count = record["episodes"] * len(CASES)
+    lines = [
+        f"| vehicle | policy | typical error [cm] | over that of the agent trained for it alone | lost of {count} |",
+        "|---|---|---|---|---|",
+    ]
+    for vehicle, found in record["vehicles"].items():
+        length = Units.of(preset(f"cruise-calm@{vehicle}").vehicle).length
+        for name, own in found.items():
+            typical = 100 * length * math.exp(float(np.mean(np.log(own["tails"]))))
+            says = f"`{name}`, {SAYS[name]}" if name in (EXPERT, RIVAL) else SAYS.get(name, f"`{name}`, {SAYS['']}")
+            share = "{:.2f} ({:.2f} ... {:.2f})".format(*ratio(own, found[ALONE])) if ALONE in found else "-"
+            took = f", {own['processor_s']:.0f} s of processor time" if "processor_s" in own else ""
+            lines.append(f"| `{vehicle}` | {says}{took} | {typical:.2f} | {share} | {sum(own['lost'])} |")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    sys.exit(run(main, PROGRAM))

@@ -1,0 +1,125 @@
+"""Hulls to train on: random vehicles in the units of the paper's, each with limits and a lag, and what they are told.
+
+By dimensional analysis a vehicle is one of the paper's mass, length and speed with ratios of its own, see
+`auv_gym.units`; so those three are never drawn. The ranges of the rest hold the published vehicles of `auv_gym.fleet`,
+none of which is trained on. A hull that cannot do what its scenario asks for is not taken.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from auv_gym.actuators import Actuators
+from auv_gym.disturbances import RandomMismatch
+from auv_gym.envs.lanes import plan_of, reference_tables
+from auv_gym.fleet import Craft
+from auv_gym.scenario import Scenario
+from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+
+SUBSTEPS = 2
+"""Integration steps in a control period, for all vehicles side by side; a hull that needs more is not taken."""
+SEVERAL = 16
+"""Hulls that a vehicle of the training is, one an episode, again and again."""
+TRIALS = 8  # paths that a hull is tried on ...
+ENOUGH = 6  # ... and how many of them it must be able to follow
+DECADES = {
+    "d11": (7.0, 450.0),  # [kg/s] surge drag over the speed, at the design speed, quadratic one included
+    "d22": (10.0, 900.0),  # [kg/s]
+    "d33": (6.0, 320.0),  # [kg m^2/s]
+    "Y_vv": (25.0, 1300.0),  # [kg/m]
+    "N_rr": (8.0, 950.0),  # [kg m^2]
+    "Y_uv": (40.0, 800.0),  # [kg/m]
+    "N_ur": (15.0, 130.0),  # [kg m]
+    "m22": (1.06, 2.4),  # over m11
+    "thrust": (2.2, 14.0),  # F_u_max over the drag at the design speed
+    "F_r_max": (40.0, 700.0),  # [N m]
+    "turn_rate": (0.025, 0.16),  # [rad/s] at most, at cruise
+    "lag": (0.02, 0.6),  # [s] about
+    "fin": (4.5, 60.0),  # [kg]
+    "astern": (0.45, 1.0),
+}
+"""Ranges in the paper's units, drawn from so that each factor of two is as likely as any other."""
+LIFTS = {"Y_ur": (0.0, 450.0), "N_uv": (-120.0, 220.0)}  # [kg], drawn evenly
+SOME = 0.65  # share of the hulls that have quadratic drag, of each kind; and of lift where there is lift
+LIFTING = 0.5  # share of the hulls that have lift
+FINNED = 0.5  # share of them with fins in place of a rudder that steers at any speed
+WRONG = 0.25  # share of the hulls that are told wrong by up to `MISTAKE`
+MISTAKE = RandomMismatch((0.7, 1.4), 1.0, (0.5, 1.7), (0.4, 1.9), (0.4, 1.9), (0.4, 1.9))
+"""How wrong a hull may be told; and m22/m11 by a fifth or a quarter, as far as it stays a slender hull."""
+
+
+def turns(scenarios: Sequence[Scenario], share: float, seed: int) -> list[list[Scenario]]:
+    """Return for each of the scenarios those that a vehicle goes through, one an episode.
+
+    A share of the vehicles, evenly among them, has `SEVERAL` drawn hulls; the others have the scenario's own.
+
+    Args:
+        scenarios: one for each vehicle, of the paper's vehicle.
+        share: of the vehicles that have drawn hulls, 0 ... 1.
+        seed: of the draws.
+    """
+    rng = np.random.default_rng([seed, len(scenarios)])
+    stepped = [replace(s, substeps=SUBSTEPS) for s in scenarios]
+    drawn = [math.floor((i + 1) * share) > math.floor(i * share) for i in range(len(scenarios))]
+    return [
+        [fitted(scenario, rng) for _ in range(SEVERAL)] if other else [scenario]
+        for scenario, other in zip(stepped, drawn, strict=True)
+    ]
+
+
+def fitted(scenario: Scenario, rng: np.random.Generator) -> Scenario:
+    """Return a scenario of the paper's vehicle as one of a drawn hull that can do it."""
+    while True:
+        with suppress(ValueError):  # a hull, a scenario for it or a plan that there cannot be
+            other = drawn(rng).adapted(scenario)
+            if rng.random() < WRONG:
+                other = replace(other, mismatch=_mistaken(other))
+            if other.substeps == scenario.substeps and _followed(other, rng):
+                return other
+
+
+def drawn(rng: np.random.Generator) -> Craft:
+    """Return a random vehicle in the paper's units.
+
+    Raises:
+        ValueError: there is no such vehicle, as where it would be no slender hull.
+    """
+    x = {name: float(np.exp(rng.uniform(*np.log(ends)))) for name, ends in DECADES.items()}
+    x |= {name: float(rng.uniform(*ends)) for name, ends in LIFTS.items()}
+    lifting, finned = rng.random() < LIFTING, rng.random() < FINNED
+    x |= {name: x[name] * (rng.random() < SOME) for name in ("Y_vv", "N_rr")}
+    x |= {name: x[name] * (lifting and rng.random() < SOME) for name in ("Y_uv", "Y_ur", "N_uv", "N_ur")}
+    linear = 1.0 - 0.97 * rng.uniform() * (rng.random() < SOME)
+    paper = PAPER_VEHICLE
+    vehicle = Vehicle(
+        paper.m11, paper.m11 * x["m22"], paper.m33, linear * x["d11"], x["d22"], x["d33"],
+        (1 - linear) * x["d11"] / paper.speed, x["Y_vv"], x["N_rr"], x["Y_uv"], x["Y_ur"], x["N_uv"], x["N_ur"],
+    )  # fmt: skip
+    limits = x["thrust"] * x["d11"] * paper.speed, x["F_r_max"]
+    fin = x["fin"] if finned else 0.0
+    slowest = 0.4 if finned else 0.0  # [m/s] none of slow motion
+    acts = Actuators(*limits, fin=fin, astern=x["astern"] if rng.random() < SOME else 1.0)
+    return Craft("drawn", "", "", "", "", vehicle, acts, x["turn_rate"], x["lag"], slowest)
+
+
+def _mistaken(scenario: Scenario) -> RandomMismatch:
+    """Return the mismatch of a scenario whose hull is told wrong."""
+    hull, own = scenario.vehicle, scenario.mismatch or MISTAKE
+    least = 1.02 * hull.m11 / hull.m22
+    ratio = max(0.8, least), max(1.25, least)
+    return replace(MISTAKE, ratio=ratio, quadratic=own.quadratic, quadratic_drag=own.quadratic_drag)
+
+
+def _followed(scenario: Scenario, rng: np.random.Generator) -> bool:
+    """Return whether a hull can follow most of a scenario's paths."""
+    done = 0
+    for _ in range(TRIALS):
+        with suppress(ValueError):
+            reference_tables([scenario.draw(rng)], *plan_of(scenario))
+            done += 1
+    return done >= ENOUGH

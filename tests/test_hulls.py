@@ -1,0 +1,168 @@
+"""Hulls to train on: what they are drawn from, that they can do their scenarios, and who is told what of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from auv_gym import fleet
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.namespaces import ARRAYS, tensors
+from auv_gym.presets import PRESETS
+from auv_gym.simulation import PARAMETERS
+from auv_gym.units import Units
+from auv_gym.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from baselines.agents.agent import Agent
+from baselines.agents.features import BOUND, HULL_FEATURES, Inputs
+from baselines.agents.networks import Gru
+from baselines.control.backstepping import Backstepping
+from baselines.training import hulls
+from baselines.training.apg.closed_loop import ClosedLoop, law_of
+from baselines.training.apg.fleet import Fleet
+from baselines.training.apg.torch_network import put, torch_network, weights_of
+from baselines.training.apg.trainer import check
+from baselines.training.config import Config
+
+TOLD = Inputs((3, 20), fine=True, filters=True, hull=True)
+OTHER = Vehicle(215.0, 400.0, 80.0, 12.0, 60.0, 30.0, 20.0, 300.0, 90.0, 150.0, 200.0, -40.0, 50.0)
+
+
+@pytest.mark.parametrize("name", fleet.fleet())
+def test_the_ranges_hold_every_published_vehicle(name):
+    """In its own units, with a tolerance of a hundredth for the vehicles at the edges."""
+    craft = fleet.craft(name).in_paper_units
+    v, acts, speed = craft.vehicle, craft.actuators, PAPER_VEHICLE.speed
+    drag = v.d11 + speed * v.X_uu
+    given = {"m22": v.m22 / v.m11, "d11": drag, "thrust": acts.F_u_max / drag / speed, "F_r_max": acts.F_r_max}
+    given |= {name: getattr(v, name) for name in ("d22", "d33", "Y_vv", "N_rr", "Y_uv", "N_ur")}
+    given |= {"turn_rate": craft.turn_rate, "lag": craft.lag, "fin": acts.fin, "astern": acts.astern}
+    for what, value in given.items():
+        low, high = hulls.DECADES[what]
+        assert not value or 0.99 * low <= value <= 1.01 * high, what
+    for what, (low, high) in hulls.LIFTS.items():
+        assert low <= getattr(v, what) <= high
+
+
+@pytest.fixture(scope="module")
+def turned():
+    """Four vehicles, every other one with drawn hulls."""
+    scenarios = [PRESETS[name] for name in ("slow-storm", "slow-storm", "cruise-noise", "cruise-storm")]
+    return scenarios, hulls.turns(scenarios, 0.5, 3)
+
+
+def test_a_share_of_the_vehicles_has_drawn_hulls_of_the_papers_mass_length_and_speed(turned):
+    scenarios, given = turned
+    assert [len(own) for own in given] == [1, hulls.SEVERAL, 1, hulls.SEVERAL]
+    for scenario, own in zip(scenarios, given, strict=True):
+        for s in own:
+            assert (s.substeps, s.control_dt, s.steps) == (hulls.SUBSTEPS, scenario.control_dt, scenario.steps)
+            assert Units.of(s.vehicle) == Units()
+            assert (s.vehicle == PAPER_VEHICLE) == (len(own) == 1)
+    assert len({s.vehicle for own in given for s in own}) == 1 + 2 * hulls.SEVERAL
+    assert hulls.turns(scenarios, 0.5, 3) == given
+    assert hulls.turns(scenarios, 0.5, 4) != given
+
+
+def test_each_episode_is_of_the_next_hull_and_what_is_known_is_not_the_true_one(turned):
+    scenarios, given = turned
+    vehicles = Fleet(scenarios, 0, 50, (), given)
+    carried = vehicles.reset(0)
+    at = slice(PARAMETERS.coefficients.m11, PARAMETERS.coefficients.N_ur + 1)
+    seen = [vehicles.known]
+    for _ in range(hulls.SEVERAL):
+        carried = vehicles.renew(carried, np.full(4, np.nan))
+        assert vehicles.fresh.all()
+        seen.append(vehicles.known)
+        true = vehicles.constants[at]
+        assert (true[:, 2] == seen[-1][:, 2]).all()  # noise alone
+        assert (true[:, 3] != seen[-1][:, 3]).any()
+        assert carried.observation[:, 3].any()
+    for k, known in enumerate(seen):
+        for i in range(4):
+            assert tuple(known[:, i]) == given[i][k % len(given[i])].vehicle.coefficients
+
+
+def test_rows_of_hulls_are_told_what_each_vehicle_alone_is():
+    """The expert, the filters and the features of a loop with several hulls are those of policies made for each."""
+    known = [PAPER_VEHICLE, OTHER]
+    expert = Backstepping()
+    loop = ClosedLoop(law_of(expert)[0], TOLD, believer=expert)
+    rows = np.array([v.coefficients for v in known]).T
+    env = UnderactuatedAUVTrackVectorEnv(2, [replace(PRESETS["cruise-storm"], vehicle=v, substeps=3) for v in known])
+    observation, _ = env.reset(seed=0)
+    rng, sums, alone = np.random.default_rng(0), np.zeros((TOLD.memory, 2)), [np.zeros((TOLD.memory, 1))] * 2
+    for _ in range(60):
+        ahead, last = rng.normal(size=(4, 2)), rng.uniform(-1, 1, (2, 2))
+        base = loop.expert(observation.T, ARRAYS, rows)
+        features, sums = loop.features(observation.T, ahead, base, last, sums, ARRAYS, rows)
+        for i, vehicle in enumerate(known):
+            action, _ = Backstepping(vehicle=vehicle).predict(observation[i])
+            np.testing.assert_allclose([base[0][i], base[1][i]], action, rtol=1e-6, atol=1e-7)
+            one = ClosedLoop(law_of(expert)[0], TOLD)
+            column = observation[i, :, None], ahead[:, i : i + 1], np.array(base)[:, i : i + 1], last[:, i : i + 1]
+            own, alone[i] = one.features(*column, alone[i], ARRAYS, vehicle.coefficients)
+            mine = [float(np.broadcast_to(row, 1)[0]) for row in own]
+            np.testing.assert_allclose(mine, [np.broadcast_to(row, 2)[i] for row in features], rtol=1e-9)
+        observation, *_ = env.step(rng.uniform(-0.5, 0.5, (2, 2)))
+
+
+def test_features_of_the_hull_are_bounded_and_those_of_the_table():
+    o = [np.array([x]) for x in [0.0] * 6 + [1.0, 0, 0, 0, 0, 1, 0, 400, 200, 0, 0, 0.1]]
+    rows, _ = Inputs(hull=True).update(o, (), (0, 0), (0, 0), np.zeros((4, 1)), ARRAYS, OTHER.coefficients)
+    got = dict(zip([f.name for f in HULL_FEATURES], map(float, rows[-len(HULL_FEATURES) :]), strict=True))
+    assert got["m22"] == pytest.approx(400 / 215 - 1)
+    assert got["d22"] == pytest.approx(2 * 0.15 / (0.15 + 0.4))
+    assert got["N_uv"] == pytest.approx(-0.5)
+    assert (got["Y_ur"], got["N_ur"]) == pytest.approx((0.5, 2 * 0.625 / 1.125))
+    extreme = Coefficients(215, 1e9, 80, *[1e9] * 10)
+    rows, _ = Inputs(hull=True).update(o, (), (0, 0), (0, 0), np.zeros((4, 1)), ARRAYS, extreme)
+    assert np.abs([float(np.ravel(row)[0]) for row in rows]).max() <= BOUND
+    assert Inputs().features == Inputs(hull=True).features[: -len(HULL_FEATURES)]
+
+
+def test_an_agent_acts_by_what_it_is_told():
+    """Without an expert, which would be told as well."""
+    torch.manual_seed(0)
+    observation, inputs = np.zeros(18), Inputs(hull=True)
+    observation[[0, 6, 11, 13, 14, 17]] = 0.1, 0.5, 1.0, 0.78125, 0.78125, 0.8
+    net = torch_network(Gru(len(inputs.features), 8, 8, 8))
+    torch.nn.init.normal_(net.head.weight)
+    agent = Agent(net.sizes, weights_of(net), "none", (1.0, 1.0), inputs=inputs)
+    paper, untold, other = (agent.policy(vehicle=v).predict(observation)[0] for v in (PAPER_VEHICLE, None, OTHER))
+    assert (paper == untold).all()
+    assert (paper != other).any()
+
+
+def test_who_is_told_more_begins_as_the_agent_that_it_begins_with():
+    torch.manual_seed(0)
+    observation = np.random.default_rng(0).uniform(-0.3, 0.3, (5, 18))
+    observation[:, [13, 14, 17]] = 0.78125, 0.78125, 0.8
+    actions, weights = [], None
+    for inputs in (Inputs(), Inputs(hull=True)):
+        net = torch_network(Gru(len(inputs.features), 8, 8, 8))
+        if weights is None:
+            torch.nn.init.normal_(net.head.weight)
+        else:
+            put(weights, net)
+        weights = weights_of(net)
+        agent = Agent(net.sizes, weights, "backstepping", (1.0, 1.0), inputs=inputs)
+        actions.append(agent.policy(vehicle=PAPER_VEHICLE).predict(observation, None, np.ones(5, dtype=bool))[0])
+    np.testing.assert_allclose(*actions, atol=1e-6)
+
+
+def test_an_expert_that_cannot_be_told_each_hull_is_refused():
+    scenarios = ((PRESETS["cruise-storm"], 1.0),)
+    settings = {"n_envs": 4, "n_steps": 10, "hull": True, "hulls": 0.5}
+    for expert in ("backstepping", "backstepping-normalised", "none"):
+        check(Config(scenarios=scenarios, expert=expert, hyperparameters=settings))
+    with pytest.raises(ValueError, match="hulls are drawn, so the expert must be"):
+        check(Config(scenarios=scenarios, expert="lqi", hyperparameters=settings))
+
+
+def test_torch_bounds_by_a_number_and_a_tensor():
+    """As a thruster's command is where thrusters differ astern."""
+    x, low = torch.tensor([-2.0, -0.3, 2.0]), torch.tensor([-0.5, -0.5, -1.0])
+    for bounds in ((low, 1.0), (low, torch.ones(3)), (-0.5, 1.0)):
+        expected = np.clip(x.numpy(), np.asarray(bounds[0]), np.asarray(bounds[1]))
+        assert tensors().clip(x, *bounds).tolist() == expected.tolist()
