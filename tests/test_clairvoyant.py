@@ -23,7 +23,7 @@ from baselines.policy import Privileged
 
 def optimum(scenario, episodes):
     problem = Problem.of(scenario, episodes)
-    return problem, solved(problem, [arriving(oracle_actions(scenario, episodes), problem.delay)])
+    return problem, solved(problem, arriving(oracle_actions(scenario, episodes), problem.delay))
 
 
 @pytest.mark.parametrize("regime", ["slow", "cruise"])
@@ -88,9 +88,3 @@ def test_it_is_privileged_and_says_so():
         best.predict(np.zeros((1, 18)))
     with pytest.raises(RuntimeError, match="needs prepare"):
         best.observe(None)
-
-
-def test_there_must_be_a_beginning():
-    scenario = PRESETS["slow-calm"]
-    with pytest.raises(ValueError, match="commands to begin with"):
-        solved(Problem.of(scenario, drawn(scenario, 1, 0).episodes), [])

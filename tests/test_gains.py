@@ -9,6 +9,7 @@ import pytest
 from auv_gym.namespaces import ARRAYS
 from auv_gym.presets import REGIMES
 from auv_gym.task import SIZE, Observation
+from auv_gym.units import Units
 from auv_gym.vehicle import PAPER_VEHICLE
 from baselines import make_policy
 from baselines.control.backstepping import GAINS, LAW_GAINS, tracking_forces
@@ -132,5 +133,5 @@ def test_no_gain_of_the_files_is_idle(name):
 
 @pytest.mark.parametrize(("regime", "speed"), [("slow", 0.2), ("cruise", 1.0)])
 def test_weights_of_the_oracle(regime, speed):
-    found = regulator(PAPER_VEHICLE, speed, REGULATORS[regime])[:, :3]
+    found = regulator(PAPER_VEHICLE, speed, REGULATORS[regime], Units())[:, :3]
     np.testing.assert_allclose(found, REGULATED[regime], rtol=1e-6, atol=1e-9)

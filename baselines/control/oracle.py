@@ -7,6 +7,8 @@ the true vehicle. A command is such that the mean force over the period is the w
 comes late, it is made for the state foretold. The current of a shear is that on the path. Each episode is rehearsed
 before it is run, and one that goes astray under its regulator gets a softer one.
 
+Its numbers with units are those for the paper's vehicle; for another one they are the similar ones (`auv_gym.units`).
+
 It is a reference, not a bound, which `baselines.control.clairvoyant` is: others may be better in single episodes.
 """
 
@@ -31,6 +33,7 @@ from auv_gym.planner import assemble
 from auv_gym.scenario import Scenario
 from auv_gym.sideslip import PathRates, path_rates, sideslip_rest, sideslip_step, sideslip_terms, slow_sideslip
 from auv_gym.simulation import CURRENT, LOAD, start, step
+from auv_gym.units import POWERS, Units
 from auv_gym.vehicle import Coefficients, Vehicle
 from baselines.control.linearisation import error_dynamics
 from baselines.control.truth import Array, Truth, nothing_sent
@@ -69,6 +72,7 @@ class TruePlan:
     state: Array  # x, y, psi, u, v, r relative to the water at the instants, shape (K + 1, 6, N)
     force: Array  # F_u [N], F_r [N m], means over the periods, shape (K, 2, N)
     truth: Truth
+    units: Units  # of the known vehicle
 
 
 class Oracle:
@@ -151,26 +155,26 @@ def settling_gains(scenario: Scenario, episodes: Sequence[Episode], plan: TruePl
     gains = regulators(episodes, plan)
     error = rehearsed(plan, gains, episodes).error
     for softer in SOFTER:
-        few = np.flatnonzero(error > ASTRAY)
+        few = np.flatnonzero(error > ASTRAY * plan.units.length)
         if not few.size:
             break
         chosen = [episodes[i] for i in few.tolist()]
         part = true_plan(scenario, chosen)
         tried = regulators(chosen, part, softer)
         found = rehearsed(part, tried, chosen).error
-        settled = found < ASTRAY
+        settled = found < ASTRAY * plan.units.length
         gains[few[settled]], error[few[settled]] = tried[settled], found[settled]
     return gains
 
 
 def regulators(episodes: Sequence[Episode], plan: TruePlan, softer: float = 1.0) -> Array:
     """Return the gains of N regulators, shape (N, 2, 6), with the position's weight `softer` times as wide."""
-    gains = []
+    gains, unit = [], plan.units.factor(*POWERS["m/s"])
     for episode, speed in zip(
         episodes, np.hypot(plan.state[:, 3], plan.state[:, 4]).mean(axis=0).tolist(), strict=True
     ):
-        w = REGULATORS["cruise" if is_fast(episode.path.speed, 0.0) else "slow"]
-        gains.append(regulator(episode.vehicle, speed, replace(w, position=softer * w.position)))
+        w = REGULATORS["cruise" if is_fast(episode.path.speed / unit, 0.0) else "slow"]
+        gains.append(regulator(episode.vehicle, speed, replace(w, position=softer * w.position), plan.units))
     return np.array(gains)
 
 
@@ -206,10 +210,10 @@ def true_plan(scenario: Scenario, episodes: Sequence[Episode]) -> TruePlan:
     """
     from scipy.ndimage import gaussian_filter1d
 
-    dt, truth = scenario.control_dt, Truth.of(scenario, episodes)
+    dt, truth, units = scenario.control_dt, Truth.of(scenario, episodes), Units.of(scenario.vehicle)
     vehicle = fleet([e.vehicle for e in episodes])
     V, load = _halfway(truth.samples[:, CURRENT]), _halfway(truth.samples[:, LOAD])  # on a grid of half periods
-    V = gaussian_filter1d(V, SMOOTHING / (0.5 * dt), axis=0, mode="nearest")
+    V = gaussian_filter1d(V, SMOOTHING * units.time / (0.5 * dt), axis=0, mode="nearest")
     times: Array = 0.5 * dt * np.arange(len(V), dtype=np.float64)
     motion = evaluate([e.path for e in episodes], times)
     x, y = motion[0]
@@ -217,7 +221,7 @@ def true_plan(scenario: Scenario, episodes: Sequence[Episode]) -> TruePlan:
     for order in range(1, 4):
         motion[order] -= V.transpose(1, 0, 2)
         V = np.gradient(V, 0.5 * dt, axis=0)
-    along = braked(path_rates(motion), HARDEST_BRAKING)
+    along = braked(path_rates(motion), HARDEST_BRAKING / units.time)
     X, Y, N = load.transpose(1, 0, 2)
     w = _sine_of_sideslip(along, vehicle, Y, 0.5 * dt)
     R = assemble(times, motion[0], along, w, vehicle, (Y, np.gradient(Y, 0.5 * dt, axis=0)))
@@ -225,18 +229,26 @@ def true_plan(scenario: Scenario, episodes: Sequence[Episode]) -> TruePlan:
         np.stack((R.x, R.y, R.psi, R.u, R.v, R.r), axis=1)[::2],
         np.stack((R.F_u - X, R.F_r - N), axis=1)[1::2],
         truth,
+        units,
     )
 
 
-def regulator(vehicle: Vehicle, speed: float, w: RegulatorWeights) -> Array:
-    """Return the gains, shape (2, 6), from errors in the body frame to forces, on a straight line at a speed [m/s]."""
+def regulator(vehicle: Vehicle, speed: float, w: RegulatorWeights, units: Units) -> Array:
+    """Return the gains, shape (2, 6), from errors in the body frame to forces, on a straight line at a speed [m/s].
+
+    The weights are of the paper's vehicle. In its units, too, the equation is solved, which for a ship is otherwise too
+    badly scaled.
+    """
     from scipy.linalg import solve_continuous_are
 
+    x = np.array([units.factor(*POWERS[unit]) for unit in ("m", "m", "rad", "m/s", "m/s", "rad/s")])
+    f = np.array([units.factor(*POWERS[unit]) for unit in ("N", "N m")])
     A, B = error_dynamics(vehicle, speed, 0.0, 0.0)
+    A, B = units.time * A * x / x[:, None], units.time * B * f / x[:, None]
     Q = np.diag([w.position**-2, w.position**-2, *(NEGLIGIBLE,) * 4])
     R = np.diag([w.F_u**-2, w.F_r**-2])
     P = solve_continuous_are(A, B, Q, R)
-    return np.asarray(-np.linalg.solve(R, B.T @ P))
+    return np.asarray(-np.linalg.solve(R, B.T @ P) * f[:, None] / x)
 
 
 def fleet(vehicles: Sequence[Vehicle]) -> Vehicle:

@@ -133,7 +133,7 @@ def bootstrap_interval(values: Sequence[float] | Array) -> tuple[float, float]:
     return float(low), float(high)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def resamplings(lengths: tuple[int, ...]) -> list[Array]:
     """Return how often each episode of each case counts: a first row of ones, then one for each bootstrap sample."""
     rng = np.random.default_rng(0)

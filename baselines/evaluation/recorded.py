@@ -33,7 +33,7 @@ from baselines.evaluation.suites import Suite
 from baselines.tools.files import json_text, write_atomically
 
 FOLDER = Path(__file__).parent / "data" / "recorded"
-SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v1")
+SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v1", "vehicles-v1")
 """The suites that rows are recorded of."""
 STAMPS = "fingerprints.json"  # file of the fingerprints of what was recorded
 

@@ -15,6 +15,7 @@ from typing import NamedTuple, TypeVar
 
 from auv_gym.presets import PRESETS, as_scenario
 from auv_gym.scenario import Scenario
+from auv_gym.vehicle import PAPER_VEHICLE
 from baselines import make_policy
 from baselines.agents.loading import caution
 from baselines.evaluation import recorded
@@ -211,7 +212,7 @@ def checked_policies(names: Sequence[str]) -> tuple[str, ...]:
     for name in names:
         if (note := caution(name)) is not None:
             print(f"note: {note}", file=sys.stderr)
-        checked(partial(make_policy, name))
+        checked(partial(make_policy, name, PAPER_VEHICLE))  # a factory may insist on a vehicle
         checked(partial(fingerprint, name))
     return tuple(dict.fromkeys(names))
 

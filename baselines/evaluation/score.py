@@ -11,13 +11,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.presets import REGIMES
+from auv_gym.scenario import Scenario
+from auv_gym.units import Units
 from baselines.evaluation.metrics import RESAMPLES, Array, Measures, resamplings, seed_shares
 
 EXPERT = "backstepping"  # the policy that scores 0
@@ -29,7 +31,10 @@ RIVAL = "nmpc"  # the strongest policy that does not learn, where sensors and ac
 ADVERSE_RIVAL = "nmpc-adverse"  # the strongest one where they are not
 DEEP = "deep"  # where positions are reckoned: scenarios called REGIME-deep or REGIME-deep-CASE
 LARGEST_TAIL: Mapping[str, float] = {"slow": 0.6, "cruise": 2.0, DEEP: 5.0}
-"""Tail RMSE [m] from which an episode counts as lost, by regime; the capped score counts no more than that for it."""
+"""Tail RMSE [m] from which an episode counts as lost, by regime; the capped score counts no more than that for it.
+
+That is for the paper's vehicle; for another one it is as many times as long as the vehicle is, see `cap_of`."""
+AT = "@"  # stands between preset and vehicle in the name of a scenario that was made for another vehicle
 
 
 class Anchors(NamedTuple):
@@ -97,6 +102,30 @@ def waters_of(scenario: str) -> str | None:
     return DEEP if regime and f"{scenario}-".startswith(f"{regime}-{DEEP}-") else regime
 
 
+def vehicle_of(scenario: str) -> str:
+    """Return the name of the vehicle that a scenario was made for, "" for those of the paper's."""
+    return scenario.partition(AT)[2]
+
+
+def unit_of(scenario: Scenario) -> float:
+    """Return how many metres of a scenario's vehicle are one of the paper's: its length over that vehicle's."""
+    return Units.of(scenario.vehicle).length
+
+
+def in_paper_units(m: Measures, scenario: Scenario) -> Measures:
+    """Return what was measured in a scenario with its distances in metres of the paper's vehicle, see `unit_of`.
+
+    So measured, the errors of a ship and of a torpedo can be added up, and have the same cap.
+    """
+    unit = unit_of(scenario)
+    return m if unit == 1 else replace(m, rmse=m.rmse / unit, tail=m.tail / unit)
+
+
+def cap_of(scenario: Scenario) -> float:
+    """Return the tail RMSE [m] from which an episode of a scenario is lost, infinite where it belongs to no regime."""
+    return unit_of(scenario) * largest_tail(waters_of(scenario.name))
+
+
 def largest_tail(regime: str | None) -> float:
     """Return the tail RMSE [m] from which an episode is lost: infinite for scenarios that belong to no regime."""
     return LARGEST_TAIL[regime] if regime else math.inf
@@ -126,6 +155,25 @@ def capped(m: Measures, regime: str | None) -> Array:
 def losses(m: Measures, regime: str | None) -> int:
     """Return how many episodes are lost, see `is_lost`."""
     return int(is_lost(m.tail, m.lost, largest_tail(regime)).sum())
+
+
+def relative_error(rival: Sequence[Array], own: Sequence[Array]) -> Score:
+    """Return own errors over a rival's: the geometric mean over cells of the ratio of mean tail errors in a cell.
+
+    It has no unit, every cell counts alike, and what is in the denominator does not matter to the order. The interval
+    is that of a bootstrap over episodes within each cell, the same ones for both.
+
+    Args:
+        rival: tail errors of paired episodes, an array for each cell, in any unit that a cell has for both.
+        own: the same.
+    """
+    logs = np.zeros(RESAMPLES + 1)
+    with np.errstate(divide="ignore"):
+        for weights, theirs, mine in zip(resamplings(tuple(map(len, rival))), rival, own, strict=True):
+            logs += np.log(weights @ mine) - np.log(weights @ theirs)
+    values = np.exp(logs / len(rival))
+    low, high = np.quantile(values[1:], (0.025, 0.975)).tolist()
+    return Score(float(values[0]), (low, high))
 
 
 def score(zero: Sequence[Array], policy: Sequence[Array], one: Sequence[Array]) -> Score:

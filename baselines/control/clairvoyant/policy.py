@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from auv_gym.episode import Episode
 from auv_gym.errors import to_body
 from auv_gym.scenario import Scenario
 from baselines.control.clairvoyant.problem import ACTIONS, STATES, Array, Problem
+from baselines.control.clairvoyant.receding import WINDOWS, foreseeing
 from baselines.control.clairvoyant.solver import DAMPING, solved
 from baselines.control.oracle import rehearsed, settling_gains, true_plan
 from baselines.control.truth import Truth, nothing_sent
@@ -22,8 +24,9 @@ _BLIND = "the optimum needs prepare() before the reset and observe() before pred
 class Clairvoyant:
     """The best commands for episodes of which everything is known, a `baselines.policy.Privileged`.
 
-    They are found by optimisation over the whole episode, see `problem` and `solver`, from those of the oracle. What
-    rounding makes of them on the way is fed back by the gains of the last Gauss-Newton step.
+    They are found by optimisation over the whole episode, see `problem` and `solver`, from those of the oracle, and
+    where these lead nowhere good, of predictive control that foresees everything, see `receding`. What rounding makes
+    of them on the way is fed back by the gains of the last Gauss-Newton step.
     """
 
     def __init__(self) -> None:
@@ -37,7 +40,8 @@ class Clairvoyant:
             InfeasibleReferenceError: an episode's path cannot be followed in still water.
         """
         problem, n = Problem.of(scenario, episodes), len(episodes)
-        self._course = solved(problem, [arriving(oracle_actions(scenario, episodes), problem.delay)])
+        guess = arriving(oracle_actions(scenario, episodes), problem.delay)
+        self._course = solved(problem, guess, [partial(foreseeing, window) for window in WINDOWS])
         feedback = problem.way(self._course, np.full(n, DAMPING)).feedback
         self._gains = feedback.reshape(len(feedback), ACTIONS, STATES, n)
         self._limits, self._delay = problem.limits, problem.delay

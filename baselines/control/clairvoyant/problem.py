@@ -4,15 +4,16 @@ Commands a_1 ... a_K of the K control periods are sought that make
 
     sum_k w_k |p_k - p_R,k|^2 + `PRICE` sum_k |a_k|^2        (1)
 
-least, with p the position [m] that the simulation itself gives for them, p_R that of the reference, and commands within
+least, with p the position that the simulation itself gives for them, p_R that of the reference, and commands within
 the limits at which the actuators really saturate. The weights w_k add up to one over the tail of the episode, whose
-root mean square is what is scored; those before it are small, so that the way there is not arbitrary.
+root mean square is what is scored; those before it are small, so that the way there is not arbitrary. Positions count
+in the paper's units (`auv_gym.units`), so that one price and one tolerance serve a torpedo and a ship.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -27,6 +28,7 @@ from auv_gym.episode import Episode
 from auv_gym.rows import leaves
 from auv_gym.scenario import Scenario
 from auv_gym.simulation import PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts, Sample, moved
+from auv_gym.units import Units
 from baselines.control.nmpc.gauss_newton import feedback_law
 from baselines.control.truth import Truth
 
@@ -38,7 +40,8 @@ TRIANGLE = STATES * (STATES + 1) // 2  # entries of a symmetric matrix of that s
 HEAD = 1e-3
 """Weight of the errors before the tail, all together."""
 PRICE = 1e-9
-"""Price [m^2] of a command at its limit all along: what the position does not mind is not arbitrary."""
+"""Price [m^2 of the paper's vehicle] of a command at its limit all along: what the position does not mind is not
+arbitrary."""
 TAIL = 3
 """The tail is what is left of the steps after the first one in so many, as in `evaluation.metrics`."""
 
@@ -52,8 +55,9 @@ class Problem:
     samples: Array  # the numbers of a `Sample` at the end of each period, shape (K, SAMPLE_ROWS, N)
     parameters: Array  # the numbers of the `Parameters`, shape (PARAMETER_ROWS, N)
     limits: Array  # of the commands, zero until the first one arrives, shape (K, ACTIONS, N)
-    weight: Array  # w_k in (1), shape (K, 1, N)
+    weight: Array  # w_k in (1) [1/m^2 of this vehicle], shape (K, 1, N)
     delay: NDArray[np.int64]  # control periods until a command acts, shape (N,)
+    unit: Array  # metres of this vehicle that are one of the paper's, shape (N,)
 
     @classmethod
     def of(cls, scenario: Scenario, episodes: Sequence[Episode]) -> Problem:
@@ -71,20 +75,36 @@ class Problem:
         arrived = np.arange(steps)[:, None] >= delay
         weight = np.full((steps, 1, n), HEAD / steps)
         weight[steps // TAIL :] = 1.0 / (steps - steps // TAIL)
+        unit = Units.of(scenario.vehicle).length
         return cls(
             p.parts._replace(filtered=False, outages=False, delayed=False, weak=False, reckoned=False),
             np.concatenate((np.array(begun).T, np.zeros((2, n)))),
             np.ascontiguousarray(samples[1:]),
             rows,
             np.ascontiguousarray(reach * arrived[:, None]),
-            weight,
+            weight / (unit * unit),
             delay,
+            np.full(n, unit),
         )
 
     def taken(self, few: Any) -> Problem:
         """Return the problem of a few of the episodes, an index of which is given."""
         arrays = {f.name: np.ascontiguousarray(getattr(self, f.name)[..., few]) for f in fields(self)[1:]}
         return Problem(self.parts, **arrays)
+
+    def between(self, first: int, end: int, begun: Array) -> Problem:
+        """Return the problem of the periods from `first` to `end`, which begin in states (STATES, N).
+
+        The errors of all its periods count alike.
+        """
+        weight = np.full((end - first, 1, len(self.unit)), 1.0 / (end - first)) / self.unit**2
+        return replace(
+            self,
+            begun=np.ascontiguousarray(begun),
+            samples=self.samples[first:end],
+            limits=self.limits[first:end],
+            weight=weight,
+        )
 
     def played(self, course: Course, way: Way | None = None, length: float = 1.0) -> Course:
         """Return what comes of the commands of a course, or of those that lie on the way from it; see `Way`.
@@ -113,7 +133,7 @@ class Problem:
                 applied=applied,
                 error=error,
             )(0, steps)
-        tail = np.sqrt(error[steps // TAIL :, 0].mean(axis=0))
+        tail = np.sqrt(error[steps // TAIL :, 0].mean(axis=0)) / self.unit
         return Course(applied, states, np.where(np.isfinite(cost[0]), cost[0], np.inf), tail)
 
     def way(self, course: Course, damping: Array) -> Way:
@@ -147,8 +167,8 @@ class Course(NamedTuple):
 
     commands: Array  # that act in each period, shape (K, ACTIONS, N)
     states: Array  # shape (K + 1, STATES, N)
-    cost: Array  # (1) [m^2], shape (N,); infinite where no finite states come of the commands
-    tail: Array  # [m] root mean square of the position error in the tail, shape (N,)
+    cost: Array  # (1) [m^2 of the paper's vehicle], shape (N,); infinite where no finite states come of the commands
+    tail: Array  # [m of the paper's vehicle] root mean square of the position error in the tail, shape (N,)
 
 
 class Way(NamedTuple):

@@ -6,7 +6,7 @@ It is the method of `baselines.control.nmpc.gauss_newton` over all of an episode
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,50 +15,47 @@ from baselines.control.clairvoyant.problem import Array, Course, Problem, Way
 from baselines.control.nmpc.problem import replaced, taken
 
 TOLERANCE = 1e-5
-"""[m] of the tail's root mean square: an episode is solved when a step that is hardly damped gains less."""
+"""[m of the paper's vehicle] of the tail's root mean square: an episode is solved when a step that is hardly damped
+gains less."""
 LENGTHS = (1.0, 0.5, 0.2, 0.05, 0.01)
 """Parts of a step that are tried until one lowers the cost."""
-DAMPING = 1e-6  # [m^2] at the start
-LEAST_DAMPING = 1e-12  # [m^2]
-MOST_DAMPING = 1e3  # [m^2]
+DAMPING = 1e-6  # [m^2 of the paper's vehicle] at the start
+LEAST_DAMPING = 1e-12  # [m^2 of the paper's vehicle]
+MOST_DAMPING = 1e3  # [m^2 of the paper's vehicle]
 HARDLY_DAMPED = 1e-9
-"""[m^2] damping up to which a step that gains nothing means that nothing is left to gain."""
+"""[m^2 of the paper's vehicle] damping up to which a step that gains nothing means that nothing is left to gain."""
 STIFFER = 10.0  # factor on the damping where no part of a step lowers the cost
 LOOSER = 0.1  # factor on the damping where all of a step does
 MOST_STEPS = 200  # for an episode
 GOOD = 0.002
-"""[m] tail from which other commands to begin with are tried."""
+"""[m of the paper's vehicle] tail from which other commands to begin with are tried."""
 
 
-def solved(problem: Problem, guesses: Iterable[Array]) -> Course:
+def solved(problem: Problem, guess: Array, others: Sequence[Callable[[Problem], Array]] = ()) -> Course:
     """Return the best course of N episodes that is found from commands to begin with.
 
     Args:
         problem: see `Problem`.
-        guesses: commands, shape (K, ACTIONS, N), in the order in which they are tried: the first ones in all episodes,
-            others where the tail is not `GOOD`.
+        guess: commands, shape (K, ACTIONS, N), to begin with.
+        others: each returns commands for the problem of a few of the episodes; they are tried in turn in those whose
+            tail is not `GOOD`.
     """
-    best: Course | None = None
-    for guess in guesses:
-        if best is None:
-            best = refined(problem, problem.standing(guess))
-            continue
+    best = refined(problem, problem.standing(guess))
+    for other in others:
         few = np.flatnonzero(~(best.tail < GOOD))
         if not few.size:
             break
         part = problem.taken(few)
-        found = refined(part, part.standing(np.ascontiguousarray(guess[..., few])))
+        found = refined(part, part.standing(other(part)))
         better = np.flatnonzero(found.cost < best.cost[few])
         best = replaced(best, few[better], taken(found, better))
-    if best is None:
-        raise ValueError("there must be commands to begin with")
     return best
 
 
-def refined(problem: Problem, course: Course) -> Course:
-    """Return a course after as many steps as each episode takes, at most `MOST_STEPS`."""
+def refined(problem: Problem, course: Course, most: int = MOST_STEPS) -> Course:
+    """Return a course after as many steps as each episode takes, at most so many."""
     damping, few = np.full(len(course.cost), DAMPING), np.arange(len(course.cost))
-    for _ in range(MOST_STEPS):
+    for _ in range(most):
         part, now = problem.taken(few), taken(course, few)
         then, whole = _stepped(part, now, part.way(now, damping[few]))
         gained = np.sqrt(now.cost) - np.sqrt(then.cost)

@@ -12,28 +12,36 @@ from auv_gym.presets import REGIMES
 from baselines.evaluation.metrics import Array, Measures, Summary, ratio, summarise
 from baselines.evaluation.runner import Run
 from baselines.evaluation.score import (
+    AT,
     EXPERT,
     RIVAL,
     Anchors,
     Score,
     capped,
+    in_paper_units,
     losses,
     paired,
     regime_of,
     score,
+    unit_of,
+    vehicle_of,
     waters_of,
 )
 
 Case = Mapping[str, Measures]
-"""What was measured in a scenario, by policy."""
+"""What was measured in a scenario, by policy, in metres of the paper's vehicle, see `score.in_paper_units`."""
+PAPER = "paper"  # names the paper's vehicle where there are others
 
 
 @dataclass(frozen=True)
 class Entry:
-    """The figures of a policy in a scenario, or in all those of a regime together."""
+    """The figures of a policy in a scenario, or in all those of a regime together.
+
+    Distances are in metres; those of several vehicles together in metres of the paper's, see `score.unit_of`.
+    """
 
     policy: str
-    place: str  # the scenario, or the regime
+    place: str  # the scenario, the regime, or regime@vehicle where there are several
     recorded: bool  # whether its episodes were not run now
     decision_seconds: float  # of the policy for one vehicle and control step
     summary: Summary | None = None  # None: the policy failed
@@ -61,18 +69,34 @@ def compare(runs: Sequence[Run], anchors: Anchors | None = None) -> list[Result]
 
 
 def pool(runs: Sequence[Run], anchors: Anchors | None = None) -> list[Entry]:
-    """Return the figures of every policy in every regime of which it ran all cases; `anchors` as in `compare`."""
+    """Return the figures of every policy in every regime of which it ran all cases; `anchors` as in `compare`.
+
+    Where a regime has several vehicles, those of each vehicle follow.
+    """
     measures, found = measures_of(runs), []
     ends = anchors or Anchors.among({run.policy for run in runs})
     by_policy: dict[str, list[Run]] = {}
     for run in runs:
         by_policy.setdefault(run.policy, []).append(run)
-    for regime in REGIMES:
-        cases = {name: case for name, case in measures.items() if regime_of(name) == regime}
+    for place, names in _places(list(measures)).items():
+        cases = {name: measures[name] for name in names}
         for policy, every in by_policy.items():
             own = [run for run in every if run.scenario.name in cases]
             if own and all(policy in case for case in cases.values()):
-                found.append(_entry(regime, own, cases, ends))
+                found.append(_entry(place, own, cases, ends))
+    return found
+
+
+def _places(scenarios: Sequence[str]) -> dict[str, list[str]]:
+    """Return what is told together: the scenarios of each regime and, where it has several, of each vehicle."""
+    found: dict[str, list[str]] = {}
+    for regime in REGIMES:
+        own = [name for name in scenarios if regime_of(name) == regime]
+        vehicles = list(dict.fromkeys(map(vehicle_of, own)))
+        if own:
+            found[regime] = own
+        for vehicle in vehicles if len(vehicles) > 1 else ():
+            found[f"{regime}{AT}{vehicle or PAPER}"] = [name for name in own if vehicle_of(name) == vehicle]
     return found
 
 
@@ -101,7 +125,9 @@ def _entry(place: str, runs: Sequence[Run], by_name: Mapping[str, Case], anchors
     if all(RIVAL in case for case in cases):
         columns = zip(*(paired(case[policy], case[RIVAL]) for case in cases), strict=True)
         error_ratio = ratio(*(float(np.concatenate(_capped(column, waters)).mean()) for column in columns))
-    lost, summary = sum(map(losses, own, waters)), summarise(Measures.joined(own), interval=len(own) == 1)
+    plainly = {run.scenario.name: run.measures for run in runs if run.measures is not None}
+    shown = [plainly[name] for name in by_name] if len({unit_of(run.scenario) for run in runs}) == 1 else own
+    lost, summary = sum(map(losses, own, waters)), summarise(Measures.joined(shown), interval=len(own) == 1)
     return Entry(policy, place, recorded, seconds, summary, effort, smoothness, plain, cut, lost, error_ratio)
 
 
@@ -111,12 +137,12 @@ def _capped(cases: Sequence[Measures], waters: Sequence[str | None]) -> list[Arr
 
 
 def measures_of(runs: Sequence[Run]) -> dict[str, dict[str, Measures]]:
-    """Return what was measured, by scenario, then by policy; failed runs are left out."""
+    """Return what was measured in metres of the paper's vehicle, by scenario, then by policy; without failed runs."""
     found: dict[str, dict[str, Measures]] = {}
     for run in runs:
         case = found.setdefault(run.scenario.name, {})
         if run.measures is not None:
-            case[run.policy] = run.measures
+            case[run.policy] = in_paper_units(run.measures, run.scenario)
     return found
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from auv_gym.installation import checkout, left_out
 from baselines.evaluation import front_files
 from baselines.evaluation.residual_file import FILE, load
-from baselines.evaluation.results import fronts, robust
+from baselines.evaluation.results import fronts, robust, vehicles
 from baselines.evaluation.results.collection import ROUNDING, SUITES, TOLERANCE, Results, better_than, collected
 from baselines.evaluation.results.figures import results_figures
 from baselines.evaluation.results.findings import findings, fresh_results
@@ -48,39 +48,13 @@ def main(arguments: Sequence[str]) -> int:
     Raises:
         UsageError: the arguments do not make sense.
     """
-    options, failed, program = parse(Options, arguments, PROGRAM), False, called(PROGRAM)
+    options, program = parse(Options, arguments, PROGRAM), called(PROGRAM)
     if checkout() is None:
         raise UsageError(left_out("the rows and studies that the pages are written from are"))
-    found, missing = [], []
-    for name in SUITES:
-        results, refused = collected(name)
-        for policy, reason in refused.items():
-            print(f"{program}: {policy} in {name}: {reason}; left out", file=sys.stderr)
-        failed |= bool(refused)
-        if results is None:
-            missing.append(name)
-            continue
-        found.append(results)
-        for best, tolerance in ((ORACLE, TOLERANCE[name]), (BOUND, ROUNDING)):
-            for case, policy, gain in better_than(best, results):
-                if gain > tolerance:
-                    print(f"{program}: {policy} is better than {best} in {case} by {gain:.3g} m", file=sys.stderr)
-                    failed = True
     try:
+        found, missing, failed = _checked(program)
         (options.out / "images").mkdir(parents=True, exist_ok=True)
-        studies = load_all()
-        groups = load(FILE)
-        write_atomically(options.out / PAGE, page(found, missing, sections(found, studies), what_it_is_for(groups)))
-        write_atomically(options.out / "images" / FIGURE, to_png(residual_figure(groups)))
-        write_atomically(options.out / FINDINGS, findings(found, fresh_results(), studies))
-        for name, own in figures_of(studies).items():
-            write_atomically(options.out / "images" / name, to_png(curves_figure(own)))
-        if kept := front_files.load_all():
-            for results in filter(_has_fronts, found):
-                write_atomically(options.out / "images" / fronts.FIGURE, to_png(fronts.figure(kept, results, studies)))
-        for results in found:
-            for figure, png in results_figures(results).items():
-                write_atomically(options.out / "images" / f"results-{results.suite.name}-{figure}.png", png)
+        _write(found, missing, options.out)
     except OSError as error:
         print(f"{program}: cannot write to {options.out}: {error.strerror}", file=sys.stderr)
         return FAILED
@@ -91,9 +65,53 @@ def main(arguments: Sequence[str]) -> int:
     return FAILED if failed else DONE
 
 
+def _checked(program: str) -> tuple[list[Results], list[str], bool]:
+    """Return what is recorded of the suites, names of those without rows, and whether something is wrong; tell it."""
+    found, missing, wrong = [], [], []
+    for name in (*SUITES, vehicles.SUITE):
+        results, refused = collected(name)
+        wrong += [f"{policy} in {name}: {reason}; left out" for policy, reason in refused.items()]
+        if name == vehicles.SUITE:
+            wrong += [
+                f"{policy} is nearer than {BOUND} in episode {episode} of {cell} by {gain:.3g} m of the paper's vehicle"
+                for cell, episode, policy, gain in (vehicles.nearer(results) if results else ())
+            ]
+        elif results is None:
+            missing.append(name)
+        else:
+            found.append(results)
+            wrong += [
+                f"{policy} is better than {best} in {case} by {gain:.3g} m"
+                for best, tolerance in ((ORACLE, TOLERANCE[name]), (BOUND, ROUNDING))
+                for case, policy, gain in better_than(best, results)
+                if gain > tolerance
+            ]
+    for line in wrong:
+        print(f"{program}: {line}", file=sys.stderr)
+    return found, missing, bool(wrong)
+
+
+def _write(found: Sequence[Results], missing: Sequence[str], out: Path) -> None:
+    """Write the pages and their figures."""
+    studies, groups = load_all(), load(FILE)
+    write_atomically(out / PAGE, page(found, missing, sections(found, studies), what_it_is_for(groups)))
+    write_atomically(out / "images" / FIGURE, to_png(residual_figure(groups)))
+    write_atomically(out / FINDINGS, findings(found, fresh_results(), studies))
+    for name, own in figures_of(studies).items():
+        write_atomically(out / "images" / name, to_png(curves_figure(own)))
+    if kept := front_files.load_all():
+        for results in filter(_has_fronts, found):
+            write_atomically(out / "images" / fronts.FIGURE, to_png(fronts.figure(kept, results, studies)))
+    for results in found:
+        for figure, png in results_figures(results).items():
+            write_atomically(out / "images" / f"results-{results.suite.name}-{figure}.png", png)
+    if vehicles.shown(fleet := collected(vehicles.SUITE)[0]):
+        write_atomically(out / "images" / vehicles.FIGURE, vehicles.figure(fleet))
+
+
 def sections(found: Sequence[Results], studies: Mapping[str, Study]) -> str:
-    """Return the sections of the page behind the suites: how robust leads are, fronts, learned agents."""
-    parts, kept = [], front_files.load_all()
+    """Return the sections of the page behind the suites: other vehicles, how robust leads are, fronts, agents."""
+    parts, kept = [vehicles.section(collected(vehicles.SUITE)[0])], front_files.load_all()
     for results in filter(_has_fronts, found):
         parts += [robust.section(results, studies), fronts.section(kept, results, studies)]
     return "\n\n".join(filter(None, [*parts, section(studies, found)]))

@@ -12,10 +12,11 @@ import numpy as np
 from auv_gym.disturbances import RandomCurrent, RandomMismatch, RandomWaves
 from auv_gym.episode import Episode
 from auv_gym.feasibility import InfeasibleReferenceError
+from auv_gym.fleet import craft, fleet
 from auv_gym.intervals import Interval
 from auv_gym.paths import Path, Spline
 from auv_gym.planner import plan
-from auv_gym.presets import CASES, PRESETS, REGIMES
+from auv_gym.presets import CASES, PRESETS, REGIMES, as_scenario
 from auv_gym.scenario import RandomPath, Scenario
 from auv_gym.sideslip import path_rates
 from baselines.evaluation.runner import Cell
@@ -24,11 +25,15 @@ from baselines.evaluation.suites import deep, rounded, sealed
 
 FAMILIES = ("line", "circle", "sine", "figure_eight", "random_smooth")
 """Path families that agents train on; each has the same number of episodes in a cell."""
+GENTLE = ("line", "circle", "sine", "random_smooth")
+"""Those that every published vehicle can follow: the lobes of a figure-eight turn faster than a rudder or the little
+sway drag of a ship allows."""
 EPISODES = 52  # of a path family in a cell of benchmark-v1 and ood-v1
 VALIDATION_EPISODES = 10  # of a path family in a cell of benchmark-v1-validation
 UNMODELLED_EPISODES = 30  # of a path family in a cell of unmodelled-v1
 SEALED_EPISODES = 64  # in a cell of a sealed suite
 DEEP_EPISODES = 60  # in a cell of deep-v1
+VEHICLE_EPISODES = {"cruise": 32, "slow": 8}  # in a cell of vehicles-v1
 STRONGER = 1.5  # factor out of distribution on current and waves
 FARTHER = 1.3  # factor out of distribution on the range of the mismatch about 1
 
@@ -128,6 +133,17 @@ def _deep() -> list[Recipe]:
     return [Recipe(scenario, (*FAMILIES, "lawnmower"), DEEP_EPISODES) for scenario in deep.worlds()]
 
 
+def _vehicles() -> list[Recipe]:
+    """Return every case with each published vehicle, at its own speeds; in slow motion those that need no fins."""
+    return [
+        Recipe(as_scenario(f"{regime}-{case}@{vehicle}"), GENTLE, episodes)
+        for regime, episodes in VEHICLE_EPISODES.items()
+        for vehicle in fleet()
+        if regime == "cruise" or not craft(vehicle).actuators.fin
+        for case in CASES
+    ]
+
+
 def _sheared(scenario: Scenario, regime: str) -> RandomCurrent:
     """Return the scenario's current with a shear."""
     assert isinstance(scenario.current, RandomCurrent)
@@ -188,6 +204,7 @@ SUITES: dict[str, tuple[int | None, Callable[[], list[Recipe]]]] = {
     "ood-v1": (1_000_003, _out_of_distribution),
     "unmodelled-v1": (1_000_004, _unmodelled),
     "deep-v1": (1_000_005, _deep),
+    "vehicles-v1": (1_000_006, _vehicles),
     "sealed-v1": (None, lambda: _sealed(**sealed.FIRST)),
     "sealed-v2": (None, _sealed),
 }
