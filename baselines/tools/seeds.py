@@ -40,8 +40,10 @@ SWEEP = Seeds(
     90_000_000, 100_000_000, "baselines.evaluation.suites.bound", "the bound is tried on these: does it lose a vehicle?"
 )
 """Those of the episodes on which the bound is tried."""
+ELSEWHERE = Seeds(120_000_000, 130_000_000, "baselines.elsewhere.comparison", "two simulators are compared on these")
+"""Those of the episodes that run in two simulators."""
 TRAINING = Seeds(1_000_000_000, 2**62, "baselines.training.config", "agents are trained on these")
 """Those that agents are trained on."""
 
-TABLE = (USERS, TUNING, TUNING_CHECK, VALIDATION, FRESH, SWEEP, TRAINING)
+TABLE = (USERS, TUNING, TUNING_CHECK, VALIDATION, FRESH, SWEEP, ELSEWHERE, TRAINING)
 """Every range, in order; none overlaps another."""
