@@ -56,6 +56,8 @@ def random_problem(rng, n, limits=(250.0, 100.0)):
         gain,
         1 - lag / dt * gain,
         last,
+        np.ones_like(last),
+        np.zeros_like(last),
     )
     return start, Horizon(np.stack(rows, axis=1), np.tile(np.array(limits)[:, None], n))
 

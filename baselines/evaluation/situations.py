@@ -12,6 +12,7 @@ import numpy as np
 from auv_gym.policy import Policy
 from auv_gym.presets import CASES, PRESETS
 from auv_gym.scenario import RandomPath, Scenario
+from auv_gym.vehicle import Vehicle
 from baselines import make_policy
 from baselines.agents.agent import Agent
 from baselines.agents.features import STANDARD
@@ -24,6 +25,7 @@ from baselines.evaluation.metrics import Array
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import EXPERT, LARGEST_TAIL, cut, is_lost
 from baselines.evaluation.side_by_side import SideBySide
+from baselines.similar import made_for
 
 FASTER: Mapping[str, tuple[float, float]] = {"slow": (0.3, 0.4), "cruise": (1.5, 2.0)}
 """Speeds [m/s] above those of a regime's training."""
@@ -122,6 +124,10 @@ def _policy(who: str | Agent, situation: str, scenario: Scenario) -> Policy:
         if (folder := agent_folder(agent)) is None:
             return make_policy(agent, scenario.vehicle)
         agent = Agent.load(folder)
-    if situation in FAILURES:
-        return Failing(agent, situation, scenario.steps // 3, scenario.vehicle, PRECISION)
-    return agent.policy(vehicle=scenario.vehicle, precision=PRECISION)
+
+    def make(vehicle: Vehicle | None) -> Policy:
+        if situation in FAILURES:
+            return Failing(agent, situation, scenario.steps // 3, vehicle, PRECISION)
+        return agent.policy(vehicle=vehicle, precision=PRECISION)
+
+    return made_for(scenario.vehicle, make)

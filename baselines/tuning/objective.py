@@ -7,12 +7,14 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.fleet import PAPER, Craft
 from auv_gym.policy import Policy
 from auv_gym.presets import CASES, PRESETS
 from auv_gym.scenario import Scenario
-from baselines.evaluation.metrics import effort, smoothness, tail_rmse
+from baselines.evaluation.metrics import Array, effort, smoothness, tail_rmse
 from baselines.evaluation.rollout import Begun, Repeatable
 from baselines.evaluation.score import LARGEST_TAIL, cut, is_lost
 from baselines.training.mixtures import adverse
@@ -32,15 +34,23 @@ class Result:
     smoothness: float  # mean squared change of the command
 
 
-def scenarios_of(regime: str, world: str) -> tuple[Scenario, ...]:
+def scenarios_of(regime: str, world: str, craft: Craft = PAPER) -> tuple[Scenario, ...]:
     """Return the scenarios of a course's first episodes, in their order, which then begins anew.
 
     Args:
         regime: "slow" or "cruise".
         world: one of `WORLDS`.
+        craft: whose they are; in the paper's units, so that caps and gains mean the same for every vehicle.
+
+    Raises:
+        ValueError: its fins do not steer it that slowly.
     """
     cases = tuple(PRESETS[f"{regime}-{case}"] for case in CASES)
-    return cases if world == "plain" else (*cases, *(adverse(regime),) * len(cases))
+    every = cases if world == "plain" else (*cases, *(adverse(regime),) * len(cases))
+    if craft == PAPER:
+        return every
+    own = [replace(s.changed(craft.in_paper_units), name=s.name) for s in every]
+    return tuple(replace(s, substeps=max(other.substeps for other in own)) for s in own)
 
 
 class Course:
@@ -51,10 +61,11 @@ class Course:
         episodes: how many, a multiple of sixteen; they take turns over `scenarios_of`.
         seed: episode i is drawn with seed + i.
         world: one of `WORLDS`.
+        craft: the vehicle, see `scenarios_of`.
     """
 
-    def __init__(self, regime: str, episodes: int, seed: int, world: str = "plain") -> None:
-        turns = scenarios_of(regime, world)
+    def __init__(self, regime: str, episodes: int, seed: int, world: str = "plain", craft: Craft = PAPER) -> None:
+        turns = scenarios_of(regime, world, craft)
         self._names = [turns[i % len(turns)].name.removeprefix(f"{regime}-") for i in range(episodes)]
         self.cap = LARGEST_TAIL[regime]
         self.steps, self.lost_distance = turns[0].steps, turns[0].lost_distance
@@ -74,24 +85,33 @@ class Course:
         Raises:
             PolicyError: its actions are not finite.
         """
-        moments = list(self._episodes.play(policy, self.steps))
-        errors, actions = (np.array([getattr(m, key) for m in moments]) for key in ("error", "command"))
-        tail, farther = tail_rmse(errors), errors.max(axis=0) > self.lost_distance
-        tail = cut(tail, farther, self.cap)
+        tail, gone, actions = self.tails(policy)
         names = np.array(self._names)
         return Result(
             error_m=float(tail.mean()),
             case_error_m={name: float(tail[names == name].mean()) for name in dict.fromkeys(self._names)},
-            lost=float(np.mean(is_lost(tail, farther, self.cap))),
+            lost=float(np.mean(gone)),
             effort=effort(actions),
             smoothness=smoothness(actions),
         )
 
+    def tails(self, policy: Policy) -> tuple[Array, NDArray[np.bool_], Array]:
+        """Return the capped tail RMSE [m] of each episode, whether it was lost, and the commands, shape (steps, N, 2).
+
+        Raises:
+            PolicyError: the policy's actions are not finite.
+        """
+        moments = list(self._episodes.play(policy, self.steps))
+        errors, actions = (np.array([getattr(m, key) for m in moments]) for key in ("error", "command"))
+        tail, farther = tail_rmse(errors), errors.max(axis=0) > self.lost_distance
+        tail = cut(tail, farther, self.cap)
+        return tail, is_lost(tail, farther, self.cap), actions
+
 
 @lru_cache(maxsize=2)
-def course(regime: str, episodes: int, seed: int, world: str) -> Course:
+def course(regime: str, episodes: int, seed: int, world: str, craft: Craft = PAPER) -> Course:
     """Return a course; the last ones that were asked for are kept."""
-    return Course(regime, episodes, seed, world)
+    return Course(regime, episodes, seed, world, craft)
 
 
 def compared(result: Result, expert: Result) -> dict[str, Any]:

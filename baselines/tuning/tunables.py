@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
+from auv_gym.policy import Policy
+from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 from baselines.control import ekf_law
 from baselines.control.adaptive import AdaptiveGains, make_adaptive
 from baselines.control.backstepping import LAW_GAINS, SCALED_GAINS, Backstepping, Gains
@@ -17,21 +20,27 @@ from baselines.control.lqi import LqiWeights, make_lqi
 from baselines.control.nmpc import controller as nmpc
 from baselines.control.nmpc.controller import NMPC_GAINS, make_nmpc, make_nmpc_adverse
 from baselines.control.smc_dob import SmcGains, make_smc_dob
-from baselines.tuning.search import Factory
+
+
+class Maker(Protocol):
+    """Makes the policy that has these gains at every speed."""
+
+    def __call__(self, gains: dict[str, float], vehicle: Vehicle = ...) -> Policy:
+        """Return it for the vehicle that it is to believe in, the paper's by default."""
 
 
 @dataclass(frozen=True)
 class Tunable:
     """A controller whose gains can be tuned."""
 
-    factory: Factory  # the policy with these gains at every speed
+    factory: Maker  # the policy with these gains at every speed
     names: Sequence[str]  # of the gains
     world: str = "plain"  # that it is tuned in, one of `objective.WORLDS`
     sweep: Mapping[str, float] = field(default_factory=dict)  # powers of a factor that make its commands calmer
 
 
-def _printed(gains: dict[str, float]) -> Backstepping:
-    return Backstepping(Gains(**gains))
+def _printed(gains: dict[str, float], vehicle: Vehicle = PAPER_VEHICLE) -> Backstepping:
+    return Backstepping(Gains(**gains), vehicle)
 
 
 LQI_SWEEP = dict.fromkeys(("surge_effort", "surge_rate", "yaw_effort", "yaw_rate"), 1.0)

@@ -59,7 +59,7 @@ Solver = Callable[[Plan, Horizon, Integers], Plan]
 class PredictiveControl:
     """The controller with its filter, a `Controller`; its memory is the filter's, then the commands planned last.
 
-    Commands are planned at the stages of `PREVIEW`, shape (N, K, COMMANDS).
+    Commands are planned at the stages of `PREVIEW`, shape (N, K, COMMANDS). Behind them is what `fins` remembers.
     """
 
     preview = PREVIEW
@@ -82,19 +82,21 @@ class PredictiveControl:
 
     def start(self, n: int) -> Memory:
         """Return the memory at the start of n episodes."""
-        return *self.filter.start(n), np.zeros((n, len(PREVIEW), COMMANDS))
+        return *self.filter.start(n), np.zeros((n, len(PREVIEW), COMMANDS)), np.zeros((n, 3))
 
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
         """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
-        *believed, planned = memory
+        *believed, planned, seen = memory
         fresh = believed[0].T[0] == 0  # the filter's count of updates
+        acting, kept, seen = fins(o, seen)
+        planned = planned * np.stack((np.ones_like(kept), kept), axis=1)[:, None]
         after, z = self.filter.update(tuple(believed), terms := np.array(o))
         aim, share = aims(extra), np.ones((COMMANDS, len(fresh)))
         if self.filter.faults:
             faults = Faults(*z[SIZE : SIZE + FAULTS])
             aim, share = later(aim, faults.delay), np.array((faults.surge_share, faults.yaw_share))
             z = arrival(terms, z, self.vehicle)
-        ahead = horizon(terms, z, aim, share)
+        ahead = horizon(terms, z, aim, share, acting)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             guess = self._guess(z, o, np.einsum("jk,nki->jin", self._next, planned), fresh, ahead)
             plan = self._solve(guess, ahead, np.where(fresh, FIRST_STEPS, STEPS))
@@ -102,7 +104,7 @@ class PredictiveControl:
         law = np.array(tracking_forces(o, self.vehicle, GAINS["normalised"], ARRAYS))
         commands = np.where(np.isfinite(plan.cost), plan.commands, law)
         F_u, F_r = commands[0] / share
-        return F_u, F_r, (*after, np.ascontiguousarray(commands.transpose(2, 0, 1)))
+        return F_u, F_r, (*after, np.ascontiguousarray(commands.transpose(2, 0, 1)), seen)
 
     def _guess(self, z: Array, o: Observation, warm: Array, fresh: NDArray[np.bool_], ahead: Horizon) -> Plan:
         """Return the better of two plans to begin with: what was planned, and what the reference takes as it is now."""
@@ -112,6 +114,28 @@ class PredictiveControl:
         last = self.problem.planned(z[:STATES], np.clip(warm, -limits, limits), ahead)
         few = (~fresh & (last.cost <= plan.cost)).nonzero()[0]
         return replaced(plan, few, taken(last, few))
+
+
+def fins(o: Observation, seen: Array) -> tuple[Array, Array, Array]:
+    """Return how the torque of the yaw actuator depends on the speed, as its limit has shown.
+
+    The limit of fins is c u^2 with the measured surge speed u: two of them give them away. Where it is less than that,
+    as where full fins would break off, it is taken to stay as it is.
+
+    Args:
+        o: the observation.
+        seen: the last limit [N m], that over u^2 [kg], and c [kg], or 0 where no fins are known, shape (N, 3).
+
+    Returns:
+        `Stage.torque` and `Stage.fin`, shape (2, N); by what a torque planned at the last limit is to be multiplied so
+        that it is the same share of this one, shape (N,); and what has been seen now.
+    """
+    limit, (last, ratio, known) = np.asarray(o.F_r_max), seen.T
+    now = limit / np.maximum(np.square(o.u_R + o.u_e), 1e-12)
+    known = np.where((limit != last) & (np.abs(now - ratio) <= 1e-6 * now), now, known)
+    finned = (known > 0) & (np.abs(now - known) <= 1e-6 * known)
+    kept = np.where(finned & (last > 0), limit / np.where(last > 0, last, 1.0), 1.0)
+    return np.array((~finned, np.where(finned, known / limit, 0.0))), kept, np.stack((limit, now, known), axis=1)
 
 
 def aims(extra: Array) -> Array:
@@ -145,7 +169,7 @@ def _shifts() -> Array:
 _SHIFTS = _shifts()
 
 
-def horizon(o: Array, z: Array, aim: Array, share: Array) -> Horizon:
+def horizon(o: Array, z: Array, aim: Array, share: Array, acting: Array) -> Horizon:
     """Return the stages ahead.
 
     Args:
@@ -153,12 +177,14 @@ def horizon(o: Array, z: Array, aim: Array, share: Array) -> Horizon:
         z: the rows of an `Estimate`, shape (22, N).
         aim: see `aims`.
         share: of the commanded forces that act, shape (2, N).
+        acting: see `fins`, shape (2, N).
     """
     stages, n = len(PREVIEW), o.shape[1]
     ends = np.array(PREVIEW, dtype=np.float64)
     lengths = np.diff(ends, prepend=0.0)
     periods = np.array((lengths, ends - 0.5 * lengths, np.arange(stages) == stages - 1)).T[:, :, None]
-    known = horizon_kernel()(stages, o=o, z=z, aim=aim, periods=np.broadcast_to(periods, (stages, 3, n)))["known"]
+    given = {"o": o, "z": z, "aim": aim, "acting": acting, "periods": np.broadcast_to(periods, (stages, 3, n))}
+    known = horizon_kernel()(stages, **given)["known"]
     first = Observation._fields.index("F_u_max")
     return Horizon(known, share * o[first : first + COMMANDS])
 
@@ -168,21 +194,20 @@ def horizon_kernel() -> Kernel:
     """Return the kernel of `foreseen_stage`; `periods` are its length, middle and whether it is the last one."""
 
     def equation(
-        o: Sequence[Any], z: Sequence[Any], aim: Sequence[Any], periods: Sequence[Any]
+        o: Sequence[Any], z: Sequence[Any], aim: Sequence[Any], acting: Sequence[Any], periods: Sequence[Any]
     ) -> Mapping[str, Sequence[Any]]:
         length, middle, last = periods
-        return {
-            "known": foreseen_stage(Observation(*o), Estimate(*z), aim, length, middle, SYMBOLS)._replace(last=last)
-        }
+        found = foreseen_stage(Observation(*o), Estimate(*z), aim, length, middle, SYMBOLS)
+        return {"known": found._replace(last=last, torque=acting[0], fin=acting[1])}
 
-    rows = {"o": len(Observation._fields), "z": SIZE, "aim": 2, "periods": 3}
+    rows = {"o": len(Observation._fields), "z": SIZE, "aim": 2, "acting": 2, "periods": 3}
     return Kernel.traced(equation, rows, ("aim", "periods", "known"), blocked=True)
 
 
 def foreseen_stage(
     o: Observation, z: Estimate, aim: Sequence[Number], length: Number, middle: Number, ns: Namespace
 ) -> Stage:
-    """Return a stage with the sea as it is foreseen in its middle.
+    """Return a stage with the sea as it is foreseen in its middle, not the last one, its torque that of no fins.
 
     Waves swing on and the current goes the way that the filter believes; but the slowly varying load stays as it is:
     most of it is what makes the model wrong, and that lasts.
@@ -199,7 +224,9 @@ def foreseen_stage(
     X, _, Y, _, N, _ = waves_after(z, wave_transition(ahead, ns))
     response = lag_response(z.lag, dt, ns)
     place, current = to_world(aim[0], aim[1], o.cos_psi, o.sin_psi), current_after(z, ahead, ns)
-    return Stage(dt, *place, *current, z.X + X, z.Y + Y, z.N + N, response.gain, response.gain * response.mean, 0.0)
+    return Stage(
+        dt, *place, *current, z.X + X, z.Y + Y, z.N + N, response.gain, response.gain * response.mean, 0.0, 1.0, 0.0
+    )
 
 
 def one_period_on(ends: Array) -> Array:

@@ -71,6 +71,8 @@ class Stage(NamedTuple):
     gain: Number  # share of the way to the command that the actuators' force has made at its end
     share: Number  # the same of its mean
     last: Number  # 1 for the last stage of a horizon, 0 for the others
+    torque: Number  # share of a commanded torque that acts at any speed: 1, of fins 0
+    fin: Number  # [s^2/m^2] share of it that acts per squared surge speed: that of fins, else 0
 
 
 KNOWN = len(Stage._fields)  # how many numbers a stage is known by
@@ -120,10 +122,16 @@ def replaced(rows: Rows, few: Integers, others: Rows) -> Rows:
     return cast(Rows, rows._make(copies))
 
 
+def missing(state: Sequence[Number], command: Sequence[Number], known: Stage) -> tuple[Number, Number]:
+    """Return F_u [N], F_r [N m] of a command less what the actuators apply; of fins at the speed of the state."""
+    _, _, _, u, _, _, F_u, F_r = state
+    return command[0] - F_u, command[1] * (known.torque + known.fin * u * u) - F_r
+
+
 def actuated(state: Sequence[Number], command: Sequence[Number], known: Stage) -> tuple[Number, Number, Number, Number]:
     """Return the mean loads X [N], N [N m] on the hull over a stage, and the actuators' F_u, F_r at its end."""
     *_, F_u, F_r = state
-    missing_u, missing_r = command[0] - F_u, command[1] - F_r
+    missing_u, missing_r = missing(state, command, known)
     mean_u, mean_r = F_u + known.share * missing_u, F_r + known.share * missing_r
     return mean_u + known.X, mean_r + known.N, F_u + known.gain * missing_u, F_r + known.gain * missing_r
 
@@ -147,10 +155,9 @@ def stage_costs(
     ns: Any,
 ) -> tuple[Number, Number, Number]:
     """Return the costs [m^2 s] of a stage: of the position error and the sway at its end, and of the commands."""
-    *_, F_u, F_r = state
     x, y, _, _, v, *_ = after
     x_e, y_e = x - known.aim_x, y - known.aim_y
-    missing_u, missing_r = command[0] - F_u, command[1] - F_r
+    missing_u, missing_r = missing(state, command, known)
     square = weights.huber * weights.huber
     error = 2 * square * (ns.sqrt(1 + (x_e * x_e + y_e * y_e) / square) - 1)
     effort = (weights.surge * missing_u) ** 2 + (weights.yaw * missing_r) ** 2
