@@ -89,18 +89,21 @@ RATES_ROWS = {
 
 @cache
 def rates_kernel(name: str) -> Kernel:
-    """Return the kernel of a vehicle's rates, for orders that hold since its `first` rows, and what is seen of it."""
+    """Return the kernel of a vehicle's rates and of what is seen of it.
+
+    Orders to its actuators hold since the rows with which a step `began`.
+    """
     model = MODELS[name]
 
-    def equation(first: Any, rows: Any, outside: Any, deviation: Any) -> Mapping[str, Sequence[Any]]:
+    def equation(began: Any, rows: Any, outside: Any, deviation: Any) -> Mapping[str, Sequence[Any]]:
         acting = Outside(*outside)
-        orders = model.orders(first, acting, SYMBOLS)
+        orders = model.orders(began, acting, SYMBOLS)
         level, forces = model.seen(rows, SYMBOLS)
         rates = model.rates(rows, orders, acting, Deviation(*deviation), SYMBOLS)
         return {"rates": rates, "level": level, "forces": forces}
 
     sizes = {array: RATES_ROWS[array] for array in ("outside", "deviation")}
-    return Kernel.traced(equation, {"first": model.size, "rows": model.size, **sizes})
+    return Kernel.traced(equation, {"began": model.size, "rows": model.size, **sizes})
 
 
 class Own:
@@ -118,7 +121,7 @@ class Own:
         if name not in MODELS:
             raise ValueError(f"{name!r} is no vehicle of six degrees of freedom; allowed are {', '.join(MODELS)}")
         self._model, size = MODELS[name], MODELS[name].size
-        rows = {**RATES_ROWS, "first": size, "rows": size, "rates": size}
+        rows = {**RATES_ROWS, "began": size, "rows": size, "rates": size}
         self._arrays = {array: np.zeros((count, n)) for array, count in rows.items()}
         self._arrays["deviation"][:] = np.array(AS_PUBLISHED)[:, None]
         self._run = rates_kernel(name).bound(**self._arrays)
@@ -126,7 +129,7 @@ class Own:
     @property
     def rows(self) -> Array:
         """The vehicles' rows, shape (size, N)."""
-        return self._arrays["first"]
+        return self._arrays["began"]
 
     def place(self, lanes: Any, states: Array, deviations: Array) -> None:
         """See `World.place`."""
@@ -152,7 +155,7 @@ class Own:
         """Return the rates where the last ones lead to in a time [s] from the beginning of the step."""
         arrays = self._arrays
         np.multiply(arrays["rates"], ahead, out=arrays["rows"])
-        arrays["rows"] += arrays["first"]
+        arrays["rows"] += arrays["began"]
         self._run(0, 1)
         return arrays["rates"]
 
