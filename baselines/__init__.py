@@ -17,8 +17,9 @@ from auv_gym.presets import as_scenario
 from auv_gym.rendering import PICTURE
 from auv_gym.scenario import Scenario
 from auv_gym.vehicle import Vehicle
+from baselines.agents.guard import Guarded, bounded_law
 from baselines.agents.loading import load_policy
-from baselines.agents.names import COMMAND, FADING, agent_folder, is_path, shipped_agents
+from baselines.agents.names import COMMAND, FADING, agent_folder, guarded_name, is_path, shipped_agents
 from baselines.control import POLICIES, make_controller
 from baselines.episodes import EpisodeRecord, run_episode, run_episodes
 from baselines.policy import Privileged
@@ -48,7 +49,7 @@ def make_policy(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None = N
 
     A path is FILE.py:FACTORY, a FILE.zip of Stable-Baselines3, or "cmd:" and the words of a command, all of which can
     run any code; or a FILE.onnx or the folder of a trained agent, which cannot. An agent's name or folder may be
-    followed by `FADING`.
+    followed by `FADING`. Behind any but a command there may be `GUARD`, and "=" and the policy that takes over.
 
     Args:
         name: one of `list_policies`, FILE.py:FACTORY, a FILE.zip, a FILE.onnx, the folder of an agent, or cmd:COMMAND.
@@ -61,6 +62,10 @@ def make_policy(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None = N
         OSError: the file cannot be read.
         ValueError: the name is unknown, the file holds no policy, or the policy does not take such options.
     """
+    if (parts := guarded_name(name)) is not None:
+        bare, other = parts
+        fallback = make_policy(other, vehicle) if other else bounded_law(vehicle)
+        return Guarded(make_policy(bare, vehicle, **options), fallback, vehicle)
     if name.endswith(FADING) and not name.startswith(COMMAND):
         return make_policy(name.removesuffix(FADING), vehicle, **{"fade": True, **options})
     if is_path(name) or agent_folder(name) is not None:

@@ -35,6 +35,8 @@ VERBS = {
     "tune": Verb("baselines.tuning.command", "tuning"),
     "suites": Verb("baselines.evaluation.suites.__main__", "eval"),
     "fresh": Verb("baselines.evaluation.fresh", "eval"),
+    "certify": Verb("baselines.evaluation.safety.certificate", "eval"),
+    "falsify": Verb("baselines.evaluation.safety.falsification", "tuning"),
     "results": Verb("baselines.evaluation.results.command", "eval"),
     "submit": Verb("baselines.evaluation.submission.command", "eval"),
     "film": Verb("baselines.film.command", "eval,render"),

@@ -8,6 +8,9 @@ AGENTS = Path(__file__).parent / "shipped"
 """Where the agents are that ship with the package, a folder each."""
 FADING = ":fade"
 """Behind an agent's name: its corrections fade where it leaves what it has seen, see `Agent.policy`."""
+GUARD = ":guard"
+"""Behind a policy's name: another one takes over where it goes astray, see `baselines.agents.guard`; behind it perhaps
+"=" and the name of the other one."""
 
 COMMAND = "cmd:"
 """Before the words of a command line: the policy is a program that runs beside, see `baselines.agents.programs`."""
@@ -29,6 +32,20 @@ def agent_folder(name: str) -> Path | None:
         return None
     places = (AGENTS / name,) if name in shipped_agents() else (Path(name), Path(name, "agent"))
     return next((place for place in places if (place / "agent.json").is_file()), None)
+
+
+def guarded_name(name: str) -> tuple[str, str] | None:
+    """Return the name before `GUARD`, and that of the policy behind it, "" for the usual one; None without a guard."""
+    bare, mark, other = name.rpartition(GUARD)
+    if name.startswith(COMMAND) or not bare or not (other == "" or (other[0] == "=" and len(other) > 1)):
+        return None
+    return (bare, other[1:]) if mark else None
+
+
+def bare_name(name: str) -> str:
+    """Return a policy's name without `GUARD` and `FADING`."""
+    parts = guarded_name(name)
+    return (parts[0] if parts else name).removesuffix(FADING)
 
 
 def is_path(name: str) -> bool:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from baselines.agents.agent import RECORD, WEIGHTS
-from baselines.agents.names import COMMAND, FADING, agent_folder
+from baselines.agents.names import COMMAND, FADING, agent_folder, guarded_name
 from baselines.agents.onnx_models import SUFFIX
 from baselines.agents.programs import files_of
 from baselines.agents.sb3_models import statistics_file
@@ -25,6 +25,8 @@ from baselines.gains.loading import FOLDER as GAINS
 ROOMS = ("baselines.agents", "baselines.control", "baselines.estimation", "baselines.gains", "baselines.policy")
 """Modules that policies are made of; what tunes, trains and measures them stands elsewhere."""
 _AGENT_CODE = "baselines.agents.residual_policy"  # the module that trained agents act by
+_GUARD_CODE = "baselines.agents.guard"  # the module that guards act by
+_GUARD_LAW = "backstepping"  # whose gains a guard watches, and hands over to
 ACTING = ("format", "network", "inputs", "features", "observation", "expert", "authority")
 """Entries of agent.json that an agent's actions depend on; `region` does where corrections fade."""
 LARGEST_FILE = 2**28  # [bytes] of a file that is read
@@ -35,12 +37,16 @@ def fingerprint(name: str) -> str:
 
     Of FILE.py:FACTORY, FILE.zip and FILE.onnx that is the file; what it imports does not count. Of a program the words
     of its command, and the files among them. Of an agent the weights, what acts in its description, its expert and the
-    code that runs it. Of a controller its options, its gains and the code of the modules that it is made of, without
-    docstrings, comments and format.
+    code that runs it. Of a policy with a guard what that is of it and of the one that takes over, and the guard's code.
+    Of a controller its options, its gains and the code of the modules that it is made of, without docstrings, comments
+    and format.
 
     Raises:
         ValueError: a file is larger than `LARGEST_FILE`.
     """
+    if (parts := guarded_name(name)) is not None:
+        both = fingerprint(parts[0]), fingerprint(parts[1] or _GUARD_LAW)
+        return _hash([*both, *(unit.digest for unit in _closure(_GUARD_CODE))]) if all(both) else ""
     bare = name.removesuffix(FADING)
     try:
         if name.startswith(COMMAND):

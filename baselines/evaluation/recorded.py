@@ -23,7 +23,7 @@ from auv_gym.installation import checkout, left_out
 from auv_gym.presets import REGIMES
 from baselines import list_policies
 from baselines.agents.agent import Agent
-from baselines.agents.names import FADING, agent_folder
+from baselines.agents.names import agent_folder, bare_name
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.runner import Cell, Recorded, Run
@@ -152,7 +152,7 @@ def stamp(suite: Suite, policy: str, folder: Path = FOLDER) -> None:
 
 def regimes_of(policy: str) -> tuple[str, ...]:
     """Return the regimes that a policy is made for: an agent's are those of the scenarios that it was trained on."""
-    folder = agent_folder(policy.removesuffix(FADING))
+    folder = agent_folder(bare_name(policy))
     own = {regime_of(scenario) for scenario in Agent.load(folder).scenarios} if folder else set()
     return tuple(regime for regime in REGIMES if regime in own) or REGIMES
 

@@ -32,6 +32,21 @@ VALIDATION = Seeds(
     30_000_000, 40_000_000, "baselines.training.validation", "agents are chosen on these, where the suite has none"
 )
 """Those that agents are validated on."""
+GUARD = Seeds(
+    40_000_000, 45_000_000, "baselines.evaluation.safety.thresholds", "the guard's thresholds are chosen on these"
+)
+"""Those that the guard's thresholds are chosen on."""
+CERTIFICATE = Seeds(
+    45_000_000, 55_000_000, "baselines.evaluation.safety.certificate", "lost episodes are counted on these"
+)
+"""Those of the episodes that are counted for a certificate."""
+FALSIFICATION = Seeds(
+    55_000_000,
+    60_000_000,
+    "baselines.evaluation.safety.falsification",
+    "seas that lose a policy are looked for in these",
+)
+"""Those of the episodes in which seas are looked for that lose a policy."""
 FRESH = Seeds(
     70_000_000, 80_000_000, "baselines.evaluation.fresh", "policies are compared on these; nothing is chosen on them"
 )
@@ -52,5 +67,18 @@ FINE_TUNING = Seeds(
 TRAINING = Seeds(1_000_000_000, 2**62, "baselines.training.config", "agents are trained on these")
 """Those that agents are trained on."""
 
-TABLE = (USERS, TUNING, TUNING_CHECK, VALIDATION, FRESH, SWEEP, ELSEWHERE, FINE_TUNING, TRAINING)
+TABLE = (
+    USERS,
+    TUNING,
+    TUNING_CHECK,
+    VALIDATION,
+    GUARD,
+    CERTIFICATE,
+    FALSIFICATION,
+    FRESH,
+    SWEEP,
+    ELSEWHERE,
+    FINE_TUNING,
+    TRAINING,
+)
 """Every range, in order; none overlaps another."""

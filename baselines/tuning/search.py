@@ -82,7 +82,7 @@ def tune(
         return priced(result, price)
 
     if budget.generations:
-        cma = _strategies()
+        cma = strategies()
         options: dict[str, Any] = {"popsize": POPULATION, "CMA_diagonal": True, "seed": 1, "verbose": -9}
         reach = np.log(LARGEST_CHANGE)
         options |= {"bounds": [(centre - reach).tolist(), (centre + reach).tolist()]}
@@ -101,7 +101,7 @@ def tune(
     return _gains(names, finalists[ranked[0][1]])
 
 
-def _strategies() -> Any:
+def strategies() -> Any:
     """Return the package of evolution strategies.
 
     Raises:
