@@ -184,8 +184,8 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
     def change(self, episodes: Sequence[Episode]) -> None:
         """Go on with the constants of other episodes: a payload is taken up, a fin breaks, other water begins.
 
-        What changes is the true vehicle with its actuators, and the shear, which is a step of the current where its wave
-        number is zero. Path, waves, noise and what has been drawn of the current stay, and so do positions and
+        What changes is the true vehicle with its actuators, and the shear, which is a step of the current where its
+        wave number is zero. Path, waves, noise and what has been drawn of the current stay, and so do positions and
         velocities over ground: where the water differs, the velocities relative to it do.
 
         Args:

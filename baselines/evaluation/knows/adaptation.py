@@ -1,10 +1,11 @@
 """How soon a policy is used to a vehicle that changes in mid-run, in lengths travelled.
 
 Each episode runs three times, with the same path, sea and noise: the vehicle never changed, changed at an instant, and
-changed from the start. Errors count as means over a window of the way, and are compared window by window
-and episode by episode. A policy is *back* where, from there on to the
-end, its error is at most 20 % above that of the same policy there with a vehicle that had been changed all along. That alone could be had by being bad all along; so the absolute errors are kept too, which
-`report` holds against the level of the best of the policies. What never comes back is said to have not.
+changed from the start. Errors are means over a window of the way, and are compared window by window and episode by
+episode. A policy is *back* where, from there on to the end, its error is at most 20 % above that of the same policy
+there with a vehicle that had been changed all along. That alone could be had by being bad all along; so the absolute
+errors are kept too, which `report` holds against the level of the best of the policies. What never comes back is said
+to have not.
 
 Lengths are L = sqrt(m33/m11) of the known vehicle, a radius of gyration; a uniform rod has sqrt(12) of them.
 """
@@ -21,9 +22,9 @@ import numpy as np
 from auv_gym.envs.lanes import plan_of, reference_tables
 from auv_gym.episode import Episode
 from auv_gym.policy import preview_of
-from baselines import make_policy
 from baselines.control.backstepping import StabilityWarning
-from baselines.evaluation.knows.changes import BEFORE, CHANGES, LENGTHS, Trial, length
+from baselines.evaluation.knows.changes import BEFORE, CHANGES, LENGTHS, Trial
+from baselines.evaluation.knows.tap import acting
 from baselines.evaluation.metrics import resamplings
 from baselines.evaluation.rollout import beginning, play
 from baselines.evaluation.score import LARGEST_TAIL
@@ -37,7 +38,7 @@ LARGEST = 1 + WITHIN[0]
 """Factor of what it is compared with up to which an error is as good."""
 ROD = math.sqrt(12)
 """Lengths L of a uniform rod, whose radius of gyration is L."""
-EPISODES = 96
+EPISODES = 40
 """Episodes of each sea."""
 SMALLEST = 1e-4
 """Error [m] that stands for any that is smaller, where errors are compared by their ratio."""
@@ -60,7 +61,7 @@ def adapted(name: str, regime: str, sea: str, episodes: int | None = None) -> di
     """
     trial = Trial.of(regime, sea, episodes or EPISODES)
     errors, lost = followed(name, trial, LARGEST_TAIL[regime])
-    found: dict[str, Any] = {"episodes": len(trial.never), "length_m": length(trial.scenario), "changes": {}}
+    found: dict[str, Any] = {"episodes": len(trial.never), "length_m": trial.scenario.vehicle.length, "changes": {}}
     for change in CHANGES:
         course = course_of(errors[change], errors[always(change)], errors["never"])
         counts = {"lost": int(lost[change].sum()), "lost_always": int(lost[always(change)].sum())}
@@ -86,7 +87,7 @@ def followed(name: str, trial: Trial, cap: float) -> tuple[dict[str, Array], dic
     for change, episodes in later.items():
         runs |= {change: (trial.never, episodes), always(change): (episodes, episodes)}
     first, then = ([episode for run in runs.values() for episode in run[i]] for i in (0, 1))
-    policy, steps = make_policy(name, trial.scenario.vehicle), trial.scenario.steps
+    policy, steps = acting(name, trial.scenario.vehicle), trial.scenario.steps
     env, seen = beginning([(trial.scenario, first)], preview_of(policy))
     errors, lost = np.zeros((steps, len(first))), np.zeros(len(first), dtype=bool)
     with warnings.catch_warnings():
@@ -105,7 +106,7 @@ def lengths_of(trial: Trial) -> Array:
     """Return how many whole lengths the references have gone since the change, behind each step, shape (steps, n)."""
     tables = np.stack(reference_tables(trial.never, *plan_of(trial.scenario)), axis=-1)
     way = np.cumsum(np.hypot(*np.diff(tables[:, :2], axis=0).transpose(1, 0, 2)), axis=0)
-    return np.floor((way - way[BEFORE - 1]) / length(trial.scenario))
+    return np.asarray(np.floor((way - way[BEFORE - 1]) / trial.scenario.vehicle.length))
 
 
 def windows(errors: Array, places: Array) -> Array:
@@ -161,4 +162,5 @@ def back(factor: Array, largest: float) -> float:
 
 
 def _rounded(value: Any, digits: int) -> Any:
-    return np.round(value, digits).tolist()
+    plain: Any = np.round(value, digits).tolist()
+    return plain

@@ -75,7 +75,7 @@ class Trial:
     def of(cls, regime: str, sea: str, episodes: int) -> Trial:
         """Return the trial of a regime in one of `SEAS`."""
         scenario = at_speed(f"{regime}-{sea}", speed=SPEED[regime])
-        last = SLACK * LENGTHS * length(scenario) / SPEED[regime]
+        last = SLACK * LENGTHS * scenario.vehicle.length / SPEED[regime]
         current = replace(scenario.current or RandomCurrent(), shear=(0.0, 0.0))  # so that the current may step
         steps = BEFORE + math.ceil(last / scenario.control_dt)
         scenario = replace(scenario, current=current, steps=steps)
@@ -86,8 +86,3 @@ class Trial:
         rngs = (np.random.default_rng([e.noise_seed, 4]) for e in self.never)
         angles = (float(rng.uniform(-math.pi, math.pi)) for rng in rngs)
         return tuple(CHANGES[change].of(e, angle) for e, angle in zip(self.never, angles, strict=True))
-
-
-def length(scenario: Scenario) -> float:
-    """Return L = sqrt(m33/m11) [m] of the vehicle that is known."""
-    return math.sqrt(scenario.vehicle.m33 / scenario.vehicle.m11)

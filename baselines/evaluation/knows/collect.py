@@ -20,7 +20,7 @@ from baselines import make_policy
 from baselines.agents.residual_policy import ResidualPolicy
 from baselines.estimation.kalman import ExtendedKalmanFilter
 from baselines.estimation.sea_model import Estimate
-from baselines.evaluation.knows.tap import AT_ONCE, HIDDEN, Beside, Tapped, remembering
+from baselines.evaluation.knows.tap import AT_ONCE, HIDDEN, Beside, Tapped, acting, remembering
 from baselines.evaluation.rollout import beginning, play
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import regime_of
@@ -95,7 +95,7 @@ def agent_of(name: str, vehicle: Vehicle) -> tuple[Any, ResidualPolicy]:
     Raises:
         ValueError: there is none.
     """
-    policy = make_policy(name, vehicle)
+    policy = acting(name, vehicle)
     agent = remembering(policy)
     if agent is None:
         raise ValueError(f"policy {name!r} is no agent whose network remembers, such as helm or apg-cruise")

@@ -32,7 +32,7 @@ from baselines.tools.files import json_text, write_atomically
 
 PROGRAM = "python -m baselines.evaluation.knows"
 FOLDER = Path(__file__).parents[1] / "data" / "knows"
-POLICIES = ("helm", "nmpc", "ekf", "integral-normalised", "backstepping")
+POLICIES = ("helm", "nmpc", "integral-normalised", "backstepping")
 """Whose adaptation and errors are measured by default; of those that remember the memories are read."""
 
 
@@ -60,13 +60,13 @@ class Options:
     """
 
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = POLICIES
-    """Policies by name. Memories and training ranges are those of the agents among them."""
+    """Policies by name, or agents by their folder. Memories and training ranges are those of the agents among them."""
     part: Annotated[tuple[str, ...], arg(metavar="PART [PART ...]", help_behavior_hint="")] = (*PARTS, RANGE)
     """What to look into: probe, transplant, adaptation, outside, range."""
     regime: Annotated[tuple[str, ...], arg(metavar="R [R ...]", help_behavior_hint="")] = REGIMES
     """Ranges of speeds: slow, cruise."""
     episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
-    """Episodes of each kind. Default: 1536 for probes, 96 for adaptation, 64 pairs for transplants, 24 outside."""
+    """Episodes of each kind. Default: 960 for probes, 40 for adaptation, 32 pairs for transplants, 12 outside."""
     out: Path = FOLDER if checkout() else Path("runs/knows")
     """Folder for the files; what other policies did is left in it. Figures and knows.md go there too, unless it is the
     package's own."""
@@ -79,8 +79,9 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
+    policies = tuple(list_policies())
     for given, known, what in (
-        (options.policy, tuple(list_policies()), "the name of a policy"),
+        ([p for p in options.policy if agent_folder(p) is None], policies, "the name of a policy or an agent's folder"),
         (options.part, (*PARTS, RANGE), "a part"),
         (options.regime, REGIMES, "a regime"),
     ):
@@ -90,7 +91,9 @@ def main(arguments: Sequence[str]) -> int:
         raise UsageError(f"--episodes is {options.episodes}; it must be 6 or more: what is fitted has to be tested")
     remember = {name for name in options.policy if agent_folder(name) and remembering(make_policy(name))}
     if not remember and set(options.part) <= set(OF_AGENTS):
-        raise UsageError(f"none of {', '.join(options.policy)} has a network that remembers; name an agent such as helm")
+        raise UsageError(
+            f"none of {', '.join(options.policy)} has a network that remembers; name an agent such as helm"
+        )
     options.out.mkdir(parents=True, exist_ok=True)
     done = [
         _kept(part, name, options)
@@ -103,13 +106,14 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _kept(part: str, name: str, options: Options) -> bool:
-    """Look into a part of a policy and keep what comes out, beside the regimes that are there; return whether it could."""
-    file = options.out / f"{part}-{name}.json"
+    """Look into a part of a policy and keep what comes out, beside other regimes; return whether it could."""
+    kept = Path(name).name  # of an agent's folder
+    file = options.out / f"{part}-{kept}.json"
     try:
         if part == RANGE:
             record = ranged(name)
         else:
-            record = load(options.out).get((part, name), {})
+            record = load(options.out).get((part, kept), {})
             for regime in options.regime:
                 record[regime] = PARTS[part](name, regime, options.episodes)
                 print(f"{part}: {name}, {regime}", flush=True)

@@ -13,9 +13,9 @@ from baselines.evaluation.knows import ranges
 from baselines.evaluation.knows.adaptation import LARGEST
 from baselines.evaluation.knows.changes import CHANGES, SEAS
 from baselines.evaluation.knows.outside import parameters_of
-from baselines.tools.figure_style import COLOURS, look, panels, styled, to_png
+from baselines.tools.figure_style import look, panels, styled, to_png
 
-ORDER = ("helm", "nmpc", "ekf", "integral-normalised", "backstepping")
+ORDER = ("helm", "nmpc", "integral-normalised", "backstepping")
 """Policies in the order of their looks; others come behind."""
 LABELS = {
     "instant": "one instant", "untrained": "untrained network", "inputs": "network's inputs", "ekf": "Kalman filter",
@@ -36,14 +36,16 @@ PAIRS = (("mass", "munk"), ("surge", "thrust"), ("sway", "yaw"), ("torque", "lag
 
 def probe_figure(record: Mapping[str, Any]) -> bytes:
     """Return the figure about an agent's memory, a column for each regime: at the end of a storm, and on the way."""
-    figure, axes = panels(2, len(record), (4.6 * len(record), 8.4), sharex="row", gridspec_kw={"height_ratios": (5, 3)})
+    size = (2.0 + 4.0 * len(record), 9.4)
+    figure, axes = panels(2, len(record), size, sharex="row", sharey="row", gridspec_kw={"height_ratios": (5, 3)})
     with styled():
         for column, (regime, cases) in enumerate(record.items()):
             _sources(axes[0][column], regime, cases["storm"])
             _courses(axes[1][column], cases["storm"])
-        axes[0][0].legend(loc="lower left", bbox_to_anchor=(0, 1.06), ncols=3, fontsize=8)
+        axes[0][0].invert_yaxis()
         axes[1][0].set_ylabel("R^2 from the network's memory")
-        axes[1][-1].legend(fontsize=8, ncols=2)
+        figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+        _below(figure, axes[1][0])
     return to_png(figure)
 
 
@@ -55,8 +57,7 @@ def _sources(axes: Axes, regime: str, of: Mapping[str, Any]) -> None:
         axes.hlines(y, np.clip(rows[:, 1], -0.1, 1), np.clip(rows[:, 2], -0.1, 1), color=point["color"], lw=1)
         axes.plot(np.clip(rows[:, 0], -0.1, 1), y, **point | {"markersize": 4}, label=label)
     axes.set_yticks(range(len(targets)), [SHORT[t] for t in targets])
-    axes.invert_yaxis()
-    axes.set_xlim(-0.1, 1.02)
+    axes.set_xlim(-0.12, 1.02)
     axes.set_xlabel("R^2 of a linear probe, 1: known exactly")
     axes.set_title(f"{regime}-storm, after {of['instants'][-1] * of['dt']:g} s")
 
@@ -112,10 +113,10 @@ def range_figure(record: Mapping[str, Any]) -> bytes:
         for ax, pair in zip([ax for row in axes for ax in row], PAIRS, strict=True):
             i, j = (names.index(ratio) for ratio in pair)
             ax.plot(seen[:, i], seen[:, j], ".", color="0.6", ms=3, label="drawn in training")
-            for number, (vehicle, rows) in enumerate(record["vehicles"].items()):
+            for vehicle, rows in record["vehicles"].items():
                 style, both = look(vehicle, list(record["vehicles"])), np.array(rows)
                 ax.plot(both[:, i], both[:, j], **style.line, lw=1)
-                ax.plot(both[1, i], both[1, j], **style.point, label=vehicle if number >= 0 else None)
+                ax.plot(both[1, i], both[1, j], **style.point, label=vehicle)
             for axis, ratio in ((ax.xaxis, pair[0]), (ax.yaxis, pair[1])):
                 axis.set_label_text(ranges.RATIOS[ratio].partition(", ")[0])
             if pair[0] != "mass":
@@ -161,6 +162,3 @@ def _below(figure: Figure, axes: Axes) -> None:
     """Put the legend of axes below the figure."""
     lines, labels = axes.get_legend_handles_labels()
     figure.legend(lines, labels, loc="outside lower center", ncols=min(6, len(labels)))
-
-
-assert len(COLOURS) >= len(ORDER)

@@ -18,14 +18,14 @@ from auv_gym.disturbances import RandomMismatch
 from auv_gym.fleet import MOST_SUBSTEPS
 from auv_gym.presets import PRESETS
 from auv_gym.scenario import Scenario
-from baselines import make_policy
 from baselines.control.backstepping import StabilityWarning
 from baselines.evaluation.knows.collect import at_speed, episodes_of
+from baselines.evaluation.knows.tap import acting
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import LARGEST_TAIL, cut, is_lost
 from baselines.evaluation.side_by_side import SideBySide
 
-EPISODES = 24
+EPISODES = 12
 """Episodes of each value."""
 CASE = "storm"
 """What is stretched."""
@@ -38,7 +38,8 @@ def _wrong(*names: str) -> Stretch:
 
     def change(scenario: Scenario, value: float) -> Scenario:
         mismatch = scenario.mismatch or RandomMismatch()
-        return replace(scenario, mismatch=replace(mismatch, **dict.fromkeys(names, value)))
+        changes: dict[str, Any] = dict.fromkeys(names, value)
+        return replace(scenario, mismatch=replace(mismatch, **changes))
 
     return change
 
@@ -144,7 +145,7 @@ def stretched(name: str, regime: str, episodes: int | None = None) -> dict[str, 
             warnings.simplefilter("ignore", StabilityWarning)
             warnings.filterwarnings("ignore", "this agent was trained at reference speeds")
             cells = [Cell(scenario, episodes_of(scenario, count)) for scenario in scenarios]
-            ended = SideBySide(cells).run(make_policy(name, scenarios[0].vehicle))
+            ended = SideBySide(cells).run(acting(name, scenarios[0].vehicle))
         tails = [np.round(cut(e.tail, e.lost, cap), 5).tolist() for e in ended]
         lost = [int(is_lost(e.tail, e.lost, cap).sum()) for e in ended]
         found["parameters"][key] = {"values": list(parameter.values), "tails_m": tails, "lost": lost}

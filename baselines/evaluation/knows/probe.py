@@ -13,7 +13,7 @@ from baselines.policy import Array
 
 CASES = ("storm", "mismatch")
 """Where memories are read: with everything at once, and where the hull alone is not as it is told."""
-EPISODES = 1536
+EPISODES = 960
 """Episodes of each case."""
 FITTED = 2 / 3
 """Share of the episodes, the first ones, that the probes are fitted to."""

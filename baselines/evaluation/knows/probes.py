@@ -99,7 +99,9 @@ def _shares(probed: Probed) -> Array:
     """Return R^2 of the test, and behind it of each bootstrap sample, shape (1 + samples, targets)."""
     (counts,) = resamplings((len(probed.errors),))
     spread = counts @ probed.spread
-    return np.where(spread > FLAT**2 * len(probed.errors), 1 - counts @ probed.errors / np.maximum(spread, 1e-300), np.nan)
+    return np.where(
+        spread > FLAT**2 * len(probed.errors), 1 - counts @ probed.errors / np.maximum(spread, 1e-300), np.nan
+    )
 
 
 def _ends(share: Array) -> tuple[float, float, float]:

@@ -7,7 +7,6 @@ true vehicles of the scenarios that its file names.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -30,20 +29,20 @@ SLOWEST = 1 / 3
 """Slowest path of a vehicle of the fleet beside its own speed, as in the presets."""
 RATIOS = {
     "mass": "m22/m11",
-    "munk": "(m22 - m11 - N_uv)/m11, the moment that turns the hull across the flow",
+    "munk": "turning moment (m22 - m11 - N_uv)/m11, which turns the hull across the flow",
     "surge": "surge drag (d11 + X_uu U) L/(m11 U)",
     "sway": "sway drag (d22 + Y_uv U) L/(m22 U)",
     "yaw": "yaw drag (d33 + N_ur U) L/(m33 U)",
-    "thrust": "thrust F_u L/(m11 U^2)",
-    "torque": "yaw torque F_r/(m11 U^2)",
-    "lag": "lag of the actuators U/L",
+    "thrust": "thrust (F_u L/(m11 U^2))",
+    "torque": "yaw torque (F_r/(m11 U^2))",
+    "lag": "lag of the actuators (lag U/L)",
 }
 """The ratios, and what they are."""
 
 
 def ratios(v: Vehicle, act: Actuators, lag: float, U: float) -> dict[str, float]:
     """Return the `RATIOS` of a vehicle whose actuators have a lag [s], at a speed [m/s]."""
-    L = math.sqrt(v.m33 / v.m11)
+    L = v.length
     torque = min(act.F_r_max, act.fin * U * U) if act.fin else act.F_r_max
     return {
         "mass": v.m22 / v.m11,
@@ -85,7 +84,9 @@ def ranged(name: str, draws: int | None = None) -> dict[str, Any]:
     """
     seen = trained(name, draws or DRAWS)
     low, high = seen.min(axis=0), seen.max(axis=0)
-    vehicles = {c.name: [_of(c, U) for U in (SLOWEST * c.speed, c.speed)] for c in [PAPER, *map(craft, fleet())]}
+    vehicles = {
+        c.name: [_of(c, U) for U in (SLOWEST * c.vehicle.speed, c.vehicle.speed)] for c in [PAPER, *map(craft, fleet())]
+    }
     return {
         "draws": len(seen),
         "low": _short(low),
@@ -96,21 +97,19 @@ def ranged(name: str, draws: int | None = None) -> dict[str, Any]:
 
 
 def _of(c: Craft, U: float) -> list[float]:
-    lag = 0.2 * c.time / PAPER.time if c.lag is None else c.lag
+    lag = 0.2 * c.vehicle.time / PAPER.vehicle.time if c.lag is None else c.lag
     return list(ratios(c.vehicle, c.actuators, lag, U).values())
 
 
 def _short(row: Any) -> list[float]:
-    return [float(f"{x:.3g}") for x in row]
+    return [float(f"{round(x, 9) + 0.0:.3g}") for x in row]
 
 
 def outside(record: Mapping[str, Any], vehicle: str) -> list[str]:
-    """Return the ratios in which a vehicle at its speed is outside of what was drawn, and by how much."""
+    """Return the ratios in which a vehicle at its speed is outside of what was drawn, with their values."""
     found = []
-    for i, name in enumerate(RATIOS):
+    for i, says in enumerate(RATIOS.values()):
         value, low, high = record["vehicles"][vehicle][1][i], record["low"][i], record["high"][i]
-        if value > high:
-            found.append(f"{name} {value / high:.2g} times the largest" if high > 0 else f"{name} above {high:g}")
-        elif value < low:
-            found.append(f"{name} {value / low:.2g} times the least" if value > 0 else f"{name} {value:.2g} below {low:.2g}")
+        if not low <= value <= high:
+            found.append(f"{says.partition(' (')[0]} {value:.2g}")
     return found

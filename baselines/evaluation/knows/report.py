@@ -169,15 +169,12 @@ def _adaptation_table(courses: Mapping[str, Any]) -> str:
         own = {name: of["changes"][change] for name, of in courses.items()}
         best = min(c["level_m"][0] for c in own.values())
         for name, c in own.items():
-            tight, loose = c["back"]
             good = np.flatnonzero(np.array(c["error_m"][0]) > LARGEST * best)
             reached = int(good[-1]) + 1 if len(good) else 0
             level = f"{1e3 * c['never_m']:.0f} -> {1e3 * c['level_m'][0]:.0f}"
-            rows.append(
-                [CHANGES[change].says, f"`{name}`", level, f"{max(c['factor'][0]):.1f}", _lengths(tight)]
-                + [_lengths(loose), "never" if reached == len(c["error_m"][0]) else str(reached)]
-                + [f"{c['lost']} / {c['lost_always']}"]
-            )
+            cells = [CHANGES[change].says, f"`{name}`", level, f"{max(c['factor'][0]):.1f}", *map(_lengths, c["back"])]
+            cells.append("never" if reached == len(c["error_m"][0]) else str(reached))
+            rows.append([*cells, f"{c['lost']} / {c['lost_always']}"])
     head = ["change", "policy", "error before -> used to it [mm]", "worst factor", "back, within 20 % [L]"]
     return table([*head, "within 50 % [L]", "as good as the best [L]", "lost now / always changed"], rows)
 

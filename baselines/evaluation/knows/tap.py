@@ -9,9 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.policy import Policy, preview_of
+from auv_gym.vehicle import Vehicle
+from baselines import make_policy
+from baselines.agents.agent import Agent
+from baselines.agents.names import agent_folder
 from baselines.agents.networks import Layers, Network
 from baselines.agents.residual_policy import BLOCK, ResidualPolicy
+from baselines.evaluation.situations import PRECISION
 from baselines.policy import Array, Memory
+from baselines.similar import made_for
 
 AT_ONCE = BLOCK
 """Most vehicles at a time whose network is listened to."""
@@ -56,6 +62,18 @@ class Tapped:
         return action, memory
 
 
+def acting(name: str, vehicle: Vehicle) -> Policy:
+    """Return a policy by name for a known vehicle; the network of an agent computes in `PRECISION`.
+
+    Raises:
+        OSError: an agent cannot be read.
+        ValueError: there is no such policy.
+    """
+    if (folder := agent_folder(name)) is None:
+        return make_policy(name, vehicle)
+    return made_for(vehicle, lambda known: Agent.load(folder).policy(vehicle=known, precision=PRECISION))
+
+
 def remembering(policy: Policy) -> ResidualPolicy | None:
     """Return the trained agent in a policy, perhaps wrapped in others, if its network remembers anything."""
     inner: Any = policy
@@ -82,14 +100,14 @@ class Beside:
 
     def __init__(self, network: Network, seed: int = 0) -> None:
         self.network, self.memory = network, network.memory
-        self._layers = network.prepared(untrained(network, np.random.default_rng(seed)))
+        self._layers = network.prepared(untrained(network, np.random.default_rng(seed)), PRECISION)
         self.inputs, self.hidden = np.zeros((0, 0)), np.zeros((network.memory, 0))
 
     def forward(self, layers: Layers, x: Array, hidden: Array) -> tuple[Array, Array]:
         """Return what the trained network does, see `networks.Gru.forward`."""
         self.inputs = x.copy()
         if self.hidden.shape != hidden.shape:
-            self.hidden = np.zeros(hidden.shape)
+            self.hidden = np.zeros_like(hidden)
         _, self.hidden = self.network.forward(self._layers, self.inputs, self.hidden)
         return self.network.forward(layers, x, hidden)
 

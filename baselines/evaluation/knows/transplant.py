@@ -28,7 +28,7 @@ AT = 300
 """Control instant of the exchange."""
 FOR = 50
 """Control periods behind it whose errors count."""
-EPISODES = 64
+EPISODES = 32
 """Pairs of twins for each trait."""
 CASE = "storm"
 """Where they run."""
@@ -117,9 +117,7 @@ def transplanted(name: str, regime: str, episodes: int | None = None) -> dict[st
     """
     scenario, count = PRESETS[f"{regime}-{CASE}"], episodes or EPISODES
     drawn = episodes_of(scenario, count)
-    every = [
-        trait.change(episode, value) for trait in TRAITS.values() for episode in drawn for value in trait.values
-    ]
+    every = [trait.change(episode, value) for trait in TRAITS.values() for episode in drawn for value in trait.values]
     usual = _errors(name, scenario, every, {})
     found: dict[str, Any] = {"pairs": count, "seconds": FOR * scenario.control_dt, "traits": {}}
     grown = {
