@@ -36,7 +36,7 @@ def made_up(n, columns=6, seed=0):
 
 
 def test_a_linear_probe_reads_what_is_there_and_nothing_else():
-    """Of y = w x + noise no more than var(w x)/var(y) can be read; of a square a line reads nothing, a bent one most."""
+    """Of y = w x + noise no more than var(w x)/var(y) can be read; of a square only what bends."""
     X, noise = made_up(600)
     shown = 0.02 * X[:, 0] + X[:, 1]
     Y = np.column_stack((shown + 5.0, shown + 2.0 * noise, noise, np.square(X[:, 2] - 3.0), np.ones(600)))
@@ -83,7 +83,7 @@ def test_untrained_weights_are_those_of_the_shape():
 
 
 def test_what_is_collected_is_true():
-    """The current and the hull against the episodes themselves; a Kalman filter's lag is worth reading, a coin's not."""
+    """The current and the hull against the episodes themselves; every source has every episode."""
     scenario = PRESETS["cruise-current"]
     episodes = episodes_of(scenario, 3)
     seen = collected("apg-cruise", scenario, episodes, (4, 9))
@@ -113,7 +113,7 @@ def changing(scenario, n=2):
 
 
 def test_a_vehicle_that_changes_moves_as_the_other_one_from_then_on():
-    """Against the paper's equations with the new numbers, by another integrator; what stays the same changes nothing."""
+    """Against the paper's equations with the new numbers, by another integrator; the same again changes nothing."""
     calm = replace(PRESETS["cruise-calm"], control_dt=0.02)
     (env, episodes), (other, _) = changing(calm), changing(calm)
     v = replace(PAPER_VEHICLE, m11=300.0, m22=390.0, m33=120.0, d11=140.0)
@@ -172,7 +172,7 @@ def test_errors_are_means_over_the_way():
 
 
 def test_a_course_that_decays_is_back_where_it_says():
-    """An error of 10 mm (1 + 4 exp(-d/5)): within 20 % from 5 ln 20 = 15.0 lengths on; scatter leaves that in brackets."""
+    """An error of 10 mm (1 + 4 exp(-d/5)): within 20 % from 5 ln 20 = 15.0 lengths on; in the brackets."""
     rng = np.random.default_rng(0)
     d = np.arange(39.0)[:, None]
     always = 0.01 * np.exp(0.3 * rng.standard_normal((1, 200))) * np.ones((39, 1))

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from baselines.evaluation.knows import ranges
-from baselines.evaluation.knows.adaptation import LARGEST, ROD
+from baselines.evaluation.knows.adaptation import LARGEST, ROD, WITHIN
 from baselines.evaluation.knows.changes import CHANGES, LENGTHS, SEAS
 from baselines.evaluation.knows.collect import SOURCES, TARGETS
 from baselines.evaluation.knows.figures import adaptation_figure, outside_figure, probe_figure, range_figure
@@ -154,13 +154,15 @@ def _verdict(own: Mapping[str, Any]) -> str:
     lines = []
     for name, record in own.items():
         courses = [c for seas in record.values() for of in seas.values() for c in of["changes"].values()]
-        back = [c["back"][0][0] for c in courses]
-        within = [sum(x is not None and x <= limit for x in back) for limit in (GOAL, GOAL * ROD)]
-        never = sum(x is None for x in back)
+        places = [[c["back"][i][0] for c in courses] for i in range(len(WITHIN))]
+        counts = [sum(x is not None and x <= limit for x in row) for row in places for limit in (GOAL, GOAL * ROD)]
+        never = sum(x is None for x in places[0])
         calm = sum(max(c["factor"][0]) <= LARGEST for c in courses)
-        lines.append([f"`{name}`", *(f"{count} of {len(courses)}" for count in (*within, never, calm))])
-    head = ["policy", f"back within {GOAL} L", f"within {GOAL} hull lengths", f"not within {LENGTHS} L", "never away"]
-    return table(head, lines)
+        lines.append([f"`{name}`", *(f"{count} of {len(courses)}" for count in (*counts, never, calm))])
+    ways = [f"{100 * share:.0f} % after {way}" for share in WITHIN for way in (f"{GOAL} L", f"{GOAL} hull lengths")]
+    return table(
+        ["policy", *(f"within {way}" for way in ways), f"not within 20 % after {LENGTHS} L", "never away"], lines
+    )
 
 
 def _adaptation_table(courses: Mapping[str, Any]) -> str:
