@@ -38,6 +38,7 @@ VERBS = {
     "certify": Verb("baselines.evaluation.safety.certificate", "eval"),
     "falsify": Verb("baselines.evaluation.safety.falsification", "tuning"),
     "results": Verb("baselines.evaluation.results.command", "eval"),
+    "knows": Verb("baselines.evaluation.knows.command", "eval"),
     "submit": Verb("baselines.evaluation.submission.command", "eval"),
     "film": Verb("baselines.film.command", "eval,render"),
     "datasets": Verb("baselines.datasets", "data,eval"),

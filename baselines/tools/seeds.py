@@ -51,6 +51,10 @@ FRESH = Seeds(
     70_000_000, 80_000_000, "baselines.evaluation.fresh", "policies are compared on these; nothing is chosen on them"
 )
 """Those of fresh episodes."""
+KNOWLEDGE = Seeds(
+    80_000_000, 90_000_000, "baselines.evaluation.knows.collect", "what agents know is looked for on these"
+)
+"""Those of the episodes in which memories are read and vehicles change."""
 SWEEP = Seeds(
     90_000_000, 100_000_000, "baselines.evaluation.suites.bound", "the bound is tried on these: does it lose a vehicle?"
 )
@@ -76,6 +80,7 @@ TABLE = (
     CERTIFICATE,
     FALSIFICATION,
     FRESH,
+    KNOWLEDGE,
     SWEEP,
     ELSEWHERE,
     FINE_TUNING,
