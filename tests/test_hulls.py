@@ -159,6 +159,8 @@ def test_an_expert_that_cannot_be_told_each_hull_is_refused():
     settings = {"n_envs": 4, "n_steps": 10, "hull": True, "hulls": 0.5}
     for expert in ("backstepping", "backstepping-normalised", "none"):
         check(Config(scenarios=scenarios, expert=expert, hyperparameters=settings))
+    with pytest.raises(ValueError, match="so the network must be told them"):
+        check(Config(scenarios=scenarios, hyperparameters=settings | {"hull": False}))
     with pytest.raises(ValueError, match="hulls are drawn, so the expert must be"):
         check(Config(scenarios=scenarios, expert="lqi", hyperparameters=settings))
 
