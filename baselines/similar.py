@@ -44,6 +44,11 @@ def made_for(vehicle: Vehicle | str | Mapping[str, Any] | None, make: Callable[[
     return SimilarLaw(policy, units) if isinstance(policy, Law) and traceable(policy) else Similar(policy, units)
 
 
+def shown_factors(units: Units) -> list[float]:
+    """Return by what each term of an observation in SI units is multiplied to be seen in a vehicle's own units."""
+    return [1 / units.factor(*POWERS[term.unit]) for term in TERMS]
+
+
 class Similar:
     """A policy for the paper's units as one for SI units, with Stable-Baselines3's `predict`; its memory is the same.
 
@@ -54,8 +59,7 @@ class Similar:
 
     def __init__(self, policy: Policy, units: Units) -> None:
         self.policy, self.units, self.preview = policy, units, preview_of(policy)
-        terms = [1 / units.factor(*POWERS[term.unit]) for term in TERMS]
-        self._factors = np.array(terms + [1 / units.length] * (2 * len(self.preview)))
+        self._factors = np.array(shown_factors(units) + [1 / units.length] * (2 * len(self.preview)))
 
     def predict(
         self,
@@ -91,7 +95,7 @@ class SimilarLaw(Law):
 
     def __init__(self, law: Law, units: Units) -> None:
         self.policy, self.units = law, units
-        self._factors = [1 / units.factor(*POWERS[term.unit]) for term in TERMS]
+        self._factors = shown_factors(units)
         self._force, self._torque = (units.factor(*POWERS[unit]) for unit in ("N", "N m"))
 
     def forces(self, o: Sequence[Number], ns: Namespace = FLOATS) -> tuple[Number, Number]:

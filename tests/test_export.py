@@ -13,9 +13,10 @@ import pytest
 
 from auv_gym.codegen import native
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.presets import PRESETS
+from auv_gym.presets import PRESETS, as_scenario
 from auv_gym.preview import Preview
 from auv_gym.task import decode_observation
+from auv_gym.vehicle import PAPER_VEHICLE
 from baselines import make_policy
 from baselines.agents.names import shipped_agents
 from baselines.evaluation.rollout import Repeatable, beginning
@@ -72,6 +73,24 @@ def test_the_model_and_the_header_steer_whole_episodes_as_the_agent_does(name):
     assert expected.shape == (600, 2, 2)
     for policy in (onnx_policy(agent), HeaderPolicy(agent, "float64")):
         assert np.abs(commands(run, policy) - expected).max() < 1e-6
+
+
+@pytest.mark.parametrize("name", ["apg-preview-cruise", "helm-any"])
+def test_for_another_vehicle_they_do_what_the_agent_does_for_it(name):
+    """Whether the agent is told the vehicle or not, in the vehicle's own SI units."""
+    compiled()
+    scenario = as_scenario("cruise-storm@lauv")
+    agent = exported(name, scenario.vehicle)
+    cell = scenario, drawn(scenario, 2, seed=11).episodes
+    policy, memory, theirs, past = make_policy(name, scenario.vehicle), None, None, [None, None]
+    players = onnx_policy(agent), HeaderPolicy(agent, "float64")
+    for moment in Repeatable(lambda preview: beginning([cell], preview)).play(policy, 80):
+        theirs, memory = policy.predict(moment.observation, memory)
+        for i, player in enumerate(players):
+            mine, past[i] = player.predict(moment.observation, past[i])
+            np.testing.assert_allclose(mine, theirs, atol=1e-6)
+    slower = scenario.vehicle.time / PAPER_VEHICLE.time
+    assert agent.periods == pytest.approx([slower * dt for dt in exported(name).periods])
 
 
 @pytest.mark.parametrize("name", KINDS)

@@ -20,7 +20,7 @@ from baselines.control.backstepping import Backstepping
 from baselines.training import hulls
 from baselines.training.apg.closed_loop import ClosedLoop, law_of
 from baselines.training.apg.fleet import Fleet
-from baselines.training.apg.torch_network import torch_network, weights_of
+from baselines.training.apg.torch_network import put, torch_network, weights_of
 from baselines.training.apg.trainer import check
 from baselines.training.config import Config
 
@@ -110,11 +110,14 @@ def test_rows_of_hulls_are_told_what_each_vehicle_alone_is():
 def test_features_of_the_hull_are_bounded_and_those_of_the_table():
     o = [np.array([x]) for x in [0.0] * 6 + [1.0, 0, 0, 0, 0, 1, 0, 400, 200, 0, 0, 0.1]]
     rows, _ = Inputs(hull=True).update(o, (), (0, 0), (0, 0), np.zeros((4, 1)), ARRAYS, OTHER.coefficients)
-    got = dict(zip([f.name for f in HULL_FEATURES], map(float, rows[-len(HULL_FEATURES) :]), strict=True))
+    got = dict(
+        zip([f.name for f in HULL_FEATURES], (float(np.ravel(x)[0]) for x in rows[-len(HULL_FEATURES) :]), strict=True)
+    )
     assert got["m22"] == pytest.approx(400 / 215 - 1)
     assert got["d22"] == pytest.approx(2 * 0.15 / (0.15 + 0.4))
     assert got["N_uv"] == pytest.approx(-0.5)
     assert (got["Y_ur"], got["N_ur"]) == pytest.approx((0.5, 2 * 0.625 / 1.125))
+    assert (got["u_dot_max"], got["r_dot_max"]) == pytest.approx((2 * 1.86047 / 2.46047, 2 * 2.5 / 2.8), rel=1e-5)
     extreme = Coefficients(215, 1e9, 80, *[1e9] * 10)
     rows, _ = Inputs(hull=True).update(o, (), (0, 0), (0, 0), np.zeros((4, 1)), ARRAYS, extreme)
     assert np.abs([float(np.ravel(row)[0]) for row in rows]).max() <= BOUND
@@ -134,11 +137,30 @@ def test_an_agent_acts_by_what_it_is_told():
     assert (paper != other).any()
 
 
+def test_who_is_told_more_begins_as_the_agent_that_it_begins_with():
+    torch.manual_seed(0)
+    observation = np.random.default_rng(0).uniform(-0.3, 0.3, (5, 18))
+    observation[:, [13, 14, 17]] = 0.78125, 0.78125, 0.8
+    actions, weights = [], None
+    for inputs in (Inputs(), Inputs(hull=True)):
+        net = torch_network(Gru(len(inputs.features), 8, 8, 8))
+        if weights is None:
+            torch.nn.init.normal_(net.head.weight)
+        else:
+            put(weights, net)
+        weights = weights_of(net)
+        agent = Agent(net.sizes, weights, "backstepping", (1.0, 1.0), inputs=inputs)
+        actions.append(agent.policy(vehicle=PAPER_VEHICLE).predict(observation, None, np.ones(5, dtype=bool))[0])
+    np.testing.assert_allclose(*actions, atol=1e-6)
+
+
 def test_an_expert_that_cannot_be_told_each_hull_is_refused():
     scenarios = ((PRESETS["cruise-storm"], 1.0),)
     settings = {"n_envs": 4, "n_steps": 10, "hull": True, "hulls": 0.5}
     for expert in ("backstepping", "backstepping-normalised", "none"):
         check(Config(scenarios=scenarios, expert=expert, hyperparameters=settings))
+    with pytest.raises(ValueError, match="so the network must be told them"):
+        check(Config(scenarios=scenarios, hyperparameters=settings | {"hull": False}))
     with pytest.raises(ValueError, match="hulls are drawn, so the expert must be"):
         check(Config(scenarios=scenarios, expert="lqi", hyperparameters=settings))
 

@@ -5,7 +5,7 @@ reference's speed alone, so that the filters can be differentiated and compiled 
 first one believes in a rough sea, the second in a calm one; a network that sees what both believe can choose. The
 gains are those of a steady Riccati equation, see `baselines.agents.filter_gains`, which makes their table. It is made
 for the paper's vehicle and serves every hull in that one's units, whose own model predicts: on the published vehicles
-the errors of position and heading come out at most a quarter larger than with gains of their own.
+the errors of position and heading come out at most a third larger than with gains of their own.
 """
 
 from __future__ import annotations

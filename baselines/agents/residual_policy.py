@@ -17,10 +17,12 @@ from auv_gym.namespaces import ARRAYS
 from auv_gym.policy import Forces, Law, Policy, corrected, preview_of, traceable
 from auv_gym.preview import shared_preview
 from auv_gym.task import SIZE, action_of, decode
+from auv_gym.units import Units
 from auv_gym.vehicle import PAPER_VEHICLE, Coefficients
 from baselines.agents.features import STANDARD, Inputs, scaled_errors
 from baselines.agents.networks import ACTIONS, Network, Weights
 from baselines.policy import U_R, V_R, Array, Memory, batched, renewed, squared_speed, warn_of_lost_memory
+from baselines.similar import shown_factors
 
 BLOCK = 128
 """Most vehicles that go through the network at once: what it computes on the way stays in the processor's cache."""
@@ -28,7 +30,12 @@ Symbols = Sequence[Symbol]
 
 
 @lru_cache(maxsize=64)
-def feature_kernel(inputs: Inputs, forces: Forces | None, hull: Coefficients = PAPER_VEHICLE.coefficients) -> Kernel:
+def feature_kernel(
+    inputs: Inputs,
+    forces: Forces | None,
+    hull: Coefficients = PAPER_VEHICLE.coefficients,
+    units: Units = Units(),  # noqa: B008, it is frozen
+) -> Kernel:
     """Return the kernel from an observation, with its preview's columns `ahead`, to the features.
 
     Its results: terms, the observation's in SI units; errors, see `scaled_errors`; features and integrals, see
@@ -38,12 +45,17 @@ def feature_kernel(inputs: Inputs, forces: Forces | None, hull: Coefficients = P
         inputs: what the network sees.
         forces: of the expert, if it is a law; None: its action, base, is an argument.
         hull: the known vehicle, see `Inputs.update`.
+        units: in which everything is seen, while the observation is in SI units; none, and neither is scaled.
     """
+    factors = () if units == Units() else shown_factors(units)
 
     def equation(
         observation: Symbols, ahead: Symbols, correction: Symbols, integrals: Symbols, base: Symbols = ()
     ) -> Mapping[str, Symbols]:
         o = decode(observation, SYMBOLS)
+        if factors:
+            o = [term * factor for term, factor in zip(o, factors, strict=True)]
+            ahead = [way * (1 / units.length) for way in ahead]
         if forces is not None:
             base = [single(a) for a in action_of(forces(o, SYMBOLS), o, SYMBOLS)]  # as `Law.predict` gives it
         features, sums = inputs.update(o, ahead, base, correction, integrals, SYMBOLS, hull)

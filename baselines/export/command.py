@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from auv_gym.installation import install
+from auv_gym.scenario import as_vehicle
 from baselines.export.c_header import PREFIX, c_header
 from baselines.export.parts import Exported, exported
 from baselines.tools.command_line import DONE, UsageError, parse
@@ -28,6 +29,9 @@ class Options:
 
     agent: Annotated[Positional[str], arg(metavar="AGENT")]
     """An agent's name or folder."""
+    vehicle: Annotated[str, arg(metavar="V")] = "paper"
+    """The vehicle that it is to steer, a published one by name or a .toml file: the files then take observations of
+    that one, and an agent that is told the vehicle has it inside."""
     out: Path = Path("runs/export")
     """Folder of the files AGENT.h and AGENT.onnx."""
     format: Annotated[Literal["all", "c", "onnx"], arg(metavar="{all,c,onnx}")] = "all"
@@ -51,7 +55,7 @@ def main(arguments: Sequence[str]) -> int:
     if not re.fullmatch(r"[a-z][a-z0-9_]*", options.prefix):
         raise UsageError(f"prefix is {options.prefix!r}; it must be lower-case letters, digits and underscores")
     try:
-        agent = exported(options.agent)
+        agent = exported(options.agent, as_vehicle(options.vehicle))
     except ValueError as error:
         raise UsageError(str(error)) from None
     files = {

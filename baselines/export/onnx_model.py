@@ -96,7 +96,17 @@ class _Writer:
                 self.node("Cast", [f"{names[i]}_single"], [names[i]], to=self.real)
             else:
                 self.node(OPERATORS[operation], [names[a] for a in arguments], [names[i]])
-        return [names[s.index] for s in flat]
+        like = next(iter(given.values()))
+        return [
+            self.column(names[s.index], like, f"{prefix}_{j}") if s.value is not None else names[s.index]
+            for j, s in enumerate(flat)
+        ]
+
+    def column(self, number: str, like: str, name: str) -> str:
+        """Add a column that holds a number, as long as another one, and return its name."""
+        self.node("Shape", [like], [f"{name}_shape"])
+        self.node("Expand", [number, f"{name}_shape"], [name])
+        return name
 
     def program(self, program: Program, given: Mapping[str, str]) -> dict[str, str]:
         """Add a network and return the names of its results; vectors are rows here."""

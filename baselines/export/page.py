@@ -21,10 +21,12 @@ network's program is recorded from the function that computes it.
 python -m baselines.export apg-cruise --out runs/export
 python -m baselines.export apg-cruise --format c --precision float64
 python -m baselines.export sac-slow --format c --weights int8 --prefix slow_agent
+python -m baselines.export helm-any --vehicle lauv --format c
 ```
 
 An agent's name or the folder of a trained one is taken. Experts without memory are printed, which are all that the
-shipped agents have; corrections that fade (`:fade`) are not.
+shipped agents have; corrections that fade (`:fade`) are not. With `--vehicle`, a published one's name or a file, what is
+written takes the observations of that vehicle in SI units, and an agent that is told its vehicle has it inside.
 
 ## The header
 

@@ -6,6 +6,7 @@ is recorded from the function that computes it.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -19,8 +20,11 @@ from auv_gym.codegen.vectors import Program
 from auv_gym.policy import Law, traceable
 from auv_gym.presets import PRESETS
 from auv_gym.preview import preview_columns
+from auv_gym.records import to_record
 from auv_gym.simulation import PARAMETER_ROWS, PARAMETERS, SAMPLE, SAMPLE_ROWS, Parameters, Parts, start
 from auv_gym.task import TERMS, Observation, decode, encode
+from auv_gym.units import Units, in_paper_units
+from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
 from baselines.agents.agent import RECORD, Agent, make_expert
 from baselines.agents.names import FADING, agent_folder, shipped_agents
 from baselines.agents.networks import ACTIONS
@@ -45,6 +49,7 @@ class Exported:
     see: Kernel  # from the observation to features, integrals and the expert's action, `base`
     network: Program  # from features and hidden to correction and next_hidden
     command: Kernel  # from base, authority and correction to the command
+    vehicle: Vehicle = PAPER_VEHICLE  # that it steers
 
     @property
     def preview(self) -> tuple[int, ...]:
@@ -71,7 +76,8 @@ class Exported:
     @property
     def periods(self) -> tuple[float, ...]:
         """Control periods [s] of the scenarios that it was trained on."""
-        return tuple(sorted({PRESETS[name].control_dt for name in self.agent.scenarios if name in PRESETS}))
+        time = Units.of(self.vehicle).time
+        return tuple(sorted({time * PRESETS[name].control_dt for name in self.agent.scenarios if name in PRESETS}))
 
     @property
     def facts(self) -> dict[str, str]:
@@ -83,11 +89,12 @@ class Exported:
             "observation": "; ".join(self.columns),
             "control_period_s": ", ".join(f"{dt:g}" for dt in self.periods),
             "weights_sha256": self.weights_sha256,
+            **({} if self.vehicle == PAPER_VEHICLE else {"vehicle": json.dumps(to_record(self.vehicle))}),
         }
 
 
-def exported(name: str) -> Exported:
-    """Return the parts of an agent, by its name or its folder.
+def exported(name: str, vehicle: Vehicle = PAPER_VEHICLE) -> Exported:
+    """Return the parts of an agent, by its name or its folder, for a vehicle; see `baselines.similar`.
 
     Raises:
         OSError: a file of it cannot be read.
@@ -99,13 +106,17 @@ def exported(name: str) -> Exported:
     if (folder := agent_folder(name)) is None:
         raise ValueError(f"{name!r} is no agent; there are {', '.join(shipped_agents())}, or give an agent's folder")
     agent = Agent.load(folder)
-    expert = make_expert(agent.expert)
+    similar = in_paper_units(vehicle)
+    expert = make_expert(agent.expert, vehicle=similar)
     if not traceable(expert):
         raise ValueError(f"{name!r} cannot be exported: its expert {agent.expert!r} is no law without memory")
     record = read_json(folder / RECORD)
     forces = cast(Law, expert).forces
-    see = feature_kernel(agent.inputs, forces)
-    return Exported(folder.name, agent, record["weights_sha256"], see, network_program(agent), command_kernel())
+    hull = similar if agent.inputs.hull else PAPER_VEHICLE
+    see = feature_kernel(agent.inputs, forces, hull.coefficients, Units.of(vehicle))
+    return Exported(
+        folder.name, agent, record["weights_sha256"], see, network_program(agent), command_kernel(), vehicle
+    )
 
 
 def network_program(agent: Agent, prefix: str = "") -> Program:

@@ -44,6 +44,7 @@ from baselines.training.validation import PRECISION
 
 SHARES = ("final_share", "warm_up", "average", "cruise_share", "hulls")  # settings in [0, 1]
 WEIGHTS = ("cut", "hull_weight", "effort_weight", "rate_weight", "cruise_effort_weight", "cruise_rate_weight")
+"""Settings of 0 or more; those of cruise may be None."""
 LOGS = 200  # how often in a run its progress is logged
 
 
@@ -142,6 +143,8 @@ def check(config: Config) -> Settings:
     """
     settings = from_record(Settings, config.hyperparameters, "hyper-parameters of apg")
     config.lanes(settings.n_envs)
+    if settings.hulls and not settings.hull:
+        raise ValueError("hulls are drawn, so the network must be told them: set hull=true, or hulls=0")
     if settings.hulls and config.expert != NO_EXPERT and not isinstance(config.make_expert(), Backstepping):
         raise ValueError(f"hulls are drawn, so the expert must be a form of {EXPERT} or {NO_EXPERT}: it is told them")
     shortest = min(scenario.steps for scenario, _ in config.scenarios)
@@ -230,7 +233,7 @@ class Trainer(Descent):
         preview, self._seen, self._seen_by_expert = shared_preview(settings.preview, preview_of(self._expert))
         lanes = config.lanes(settings.n_envs)
         drawn = settings.hulls and config.vehicle == PAPER_VEHICLE  # for another one, it alone is learned
-        hulls = turns(lanes, settings.hulls, config.episode_seed) if drawn else ()
+        self._hulls = hulls = turns(lanes, settings.hulls, config.episode_seed) if drawn else []
         self.fleet = Fleet(lanes, config.episode_seed, settings.n_steps, preview, hulls)
         self.updates, self.skipped, self.score = 0, 0, -math.inf
         self.best = weights_of(self.averaged.module)
@@ -299,11 +302,14 @@ class Trainer(Descent):
         return action.T
 
     def validate(self) -> None:
-        """Measure the agent on the validation episodes, keep the best, and save a checkpoint."""
+        """Measure the agent on the validation episodes, keep the best, and save a checkpoint.
+
+        The episodes are of the configuration's own vehicle, so where hulls are drawn the last one is kept.
+        """
         weights = weights_of(self.averaged.module)
         policy = self.agent(weights).policy(vehicle=self.run.config.vehicle, precision=PRECISION)
         score = self.run.validate(policy, self.timesteps)
-        if score > self.score:
+        if score > self.score or self._hulls:
             self.score, self.best = score, weights
         self.run.save_checkpoint(self._state())
 
