@@ -16,7 +16,8 @@ from auv_gym.namespaces import FLOATS
 from auv_gym.sensors import Sensors
 from auv_gym.vehicle import Vehicle
 
-SEGMENTS = (
+Segment = tuple[float, float, float, float]
+SEGMENTS: tuple[Segment, ...] = (
     # end [s], share of the surge limit, share of the yaw limit, heading at which a zig-zag turns back [rad]
     (1.0, 0.00, 0.00, 0.0),  # at rest: what acts when the log begins must be known
     (6.0, 0.15, 0.00, 0.0),  # surge step
@@ -44,21 +45,24 @@ class Trial:
         F_u_max: limit of the surge force [N].
         F_r_max: limit of the yaw moment [N m].
         duration: of the whole trial [s]; its parts are longer or shorter together.
+        segments: the parts, as `SEGMENTS`; the end of the last one is that of the trial.
     """
 
     F_u_max: float = 400.0
     F_r_max: float = 200.0
     duration: float = 60.0
+    segments: tuple[Segment, ...] = SEGMENTS
     _part: int = field(default=0, init=False)
     _about: float = field(default=0.0, init=False)  # [rad] heading at which the part has begun
     _side: float = field(default=1.0, init=False)
 
     def command(self, t: float, psi: float) -> Force:
         """Return F_u [N] and F_r [N m] at a time [s] and heading [rad]; times must not decrease."""
-        part = next((i for i, s in enumerate(SEGMENTS) if t < s[0] * self.duration / 60), len(SEGMENTS) - 1)
+        scale, last = self.duration / self.segments[-1][0], len(self.segments) - 1
+        part = next((i for i, s in enumerate(self.segments) if t < s[0] * scale), last)
         if part != self._part:
             self._part, self._about, self._side = part, psi, 1.0
-        _, surge, yaw, band = SEGMENTS[part]
+        _, surge, yaw, band = self.segments[part]
         if band and self._side * (psi - self._about) > band:
             self._side = -self._side
         return surge * self.F_u_max, self._side * yaw * self.F_r_max

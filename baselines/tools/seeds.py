@@ -40,6 +40,8 @@ SWEEP = Seeds(
     90_000_000, 100_000_000, "baselines.evaluation.suites.bound", "the bound is tried on these: does it lose a vehicle?"
 )
 """Those of the episodes on which the bound is tried."""
+ELSEWHERE = Seeds(120_000_000, 130_000_000, "baselines.elsewhere.comparison", "two simulators are compared on these")
+"""Those of the episodes that run in two simulators."""
 FINE_TUNING = Seeds(
     130_000_000,
     140_000_000,
@@ -50,5 +52,5 @@ FINE_TUNING = Seeds(
 TRAINING = Seeds(1_000_000_000, 2**62, "baselines.training.config", "agents are trained on these")
 """Those that agents are trained on."""
 
-TABLE = (USERS, TUNING, TUNING_CHECK, VALIDATION, FRESH, SWEEP, FINE_TUNING, TRAINING)
+TABLE = (USERS, TUNING, TUNING_CHECK, VALIDATION, FRESH, SWEEP, ELSEWHERE, FINE_TUNING, TRAINING)
 """Every range, in order; none overlaps another."""
