@@ -102,6 +102,7 @@ ANY_HULL: Mapping[str, Any] = {
     "n_envs": 192,
     "learning_rate": 0.0015,
     "matrix_learning_rate": 0.01,
+    "warm_up": 0.1,
     "validations": 1,
 }
 """Of the agent for every vehicle, which begins as `helm`: it is told the hull, which is drawn for half of the vehicles
