@@ -43,6 +43,7 @@ VERBS = {
     "film": Verb("baselines.film.command", "eval,render"),
     "datasets": Verb("baselines.datasets", "data,eval"),
     "export": Verb("baselines.export.command", "export"),
+    "elsewhere": Verb("baselines.elsewhere.command", "eval"),
     "live": Verb("baselines.live.command", "eval"),
     "identify": Verb("baselines.identification.command", "eval"),
     "bench": Verb("baselines.benchmarks.command", "train"),

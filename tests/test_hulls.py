@@ -110,11 +110,14 @@ def test_rows_of_hulls_are_told_what_each_vehicle_alone_is():
 def test_features_of_the_hull_are_bounded_and_those_of_the_table():
     o = [np.array([x]) for x in [0.0] * 6 + [1.0, 0, 0, 0, 0, 1, 0, 400, 200, 0, 0, 0.1]]
     rows, _ = Inputs(hull=True).update(o, (), (0, 0), (0, 0), np.zeros((4, 1)), ARRAYS, OTHER.coefficients)
-    got = dict(zip([f.name for f in HULL_FEATURES], map(float, rows[-len(HULL_FEATURES) :]), strict=True))
+    got = dict(
+        zip([f.name for f in HULL_FEATURES], (float(np.ravel(x)[0]) for x in rows[-len(HULL_FEATURES) :]), strict=True)
+    )
     assert got["m22"] == pytest.approx(400 / 215 - 1)
     assert got["d22"] == pytest.approx(2 * 0.15 / (0.15 + 0.4))
     assert got["N_uv"] == pytest.approx(-0.5)
     assert (got["Y_ur"], got["N_ur"]) == pytest.approx((0.5, 2 * 0.625 / 1.125))
+    assert (got["u_dot_max"], got["r_dot_max"]) == pytest.approx((2 * 1.86047 / 2.46047, 2 * 2.5 / 2.8), rel=1e-5)
     extreme = Coefficients(215, 1e9, 80, *[1e9] * 10)
     rows, _ = Inputs(hull=True).update(o, (), (0, 0), (0, 0), np.zeros((4, 1)), ARRAYS, extreme)
     assert np.abs([float(np.ravel(row)[0]) for row in rows]).max() <= BOUND
@@ -156,6 +159,8 @@ def test_an_expert_that_cannot_be_told_each_hull_is_refused():
     settings = {"n_envs": 4, "n_steps": 10, "hull": True, "hulls": 0.5}
     for expert in ("backstepping", "backstepping-normalised", "none"):
         check(Config(scenarios=scenarios, expert=expert, hyperparameters=settings))
+    with pytest.raises(ValueError, match="so the network must be told them"):
+        check(Config(scenarios=scenarios, hyperparameters=settings | {"hull": False}))
     with pytest.raises(ValueError, match="hulls are drawn, so the expert must be"):
         check(Config(scenarios=scenarios, expert="lqi", hyperparameters=settings))
 

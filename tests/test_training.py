@@ -530,9 +530,9 @@ def test_shipped_agents_can_be_trained_again(name, call, monkeypatch, tmp_path):
         assert family.startswith(config.algo.replace("_", "-"))
         assert {regime} == regimes
     if (AGENTS / name / "agent.json").exists():  # the one in the package came from just this
-        mine = json.loads((AGENTS / name / "agent.json").read_text(encoding="utf-8"))["training"]["config"]
-        theirs = replace(config, timesteps=mine["timesteps"]).to_dict()
-        assert mine == theirs
+        record = json.loads((AGENTS / name / "agent.json").read_text(encoding="utf-8"))
+        theirs = Config.from_dict(record["training"]["config"])
+        assert theirs == replace(config, timesteps=theirs.timesteps)
     monkeypatch.setattr(command, "train", lambda r: made.append(r) or 0)
     assert call(*shlex.split(made[0].command)[2:], "--out", tmp_path / "again") == 0
     assert made[1].configs == (config,)

@@ -14,9 +14,9 @@ from auv_gym.presets import as_scenario
 from baselines import make_policy
 from baselines.elsewhere.bodies import bodies
 from baselines.elsewhere.installed import Installed
-from baselines.elsewhere.worlds import Own
+from baselines.elsewhere.worlds import VARIANTS, Own
 from baselines.evaluation.metrics import Array, resamplings
-from baselines.evaluation.rollout import Track, rollout
+from baselines.evaluation.rollout import Rollout, rollout
 from baselines.evaluation.runner import drawn
 from baselines.tools.seeds import ELSEWHERE
 
@@ -38,23 +38,46 @@ class Task:
     case: str
     episodes: int
     simulator: str = "own"
+    lacking: str = ""  # one of the `VARIANTS` of the vehicle, in place of the published one
 
     def run(self) -> tuple[Task, dict[str, Any]]:
         """Return the task, and what came out: tail errors [m] and lost episodes in each simulator."""
-        return self, {place: record for place, (record, _) in self.both().items()}
-
-    def both(self) -> dict[str, tuple[dict[str, Any], tuple[Track, ...]]]:
-        """Return what came out, and the tracks of the first episodes, in each simulator."""
-        scenario = as_scenario(f"{REGIME}-{self.case}@{self.vehicle}")
-        cell, made = drawn(scenario, self.episodes, ELSEWHERE.first), SIMULATORS[self.simulator]
         found = {}
         for place in (PLANE, SPACE):
-            moved = bodies(lambda n: made(self.vehicle, n), scenario.vehicle) if place == SPACE else None
-            policy = make_policy(self.policy, scenario.vehicle)
-            done = rollout(policy, scenario, cell.episodes, bodies=moved)
-            tails = [float(f"{tail:.4g}") for tail in done.measures.tail]
-            found[place] = {"tail": tails, "lost": int(done.measures.lost.sum())}, done.tracks
-        return found
+            measures = self.played(place).measures
+            tails = [float(f"{tail:.4g}") for tail in measures.tail]
+            found[place] = {"tail": tails, "lost": int(measures.lost.sum())}
+        return self, found
+
+    def played(self, place: str) -> Rollout:
+        """Return what the policy does in one of the simulators, `PLANE` or `SPACE`."""
+        scenario = as_scenario(f"{REGIME}-{self.case}@{self.vehicle}")
+        cell, made = drawn(scenario, self.episodes, ELSEWHERE.first), SIMULATORS[self.simulator]
+        vehicle: Any = VARIANTS[self.vehicle][self.lacking] if self.lacking else self.vehicle
+        moved = bodies(lambda n: made(vehicle, n), scenario.vehicle) if place == SPACE else None
+        return rollout(make_policy(self.policy, scenario.vehicle), scenario, cell.episodes, bodies=moved)
+
+
+CAUSED = "current"
+"""The case in which causes are looked for: a steady trouble, and one that growth is seen in."""
+CAUSED_POLICIES = ("los-pid", "ekf")
+"""Whose growth is looked at: one that feeds back alone, and one that believes in a model."""
+
+
+def caused(vehicle: str, episodes: int) -> dict[str, Any]:
+    """Return the growth of the mean tail error where the vehicle in space lacks what may make it.
+
+    Args:
+        vehicle: its name.
+        episodes: how many are run.
+    """
+    growth: dict[str, dict[str, float]] = {what: {} for what in VARIANTS[vehicle]}
+    for policy in CAUSED_POLICIES:
+        plane = Task(policy, vehicle, CAUSED, episodes).played(PLANE).measures.tail.mean()
+        for what, found in growth.items():
+            space = Task(policy, vehicle, CAUSED, episodes, lacking=what).played(SPACE).measures.tail.mean()
+            found[policy] = float(space / plane)
+    return {"case": CAUSED, "policies": list(CAUSED_POLICIES), "episodes": episodes, "growth": growth}
 
 
 def concordance(a: Array, b: Array) -> NDArray[np.float64]:

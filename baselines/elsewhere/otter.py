@@ -9,8 +9,9 @@ integration is of fourth order.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -78,13 +79,17 @@ def shares(F_u: Number, F_r: Number, ns: Namespace) -> tuple[Number, Number]:
     return mean + half, mean - half
 
 
+@dataclass(frozen=True)
 class Otter:
-    """The vehicle as a `worlds.Model`."""
+    """The vehicle as a `worlds.Model`, or one that lacks something of it, to see what that makes."""
 
-    name = "otter"
-    size = len(Motion._fields) + len(Actuators._fields)
-    mass = HULL + PAYLOAD  # [kg]
-    draft = (HULL + PAYLOAD) / DENSITY / (2 * BLOCK * PONTOON_BEAM * LENGTH)  # [m]
+    pushed: float = 1.0  # share of the payload's weight along the pitched boat that acts
+    crossed: bool = True  # see `six_dof.cross_flow`
+
+    name: ClassVar[str] = "otter"
+    size: ClassVar[int] = len(Motion._fields) + len(Actuators._fields)
+    mass: ClassVar[float] = HULL + PAYLOAD  # [kg]
+    draft: ClassVar[float] = (HULL + PAYLOAD) / DENSITY / (2 * BLOCK * PONTOON_BEAM * LENGTH)  # [m]
 
     @cached_property
     def centre(self) -> Array:
@@ -139,10 +144,10 @@ class Otter:
     def payload(self, s: Motion, ns: Namespace) -> tuple[Number, ...]:
         """Return the weight of the payload [N] and its moment [N m] about the origin, in the body's axes."""
         W, (x, _, z) = PAYLOAD * GRAVITY, PAYLOAD_CENTRE
-        X = -W * ns.sin(s.theta)
+        X = -W * ns.sin(s.theta) * self.pushed
         Y = W * ns.cos(s.theta) * ns.sin(s.phi)
         Z = W * ns.cos(s.theta) * ns.cos(s.phi)
-        return X, Y, Z, -z * Y, z * X - x * Z, x * Y
+        return X, Y, Z, -z * Y, -z * W * ns.sin(s.theta) - x * Z, x * Y
 
     def seen(self, rows: Vector, ns: Namespace) -> tuple[Vector, Vector]:
         """Return x, y, psi, u, v, r, level and relative to the water, and F_u [N], F_r [N m] of the propellers."""
@@ -153,7 +158,7 @@ class Otter:
     def hull(self, s: Motion, d: Deviation, ns: Namespace) -> list[Number]:
         """Return drag, restoring forces and payload [N], [N m]."""
         D = self.damping
-        Y, N = cross_flow(s.v, s.r, LENGTH, PONTOON_BEAM, self.draft, FLOW_DENSITY)
+        Y, N = cross_flow(s.v, s.r, LENGTH, PONTOON_BEAM, self.draft, FLOW_DENSITY, self.crossed)
         drag = (
             -d.d_u * D[0] * s.u - d.X_uu * abs(s.u) * s.u,
             d.d_v * (Y - D[1] * s.v) - d.Y_vv * abs(s.v) * s.v,
@@ -187,3 +192,10 @@ class Otter:
 
 OTTER = Otter()
 """The vehicle."""
+OTTER_VARIANTS = {
+    "as published": OTTER,
+    "no push of the payload": Otter(pushed=0.0),
+    "no yaw drag of a sideslip": Otter(crossed=False),
+    "neither": Otter(0.0, False),
+}
+"""The vehicle without what may make the difference to the plane."""

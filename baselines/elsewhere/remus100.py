@@ -9,8 +9,9 @@ through water, where the source takes the one over ground, and the integration i
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -121,11 +122,16 @@ def pitch_error(s: Motion, a: Actuators) -> Number:
     return s.theta - KP_Z * (s.z + a.z_integral / T_Z)
 
 
+@dataclass(frozen=True)
 class Remus100:
-    """The vehicle as a `worlds.Model`."""
+    """The vehicle as a `worlds.Model`, or one that lacks something of it, to see what that makes."""
 
-    name = "remus100"
-    size = len(Motion._fields) + len(Actuators._fields)
+    propeller_lag: float = PROPELLER_LAG  # [s]
+    side_force: float = 1.0  # share of the rudder's force across the hull that acts
+    crossed: bool = True  # see `six_dof.cross_flow`
+
+    name: ClassVar[str] = "remus100"
+    size: ClassVar[int] = len(Motion._fields) + len(Actuators._fields)
 
     @cached_property
     def rigid(self) -> Array:
@@ -173,7 +179,7 @@ class Remus100:
         Y = -k * RUDDER_LIFT * level_2 * a.rudder
         Z = -k * PLANE_LIFT * upright_2 * a.plane
         X = T + Y * a.rudder + Z * a.plane
-        return X, Y, Z, TORQUE_SHARE * Q, NOSE * Z, -NOSE * Y
+        return X, self.side_force * Y, Z, TORQUE_SHARE * Q, NOSE * Z, -NOSE * Y
 
     def hull(self, s: Motion, d: Deviation, ns: Namespace) -> tuple[Number, ...]:
         """Return drag, lift and restoring forces [N] and moments [N m] of the hull."""
@@ -187,7 +193,7 @@ class Remus100:
         pressure = 0.5 * DENSITY * speed_2 * DRAG_AREA
         drag = pressure * (least + lift * lift / (math.pi * OSWALD * aspect))
         c, n, lift = ns.cos(incidence), ns.sin(incidence), pressure * lift
-        Y, N = cross_flow(s.v, s.r, LENGTH, DIAMETER, DIAMETER, DENSITY)
+        Y, N = cross_flow(s.v, s.r, LENGTH, DIAMETER, DIAMETER, DENSITY, self.crossed)
         roll, pitch = (2 * zeta * math.sqrt(W * M[i]) for zeta, i in ((ZETA_ROLL, 3), (ZETA_PITCH, 4)))
         return (
             d.d_u * (n * lift - c * drag - M[0] / T_SURGE * fading * s.u) - d.X_uu * abs(s.u) * s.u,
@@ -232,7 +238,7 @@ class Remus100:
         load = (outside.X, outside.Y, 0.0, 0.0, 0.0, outside.N)
         parts = zip(self.actuation(s, a, ns), self.hull(s, d, ns), load, self.coriolis(rows[6:12], d, ns), strict=True)
         forces = [acting + hull + other - turned for acting, hull, other, turned in parts]
-        times_s = FIN_LAG, FIN_LAG, PROPELLER_LAG
+        times_s = FIN_LAG, FIN_LAG, self.propeller_lag
         return [
             *place_rates(s, (outside.V_x, outside.V_y), ns),
             *solved(np.linalg.inv(self.masses).tolist(), forces, mass_scale(d, ns)),
@@ -244,3 +250,11 @@ class Remus100:
 
 REMUS100 = Remus100()
 """The vehicle."""
+REMUS100_VARIANTS = {
+    "as published": REMUS100,
+    "a propeller as quick as the fins": Remus100(propeller_lag=FIN_LAG),
+    "no side force of the rudder": Remus100(side_force=0.0),
+    "no yaw drag of a sideslip": Remus100(crossed=False),
+    "none of the three": Remus100(FIN_LAG, 0.0, False),
+}
+"""The vehicle without what may make the difference to the plane."""

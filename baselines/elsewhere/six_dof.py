@@ -139,7 +139,9 @@ def section_drag(beam: float, draft: float) -> float:
     return float(np.interp(half, *known))
 
 
-def cross_flow(v: Number, r: Number, length: float, beam: float, draft: float, density: float) -> tuple[Number, Number]:
+def cross_flow(
+    v: Number, r: Number, length: float, beam: float, draft: float, density: float, crossed: bool = True
+) -> tuple[Number, Number]:
     """Return sway force [N] and yaw moment [N m] of the flow across a hull, by strips; Fossen (2021), section 6.4.
 
     Args:
@@ -149,15 +151,15 @@ def cross_flow(v: Number, r: Number, length: float, beam: float, draft: float, d
         beam: of a section [m].
         draft: of a section [m].
         density: of the water [kg/m^3].
+        crossed: whether a sideslip changes the yaw drag and a turn the sway drag, as they do.
     """
     k = 0.5 * density * draft * section_drag(beam, draft) * length / STRIPS
     Y: Number = 0.0
     N: Number = 0.0
     for i in range(STRIPS + 1):
         x = length * (i / STRIPS - 0.5)
-        speed = v + x * r
-        force = abs(speed) * speed
-        Y, N = Y - k * force, N - k * x * force
+        along, turning = (v + x * r, v + x * r) if crossed else (v, x * r)
+        Y, N = Y - k * abs(along) * along, N - k * x * abs(turning) * turning
     return Y, N
 
 

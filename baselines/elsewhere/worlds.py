@@ -12,8 +12,8 @@ import numpy as np
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.namespaces import Namespace
-from baselines.elsewhere.otter import OTTER
-from baselines.elsewhere.remus100 import REMUS100
+from baselines.elsewhere.otter import OTTER, OTTER_VARIANTS
+from baselines.elsewhere.remus100 import REMUS100, REMUS100_VARIANTS
 from baselines.elsewhere.six_dof import AS_PUBLISHED, Array, Deviation, Outside, Vector
 
 STEP = 0.02  # [s] longest integration step, that of the source
@@ -47,6 +47,8 @@ class Model(Protocol):
 
 MODELS: Mapping[str, Model] = {model.name: model for model in (REMUS100, OTTER)}
 """The vehicles by their names in the fleet."""
+VARIANTS: Mapping[str, Mapping[str, Model]] = {"remus100": REMUS100_VARIANTS, "otter": OTTER_VARIANTS}
+"""What each is without parts of itself, to see what makes a difference; the first is the vehicle."""
 
 
 class World(Protocol):
@@ -88,12 +90,11 @@ RATES_ROWS = {
 
 
 @cache
-def rates_kernel(name: str) -> Kernel:
+def rates_kernel(model: Model) -> Kernel:
     """Return the kernel of a vehicle's rates and of what is seen of it.
 
     Orders to its actuators hold since the rows with which a step `began`.
     """
-    model = MODELS[name]
 
     def equation(began: Any, rows: Any, outside: Any, deviation: Any) -> Mapping[str, Sequence[Any]]:
         acting = Outside(*outside)
@@ -110,21 +111,22 @@ class Own:
     """N vehicles of one of the `MODELS`, whose equations are compiled.
 
     Args:
-        name: of the vehicle.
+        vehicle: its name, or its equations.
         n: N.
 
     Raises:
         ValueError: there is no such vehicle.
     """
 
-    def __init__(self, name: str, n: int) -> None:
-        if name not in MODELS:
-            raise ValueError(f"{name!r} is no vehicle of six degrees of freedom; allowed are {', '.join(MODELS)}")
-        self._model, size = MODELS[name], MODELS[name].size
+    def __init__(self, vehicle: str | Model, n: int) -> None:
+        if isinstance(vehicle, str) and vehicle not in MODELS:
+            raise ValueError(f"{vehicle!r} is no vehicle of six degrees of freedom; allowed are {', '.join(MODELS)}")
+        self._model = MODELS[vehicle] if isinstance(vehicle, str) else vehicle
+        size = self._model.size
         rows = {**RATES_ROWS, "began": size, "rows": size, "rates": size}
         self._arrays = {array: np.zeros((count, n)) for array, count in rows.items()}
         self._arrays["deviation"][:] = np.array(AS_PUBLISHED)[:, None]
-        self._run = rates_kernel(name).bound(**self._arrays)
+        self._run = rates_kernel(self._model).bound(**self._arrays)
 
     @property
     def rows(self) -> Array:

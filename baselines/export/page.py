@@ -25,8 +25,8 @@ python -m baselines.export helm-any --vehicle lauv --format c
 ```
 
 An agent's name or the folder of a trained one is taken. Experts without memory are printed, which are all that the
-shipped agents have; corrections that fade (`:fade`) are not. With `--vehicle`, a published one's name or a file, what is
-written takes the observations of that vehicle in SI units, and an agent that is told its vehicle has it inside.
+shipped agents have; corrections that fade (`:fade`) are not. With `--vehicle`, a published one's name or a file, what
+is written takes the observations of that vehicle in SI units, and an agent that is told its vehicle has it inside.
 
 ## The header
 

@@ -114,8 +114,8 @@ def section(name: str, record: Mapping[str, Any]) -> str:
     not_there = [row["near"] for row in rows if row["true"] == 0]
     says = (
         f"**{name[0].upper()}{name[1:]}**, {logs} logs, {record['processor_s']:.1f} s of processor time each. "
-        f"Of the numbers that are not 0 in truth, {_share(there, logs)} are inside their interval or within 5 %; of those that are 0, "
-        f"{_share(not_there, logs)}; in {record['whole']} of {logs} logs all of them."
+        f"Of the numbers that are not 0 in truth, {_share(there, logs)} are inside their interval or within 5 %; "
+        f"of those that are 0, {_share(not_there, logs)}; in {record['whole']} of {logs} logs all of them."
     )
     return f"{says}\n\n{table(record)}"
 

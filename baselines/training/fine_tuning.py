@@ -39,7 +39,8 @@ from baselines.training.trainings import SHIPPED, request_of
 PROGRAM = "python -m baselines.training.fine_tuning"
 VEHICLES = ("lauv", "otter", "remus100")
 """Whom it is measured for."""
-TUNED, ALONE = "tuned", "alone"  # the two agents that are trained for a vehicle
+TUNED = "tuned"  # the agent that begins with another one and is trained for a vehicle
+ALONE = "alone"  # the one that begins with nothing
 FILE = "fine-tuning.json"  # of what was measured, in docs/
 BEGIN = "<!-- fine-tuning -->"  # before the table in the page
 END = "<!-- end of fine-tuning -->"  # behind it
@@ -172,10 +173,10 @@ def ratio(policy: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[float, f
 def section(record: Mapping[str, Any]) -> str:
     """Return what the page says about what was measured."""
     return (
-        f"What that is worth for `{record['agent']}`, in the cruise cases of published vehicles, {record['episodes']} fresh "
-        "episodes each; everybody is told the vehicle. The typical error is the geometric mean of the tails, those of lost "
-        "episodes cut at the cap; ratios are over paired episodes, with 95 % intervals over episodes. One training seed.\n\n"
-        f"{table(record)}"
+        f"What that is worth for `{record['agent']}`, in the cruise cases of published vehicles, {record['episodes']} "
+        "fresh episodes each; everybody is told the vehicle. The typical error is the geometric mean of tails, those "
+        "of lost episodes cut at the cap; ratios are over paired episodes, with 95 % intervals over episodes. One "
+        f"training seed.\n\n{table(record)}"
     )
 
 

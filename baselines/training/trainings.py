@@ -103,9 +103,10 @@ BLIND: Mapping[str, Any] = {**HELM, "preview": []}
 ANY_HULL: Mapping[str, Any] = {
     "hull": True,
     "hulls": 0.5,
-    "hull_weight": 0.5,
-    "learning_rate": 0.002,
-    "matrix_learning_rate": 0.013,
+    "n_envs": 192,
+    "learning_rate": 0.0015,
+    "matrix_learning_rate": 0.01,
+    "warm_up": 0.1,
     "validations": 1,
 }
 """Of the agent for every vehicle, which begins as `helm`: it is told the hull, which is drawn for half of the vehicles

@@ -44,6 +44,7 @@ from baselines.training.validation import PRECISION
 
 SHARES = ("final_share", "warm_up", "average", "cruise_share", "hulls")  # settings in [0, 1]
 WEIGHTS = ("cut", "hull_weight", "effort_weight", "rate_weight", "cruise_effort_weight", "cruise_rate_weight")
+"""Settings of 0 or more; those of cruise may be None."""
 LOGS = 200  # how often in a run its progress is logged
 
 
@@ -142,6 +143,8 @@ def check(config: Config) -> Settings:
     """
     settings = from_record(Settings, config.hyperparameters, "hyper-parameters of apg")
     config.lanes(settings.n_envs)
+    if settings.hulls and not settings.hull:
+        raise ValueError("hulls are drawn, so the network must be told them: set hull=true, or hulls=0")
     if settings.hulls and config.expert != NO_EXPERT and not isinstance(config.make_expert(), Backstepping):
         raise ValueError(f"hulls are drawn, so the expert must be a form of {EXPERT} or {NO_EXPERT}: it is told them")
     shortest = min(scenario.steps for scenario, _ in config.scenarios)
