@@ -27,6 +27,7 @@ from baselines.evaluation.results.collection import Results
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import Cell, Recorded, Run, drawn, run_all
 from baselines.evaluation.score import BY_BOUND, cap_of, in_paper_units, relative_error, unit_of
+from baselines.evaluation.study_files import Study
 from baselines.evaluation.suites import rounded
 from baselines.evaluation.suites.builder import SUITES, VEHICLE_EPISODES, _cell
 
@@ -112,6 +113,9 @@ def test_error_over_the_rivals_is_a_geometric_mean_over_cells_without_units():
     assert found.ci95[0] < expected < found.ci95[1]
     other = relative_error([42.0 * rival[0], *rival[1:]], [42.0 * own[0], *own[1:]])
     assert (other.mean, *other.ci95) == pytest.approx((found.mean, *found.ci95))
+    seeds = relative_error(rival, [np.stack((0.9 * tail, 1.1 * tail)) for tail in own])
+    assert seeds.mean == pytest.approx(expected)
+    assert seeds.ci95[0] < found.ci95[0] < found.ci95[1] < seeds.ci95[1]
     twice = relative_error(rival, [2 * tail for tail in rival])  # the same episodes for both: nothing is left to chance
     assert (twice.mean, *twice.ci95) == pytest.approx((2.0, 2.0, 2.0))
 
@@ -167,11 +171,16 @@ def test_the_section_tells_what_the_rows_say(suite):
             Run(policy, cell.scenario, cell.hash, measures(f * base), recorded=when) for policy, f in factors.items()
         ]
     results = Results.of(suite, runs)
-    text = vehicles.section(results)
+    text = vehicles.section(results, {})
     assert text.count("| `ekf` | 0.50 (0.50 ... 0.50) | 0.50 (0.50 ... 0.50) | 0.96 (0.96 ... 0.96) | 0 of 2048") == 1
     assert text.count("| `ekf` |") == 2 * 2 + 8
     assert "Nobody is." in text
     assert "`backstepping` loses 0 of 2304 episodes" in text
+    own = [run for run in runs if run.policy == "ekf" and run.scenario.name.startswith("cruise-")]
+    study = Study.of("", "cruise", "", {vehicles.SUITE: [own, own]}, [[], []])
+    assert "| `any` | 2 | 0.50 (0.50 ... 0.50) | 0.50 (0.50 ... 0.50) | 0 of 4096" in vehicles.section(
+        results, {"any": study}
+    )
     assert vehicles.nearer(results) == []
     first = next(i for i, run in enumerate(runs) if run.policy == "ekf")
     better = runs[first].measures.tail.copy()
@@ -180,7 +189,7 @@ def test_the_section_tells_what_the_rows_say(suite):
     ((name, episode, policy, _),) = vehicles.nearer(Results.of(suite, runs))
     assert (name, episode, policy) == (suite.cells[0].scenario.name, 3, "ekf")
     assert vehicles.figure(results).startswith(b"\x89PNG")
-    assert "Not recorded yet" in vehicles.section(None)
+    assert "Not recorded yet" in vehicles.section(None, {})
 
 
 def test_nobody_is_nearer_than_the_bound_in_what_is_recorded(suite):

@@ -34,12 +34,14 @@ from baselines.evaluation.score import (
     vehicle_of,
     waters_of,
 )
+from baselines.evaluation.study_files import Study
 from baselines.tools.figure_style import panels, styled, to_png
 
-SUITE = "vehicles-v1"
-FIGURE = f"results-{SUITE}.png"
+SUITE = "vehicles-v1"  # what the section is about
+FIGURE = f"results-{SUITE}.png"  # its figure
 CALM = "calm"  # the case without a trouble, whose errors are those of rounding
-LEAST, MOST = 0.1, 10.0  # ends of the colours of ratios
+LEAST = 0.1  # ratio from which on all have the darkest blue
+MOST = 10.0  # ratio from which on all have the darkest red
 
 
 @dataclass(frozen=True)
@@ -93,13 +95,20 @@ def shown(results: Results | None) -> TypeGuard[Results]:
     return results is not None and RIVAL in results.policies
 
 
-def section(results: Results | None) -> str:
-    """Return the section's text for what is recorded of the suite; None: its anchors are not."""
+def section(results: Results | None, studies: Mapping[str, Study]) -> str:
+    """Return the section's text for what is recorded of the suite, and for agents of several seeds that ran in it.
+
+    Args:
+        results: None where the anchors are not recorded.
+        studies: by name.
+    """
     if not shown(results):
         return f"## {SUITE}\n\nNot recorded yet: `python -m baselines.evaluation.suites record {SUITE}`."
     regimes = list(dict.fromkeys(regime_of(cell.scenario.name) or "" for cell in results.suite.cells))
     pairs = {regime: pairs_of(results, regime) for regime in regimes}
-    parts = [_introduction(results), *(_regime(results, regime, own) for regime, own in pairs.items())]
+    parts = [_introduction(results)]
+    for regime, own in pairs.items():
+        parts += [_regime(results, regime, own), *_seeds(regime, own[RIVAL].own, studies)]
     parts += ["### Vehicle by vehicle", TABLES, f"![Errors by vehicle](images/{FIGURE})"]
     parts += [_vehicle(results, vehicle, pairs) for vehicle in vehicles_of(results)]
     return "\n\n".join([*parts, _anchors(results), CAVEATS])
@@ -160,6 +169,29 @@ def _regime(results: Results, regime: str, pairs: Mapping[str, Pair]) -> str:
     left = len({vehicle_of(name) for name in names}), sum(len(pairs[RIVAL].own[name]) for name in names)
     about = f"{left[0]} vehicles, {left[1]} episodes; below, the same ratio case by case."
     return "\n\n".join([f"### {SUITE}, {regime}", about, table(heads, rows), table((regime, *cases), more)])
+
+
+def _seeds(regime: str, rival: Mapping[str, Measures], studies: Mapping[str, Study]) -> list[str]:
+    """Return the table of agents of several training seeds in a regime; [] without any."""
+    rows = []
+    for name, study in studies.items():
+        if (found := study.suites.get(SUITE)) is None or study.regime != regime:
+            continue
+        own = dict(zip(found.cells, found.capped(regime), strict=True))
+        theirs = {cell: capped(rival[cell], waters_of(cell))[: tail.shape[1]] for cell, tail in own.items()}
+        troubled = [cell for cell in own if _case(cell) != CALM]
+        ratios = (relative_error([theirs[c] for c in few], [own[c] for c in few]) for few in (list(own), troubled))
+        lost, total = found.losses(regime), sum(tail.size for tail in found.tails)
+        rows.append([
+            f"`{name}`",
+            str(len(found.tails[0])),
+            *(f"{ratio(error.mean)} ({fixed_ends(error.ci95, 2)})" for error in ratios),
+            lost_text(lost, total),
+        ])  # fmt: skip
+    heads = ("agent", "seeds", f"error / {RIVAL}", f"without {CALM}", "lost")
+    return [f"Agents of several training seeds; intervals are over seeds and episodes.\n\n{table(heads, rows)}"] * any(
+        rows
+    )
 
 
 def _case(scenario: str) -> str:
