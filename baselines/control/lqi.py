@@ -30,7 +30,7 @@ SPEEDS = np.geomspace(0.05, 2.5, 14)  # [m/s] u_R of the grid of gains; beyond i
 TURN_RATES = np.linspace(-0.18, 0.18, 7)  # [rad/s] r_R of the grid of gains
 
 PREFERRED = np.array([float(f"{m}e{e}") for e in range(-4, 10) for m in (1, 1.25, 1.6, 2, 2.5, 3.15, 4, 5, 6.3, 8)])
-"""Limits of actuators [N], [N m] that gains are designed for, the series R10 of ISO 3: fins have another at each step."""
+"""Limits of actuators [N], [N m] that gains are designed for, the series R10 of ISO 3: those of fins never stay."""
 
 _STATES, _FORCES = 8, 2  # how many errors with their integrals there are, and how many forces
 _ERRORS, _INTEGRALS = slice(0, 6), slice(6, 8)

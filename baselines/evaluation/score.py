@@ -165,7 +165,7 @@ def relative_error(rival: Sequence[Array], own: Sequence[Array]) -> Score:
 
     Args:
         rival: tail errors of paired episodes, shape (M,) for each cell, in any unit that a cell has for both.
-        own: the same, or of agents that differ in the training seed alone, shape (S, M); the interval is over these too.
+        own: the same, or of agents that differ in the training seed alone, shape (S, M): the interval is over both.
     """
     seeds = [np.atleast_2d(mine) for mine in own]
     logs, shares = np.zeros(RESAMPLES + 1), seed_shares(len(seeds[0]))

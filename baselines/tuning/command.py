@@ -18,6 +18,7 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
+from auv_gym.fleet import PAPER, Craft, as_craft, list_vehicles
 from baselines import make_policy
 from baselines.gains.loading import gain_file, load_gains
 from baselines.tools.command_line import DONE, UsageError, parse, typed
@@ -35,6 +36,8 @@ class Options:
 
     The search begins at what that file has under "start", or at its gains. With a price the gains go to
     baselines/tuning/priced/NAME-REGIME-PRICE.json, and the search begins at those of the next lower price there.
+    For another vehicle the search begins at the shipped gains, in the vehicle's own units, and they go to
+    runs/tune/NAME-REGIME@VEHICLE.json: make_policy(NAME, vehicle=..., gains=...) takes them.
     Exit status: 0 done, 2 wrong usage.
     """
 
@@ -50,6 +53,8 @@ class Options:
     """What is minimised is the error times the mean squared change of the command to this power; 0: the error alone."""
     resume: bool = False
     """Begin at the gains that the file holds, not where the search that found them began."""
+    vehicle: str = PAPER.name
+    """A vehicle of the fleet, or a .toml file of one."""
     dry: bool = False
     """Print only; leave the file as it is."""
 
@@ -62,13 +67,19 @@ def main(arguments: Sequence[str]) -> int:
     """
     options = parse(Options, arguments, PROGRAM)
     budget = _checked(options)
-    tunable = TUNABLES[options.name]
+    tunable, craft = TUNABLES[options.name], known_craft(options.vehicle)
     start = _start(options, tunable)
-    courses = partial(_course, options.regime, tunable.world)
-    gains = tune(tunable.factory, courses, start, budget, options.price) if options.evaluations else dict(start)
+    courses = partial(_course, options.regime, tunable.world, craft)
+    factory = partial(tunable.factory, vehicle=craft.in_paper_units.vehicle)
+    try:
+        courses(options.episodes, VALIDATION_SEED)
+    except ValueError as error:  # fins that do not steer it so slowly
+        raise UsageError(str(error)) from error
+    gains = tune(factory, courses, start, budget, options.price) if options.evaluations else dict(start)
     record = {
         "policy": options.name,
         "regime": options.regime,
+        **({} if craft == PAPER else {"vehicle": craft.name}),
         "gains": gains,
         "start": dict(start),
         **({"price": options.price} if options.price else {}),
@@ -76,33 +87,52 @@ def main(arguments: Sequence[str]) -> int:
         "evaluations": options.evaluations,
         "episodes": options.episodes,
         "world": tunable.world,
-        "validation": _validated(options.regime, tunable, gains),
+        "validation": _validated(options.regime, tunable, gains, craft),
         "date": datetime.now(timezone.utc).date().isoformat(),
         "versions": {name: importlib.metadata.version(name) for name in ("cma", "gymnasium", "numpy", "scipy")},
     }
     print(json.dumps(record, indent=2))
     if not options.dry:
         file = _file(options)
-        file.parent.mkdir(exist_ok=True)
+        file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
     return DONE
 
 
+def known_craft(vehicle: str) -> Craft:
+    """Return a vehicle with its limits and speeds, by name or file.
+
+    Raises:
+        UsageError: there is none.
+    """
+    try:
+        craft = PAPER if vehicle == PAPER.name else as_craft(vehicle)
+    except (OSError, ValueError) as error:
+        raise UsageError(str(error)) from error
+    if craft is None:
+        raise UsageError(f"unknown vehicle {vehicle!r}; allowed are {', '.join(list_vehicles())}, or a .toml file")
+    return craft
+
+
 def _file(options: Options) -> Path:
     """Return where the gains go."""
+    if options.vehicle != PAPER.name:
+        return Path("runs/tune") / f"{options.name}-{options.regime}@{Path(options.vehicle).stem}.json"
     if options.price:
         return priced_file(options.name, options.regime, options.price)
     return gain_file(options.name, options.regime)
 
 
-def _course(regime: str, world: str, episodes: int, seed: int) -> Course:
-    return course(regime, episodes, seed, world)
+def _course(regime: str, world: str, craft: Craft, episodes: int, seed: int) -> Course:
+    return course(regime, episodes, seed, world, craft)
 
 
-def _validated(regime: str, tunable: Tunable, gains: GainSet) -> dict[str, Any]:
+def _validated(regime: str, tunable: Tunable, gains: GainSet, craft: Craft) -> dict[str, Any]:
     """Return what gains do on the validation episodes, beside the expert."""
-    episodes = Course(regime, VALIDATION_EPISODES, VALIDATION_SEED, tunable.world)
-    result, expert = (episodes.run(policy) for policy in (tunable.factory(dict(gains)), make_policy("backstepping")))
+    episodes = Course(regime, VALIDATION_EPISODES, VALIDATION_SEED, tunable.world, craft)
+    own = craft.in_paper_units.vehicle
+    policies = tunable.factory(dict(gains), vehicle=own), make_policy("backstepping", vehicle=own)
+    result, expert = (episodes.run(policy) for policy in policies)
     return {"episodes": VALIDATION_EPISODES, "seed": VALIDATION_SEED, **compared(result, expert)}
 
 
@@ -117,6 +147,8 @@ def _checked(options: Options) -> Budget:
         raise UsageError(f"--evaluations is {options.evaluations}; it must be at least 0")
     if not 0 <= options.price <= 1:
         raise UsageError(f"--price is {options.price}; it must be in [0, 1]")
+    if options.vehicle != PAPER.name and (options.price or options.resume):
+        raise UsageError("--vehicle goes without --price and --resume: a search for a vehicle begins at shipped gains")
     budget = Budget(options.evaluations, options.episodes)
     if budget.last_seed > VALIDATION_SEED:
         raise UsageError(
@@ -128,7 +160,7 @@ def _checked(options: Options) -> Budget:
 
 def _start(options: Options, tunable: Tunable) -> GainSet:
     """Return the gains that a search begins at."""
-    part, price = "gains" if options.resume else "start", options.price
+    part, price = "gains" if options.resume or options.vehicle != PAPER.name else "start", options.price
     try:
         if price and not options.resume:
             start = priced_gains(options.name, options.regime, before(options.name, options.regime, price))

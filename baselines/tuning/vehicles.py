@@ -19,7 +19,7 @@ import numpy as np
 from scipy import stats
 from tyro.conf import Positional, UseAppendAction, arg
 
-from auv_gym.fleet import PAPER, Craft, as_craft, fleet, list_vehicles
+from auv_gym.fleet import PAPER, Craft, fleet
 from auv_gym.installation import checkout
 from auv_gym.policy import Policy
 from auv_gym.presets import PRESETS
@@ -34,6 +34,7 @@ from baselines.evaluation.score import LARGEST_TAIL, cut, is_lost
 from baselines.gains.loading import load_gains
 from baselines.tools.command_line import DONE, UsageError, parse, run
 from baselines.tools.files import json_text, read_json, write_atomically
+from baselines.tuning.command import known_craft
 from baselines.tuning.objective import Course
 from baselines.tuning.search import VALIDATION_SEED, Budget, tune
 from baselines.tuning.tunables import TUNABLES
@@ -73,21 +74,6 @@ class Options:
     """File for what is found."""
 
 
-def known_craft(vehicle: str) -> Craft:
-    """Return a vehicle with its limits and speeds, by name or file.
-
-    Raises:
-        UsageError: there is none.
-    """
-    try:
-        craft = PAPER if vehicle == "paper" else as_craft(vehicle)
-    except (OSError, ValueError) as error:
-        raise UsageError(str(error)) from error
-    if craft is None:
-        raise UsageError(f"unknown vehicle {vehicle!r}; allowed are {', '.join(list_vehicles())}, or a .toml file")
-    return craft
-
-
 def scaling(craft: Craft, names: Sequence[str], episodes: int) -> dict[str, Any]:
     """Return what each policy does in the storm, told the vehicle alone (before) and made for it (after)."""
     scenario = PRESETS[SCENARIO].changed(None if craft == PAPER else craft)
@@ -114,7 +100,7 @@ def searched(craft: Craft, name: str, options: Options) -> dict[str, Any]:
     def courses(episodes: int, seed: int) -> Course:
         return Course(REGIME, episodes, seed, tunable.world, own)
 
-    gains = tune(factory, courses, start, budget)
+    gains = tune(factory, courses, start, budget) if options.evaluations else dict(start)
     fresh = courses(options.fresh, VALIDATION_SEED)
     (mine, lost, _), (theirs, lost_there, _) = (fresh.tails(factory(dict(g))) for g in (start, gains))
     return {

@@ -109,7 +109,7 @@ def section(results: Results | None, studies: Mapping[str, Study]) -> str:
     parts = [_introduction(results)]
     for regime, own in pairs.items():
         parts += [_regime(results, regime, own), *_seeds(regime, own[RIVAL].own, studies)]
-    parts += ["### Vehicle by vehicle", TABLES, f"![Errors by vehicle](images/{FIGURE})"]
+    parts += [TABLES, f"![Errors by vehicle](images/{FIGURE})"]
     parts += [_vehicle(results, vehicle, pairs) for vehicle in vehicles_of(results)]
     return "\n\n".join([*parts, _anchors(results), CAVEATS])
 
@@ -138,7 +138,9 @@ def _introduction(results: Results) -> str:
     )
 
 
-INTRODUCTION = f"""*error / {RIVAL}*: in each cell, that is a case with one vehicle, the mean tail error over that of
+INTRODUCTION = f"""### What is compared
+
+*error / {RIVAL}*: in each cell, that is a case with one vehicle, the mean tail error over that of
 `{RIVAL}`, which is told each vehicle too, in the same episodes, none counted above the cap; of these ratios the
 geometric mean over cells. It has no unit, and a ship counts no more than a torpedo. In brackets a 95 % interval, by
 bootstrap over the episodes of each cell, the same for both. *without {CALM}* leaves out the cells in which nothing is
@@ -189,9 +191,8 @@ def _seeds(regime: str, rival: Mapping[str, Measures], studies: Mapping[str, Stu
             lost_text(lost, total),
         ])  # fmt: skip
     heads = ("agent", "seeds", f"error / {RIVAL}", f"without {CALM}", "lost")
-    return [f"Agents of several training seeds; intervals are over seeds and episodes.\n\n{table(heads, rows)}"] * any(
-        rows
-    )
+    text = "Agents of several training seeds; intervals are over seeds and episodes."
+    return [text, table(heads, rows)] if rows else []
 
 
 def _case(scenario: str) -> str:
@@ -212,7 +213,9 @@ def _score(results: Results, policy: str, names: Sequence[str]) -> Score:
     return score(*zip(*cut, strict=True))
 
 
-TABLES = f"""The same for each vehicle alone, over its cases: error over that of `{RIVAL}`, the capped score between
+TABLES = f"""### Vehicle by vehicle
+
+The same for each vehicle alone, over its cases: error over that of `{RIVAL}`, the capped score between
 that vehicle's own anchors, lost episodes, effort and rate over those of `{RIVAL}`. In the figure blue is nearer."""
 
 
@@ -273,7 +276,9 @@ def _anchors(results: Results) -> str:
     )
 
 
-CAVEATS = """What this does not show: the vehicles are as their sources say, in the plane, with sea and sensors scaled
+CAVEATS = """### What the vehicles do not show
+
+The vehicles are as their sources say, in the plane, with sea and sensors scaled
 to their length and speed rather than measured on them; limits and speeds of some are ours ([Vehicles](vehicles.md)).
 Eight vehicles are no sample of all there are."""
 

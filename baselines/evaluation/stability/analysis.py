@@ -16,6 +16,7 @@ from auv_gym.vehicle import Vehicle
 from baselines.control.backstepping import Backstepping, Gains, backstepping_errors, tracking_forces
 from baselines.control.linearisation import FINE_STEP, Feedback, Linearisation, linearise
 from baselines.policy import Array
+from baselines.similar import SimilarLaw
 
 Law = Callable[[Sequence[Number], Vehicle, Gains, Namespace], Force]
 """F_u [N], F_r [N m] of the terms of an observation, as `backstepping.tracking_forces`."""
@@ -43,7 +44,7 @@ def feedback_of(policy: Policy, dt: float) -> tuple[Feedback, float]:
         policy: the policy; the forces raise ValueError where it has a memory.
         dt: control period that it is told [s].
     """
-    if isinstance(policy, Backstepping):  # in double precision
+    if isinstance(policy, (Backstepping, SimilarLaw)):  # in double precision
         return lambda o: policy.forces(o, ARRAYS), FINE_STEP
 
     def feedback(o: Sequence[Array]) -> Force:
