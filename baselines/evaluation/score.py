@@ -164,13 +164,14 @@ def relative_error(rival: Sequence[Array], own: Sequence[Array]) -> Score:
     is that of a bootstrap over episodes within each cell, the same ones for both.
 
     Args:
-        rival: tail errors of paired episodes, an array for each cell, in any unit that a cell has for both.
-        own: the same.
+        rival: tail errors of paired episodes, shape (M,) for each cell, in any unit that a cell has for both.
+        own: the same, or of agents that differ in the training seed alone, shape (S, M): the interval is over both.
     """
-    logs = np.zeros(RESAMPLES + 1)
+    seeds = [np.atleast_2d(mine) for mine in own]
+    logs, shares = np.zeros(RESAMPLES + 1), seed_shares(len(seeds[0]))
     with np.errstate(divide="ignore"):
-        for weights, theirs, mine in zip(resamplings(tuple(map(len, rival))), rival, own, strict=True):
-            logs += np.log(weights @ mine) - np.log(weights @ theirs)
+        for weights, theirs, mine in zip(resamplings(tuple(map(len, rival))), rival, seeds, strict=True):
+            logs += np.log(((weights @ mine.T) * shares).sum(axis=1)) - np.log(weights @ theirs)
     values = np.exp(logs / len(rival))
     low, high = np.quantile(values[1:], (0.025, 0.975)).tolist()
     return Score(float(values[0]), (low, high))

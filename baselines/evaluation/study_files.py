@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from baselines.evaluation import suites
 from baselines.evaluation.metrics import Array, Measures
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import LARGEST_TAIL, cut, is_lost
+from baselines.evaluation.score import LARGEST_TAIL, cut, in_paper_units, is_lost
 from baselines.evaluation.store import Stored, reading, write
 from baselines.tools.files import versions
 
@@ -29,7 +29,7 @@ class InSuite:
 
     hash: str  # of the suite
     cells: tuple[str, ...]  # names of their scenarios
-    tails: tuple[Array, ...]  # [m] tail RMSE, shape (S, M) for each cell
+    tails: tuple[Array, ...]  # tail RMSE [m of the paper's vehicle], shape (S, M) for each cell
     lost: tuple[NDArray[np.bool_], ...]  # ended beyond the lost distance, shape (S, M) for each cell
     effort: Array  # mean over all episodes, shape (S,); see `metrics`
     smoothness: Array  # mean over all episodes, shape (S,); see `metrics`
@@ -44,7 +44,7 @@ class InSuite:
         """
         if failed := [run for own in runs for run in own if run.measures is None]:
             raise ValueError(f"{failed[0].policy} failed in {failed[0].scenario.name}: {failed[0].error}")
-        measures = [[run.measures for run in own if run.measures is not None] for own in runs]
+        measures = [[in_paper_units(r.measures, r.scenario) for r in own if r.measures is not None] for own in runs]
         whole = [Measures.joined(own) for own in measures]
         by_cell = list(zip(*measures, strict=True))
         return cls(

@@ -77,7 +77,7 @@ class Problem:
         weight[steps // TAIL :] = 1.0 / (steps - steps // TAIL)
         unit = Units.of(scenario.vehicle).length
         return cls(
-            p.parts._replace(filtered=False, outages=False, delayed=False, weak=False, reckoned=False),
+            p.parts._replace(filtered=False, outages=False, delayed=False, weak=False, reckoned=False, span=1),
             np.concatenate((np.array(begun).T, np.zeros((2, n)))),
             np.ascontiguousarray(samples[1:]),
             rows,

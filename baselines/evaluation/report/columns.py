@@ -16,7 +16,7 @@ from baselines.evaluation.score import BOUND, LARGEST_TAIL, ORACLE, RIVAL, fixed
 
 NONE = "-"
 """Shown where there is no value."""
-_CAPS = " or ".join(f"{cap:g} m ({regime})" for regime, cap in LARGEST_TAIL.items())
+_CAPS = " or ".join(f"{cap:g} m ({regime})" for regime, cap in LARGEST_TAIL.items()) + ", of the paper's vehicle"
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,8 @@ COLUMNS = (
     Column("rmse_m", "", "root mean square of the distance to the reference [m], mean over episodes",
            lambda _, s: s.rmse_m),
     Column("tail_rmse_m.mean", "tail [m]",
-           "the same after the first third of an episode; one that was lost keeps the error at which it ended",
+           "the same after the first third of an episode; one that was lost keeps the error at which it ended; of "
+           "several vehicles together in metres of the paper's",
            lambda _, s: s.tail_rmse_m.mean, digits(3), 9),
     Column("tail_rmse_m.ci95", "95 % of tail", "95 % interval of that mean, by bootstrap over episodes",
            lambda _, s: list(s.tail_rmse_m.ci95), ends, 6),

@@ -111,7 +111,7 @@ def _write(found: Sequence[Results], missing: Sequence[str], out: Path) -> None:
 
 def sections(found: Sequence[Results], studies: Mapping[str, Study]) -> str:
     """Return the sections of the page behind the suites: other vehicles, how robust leads are, fronts, agents."""
-    parts, kept = [vehicles.section(collected(vehicles.SUITE)[0])], front_files.load_all()
+    parts, kept = [vehicles.section(collected(vehicles.SUITE)[0], studies)], front_files.load_all()
     for results in filter(_has_fronts, found):
         parts += [robust.section(results, studies), fronts.section(kept, results, studies)]
     return "\n\n".join(filter(None, [*parts, section(studies, found)]))

@@ -34,12 +34,14 @@ from baselines.evaluation.score import (
     vehicle_of,
     waters_of,
 )
+from baselines.evaluation.study_files import Study
 from baselines.tools.figure_style import panels, styled, to_png
 
-SUITE = "vehicles-v1"
-FIGURE = f"results-{SUITE}.png"
+SUITE = "vehicles-v1"  # what the section is about
+FIGURE = f"results-{SUITE}.png"  # its figure
 CALM = "calm"  # the case without a trouble, whose errors are those of rounding
-LEAST, MOST = 0.1, 10.0  # ends of the colours of ratios
+LEAST = 0.1  # ratio from which on all have the darkest blue
+MOST = 10.0  # ratio from which on all have the darkest red
 
 
 @dataclass(frozen=True)
@@ -93,14 +95,21 @@ def shown(results: Results | None) -> TypeGuard[Results]:
     return results is not None and RIVAL in results.policies
 
 
-def section(results: Results | None) -> str:
-    """Return the section's text for what is recorded of the suite; None: its anchors are not."""
+def section(results: Results | None, studies: Mapping[str, Study]) -> str:
+    """Return the section's text for what is recorded of the suite, and for agents of several seeds that ran in it.
+
+    Args:
+        results: None where the anchors are not recorded.
+        studies: by name.
+    """
     if not shown(results):
         return f"## {SUITE}\n\nNot recorded yet: `python -m baselines.evaluation.suites record {SUITE}`."
     regimes = list(dict.fromkeys(regime_of(cell.scenario.name) or "" for cell in results.suite.cells))
     pairs = {regime: pairs_of(results, regime) for regime in regimes}
-    parts = [_introduction(results), *(_regime(results, regime, own) for regime, own in pairs.items())]
-    parts += ["### Vehicle by vehicle", TABLES, f"![Errors by vehicle](images/{FIGURE})"]
+    parts = [_introduction(results)]
+    for regime, own in pairs.items():
+        parts += [_regime(results, regime, own), *_seeds(regime, own[RIVAL].own, studies)]
+    parts += [TABLES, f"![Errors by vehicle](images/{FIGURE})"]
     parts += [_vehicle(results, vehicle, pairs) for vehicle in vehicles_of(results)]
     return "\n\n".join([*parts, _anchors(results), CAVEATS])
 
@@ -129,7 +138,9 @@ def _introduction(results: Results) -> str:
     )
 
 
-INTRODUCTION = f"""*error / {RIVAL}*: in each cell, that is a case with one vehicle, the mean tail error over that of
+INTRODUCTION = f"""### What is compared
+
+*error / {RIVAL}*: in each cell, that is a case with one vehicle, the mean tail error over that of
 `{RIVAL}`, which is told each vehicle too, in the same episodes, none counted above the cap; of these ratios the
 geometric mean over cells. It has no unit, and a ship counts no more than a torpedo. In brackets a 95 % interval, by
 bootstrap over the episodes of each cell, the same for both. *without {CALM}* leaves out the cells in which nothing is
@@ -162,6 +173,28 @@ def _regime(results: Results, regime: str, pairs: Mapping[str, Pair]) -> str:
     return "\n\n".join([f"### {SUITE}, {regime}", about, table(heads, rows), table((regime, *cases), more)])
 
 
+def _seeds(regime: str, rival: Mapping[str, Measures], studies: Mapping[str, Study]) -> list[str]:
+    """Return the table of agents of several training seeds in a regime; [] without any."""
+    rows = []
+    for name, study in studies.items():
+        if (found := study.suites.get(SUITE)) is None or study.regime != regime:
+            continue
+        own = dict(zip(found.cells, found.capped(regime), strict=True))
+        theirs = {cell: capped(rival[cell], waters_of(cell))[: tail.shape[1]] for cell, tail in own.items()}
+        troubled = [cell for cell in own if _case(cell) != CALM]
+        ratios = (relative_error([theirs[c] for c in few], [own[c] for c in few]) for few in (list(own), troubled))
+        lost, total = found.losses(regime), sum(tail.size for tail in found.tails)
+        rows.append([
+            f"`{name}`",
+            str(len(found.tails[0])),
+            *(f"{ratio(error.mean)} ({fixed_ends(error.ci95, 2)})" for error in ratios),
+            lost_text(lost, total),
+        ])  # fmt: skip
+    heads = ("agent", "seeds", f"error / {RIVAL}", f"without {CALM}", "lost")
+    text = "Agents of several training seeds; intervals are over seeds and episodes."
+    return [text, table(heads, rows)] if rows else []
+
+
 def _case(scenario: str) -> str:
     """Return the case of a scenario REGIME-CASE@VEHICLE."""
     return scenario.partition("@")[0].partition("-")[2]
@@ -180,7 +213,9 @@ def _score(results: Results, policy: str, names: Sequence[str]) -> Score:
     return score(*zip(*cut, strict=True))
 
 
-TABLES = f"""The same for each vehicle alone, over its cases: error over that of `{RIVAL}`, the capped score between
+TABLES = f"""### Vehicle by vehicle
+
+The same for each vehicle alone, over its cases: error over that of `{RIVAL}`, the capped score between
 that vehicle's own anchors, lost episodes, effort and rate over those of `{RIVAL}`. In the figure blue is nearer."""
 
 
@@ -241,7 +276,9 @@ def _anchors(results: Results) -> str:
     )
 
 
-CAVEATS = """What this does not show: the vehicles are as their sources say, in the plane, with sea and sensors scaled
+CAVEATS = """### What the vehicles do not show
+
+The vehicles are as their sources say, in the plane, with sea and sensors scaled
 to their length and speed rather than measured on them; limits and speeds of some are ours ([Vehicles](vehicles.md)).
 Eight vehicles are no sample of all there are."""
 

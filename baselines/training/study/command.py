@@ -34,6 +34,9 @@ from baselines.training.trainings import EXACT, PPO_AUTHORITY, SHIPPED, SPINS, r
 PROGRAM = "python -m baselines.training.study"
 
 
+OF_THE_PAPER = tuple(name for name in SUITES if name != "vehicles-v1")  # suites of the vehicle that agents know
+
+
 @dataclass(frozen=True)
 class Variant:
     """Agents that differ in the seed alone."""
@@ -41,7 +44,7 @@ class Variant:
     about: str  # one line for the results page
     regime: str  # in which they are run
     training: TrainOptions  # the number of seeds included
-    suites: tuple[str, ...] = SUITES
+    suites: tuple[str, ...] = OF_THE_PAPER
     runs: str = ""  # folder of the runs, where it is not that of the variant's name
 
 

@@ -1,0 +1,199 @@
+"""The suite of other vehicles: whole and reproducible; scores without units; the bound on each; the section."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from test_units import twin
+
+from auv_gym import PRESETS
+from auv_gym.fleet import craft, fleet
+from auv_gym.presets import CASES, as_scenario
+from auv_gym.units import Units
+from auv_gym.vehicle import PAPER_VEHICLE
+from baselines import make_policy
+from baselines.control.clairvoyant.policy import arriving, oracle_actions
+from baselines.control.clairvoyant.problem import Problem
+from baselines.control.clairvoyant.receding import WINDOWS, foreseeing
+from baselines.control.clairvoyant.solver import TOLERANCE, refined, solved
+from baselines.evaluation import recorded, suites
+from baselines.evaluation.metrics import Measures
+from baselines.evaluation.options import Options
+from baselines.evaluation.report.numbers import compare, pool
+from baselines.evaluation.request import Request
+from baselines.evaluation.results import vehicles
+from baselines.evaluation.results.collection import Results
+from baselines.evaluation.rollout import rollout
+from baselines.evaluation.runner import Cell, Recorded, Run, drawn, run_all
+from baselines.evaluation.score import BY_BOUND, cap_of, in_paper_units, relative_error, unit_of
+from baselines.evaluation.study_files import Study
+from baselines.evaluation.suites import rounded
+from baselines.evaluation.suites.builder import SUITES, VEHICLE_EPISODES, _cell
+
+OTHER = Units(length=16.0, time=4.0, mass=4096.0)  # of a copy of the paper's vehicle
+
+
+@pytest.fixture(scope="module")
+def suite():
+    return suites.load(vehicles.SUITE)
+
+
+def test_eight_vehicles_in_every_case_none_of_them_the_papers(suite):
+    assert suite.hash == "2ff4fad7702219e1db0c7f2e92eacec286f3a866d933ec8900b564a5f1a2a8b2"
+    assert suite.anchors == BY_BOUND
+    slow = [name for name in fleet() if not craft(name).actuators.fin]
+    names = [f"{r}-{c}@{v}" for r, own in (("cruise", fleet()), ("slow", slow)) for v in own for c in CASES]
+    assert [cell.scenario.name for cell in suite.cells] == names
+    known = {cell.scenario.vehicle for cell in suite.cells}
+    assert len(known) == 8
+    assert PAPER_VEHICLE not in known
+    for cell in suite.cells:
+        assert len(cell.episodes) == VEHICLE_EPISODES[cell.scenario.name.split("-")[0]]
+        assert cell.scenario == as_scenario(cell.scenario.name)
+    assert sum(len(cell.episodes) for cell in suite.cells) == 2304
+
+
+@pytest.mark.parametrize("index", [15, 39, 95])
+def test_its_episodes_come_from_its_seed(suite, index):
+    seed, recipes = SUITES[vehicles.SUITE]
+    recipe = replace(recipes()[index], episodes=4)
+    assert rounded(_cell(recipe, seed, index)).episodes == suite.cells[index].episodes[:4]
+    suites.check_cell(Cell(recipe.scenario, suite.cells[index].episodes[:4]), suite.digests[index][:4])
+
+
+def measures(tail, lost=()):
+    tail = np.array(tail, dtype=np.float64)
+    ones, gone = np.ones(len(tail)), np.isin(np.arange(len(tail)), lost)
+    return Measures(tail.copy(), tail, ones, ones, ones, ones, ones, ones, gone)
+
+
+def runs_of(scenario, by_policy):
+    return [Run(policy, scenario, "", measures(tail)) for policy, tail in by_policy.items()]
+
+
+PAPER_CELL = PRESETS["cruise-storm"]
+FAR_CELL = replace(PAPER_CELL.changed(twin(OTHER)), name="cruise-storm@twin")
+TAILS = {"backstepping": [1.0, 5.0, 0.5], "nmpc": [0.3, 0.1, 0.2], "ekf": [0.4, 0.3, 0.1], "clairvoyant": [0.0] * 3}
+
+
+def test_a_similar_vehicle_scores_the_same():
+    """With errors as many times as large as the vehicle is: score, capped score and what is lost."""
+    assert (unit_of(PAPER_CELL), unit_of(FAR_CELL)) == (1.0, pytest.approx(16.0))
+    assert cap_of(FAR_CELL) == pytest.approx(16 * cap_of(PAPER_CELL))
+    far = {policy: [16 * x for x in tail] for policy, tail in TAILS.items()}
+    for mine, its in zip(compare(runs_of(PAPER_CELL, TAILS)), compare(runs_of(FAR_CELL, far)), strict=True):
+        for what in ("score", "capped"):
+            assert getattr(its.entry, what).mean == pytest.approx(getattr(mine.entry, what).mean)
+        assert its.entry.lost == mine.entry.lost
+        assert its.entry.summary.tail_rmse_m.mean == pytest.approx(16 * mine.entry.summary.tail_rmse_m.mean)  # metres
+
+
+def test_a_ship_does_not_dominate_what_is_pooled():
+    far = {policy: [16 * x for x in tail] for policy, tail in TAILS.items()}
+    entries = pool([*runs_of(PAPER_CELL, TAILS), *runs_of(FAR_CELL, far)])
+    found = {(e.place, e.policy): e for e in entries}
+    assert {place for place, _ in found} == {"cruise", "cruise@paper", "cruise@twin"}
+    alone = {e.policy: e for e in pool(runs_of(PAPER_CELL, TAILS))}
+    for policy, tail in TAILS.items():
+        both = found["cruise", policy]
+        assert both.capped.mean == pytest.approx(alone[policy].capped.mean)
+        assert both.error_ratio == pytest.approx(alone[policy].error_ratio)
+        assert both.lost == 2 * alone[policy].lost
+        assert both.summary.tail_rmse_m.mean == pytest.approx(np.mean(tail))  # metres of the paper's vehicle
+        assert found["cruise@twin", policy].summary.tail_rmse_m.mean == pytest.approx(16 * np.mean(tail))
+
+
+def test_error_over_the_rivals_is_a_geometric_mean_over_cells_without_units():
+    rng = np.random.default_rng(1)
+    rival, own = ([rng.uniform(0.5, 1.5, n) for n in (40, 40, 30)] for _ in range(2))
+    expected = np.prod([a.mean() / b.mean() for a, b in zip(own, rival, strict=True)]) ** (1 / 3)
+    found = relative_error(rival, own)
+    assert found.mean == pytest.approx(expected)
+    assert found.ci95[0] < expected < found.ci95[1]
+    other = relative_error([42.0 * rival[0], *rival[1:]], [42.0 * own[0], *own[1:]])
+    assert (other.mean, *other.ci95) == pytest.approx((found.mean, *found.ci95))
+    seeds = relative_error(rival, [np.stack((0.9 * tail, 1.1 * tail)) for tail in own])
+    assert seeds.mean == pytest.approx(expected)
+    assert seeds.ci95[0] < found.ci95[0] < found.ci95[1] < seeds.ci95[1]
+    twice = relative_error(rival, [2 * tail for tail in rival])  # the same episodes for both: nothing is left to chance
+    assert (twice.mean, *twice.ci95) == pytest.approx((2.0, 2.0, 2.0))
+
+
+def test_the_bound_of_a_similar_vehicle_is_the_similar_one():
+    tails = [
+        rollout(make_policy("clairvoyant"), s, drawn(s, 3, 100).episodes).measures.tail for s in (PAPER_CELL, FAR_CELL)
+    ]
+    np.testing.assert_allclose(tails[1] / 16, tails[0], atol=2 * TOLERANCE)
+
+
+def test_where_limits_bind_foresight_leads_farther_than_the_oracle():
+    """A torpedo with lift and small fins in a storm: steps from the commands of the oracle end in a poor optimum."""
+    scenario = as_scenario("cruise-storm@eca-a9")
+    episodes = drawn(scenario, 5, 5).episodes[4:]
+    problem = Problem.of(scenario, episodes)
+    guess = arriving(oracle_actions(scenario, episodes), problem.delay)
+    alone = refined(problem, problem.standing(guess))
+    both = solved(problem, guess, [partial(foreseeing, WINDOWS[0])])
+    assert both.tail[0] < 0.5 * alone.tail[0]
+    run = rollout(make_policy("backstepping", scenario.vehicle), scenario, episodes)
+    assert both.tail[0] < in_paper_units(run.measures, scenario).tail[0]
+
+
+def test_a_factory_is_told_each_vehicle(suite, tmp_path):
+    """A user's own, which asks for the vehicle, in a suite of several."""
+    told = tmp_path / "told.txt"
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from baselines import make_policy as known\n\n\ndef make(vehicle):\n"
+        f"    with open({str(told)!r}, 'a') as f:\n        print(vehicle.m11, file=f)\n"
+        "    return known('los-pid', vehicle)\n"
+    )
+    name = f"{file}:make"
+    request = Request.of(Options(policy=(name,), suite=vehicles.SUITE, episodes=1, out=tmp_path))
+    assert (name, "slow-storm@supply") in [(policy, cell.scenario.name) for policy, cell in request.pairs]
+    told.unlink()  # it was made once, to see whether it can be
+    wanted = [cell for cell in suite.cells if cell.scenario.name in ("cruise-calm@otter", "cruise-calm@lauv")]
+    cells = [Cell(replace(cell.scenario, steps=30), cell.episodes[:2]) for cell in wanted]
+    mine, known = run_all((name,), cells), run_all(("los-pid",), cells)
+    assert [float(line) for line in told.read_text().split()] == [cell.scenario.vehicle.m11 for cell in cells]
+    for a, b in zip(mine, known, strict=True):
+        np.testing.assert_array_equal(a.measures.tail, b.measures.tail)
+
+
+def test_the_section_tells_what_the_rows_say(suite):
+    """Of rows made up: half the rival's errors on every vehicle, and then once less than the bound's."""
+    rng, runs, when = np.random.default_rng(0), [], Recorded("2026-01-01", {"auv_gym": "0"})
+    for cell in suite.cells:
+        base = rng.uniform(0.01, 0.02, len(cell.episodes)) * unit_of(cell.scenario)
+        factors = {"backstepping": 9.0, "nmpc": 1.0, "ekf": 0.5, "clairvoyant": 0.1}
+        runs += [
+            Run(policy, cell.scenario, cell.hash, measures(f * base), recorded=when) for policy, f in factors.items()
+        ]
+    results = Results.of(suite, runs)
+    text = vehicles.section(results, {})
+    assert text.count("| `ekf` | 0.50 (0.50 ... 0.50) | 0.50 (0.50 ... 0.50) | 0.96 (0.96 ... 0.96) | 0 of 2048") == 1
+    assert text.count("| `ekf` |") == 2 * 2 + 8
+    assert "Nobody is." in text
+    assert "`backstepping` loses 0 of 2304 episodes" in text
+    own = [run for run in runs if run.policy == "ekf" and run.scenario.name.startswith("cruise-")]
+    study = Study.of("", "cruise", "", {vehicles.SUITE: [own, own]}, [[], []])
+    assert "| `any` | 2 | 0.50 (0.50 ... 0.50) | 0.50 (0.50 ... 0.50) | 0 of 4096" in vehicles.section(
+        results, {"any": study}
+    )
+    assert vehicles.nearer(results) == []
+    first = next(i for i, run in enumerate(runs) if run.policy == "ekf")
+    better = runs[first].measures.tail.copy()
+    better[3] = 1e-5 * unit_of(runs[first].scenario)
+    runs[first] = replace(runs[first], measures=measures(better))
+    ((name, episode, policy, _),) = vehicles.nearer(Results.of(suite, runs))
+    assert (name, episode, policy) == (suite.cells[0].scenario.name, 3, "ekf")
+    assert vehicles.figure(results).startswith(b"\x89PNG")
+    assert "Not recorded yet" in vehicles.section(None, {})
+
+
+def test_nobody_is_nearer_than_the_bound_in_what_is_recorded(suite):
+    found = recorded.load(suite)
+    assert found.refused == {}
+    if {"backstepping", "clairvoyant"} <= {run.policy for run in found.runs}:
+        assert vehicles.nearer(Results.of(suite, found.runs)) == []
