@@ -58,6 +58,7 @@ ELSEWHERE = {
     r"auv-gym train .*": "test_training.py::test_documented_commands_run",
     r"auv-gym knows .*": "test_knows.py::test_command_in_a_quick_form",
     r"auv-gym suites check .*": "test_suites.py::test_episodes_generate_what_they_did",
+    r"auv-gym elsewhere .*": "test_elsewhere.py::test_the_command_compares_and_keeps",
     r"auv-gym bench .*": "`make bench`, below",
     r"python -m venv .*": "the environment that runs the tests",
     r"pip install .*": "`make`'s stamps, and the extras exist, below",

@@ -371,8 +371,24 @@ def test_a_mistake_is_one_line(arguments, says, capsys):
     assert err.count("\n") == 1
 
 
-def test_the_page_shows_what_was_measured():
-    kept = json.loads((ROOT / "docs" / "elsewhere.json").read_text(encoding="utf-8"))
+@pytest.fixture
+def kept():
+    return json.loads((ROOT / "docs" / "elsewhere.json").read_text(encoding="utf-8"))
+
+
+def test_what_the_page_says_in_words_holds(kept):
+    remus, boat = kept["remus100"], kept["otter"]
+    for turn in remus["trials"]["turns"]:
+        assert 1.6 < turn["space"] / turn["plane"] < 2.2
+    for policy in remus["causes"]["policies"]:
+        assert remus["causes"]["growth"]["as published"][policy] > 1.3
+        assert 0.9 < remus["causes"]["growth"]["none of the three"][policy] < 1.1
+        assert 0.9 < boat["causes"]["growth"]["no push of the payload"][policy] < 1.1
+    pitch = otter.OTTER.placed(np.zeros((6, 1)))[4, 0]
+    assert math.degrees(pitch) == pytest.approx(-1.5, abs=0.05)
+
+
+def test_the_page_shows_what_was_measured(kept):
     shown = "\n\n".join(page.section(name, record) for name, record in kept.items())
     file = ROOT / "docs" / "elsewhere.md"
     text = file.read_text(encoding="utf-8")

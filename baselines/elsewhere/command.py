@@ -101,7 +101,7 @@ def main(arguments: Sequence[str]) -> int:
     (options.out / "images").mkdir(parents=True, exist_ok=True)
     write_atomically(options.out / FILE, json_text(record))
     policy = PICTURED[0] if PICTURED[0] in options.policy else options.policy[0]
-    drawn = [Task(policy, vehicle, PICTURED[1], 1, options.simulator) for vehicle in options.vehicle]
+    drawn = [Task(policy, vehicle, (PICTURED[1],), 2, options.simulator) for vehicle in options.vehicle]
     write_atomically(options.out / "images" / "elsewhere.png", picture(drawn))
     print(f"written: {options.out / FILE} and images/elsewhere.png beside it")
     return DONE
@@ -136,18 +136,16 @@ def _results(options: Options, vehicle: str) -> dict[str, dict[str, Any]]:
     for policy, file in files.items():
         kept = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
         known[policy] = kept.get("cases", {}) if kept.get("stamp") == stamps[policy] else {}
-    missing = [
-        Task(policy, vehicle, case, options.episodes, options.simulator)
-        for policy in options.policy
-        for case in options.case
-        if case not in known[policy]
+    left = {policy: tuple(case for case in options.case if case not in known[policy]) for policy in options.policy}
+    tasks = [
+        Task(policy, vehicle, cases, options.episodes, options.simulator) for policy, cases in left.items() if cases
     ]
-    for task, found in Workers(options.jobs).results(Task.run, [(task,) for task in missing]):
-        known[task.policy][task.case] = found
+    for task, found in Workers(options.jobs).results(Task.run, [(task,) for task in tasks]):
+        known[task.policy] |= found
         files[task.policy].parent.mkdir(parents=True, exist_ok=True)
         text = json_text({"stamp": stamps[task.policy], "cases": known[task.policy]})
         write_atomically(files[task.policy], text)
-        print(f"{vehicle}: {task.policy}, {task.case}", file=sys.stderr, flush=True)
+        print(f"{vehicle}: {task.policy}", file=sys.stderr, flush=True)
     return {policy: {case: known[policy][case] for case in options.case} for policy in options.policy}
 
 

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from auv_gym.fleet import craft
+from auv_gym.kernels import MadeBodies
+from auv_gym.policy import preview_of
 from auv_gym.presets import as_scenario
 from baselines import make_policy
 from baselines.elsewhere.bodies import bodies
 from baselines.elsewhere.installed import Installed
 from baselines.elsewhere.worlds import VARIANTS, Own
-from baselines.evaluation.metrics import Array, resamplings
-from baselines.evaluation.rollout import Rollout, rollout
-from baselines.evaluation.runner import drawn
+from baselines.evaluation.metrics import Array, Measures, resamplings
+from baselines.evaluation.rollout import Log, beginning, play
+from baselines.evaluation.runner import Cell, drawn
 from baselines.tools.seeds import ELSEWHERE
 
 REGIME = "cruise"  # vehicles that fins steer have no other
@@ -31,31 +34,53 @@ GROWTH, TAU = 1.5, 0.8
 
 @dataclass(frozen=True)
 class Task:
-    """One policy in one case on one vehicle, in both simulators."""
+    """One policy on one vehicle, in both simulators; the episodes of all cases run side by side."""
 
     policy: str
     vehicle: str
-    case: str
-    episodes: int
+    cases: tuple[str, ...]
+    episodes: int  # of each case
     simulator: str = "own"
     lacking: str = ""  # one of the `VARIANTS` of the vehicle, in place of the published one
 
     def run(self) -> tuple[Task, dict[str, Any]]:
-        """Return the task, and what came out: tail errors [m] and lost episodes in each simulator."""
-        found = {}
+        """Return the task, and by case what came out: tail errors [m] and lost episodes in each simulator."""
+        found: dict[str, dict[str, Any]] = {case: {} for case in self.cases}
         for place in (PLANE, SPACE):
-            measures = self.played(place).measures
-            tails = [float(f"{tail:.4g}") for tail in measures.tail]
-            found[place] = {"tail": tails, "lost": int(measures.lost.sum())}
+            measures = self.played(place)
+            for i, case in enumerate(self.cases):
+                own = measures[i * self.episodes : (i + 1) * self.episodes]
+                tails = [float(f"{tail:.4g}") for tail in own.tail]
+                found[case][place] = {"tail": tails, "lost": int(own.lost.sum())}
         return self, found
 
-    def played(self, place: str) -> Rollout:
-        """Return what the policy does in one of the simulators, `PLANE` or `SPACE`."""
-        scenario = as_scenario(f"{REGIME}-{self.case}@{self.vehicle}")
-        cell, made = drawn(scenario, self.episodes, ELSEWHERE.first), SIMULATORS[self.simulator]
+    @property
+    def cells(self) -> list[Cell]:
+        """Scenario and episodes of each case, all with the number of integration steps that the stiffest one needs."""
+        scenarios = [as_scenario(f"{REGIME}-{case}@{self.vehicle}") for case in self.cases]
+        substeps = max(scenario.substeps for scenario in scenarios)
+        return [drawn(replace(scenario, substeps=substeps), self.episodes, ELSEWHERE.first) for scenario in scenarios]
+
+    def bodies(self, place: str) -> MadeBodies | None:
+        """Return what makes the vehicles of a simulator; None for the plane."""
+        made, known = SIMULATORS[self.simulator], craft(self.vehicle).vehicle
         vehicle: Any = VARIANTS[self.vehicle][self.lacking] if self.lacking else self.vehicle
-        moved = bodies(lambda n: made(vehicle, n), scenario.vehicle) if place == SPACE else None
-        return rollout(make_policy(self.policy, scenario.vehicle), scenario, cell.episodes, bodies=moved)
+        return bodies(lambda n: made(vehicle, n), known) if place == SPACE else None
+
+    def played(self, place: str) -> Measures:
+        """Return what the policy does in one of the simulators, `PLANE` or `SPACE`, case by case."""
+        cells = self.cells
+        scenario, policy = cells[0].scenario, make_policy(self.policy, craft(self.vehicle).vehicle)
+        given = [(cell.scenario, cell.episodes) for cell in cells]
+        begun, log = beginning(given, preview_of(policy), bodies=self.bodies(place)), Log(scenario.steps, self.count)
+        for k, moment in enumerate(play(policy, begun, scenario.steps)):
+            log.add(k, moment)
+        return log.measures(scenario)
+
+    @property
+    def count(self) -> int:
+        """How many episodes it has."""
+        return self.episodes * len(self.cases)
 
 
 CAUSED = "current"
@@ -73,9 +98,9 @@ def caused(vehicle: str, episodes: int) -> dict[str, Any]:
     """
     growth: dict[str, dict[str, float]] = {what: {} for what in VARIANTS[vehicle]}
     for policy in CAUSED_POLICIES:
-        plane = Task(policy, vehicle, CAUSED, episodes).played(PLANE).measures.tail.mean()
+        plane = Task(policy, vehicle, (CAUSED,), episodes).played(PLANE).tail.mean()
         for what, found in growth.items():
-            space = Task(policy, vehicle, CAUSED, episodes, lacking=what).played(SPACE).measures.tail.mean()
+            space = Task(policy, vehicle, (CAUSED,), episodes, lacking=what).played(SPACE).tail.mean()
             found[policy] = float(space / plane)
     return {"case": CAUSED, "policies": list(CAUSED_POLICIES), "episodes": episodes, "growth": growth}
 

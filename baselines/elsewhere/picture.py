@@ -4,10 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from auv_gym.fleet import craft
+from baselines import make_policy
 from baselines.elsewhere.comparison import PLANE, SPACE, Task
+from baselines.evaluation.metrics import Track
+from baselines.evaluation.rollout import rollout
 from baselines.tools.figure_style import COLOURS, REFERENCE, panels, to_png
 
 NAMES = {PLANE: "in the plane", SPACE: "in six degrees of freedom"}
+
+
+def task_track(task: Task, place: str) -> Track:
+    """Return the way of a task's first episode in one of the simulators."""
+    cell, known = task.cells[0], craft(task.vehicle).vehicle
+    done = rollout(make_policy(task.policy, known), cell.scenario, cell.episodes[:1], bodies=task.bodies(place))
+    return done.tracks[0]
 
 
 def picture(tasks: Sequence[Task]) -> bytes:
@@ -15,12 +26,12 @@ def picture(tasks: Sequence[Task]) -> bytes:
     figure, rows = panels(len(tasks), 2, (8.0, 3.2 * len(tasks)))
     for task, (above, beside) in zip(tasks, rows, strict=True):
         for place, colour in zip((PLANE, SPACE), COLOURS, strict=False):
-            track = task.played(place).tracks[0]
+            track = task_track(task, place)
             if place == PLANE:
                 above.plot(track.reference[:, 1], track.reference[:, 0], label="reference", **REFERENCE)
             above.plot(track.position[:, 1], track.position[:, 0], color=colour, label=NAMES[place])
             beside.plot(track.error, color=colour, label=NAMES[place])
-        above.set(title=f"{task.vehicle}: {task.policy}, {task.case}", xlabel="y [m], east", ylabel="x [m], north")
+        above.set(title=f"{task.vehicle}: {task.policy}, {task.cases[0]}", xlabel="y [m], east", ylabel="x [m], north")
         above.set_aspect("equal", adjustable="datalim")
         beside.set(title="distance to the reference", xlabel="control step", ylabel="error [m]")
         beside.set_ylim(bottom=0)
