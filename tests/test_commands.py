@@ -54,6 +54,8 @@ FROZEN = ("benchmark-v2", "benchmark-v1", "ood-v1", "unmodelled-v1")
 ELSEWHERE = {
     r"make( .*)?": "the verbs, below",
     r"python -m auv_gym\.identify .*": "test_identify.py::test_the_command_writes_a_vehicle_that_scenarios_take",
+    r"auv-gym certify .*": "test_safety.py::test_certificate_counts_what_is_lost_and_goes_on",
+    r"auv-gym falsify .*": "test_safety.py::test_search_finds_a_sea_that_loses_the_policy_and_writes_it",
     r"auv-gym --help": "test_package.py::test_the_command",
     r"auv-gym train .*": "test_training.py::test_documented_commands_run",
     r"auv-gym knows .*": "test_knows.py::test_command_in_a_quick_form",

@@ -2,10 +2,10 @@
 
 It is a Simplex architecture (Sha, "Using simplicity to control complexity", IEEE Software 18 (2001) 20): a capable
 policy acts, a simple one stands by, and a monitor that knows nothing of either decides between them. The monitor
-watches the function V4 (45) that the expert's backstepping is built on, without dimensions. What it allows begins with
-a budget for the start, which decays; then it is little while the yaw command is at its limit nearly all the time, which
-is how a vehicle on late actuators begins to spin, and much else. The other policy takes over within a fraction of a
-second. It hands back after a while, with a new budget, and that while grows from one alarm to the next.
+watches the function V4 (45) that the expert's backstepping is built on, without dimensions. There is an alarm where it
+grows, beyond a multiple of its own mean over the last time, and is large: less counts as large while the yaw command is
+at its limit nearly all the time, which is how a vehicle on late actuators begins to spin. The other policy takes over
+within a fraction of a second. It hands back after a while, which grows from one alarm to the next.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from baselines.policy import Array, Memory, batched, first_order, is_fast, refer
 
 CORRECTION = 1
 """Which array of an agent's memory is its last correction, shape (N, 2)."""
-BUDGET, SHARE, LEFT, ALARMS, EXHAUSTED, ARRAYS_OF_POLICY = range(6)
-"""Columns of the guard's own memory: the budget; which share of the policy's command acts; how long the other one
+MEAN, SHARE, LEFT, ALARMS, EXHAUSTED, ARRAYS_OF_POLICY = range(6)
+"""Columns of the guard's own memory: the mean energy; which share of the policy's command acts; how long the other one
 still has it [s]; how many alarms there were; which share of the last time the yaw command was at its limit; how many
 arrays of the memory are the policy's."""
 
@@ -47,14 +47,14 @@ class Thresholds:
     energy: float = 4.0  # that is allowed while the yaw command is at its limit most of the time
     exhausted: float = 0.85  # share of the time that the yaw command spends at its limit then
     memory: float = 2.4  # time over which that share is a mean
-    most: float = 16.0  # energy that is allowed else
-    start: float = 8.0  # what a budget begins at at least
-    margin: float = 2.0  # how many times the energy that it begins at a budget begins at
-    decay: float = 7.0  # time in which a budget falls to 1/e
+    most: float = 64.0  # energy that is allowed else
+    growth: float = 2.0  # how many times its mean an energy may be
+    horizon: float = 7.0  # time over which that is a mean
+    start: float = 4.0  # what the mean begins at, where an episode begins, if the energy is not larger
     take: float = 0.5  # time in which the other policy takes over
     give: float = 4.0  # time in which it gives back
     hold: float = 48.0  # time that it keeps the command after the first alarm
-    growth: float = 4.0  # factor on that from one alarm to the next
+    longer: float = 4.0  # factor on that from one alarm to the next
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -149,7 +149,7 @@ class Guarded:
             policy.predict(row, before, episode_start, deterministic)
             for policy, row, before in zip((self.policy, self.fallback), seen, pasts, strict=True)
         )
-        begins = (own[:, SHARE] == 0) & (own[:, LEFT] == 0) & (own[:, BUDGET] == 0)
+        begins = (own[:, SHARE] == 0) & (own[:, LEFT] == 0) & (own[:, MEAN] == 0)
         own = self._watched(o, own, begins)
         share = own[:, SHARE, None]
         if isinstance(self.policy, ResidualPolicy) and past is not None:
@@ -165,15 +165,15 @@ class Guarded:
         t = self.thresholds
         now, rate = energy(o, self.vehicle)
         step = o.dt * rate
-        budget, share, left, alarms, exhausted = (before[:, i] for i in range(5))
+        mean, share, left, alarms, exhausted = (before[:, i] for i in range(5))
         still = np.maximum(left - o.dt, 0.0)
         fresh = begins | ((still == 0.0) & (left > 0.0))  # what begins, and what is handed back
-        budget = np.where(fresh, np.maximum(t.margin * now, t.start), budget * np.exp(-step / t.decay))
+        mean = np.where(fresh, np.maximum(now, t.start), mean + first_order(step, t.horizon) * (now - mean))
         exhausted = exhausted + first_order(step, t.memory) * ((np.abs(o.a_r) >= AT_LIMIT) - exhausted)
         exhausted = np.where(fresh, 0.0, exhausted)
         over = (now > t.energy) & (exhausted > t.exhausted) | (now > t.most)
-        alarm = (still == 0.0) & over & (now > budget)
-        left = np.where(alarm, t.hold / rate * t.growth ** np.minimum(alarms, MOST_GROWTH), still)
+        alarm = (still == 0.0) & over & (now > t.growth * mean)
+        left = np.where(alarm, t.hold / rate * t.longer ** np.minimum(alarms, MOST_GROWTH), still)
         share = np.where(begins, 1.0, share) + np.where(left > 0.0, -step / t.take, step / t.give)
-        rows = budget, np.clip(share, 0.0, 1.0), left, alarms + alarm, exhausted, before[:, ARRAYS_OF_POLICY]
+        rows = mean, np.clip(share, 0.0, 1.0), left, alarms + alarm, exhausted, before[:, ARRAYS_OF_POLICY]
         return np.stack(rows, axis=1)

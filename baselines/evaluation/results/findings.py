@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from auv_gym.presets import REGIMES
 from baselines.agents.names import agent_of, shipped_agents
 from baselines.evaluation import fresh, recorded
 from baselines.evaluation.metrics import Array, most_lost
 from baselines.evaluation.results.collection import Results
+from baselines.evaluation.results.kept import gone, kept_by_the_expert
 from baselines.evaluation.results.studies import SHORT
 from baselines.evaluation.results.tables import table
 from baselines.evaluation.score import (
@@ -19,13 +19,10 @@ from baselines.evaluation.score import (
     RIVAL,
     Score,
     interval_text,
-    is_lost,
-    largest_tail,
     lead,
     regime_of,
     score_text,
     seeds_score,
-    waters_of,
 )
 from baselines.evaluation.study_files import Study
 
@@ -54,6 +51,8 @@ def findings(found: Sequence[Results], anew: Sequence[Results], studies: Mapping
         parts += [UNMODELLED, _leads(unmodelled, fresh_by_name.get("unmodelled-v1"), studies, ADVERSE_RIVAL)]
     if (opened := by_name.get("sealed-v1")) is not None:
         parts += [SEALED, _unforeseen(opened)]
+    if (section := kept_by_the_expert(found)) != "":
+        parts.append(section)
     if benchmark is not None:
         parts += [RESIDUAL, SHORTS, _trainings(benchmark, studies, SHORT)]
         parts += [REWARDS, _trainings(benchmark, studies, *LEARNERS)]
@@ -140,18 +139,11 @@ def _unforeseen(results: Results) -> str:
                 leads = (
                     part for rival in (RIVAL, ADVERSE_RIVAL) for part in _text(_lead(results, regime, seeds, rival)[0])
                 )
-                mine, its = _gone(results, name, regime), _gone(results, expert, regime)
+                mine, its = gone(results, name, regime), gone(results, expert, regime)
                 losses = f"{mine.sum()} of {len(mine)}", f"{(mine & ~its).sum()} of {(~its).sum()}"
                 rows.append([f"`{name}`, {regime}", *leads, *losses])
     return table(["agent", *(x for rival in (RIVAL, ADVERSE_RIVAL) for x in (f"lead over {rival}", "95 %")), "lost",
                   f"lost of those that {expert} keeps"], rows)  # fmt: skip
-
-
-def _gone(results: Results, policy: str, regime: str) -> NDArray[np.bool_]:
-    """Return which episodes of a regime a policy loses, case by case, shape (M,)."""
-    own = [r for r in results.runs if r.policy == policy and regime_of(r.scenario.name) == regime]
-    cap = {r.scenario.name: largest_tail(waters_of(r.scenario.name)) for r in own}
-    return np.concatenate([is_lost(r.measures.tail, r.measures.lost, cap[r.scenario.name]) for r in own if r.measures])
 
 
 def _by_case(results: Results, studies: Mapping[str, Study], regime: str) -> str:

@@ -176,7 +176,8 @@ def _sensors(storm: Scenario, v: Mapping[str, float]) -> Any:
         name: v["noise"] * getattr(own, name) for name in ("position", "heading", "velocity", "yaw_rate")
     }
     wrong = "heading_bias", "velocity_bias", "yaw_rate_bias", "outages"
-    return replace(own, **changes, **{name: v[name] for name in wrong if name in v})
+    changes |= {name: v[name] for name in wrong if name in v}
+    return replace(own, **changes)
 
 
 def _actuators(storm: Scenario, v: Mapping[str, float]) -> Any:

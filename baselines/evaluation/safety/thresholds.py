@@ -6,9 +6,10 @@ from seeds that no suite has. A guard is to save episodes that the expert keeps,
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
@@ -20,6 +21,7 @@ from tyro.conf import arg
 from auv_gym.installation import checkout
 from auv_gym.policy import Policy
 from auv_gym.presets import CASES, PRESETS, REGIMES
+from auv_gym.scenario import Scenario, Start
 from baselines import make_policy
 from baselines.agents.guard import Guarded, Thresholds, bounded_law
 from baselines.evaluation.request import checked_policies
@@ -30,12 +32,13 @@ from baselines.policy import Array
 from baselines.tools.command_line import DONE, UsageError, parse, run
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tools.seeds import GUARD
-from baselines.training.mixtures import SLEW_TIMES, adverse, hasty, slewing
+from baselines.training.mixtures import OUTAGE_TIMES, SLEW_TIMES, adverse, hasty, slewing
 
 PROGRAM = "python -m baselines.evaluation.safety.thresholds"
 FILE = Path(__file__).parents[1] / "data" / "guards.json"
 EPISODES = 16  # of each case
 IN_WORLDS = 48  # of each world in which agents are lost
+FAR = 4.0  # [m] how far off a far start is, on each axis
 USUAL = "as shipped"
 Guard = Callable[[Policy], Policy]
 Lost = NDArray[np.bool_]
@@ -58,7 +61,7 @@ GUARDS: Mapping[str, Guard] = {
     "to `backstepping-normalised`": _guard("backstepping-normalised"),
     "to `ekf-adverse`": _guard("ekf-adverse"),
     "gives back four times as soon": _guard(hold=Thresholds.hold / 4),
-    "energy alone, 4": _guard(energy=4.0, most=4.0),
+    "energy alone": _guard(most=4.0),
     "energy 2.5, at the limit 75 %": _guard(energy=2.5, exhausted=0.75),
 }
 """Guards that are compared, by what they do."""
@@ -92,9 +95,22 @@ def worlds(regime: str, episodes: int) -> SideBySide:
     hard = [adverse(regime), slewing(adverse(regime), longest)]
     hard += [slewing(PRESETS[f"{regime}-{case}"], longest) for case in ("storm", "actuator")]
     hard += [hasty()] if regime == "cruise" else []
+    hard += [_far(PRESETS[f"{regime}-storm"]), _patchy(PRESETS[f"{regime}-storm"], OUTAGE_TIMES[regime])]
     cells = [drawn(PRESETS[f"{regime}-{case}"], episodes, GUARD.first) for case in CASES]
     each = episodes * IN_WORLDS // EPISODES
     return SideBySide([*cells, *(drawn(scenario, each, GUARD.first) for scenario in hard)])
+
+
+def _far(storm: Scenario) -> Scenario:
+    """Return the storm with starts from anywhere near: there the energy is large, and nothing is wrong."""
+    start = Start(x_e=(-FAR, FAR), y_e=(-FAR, FAR), psi_e=(-math.pi, math.pi), surge=(0.0, 1.0))
+    return replace(storm, name=f"{storm.name}-far", start=start)
+
+
+def _patchy(storm: Scenario, times: tuple[float, float]) -> Scenario:
+    """Return the storm with long outages of the position fix: what is measured then is no error."""
+    longer = (2.0 * times[0], 2.0 * times[1])
+    return replace(storm, name=f"{storm.name}-patchy", sensors=replace(storm.sensors, outages=2.0, outage_time=longer))
 
 
 def outcome(policy: Policy, regime: str, episodes: int) -> tuple[Array, Lost]:
