@@ -28,7 +28,7 @@ def test_a_regression_over_all_measurements_finds_the_same(name):
     episodes = drawn(scenario, 1, 5).episodes
     (episode,), steps = episodes, scenario.steps
     problem, truth = Problem.of(scenario, episodes), Truth.of(scenario, episodes)
-    course = solved(problem, [arriving(oracle_actions(scenario, episodes), problem.delay)])
+    course = solved(problem, arriving(oracle_actions(scenario, episodes), problem.delay))
     p = Parameters.of([float(np.ravel(row)[0]) for row in leaves(truth.parameters)], scenario.parts)
     samples, stormy = truth.samples[..., 0], episode.waves is not None
     table = samples[:, :8]

@@ -69,7 +69,7 @@ class Model:
         if not has_floor(scenario):
             raise ValueError(f"{scenario.name} has no floor: its measurements must be noisy, present and prompt")
         problem = Problem.of(scenario, episodes)
-        course = solved(problem, [arriving(oracle_actions(scenario, episodes), problem.delay)])
+        course = solved(problem, arriving(oracle_actions(scenario, episodes), problem.delay))
         pose, sea = slopes(problem, course)
         left = [_left(e.current.gust_time, e.current.smoothing, scenario.control_dt) for e in episodes]
         waves = np.stack([_waves(episode, scenario) for episode in episodes], axis=1)

@@ -108,7 +108,7 @@ def section(results: Results | None, studies: Mapping[str, Study]) -> str:
     pairs = {regime: pairs_of(results, regime) for regime in regimes}
     parts = [_introduction(results)]
     for regime, own in pairs.items():
-        parts += [_regime(results, regime, own), *_seeds(regime, own[RIVAL].own, studies)]
+        parts += [_regime(results, regime, own), *of_seeds(regime, own[RIVAL].own, studies)]
     parts += [TABLES, f"![Errors by vehicle](images/{FIGURE})"]
     parts += [_vehicle(results, vehicle, pairs) for vehicle in vehicles_of(results)]
     return "\n\n".join([*parts, _anchors(results), CAVEATS])
@@ -173,8 +173,14 @@ def _regime(results: Results, regime: str, pairs: Mapping[str, Pair]) -> str:
     return "\n\n".join([f"### {SUITE}, {regime}", about, table(heads, rows), table((regime, *cases), more)])
 
 
-def _seeds(regime: str, rival: Mapping[str, Measures], studies: Mapping[str, Study]) -> list[str]:
-    """Return the table of agents of several training seeds in a regime; [] without any."""
+def of_seeds(regime: str, rival: Mapping[str, Measures], studies: Mapping[str, Study]) -> list[str]:
+    """Return the text about agents of several training seeds in a regime; [] without any.
+
+    Args:
+        regime: "slow" or "cruise".
+        rival: what was measured of the rival in each cell, in metres of the paper's vehicle.
+        studies: by name.
+    """
     rows = []
     for name, study in studies.items():
         if (found := study.suites.get(SUITE)) is None or study.regime != regime:
