@@ -13,7 +13,7 @@ from baselines.evaluation.safety import certificate, falsification, thresholds
 from baselines.evaluation.score import regime_of
 from baselines.tools.files import read_json
 
-PAGE = Path(__file__).parents[3] / "docs" / "safety.md"
+PAGE = Path(__file__).parents[3] / "docs" / "safety.md"  # whose sections are written here
 SHOWN = 6
 """How many coordinates of a sea the page shows, the largest ones."""
 
@@ -46,6 +46,7 @@ def certificates() -> str:
             lost, episodes = certificate.together(counts)
             worst = max(count.largest_tail_m for count in counts)
             at_most = f"{100 * most_lost(lost, episodes):.2g} %"
+            place += "" if len({count.episodes for count in counts}) == 1 else ", some more often"
             rows.append([f"`{policy}`", place, str(episodes), str(lost), at_most, f"{100 * worst:.3g}"])
     return table(("policy", "episodes of", "episodes", "lost", "at most", "largest tail [cm]"), rows)
 
