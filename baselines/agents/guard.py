@@ -30,10 +30,12 @@ from baselines.policy import Array, Memory, batched, first_order, is_fast, refer
 
 CORRECTION = 1
 """Which array of an agent's memory is its last correction, shape (N, 2)."""
-MEAN, SHARE, LEFT, ALARMS, EXHAUSTED, ARRAYS_OF_POLICY = range(6)
-"""Columns of the guard's own memory: the mean energy; which share of the policy's command acts; how long the other one
-still has it [s]; how many alarms there were; which share of the last time the yaw command was at its limit; how many
-arrays of the memory are the policy's."""
+MEAN = 0  # column of a guard's memory: the mean energy of the last time
+SHARE = 1  # column of a guard's memory: which share of the policy's command acts
+LEFT = 2  # column of a guard's memory: how long the other policy still has the command [s]
+ALARMS = 3  # column of a guard's memory: how many alarms there were
+EXHAUSTED = 4  # column of a guard's memory: which share of the last time the yaw command was at its limit
+ARRAYS_OF_POLICY = 5  # column of a guard's memory: how many arrays of the memory are the policy's
 
 
 @dataclass(frozen=True)

@@ -154,7 +154,8 @@ def main(arguments: Sequence[str]) -> int:
         for policy in policies:
             for name, scenarios in named.items():
                 share = -(-options.episodes // len(scenarios))  # of each, rounded up
-                counts = [_until(policy, scenario, share, options.out) for scenario in scenarios]
+                for target in (*range(AT_ONCE, share, AT_ONCE), share):  # in turns, so that none is ahead if it stops
+                    counts = [_until(policy, scenario, target, options.out) for scenario in scenarios]
                 print(f"{policy}, {name}: {told(*together(counts))}", flush=True)
     except PolicyError as error:
         print(f"{called(PROGRAM)}: {policy} failed: {error}", file=sys.stderr)

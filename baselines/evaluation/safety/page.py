@@ -9,11 +9,11 @@ from typing import Any
 
 from baselines.evaluation.metrics import most_lost
 from baselines.evaluation.results.tables import table
-from baselines.evaluation.safety import certificate, falsification, thresholds
+from baselines.evaluation.safety import certificate, falsification, saved, thresholds
 from baselines.evaluation.score import regime_of
 from baselines.tools.files import read_json
 
-PAGE = Path(__file__).parents[3] / "docs" / "safety.md"
+PAGE = Path(__file__).parents[3] / "docs" / "safety.md"  # whose sections are written here
 SHOWN = 6
 """How many coordinates of a sea the page shows, the largest ones."""
 
@@ -34,6 +34,11 @@ def filled(text: str) -> str:
     return text
 
 
+def _table(command: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table, or what makes its rows where there are none yet."""
+    return table(heads, rows) if rows else f"Not measured yet: `{command}`."
+
+
 def certificates() -> str:
     """Return the table of lost episodes, by policy and by what the episodes were drawn from."""
     rows = []
@@ -46,8 +51,11 @@ def certificates() -> str:
             lost, episodes = certificate.together(counts)
             worst = max(count.largest_tail_m for count in counts)
             at_most = f"{100 * most_lost(lost, episodes):.2g} %"
-            rows.append([f"`{policy}`", place, str(episodes), str(lost), at_most, f"{100 * worst:.3g}"])
-    return table(("policy", "episodes of", "episodes", "lost", "at most", "largest tail [cm]"), rows)
+            alike = "" if len({count.episodes for count in counts}) == 1 else ", some more often"
+            rows.append([f"`{policy}`", f"{place}{alike}", str(episodes), str(lost), at_most, f"{100 * worst:.3g}"])
+    return _table(
+        certificate.PROGRAM, ("policy", "episodes of", "episodes", "lost", "at most", "largest tail [cm]"), rows
+    )
 
 
 def found_seas() -> str:
@@ -65,7 +73,9 @@ def found_seas() -> str:
             str(found["episodes"]),
             ", ".join(f"{key} {x:+.2f}" for key, x in largest),
         ])  # fmt: skip
-    return table(("policy", "sea", "severity", "lost", "episodes run", "its largest coordinates"), rows)
+    return _table(
+        falsification.PROGRAM, ("policy", "sea", "severity", "lost", "episodes run", "its largest coordinates"), rows
+    )
 
 
 def _place(found: Mapping[str, Any]) -> tuple[str, str, float]:
@@ -86,7 +96,7 @@ def choices() -> str:
         for guard, row in own.items()
     ]
     heads = "policy", "guard", "lost: cases", "worlds", "of the expert's: cases", "worlds", "tail [mm]: cases", "worlds"
-    return table(heads, rows)
+    return _table(thresholds.PROGRAM, heads, rows)
 
 
 def _both(pair: Sequence[int]) -> tuple[str, str]:
@@ -109,7 +119,7 @@ def in_suites() -> str:
         if suite != "fingerprint"
     ]
     heads = "agent", "suite", "episodes", "lost", "with a guard", "of the expert's", "with a guard"
-    return table((*heads, "mean tail [mm]", "with a guard"), rows)
+    return _table(saved.PROGRAM, (*heads, "mean tail [mm]", "with a guard"), rows)
 
 
 def failures() -> str:
@@ -120,7 +130,7 @@ def failures() -> str:
         for failure, row in own.items()
         if failure != "fingerprint"
     ]
-    return table(("agent", "its network is", "episodes", "lost", "with a guard"), rows)
+    return _table(f"{saved.PROGRAM} --failures", ("agent", "its network is", "episodes", "lost", "with a guard"), rows)
 
 
 SECTIONS: Mapping[str, Callable[[], str]] = {

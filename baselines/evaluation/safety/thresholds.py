@@ -35,13 +35,13 @@ from baselines.tools.seeds import GUARD
 from baselines.training.mixtures import OUTAGE_TIMES, SLEW_TIMES, adverse, hasty, slewing
 
 PROGRAM = "python -m baselines.evaluation.safety.thresholds"
-FILE = Path(__file__).parents[1] / "data" / "guards.json"
+FILE = Path(__file__).parents[1] / "data" / "guards.json"  # what guards did
 EPISODES = 16  # of each case
 IN_WORLDS = 48  # of each world in which agents are lost
 FAR = 4.0  # [m] how far off a far start is, on each axis
-USUAL = "as shipped"
-Guard = Callable[[Policy], Policy]
-Lost = NDArray[np.bool_]
+USUAL = "as shipped"  # the guard of a name with `:guard`
+Guard = Callable[[Policy], Policy]  # puts a guard around a policy
+Lost = NDArray[np.bool_]  # which episodes are lost
 
 
 def _guard(fallback: str | None = None, **thresholds: float) -> Guard:
