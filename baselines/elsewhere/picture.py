@@ -11,7 +11,7 @@ from baselines.evaluation.metrics import Track
 from baselines.evaluation.rollout import rollout
 from baselines.tools.figure_style import COLOURS, REFERENCE, panels, to_png
 
-NAMES = {PLANE: "in the plane", SPACE: "in six degrees of freedom"}
+NAMES = {PLANE: "in the plane", SPACE: "in six degrees of freedom"}  # of the simulators, in the legend
 
 
 def task_track(task: Task, place: str) -> Track:
