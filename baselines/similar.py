@@ -7,9 +7,9 @@ gains that are functions of the vehicle. Actions are shares of the limits and ne
 
 from __future__ import annotations
 
+import math
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,9 +18,12 @@ from numpy.typing import NDArray
 from auv_gym.namespaces import FLOATS, Namespace, Number
 from auv_gym.policy import Law, Policy, preview_of, traceable
 from auv_gym.scenario import as_vehicle
-from auv_gym.task import SIZE, TERMS
+from auv_gym.task import SCALES, SIZE, TERMS
 from auv_gym.units import POWERS, Units, in_paper_units
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.vehicle import Vehicle
+from baselines.policy import U_R, V_R
+
+ALL = (0.0, math.inf)  # speeds [m/s] of a policy that is at home at every one
 
 
 def made_for(vehicle: Vehicle | str | Mapping[str, Any] | None, make: Callable[[Any], Policy]) -> Policy:
@@ -54,6 +57,10 @@ class Similar:
 
     def __init__(self, policy: Policy, units: Units) -> None:
         self.policy, self.units, self.preview = policy, units, preview_of(policy)
+        own, rate = getattr(policy, "speeds", ALL), units.factor(length=1, time=-1)
+        self._speeds = own[0] * rate, own[1] * rate
+        if own != ALL:
+            policy.speeds = ALL  # type: ignore[attr-defined]  # its warning is given here, in SI units
         terms = [1 / units.factor(*POWERS[term.unit]) for term in TERMS]
         self._factors = np.array(terms + [1 / units.length] * (2 * len(self.preview)))
 
@@ -74,11 +81,22 @@ class Similar:
         """
         shown, known = observation.astype(np.float64), len(self._factors)
         if shown.shape and shown.shape[-1] >= SIZE:  # the policy itself says what is wrong with the shape
+            if state is None:
+                self._warn_of_speed(observation[..., U_R] * SCALES[U_R], observation[..., V_R] * SCALES[V_R])
             shown[..., :known] *= self._factors[: shown.shape[-1]]
-        if state is not None:
-            return self.policy.predict(shown, state, episode_start, deterministic)
-        with speeds_explained(self.units):
-            return self.policy.predict(shown, state, episode_start, deterministic)
+        return self.policy.predict(shown, state, episode_start, deterministic)
+
+    def _warn_of_speed(self, u_R: NDArray[Any], v_R: NDArray[Any]) -> None:
+        """Warn once, in SI units, where a reference's speed is far from what the policy has seen."""
+        speed = np.hypot(u_R, v_R)
+        if ((speed < self._speeds[0]) | (speed > self._speeds[1])).any():
+            warnings.warn(
+                f"this policy was trained at speeds that are {self._speeds[0]:.3g} to {self._speeds[1]:.3g} m/s for "
+                f"this vehicle, and the episode begins at {speed.min():.2g} to {speed.max():.2g} m/s: choose the agent "
+                "of that regime",
+                stacklevel=3,
+            )
+            self._speeds = 0.0, math.inf
 
 
 class SimilarLaw(Law):
@@ -101,20 +119,7 @@ class SimilarLaw(Law):
 
     def check(self, terms: Any) -> None:
         """Look at what is observed, the terms as a list or as rows, and warn if the law is not made for it."""
-        with speeds_explained(self.units):
-            self.policy.check(self._shown(terms) if isinstance(terms, list) else np.array(self._shown(terms)))
+        self.policy.check(self._shown(terms) if isinstance(terms, list) else np.array(self._shown(terms)))
 
     def _shown(self, terms: Sequence[Number]) -> list[Number]:
         return [term * factor for term, factor in zip(terms, self._factors, strict=False)]
-
-
-@contextmanager
-def speeds_explained(units: Units) -> Iterator[None]:
-    """Add to every warning given inside in what units its numbers are, and give it again."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        yield
-    for warning in caught:
-        own = PAPER_VEHICLE.speed * units.factor(length=1, time=-1)
-        text = f"{warning.message} (as of the paper's vehicle: its {PAPER_VEHICLE.speed:g} m/s are {own:.3g} m/s here)"
-        warnings.warn(text, warning.category, stacklevel=4)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,14 +17,14 @@ from auv_gym.presets import as_scenario
 from baselines import make_policy
 from baselines.elsewhere.bodies import bodies
 from baselines.elsewhere.installed import Installed
-from baselines.elsewhere.worlds import VARIANTS, Own
+from baselines.elsewhere.worlds import VARIANTS, Own, World
 from baselines.evaluation.metrics import Array, Measures, resamplings
 from baselines.evaluation.rollout import Log, beginning, play
 from baselines.evaluation.runner import Cell, drawn
 from baselines.tools.seeds import ELSEWHERE
 
 REGIME = "cruise"  # vehicles that fins steer have no other
-SIMULATORS = {"own": Own, "installed": Installed}
+SIMULATORS: Mapping[str, Callable[[Any, int], World]] = {"own": Own, "installed": Installed}
 """What moves the vehicles in six degrees of freedom: the equations here, or the user's PythonVehicleSimulator."""
 PLANE = "plane"  # the simulator of three degrees of freedom
 SPACE = "space"  # the one of six
