@@ -321,7 +321,7 @@ def test_ranks_and_means_are_what_statistics_says():
     assert concordance(a, b) == pytest.approx(stats.kendalltau(a, b).statistic)
     tails = [np.abs(rng.normal(size=(3, 5))) for _ in range(2)]
     means = pooled(tails)
-    np.testing.assert_allclose(means[0], stats.gmean([own.mean(axis=1) for own in tails]))
+    np.testing.assert_allclose(means[0], np.concatenate(tails, axis=1).mean(axis=1))
     assert means.shape[1] == 3
 
 

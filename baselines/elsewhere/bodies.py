@@ -70,7 +70,7 @@ class WorldBodies:
         p = Parameters.of(tuple(self._rows), self.parts)
         with np.errstate(all="ignore"):  # what is lost may be no number any more
             plant, terms, (reward, lost, squared, saturated) = step(
-                self.plant, self.action, self._samples[row], p, ARRAYS, self._moved
+                self.plant, tuple(self.action), tuple(self._samples[row]), p, ARRAYS, self._moved
             )
             seen = encode(terms, ARRAYS, self.parts.span)
         outcome = Outcome(reward, lost, np.sqrt(squared), saturated)

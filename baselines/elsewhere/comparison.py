@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,19 +17,19 @@ from auv_gym.presets import as_scenario
 from baselines import make_policy
 from baselines.elsewhere.bodies import bodies
 from baselines.elsewhere.installed import Installed
-from baselines.elsewhere.worlds import VARIANTS, Own
+from baselines.elsewhere.worlds import VARIANTS, Own, World
 from baselines.evaluation.metrics import Array, Measures, resamplings
 from baselines.evaluation.rollout import Log, beginning, play
 from baselines.evaluation.runner import Cell, drawn
 from baselines.tools.seeds import ELSEWHERE
 
 REGIME = "cruise"  # vehicles that fins steer have no other
-SIMULATORS = {"own": Own, "installed": Installed}
+SIMULATORS: Mapping[str, Callable[[Any, int], World]] = {"own": Own, "installed": Installed}
 """What moves the vehicles in six degrees of freedom: the equations here, or the user's PythonVehicleSimulator."""
-PLANE, SPACE = "plane", "space"
-"""The two simulators: the plane's three degrees of freedom, and six."""
-GROWTH, TAU = 1.5, 0.8
-"""What is asked for: no error larger by more, and a rank correlation of at least this."""
+PLANE = "plane"  # the simulator of three degrees of freedom
+SPACE = "space"  # the one of six
+GROWTH = 1.5  # most growth of an error that is asked for
+TAU = 0.8  # least rank correlation that is asked for
 
 
 @dataclass(frozen=True)
@@ -113,14 +113,14 @@ def concordance(a: Array, b: Array) -> NDArray[np.float64]:
 
 
 def pooled(tails: Sequence[Array]) -> Array:
-    """Return the geometric mean over cases of policies' mean tails, shape (1 + resamples, P); the first as measured.
+    """Return the mean over cases of policies' mean tails, shape (1 + resamples, P); the first as measured.
 
     Args:
         tails: of each case [m], shape (P, episodes).
     """
     counts = resamplings(tuple(own.shape[1] for own in tails))
-    logs = [np.log(count @ own.T / own.shape[1]) for count, own in zip(counts, tails, strict=True)]
-    return np.asarray(np.exp(np.mean(logs, axis=0)))
+    means = [count @ own.T / own.shape[1] for count, own in zip(counts, tails, strict=True)]
+    return np.asarray(np.mean(means, axis=0))
 
 
 def ends(values: Array) -> list[float]:

@@ -17,7 +17,7 @@ from auv_gym.namespaces import FLOATS
 from baselines.elsewhere.six_dof import AS_PUBLISHED, Array, Motion, Outside, level, place_rates
 from baselines.elsewhere.worlds import MODELS, STEP
 
-PACKAGE = "python_vehicle_simulator"
+PACKAGE = "python_vehicle_simulator"  # what the user installs
 ACTUATORS = {"remus100": 3, "otter": 2}
 """How many actuators each vehicle has there, in the order of ours."""
 

@@ -34,20 +34,29 @@ from baselines.elsewhere.six_dof import (
     times,
 )
 
-DENSITY, FLOW_DENSITY = 1025.0, 1026.0  # [kg/m^3] of the water, and in the source's cross-flow drag
-HULL, PAYLOAD = 55.0, 25.0  # [kg]
-LENGTH, BEAM = 2.0, 1.08  # [m]
-HULL_CENTRE, PAYLOAD_CENTRE = (0.2, 0.0, -0.2), (0.05, 0.0, -0.35)  # [m] of mass
-PONTOON_BEAM, PONTOON_ARM = 0.25, 0.395  # [m] of one, and from the centre line; the propellers are there too
-WATERLINE, BLOCK = 0.75, 0.4  # coefficients of a pontoon's waterline area and of its volume
+DENSITY = 1025.0  # [kg/m^3] of the water
+FLOW_DENSITY = 1026.0  # [kg/m^3] the same in the source's cross-flow drag
+HULL = 55.0  # [kg]
+PAYLOAD = 25.0  # [kg]
+LENGTH = 2.0  # [m]
+BEAM = 1.08  # [m]
+HULL_CENTRE = (0.2, 0.0, -0.2)  # [m] of the hull's mass
+PAYLOAD_CENTRE = (0.05, 0.0, -0.35)  # [m] of the payload's
+PONTOON_BEAM = 0.25  # [m]
+PONTOON_ARM = 0.395  # [m] of pontoons and propellers, from the centre line
+WATERLINE = 0.75  # coefficient of a pontoon's waterline area
+BLOCK = 0.4  # coefficient of its volume
 FLOTATION = -0.2  # [m] x of the waterline's centroid
 ADDED = (0.1, 1.5, 1.0, 0.2, 0.8, 1.7)  # added masses as shares of the hull's mass, and of the moments of inertia
-T_SWAY, T_YAW = 1.0, 1.0  # [s] time constants of linear drag
+T_SWAY = 1.0  # [s] time constant of linear drag in sway
+T_YAW = 1.0  # [s] in yaw
 FASTEST = 6 * 0.5144  # [m/s] at which the largest thrust is the drag
 DAMPING = (0.3, 0.2, 0.4)  # relative damping of heave, roll and pitch
 YAW_DRAG = 10.0  # [s/rad] quadratic drag in yaw over the linear one
-AHEAD, ASTERN = 24.4 * GRAVITY, 13.6 * GRAVITY  # [N] largest thrust of both propellers
-K_AHEAD, K_ASTERN = 0.02216 / 2, 0.01289 / 2  # [N s^2] thrust of one propeller by the square of its revolutions
+AHEAD = 24.4 * GRAVITY  # [N] largest thrust of both propellers
+ASTERN = 13.6 * GRAVITY  # [N] the same astern
+K_AHEAD = 0.02216 / 2  # [N s^2] thrust of one propeller by the square of its revolutions
+K_ASTERN = 0.01289 / 2  # [N s^2] the same astern
 LAG = 0.1  # [s] of the propellers
 
 

@@ -36,29 +36,43 @@ from baselines.elsewhere.six_dof import (
 )
 
 DENSITY = 1026.0  # [kg/m^3] of the water
-LENGTH, DIAMETER = 1.6, 0.19  # [m]
+LENGTH = 1.6  # [m]
+DIAMETER = 0.19  # [m]
 CG_BELOW = 0.02  # [m] centre of mass below that of buoyancy
 DRAG_AREA = 0.7 * LENGTH * DIAMETER  # [m^2] S, the area that lift and drag refer to
 FRONTAL_DRAG = 0.42  # Cd of the frontal area, Allen et al. (2000)
 OSWALD = 0.7  # efficiency of the hull as a wing
 ROLL_ADDED = 0.3  # added moment of inertia in roll as a share of that in air
-T_SURGE, T_SWAY, T_YAW = 20.0, 20.0, 1.0  # [s] time constants of linear drag
-ZETA_ROLL, ZETA_PITCH = 0.3, 0.8  # relative damping
+T_SURGE = 20.0  # [s] time constant of linear drag in surge
+T_SWAY = 20.0  # [s] in sway and heave
+T_YAW = 1.0  # [s] in yaw
+ZETA_ROLL = 0.3  # relative damping of roll
+ZETA_PITCH = 0.8  # relative damping of pitch
 FADING = 3.0  # [s/m] linear drag of surge and sway fades as exp(-3 U)
 FIN_AREA = 2 * 0.00665  # [m^2] of the rudder, and of the stern planes
-RUDDER_LIFT, PLANE_LIFT = 0.5, 0.7  # lift coefficients per radian
+RUDDER_LIFT = 0.5  # lift coefficient of the rudder per radian
+PLANE_LIFT = 0.7  # of the stern planes
 FIN_MOST = degrees(15.0)  # [rad]
-FIN_LAG, PROPELLER_LAG = 0.1, 1.0  # [s]
+FIN_LAG = 0.1  # [s] of rudder and stern planes
+PROPELLER_LAG = 1.0  # [s]
 RPM_MOST = 1525.0  # [1/min]
 PROPELLER = 0.14  # [m] diameter
 WAKE = 0.944  # advance speed over speed through water, Allen et al. (2000)
 DEDUCTION = 0.1  # thrust deduction number
-KT_0, KT_J = 0.4566, (0.1798 - 0.4566) / 0.6632  # thrust coefficient at advance number 0, and its slope
-KQ_0, KQ_J = 0.0700, (0.0312 - 0.0700) / 0.6632  # torque coefficient
+KT_0 = 0.4566  # thrust coefficient at advance number 0
+KT_J = (0.1798 - 0.4566) / 0.6632  # its slope
+KQ_0 = 0.0700  # torque coefficient at advance number 0
+KQ_J = (0.0312 - 0.0700) / 0.6632  # its slope
 TORQUE_SHARE = 0.1  # of the propeller's torque that rolls the hull
-KP_Z, T_Z, KP_THETA, KD_THETA, KI_THETA, K_W = 0.1, 100.0, 5.0, 2.0, 0.3, 5.0  # of the depth autopilot
+KP_Z = 0.1  # [rad/m] of the depth autopilot: pitch by depth
+T_Z = 100.0  # [s] of its integral
+KP_THETA = 5.0  # planes by pitch
+KD_THETA = 2.0  # [s] by pitch rate
+KI_THETA = 0.3  # [1/s] by the integral of pitch
+K_W = 5.0  # [rad s/m] by heave velocity
 
-NOSE, RADIUS = LENGTH / 2, DIAMETER / 2  # [m] the spheroid's semi-axes
+NOSE = LENGTH / 2  # [m] the spheroid's semi-axis along
+RADIUS = DIAMETER / 2  # [m] and across
 
 
 class Actuators(NamedTuple):

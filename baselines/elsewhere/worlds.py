@@ -24,6 +24,9 @@ FORCES = 2  # F_u, F_r
 class Model(Protocol):
     """The equations of a vehicle whose state is a row of `size` numbers."""
 
+    def __hash__(self) -> int:
+        """Tell it from others: equations are compiled once for each."""
+
     @property
     def name(self) -> str:
         """What `fleet.craft` calls it."""
