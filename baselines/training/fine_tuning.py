@@ -172,11 +172,14 @@ def ratio(policy: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[float, f
 
 def section(record: Mapping[str, Any]) -> str:
     """Return what the page says about what was measured."""
+    asked = (EXPERT, RIVAL, record["agent"], TUNED, ALONE)
+    gaps = [f"{name} for {v}" for v, found in record["vehicles"].items() for name in asked if name not in found]
+    missing = f" Not measured yet: {', '.join(gaps)}." if gaps else ""
     return (
         f"What that is worth for `{record['agent']}`, in the cruise cases of published vehicles, {record['episodes']} "
         "fresh episodes each; everybody is told the vehicle. The typical error is the geometric mean of tails, those "
         "of lost episodes cut at the cap; ratios are over paired episodes, with 95 % intervals over episodes. One "
-        f"training seed.\n\n{table(record)}"
+        f"training seed.{missing}\n\n{table(record)}"
     )
 
 
