@@ -14,7 +14,7 @@ from auv_gym.presets import PRESETS
 from auv_gym.vehicle import PAPER_VEHICLE
 from baselines.agents.networks import Gru
 from baselines.evaluation.knows import command, outside, probe, report
-from baselines.evaluation.knows.adaptation import back, course_of, followed, windows
+from baselines.evaluation.knows.adaptation import EPISODES, back, course_of, followed, lengths_of, windows
 from baselines.evaluation.knows.changes import BEFORE, CHANGES, EVERYWHERE, LENGTHS, Trial
 from baselines.evaluation.knows.collect import agent_of, collected, episodes_of
 from baselines.evaluation.knows.probes import bent, lead, linear, read
@@ -169,6 +169,13 @@ def test_who_is_back_stays_so_to_the_end():
 def test_errors_are_means_over_the_way():
     places = np.repeat(np.arange(-2.0, LENGTHS + 3), 5)[:, None]
     np.testing.assert_allclose(windows(places, places)[:, 0], np.arange(LENGTHS - 1) + 0.5)
+
+
+@pytest.mark.parametrize("regime", ["slow", "cruise"])
+def test_every_episode_goes_far_enough(regime):
+    places = lengths_of(Trial.of(regime, "storm", EPISODES))
+    assert places[-1].min() >= LENGTHS
+    assert all((places == j).any(axis=0).all() for j in range(LENGTHS))
 
 
 def test_a_course_that_decays_is_back_where_it_says():

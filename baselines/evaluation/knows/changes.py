@@ -21,9 +21,9 @@ SEAS = ("noise", "storm")
 """Presets that the vehicle changes in: still water with noisy measurements, and everything at once."""
 BEFORE = 300
 """Control periods until the vehicle changes."""
-LENGTHS = 40
+LENGTHS = 36
 """Lengths L behind the change that are looked at."""
-SLACK = 1.3
+SLACK = 1.6
 """Margin of time, since some paths are slower than their nominal speed in places."""
 EVERYWHERE = 0.5 * math.pi
 """Phase [rad] of a shear of no wave number, with which it is the same current everywhere."""

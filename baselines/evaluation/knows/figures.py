@@ -45,7 +45,7 @@ def probe_figure(record: Mapping[str, Any]) -> bytes:
         axes[0][0].invert_yaxis()
         axes[1][0].set_ylabel("R^2 from the network's memory")
         figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
-        _below(figure, axes[1][0])
+        _below(figure, axes[1][0], 3)
     return to_png(figure)
 
 
@@ -71,6 +71,8 @@ def _courses(axes: Axes, of: Mapping[str, Any]) -> None:
         axes.plot(time, rows[:, 0], **style.line, marker=style.point["marker"], ms=4, label=SHORT[target])
         axes.fill_between(time, rows[:, 1], rows[:, 2], color=style.colour, alpha=0.15, lw=0)
     axes.set_xscale("log")
+    axes.set_xticks(time, [f"{t:g}" for t in time], minor=False)
+    axes.set_xticks([], minor=True)
     axes.set_ylim(-0.1, 1.0)
     axes.set_xlabel("time since the start [s]")
 
@@ -158,7 +160,7 @@ def ordered(own: Mapping[str, Any]) -> list[str]:
     return [name for name in ORDER if name in own] + [name for name in own if name not in ORDER]
 
 
-def _below(figure: Figure, axes: Axes) -> None:
-    """Put the legend of axes below the figure."""
+def _below(figure: Figure, axes: Axes, columns: int = 6) -> None:
+    """Put the legend of axes below the figure, in so many columns at most."""
     lines, labels = axes.get_legend_handles_labels()
-    figure.legend(lines, labels, loc="outside lower center", ncols=min(6, len(labels)))
+    figure.legend(lines, labels, loc="outside lower center", ncols=min(columns, len(labels)))

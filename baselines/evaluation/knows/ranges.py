@@ -8,6 +8,7 @@ true vehicles of the scenarios that its file names.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,9 @@ from baselines.agents.names import agent_folder
 from baselines.policy import Array
 from baselines.tools.files import read_json
 
+HULLS = "baselines.training.hulls"  # the module that draws hulls, for agents that are told them
+LANES = 120
+"""Vehicles side by side in the training whose episodes are drawn; each is of one scenario, its hulls take turns."""
 DRAWS = 4000
 """Episodes that are drawn of a training."""
 SHOWN = 600
@@ -67,12 +71,17 @@ def trained(name: str, draws: int = DRAWS) -> Array:
     parts = config.get("scenarios", [])
     if not parts:
         raise ValueError(f"policy {name!r} is no agent whose file says what it was trained on")
-    scenarios, rng = [Scenario.from_dict(part["scenario"]) for part in parts], np.random.default_rng(0)
-    weights = np.array([part["weight"] for part in parts])
+    rng, weights = np.random.default_rng(0), np.array([part["weight"] for part in parts])
+    chosen = rng.choice(len(parts), LANES, p=weights / weights.sum()).tolist()
+    lanes = [[Scenario.from_dict(parts[i]["scenario"])] for i in chosen]
+    if share := config.get("hyperparameters", {}).get("hulls", 0.0):
+        lanes = import_module(HULLS).turns([own for (own,) in lanes], share, 0)
     rows = []
-    for i in rng.choice(len(parts), draws, p=weights / weights.sum()).tolist():
-        episode = scenarios[i].draw(rng)
-        rows.append(list(ratios(episode.vehicle, scenarios[i].actuators, episode.lag, episode.path.speed).values()))
+    for i in range(draws):
+        own = lanes[i % LANES]
+        scenario = own[i // LANES % len(own)]
+        episode = scenario.draw(rng)
+        rows.append(list(ratios(episode.vehicle, scenario.actuators, episode.lag, episode.path.speed).values()))
     return np.array(rows)
 
 
