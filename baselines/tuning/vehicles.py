@@ -43,7 +43,7 @@ PROGRAM = "python -m baselines.tuning.vehicles"
 FILE = "vehicles.json"  # of what was measured, in docs/
 SCENARIO = "cruise-storm"  # that `scaling` runs
 REGIME = "cruise"  # that `search` tunes for; vehicles with fins have no other
-SCALED = ("backstepping", "integral-normalised", "los-pid", "lqi", "ekf", "nmpc")
+SCALED = ("integral-normalised", "los-pid", "ekf", "nmpc")
 """Policies that `scaling` compares, if none are named."""
 SEARCHED = ("backstepping-tuned", "los-pid", "lqi", "ekf", "nmpc")
 """Controllers whose gains `search` searches, if none are named."""

@@ -106,10 +106,10 @@ def _scaling(record: Mapping[str, Any]) -> tuple[str, str]:
     errors = [p[key] for e in record.values() for p in e["policies"].values() for key in ("before", "after")]
     widest = max((e["interval"][1] - e["interval"][0]) / 2 / e["error"] for e in errors)
     says = (
-        f"**Against the gains of the paper's vehicle.** `{SCENARIO}`, {first['episodes']} episodes each: mean tail "
-        "error in per cent of L, that of a lost episode counted as the score caps it, and in brackets how many were "
-        "lost. On the left of an arrow the policy is told the vehicle and keeps the gains of the paper's, on the right "
-        "it is made for it. 95 % intervals (bootstrap over episodes) reach up to "
+        f"**Against the gains of the paper's vehicle.** `{SCENARIO}`, {first['episodes']} episodes on each of "
+        f"{len(record)} vehicles: mean tail error in per cent of L, that of a lost episode counted as the score caps "
+        "it, and in brackets how many were lost. On the left of an arrow the policy is told the vehicle and keeps the "
+        "gains of the paper's, on the right it is made for it. 95 % intervals (bootstrap over episodes) reach up to "
         f"{100 * widest:.0f} % of a mean to either side."
     )
     return says, scaling_table(record)
