@@ -162,7 +162,7 @@ class Inputs:
             believed, rest = filters.filtered(Observation._make(o), 1 / per_U, rest, ns, hull if self.hull else _PAPER)
             rows += _believed(believed, Observation._make(o), per_U, ns)
         if self.hull:
-            rows += _known(hull, Observation._make(o))
+            rows += _known(hull)
         return tuple(ns.clip(row, -BOUND, BOUND) for row in rows), (x1, y1, x2, y2, *rest)
 
 
@@ -245,21 +245,21 @@ def _filter_features(whose: str, what: str) -> tuple[Feature, ...]:
     )  # fmt: skip
 
 
-def _known(hull: Coefficients, o: Observation) -> tuple[Number, ...]:
+def _known(hull: Coefficients) -> tuple[Number, ...]:
     """Return the rows of `HULL_FEATURES`."""
     h = hull
     decades = (
         h.d11 / h.m11, h.X_uu / h.m11, h.d22 / h.m22, h.Y_vv / h.m22, h.Y_uv / h.m22,
-        h.d33 / h.m33, h.N_rr / h.m33, h.N_ur / h.m33, o.F_u_max / h.m11, o.F_r_max / h.m33,
+        h.d33 / h.m33, h.N_rr / h.m33, h.N_ur / h.m33,
     )  # fmt: skip
     shares = (2 * x / (x + half) for x, half in zip(decades, HALVES, strict=True))
     return (h.m22 / h.m11 - 1, *shares, h.Y_ur / h.m22, h.N_uv / h.m33)
 
 
 _PAPER = PAPER_VEHICLE.coefficients
-HALVES = (0.1, 0.05, 0.4, 1.0, 0.5, 1.0, 4.0, 0.5, 0.6, 0.3)
-"""Drag, lift and limits over inertia, in the order of `_known`, of which `HULL_FEATURES` are 1: about in the middle of
-what vehicles have."""
+HALVES = (0.1, 0.05, 0.4, 1.0, 0.5, 1.0, 4.0, 0.5)
+"""Drag and lift over inertia, in the order of `_known`, of which `HULL_FEATURES` are 1: about in the middle of what
+vehicles have."""
 FINE_FEATURES = _fine_features("", "measured")
 """What a network sees besides with `Inputs.fine`: the errors on finer scales."""
 FILTER_FEATURES = (
@@ -268,20 +268,20 @@ FILTER_FEATURES = (
     *_filter_features("calm_", "filter for a calm sea"),
 )
 """What a network sees besides with `Inputs.filters`."""
-_DECADES = (  # name, what it is, unit
-    ("d11", "d11 / m11", "1/s"), ("X_uu", "X_uu / m11", "1/m"), ("d22", "d22 / m22", "1/s"),
-    ("Y_vv", "Y_vv / m22", "1/m"), ("Y_uv", "Y_uv / m22", "1/m"), ("d33", "d33 / m33", "1/s"),
-    ("N_rr", "N_rr / m33", "1"), ("N_ur", "N_ur / m33", "1/m"),
-    ("u_dot_max", "F_u_max / m11", "m/s^2"), ("r_dot_max", "F_r_max / m33", "rad/s^2"),
-)  # fmt: skip
 HULL_FEATURES = (
     Feature("m22", "1", "1", "m22 / m11 - 1 of the known vehicle"),
     *(
-        Feature(name, unit, f"x / (x + {half:g}) * 2", f"{ratio} of the known vehicle in the paper's units")
-        for half, (name, ratio, unit) in zip(HALVES, _DECADES, strict=True)
+        Feature(name, unit, f"x / (x + {half:g}) * 2", f"{name} / {inertia} of the known vehicle in the paper's units")
+        for half, (name, inertia, unit) in zip(
+            HALVES,
+            (
+                ("d11", "m11", "1/s"), ("X_uu", "m11", "1/m"), ("d22", "m22", "1/s"), ("Y_vv", "m22", "1/m"),
+                ("Y_uv", "m22", "1/m"), ("d33", "m33", "1/s"), ("N_rr", "m33", "1"), ("N_ur", "m33", "1/m"),
+            ),
+            strict=True,
+        )
     ),
     Feature("Y_ur", "1", "1", "Y_ur / m22 of the known vehicle"),
     Feature("N_uv", "1/m^2", "1 / m^2", "N_uv / m33 of the known vehicle in the paper's units"),
-)
-"""What a network sees besides with `Inputs.hull`: ratios, with drag, lift and limits on a scale on which decades are
-alike; the torque of fins, which the speed makes, is that of the moment."""
+)  # fmt: skip
+"""What a network sees besides with `Inputs.hull`: ratios, with drag and lift on a scale on which decades are alike."""

@@ -29,6 +29,11 @@ from this folder.
 It has seen simulated episodes of its scenarios only. Beyond the bound on its correction nothing is guaranteed about
 stability, least of all for other vehicles, speeds or sensors.
 """
+TOLD = """\
+It is told the vehicle: `baselines.make_policy(PATH, vehicle=V)` makes it for V, in V's own units. Those that it has
+learned on are in `baselines.training.hulls`.
+"""
+"""What is said besides of an agent that is told its vehicle."""
 
 
 def model_card(name: str, record: Mapping[str, Any], curve: bool) -> str:
@@ -42,6 +47,8 @@ def model_card(name: str, record: Mapping[str, Any], curve: bool) -> str:
     training, (surge, yaw) = record["training"], record["authority"]
     own = "acts alone" if record["expert"] == NO_EXPERT else f"corrects the policy `{record['expert']}`"
     lines = [TEXT.format(name=name, own=own, surge=surge, yaw=yaw, facts="\n".join(_facts(record)))]
+    if record["inputs"].get("hull"):
+        lines += [TOLD]
     if scores := training.get("scores"):
         lines += ["## Scores", "", "0 is the expert `backstepping`, 1 the oracle.", "", *_table(scores), ""]
     if curve:

@@ -103,6 +103,7 @@ BLIND: Mapping[str, Any] = {**HELM, "preview": []}
 ANY_HULL: Mapping[str, Any] = {
     "hull": True,
     "hulls": 0.5,
+    "hull_weight": 1.0,
     "n_envs": 192,
     "learning_rate": 0.0015,
     "matrix_learning_rate": 0.01,

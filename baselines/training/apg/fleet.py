@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.envs.lanes import Lanes
+from auv_gym.envs.lanes import Lanes, Planned
 from auv_gym.scenario import Scenario
 from auv_gym.simulation import SAMPLE_ROWS, Parts
 from baselines.agents.features import STANDARD
 from baselines.agents.networks import ACTIONS
 from baselines.training.apg.window import Array, Carried
+
+TURNS = 4  # of its scenarios that a vehicle tries at most until an episode can be planned
 
 
 class Fleet:
@@ -98,11 +100,21 @@ class Fleet:
         self.fresh = ~(squared_error <= self._lost) | (self._left < self._window)
         self._left[self.fresh] = self._steps[self.fresh]
         lanes = self.fresh.nonzero()[0]
-        self._begun[lanes] += 1
-        for i in lanes.tolist():
-            self._lanes.scenarios[i] = self._turns[i][self._begun[i] % len(self._turns[i])]
         renewed = Carried(*(np.where(self.fresh, 0.0, x) for x in carried))
         if len(lanes):
-            beginning = self._lanes.begin(lanes, self._lanes.planned(lanes))
+            beginning = self._lanes.begin(lanes, self._planned(lanes))
             renewed.state[:, lanes], renewed.observation[:, lanes] = beginning.plant, beginning.seen
         return renewed
+
+    def _planned(self, lanes: NDArray[np.int64]) -> list[Planned]:
+        """Return the next episodes of some vehicles; where no path can be followed each goes on to its next turn."""
+        for left in reversed(range(TURNS)):
+            self._begun[lanes] += 1
+            for i in lanes.tolist():
+                self._lanes.scenarios[i] = self._turns[i][self._begun[i] % len(self._turns[i])]
+            try:
+                return self._lanes.planned(lanes)
+            except ValueError:
+                if not left or all(len(self._turns[i]) == 1 for i in lanes.tolist()):
+                    raise
+        raise AssertionError("unreachable")
