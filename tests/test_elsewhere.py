@@ -384,6 +384,11 @@ def test_what_the_page_says_in_words_holds(kept):
         assert remus["causes"]["growth"]["as published"][policy] > 1.3
         assert 0.9 < remus["causes"]["growth"]["none of the three"][policy] < 1.1
         assert 0.9 < boat["causes"]["growth"]["no push of the payload"][policy] < 1.1
+    nmpc, adaptive = (boat["policies"][name] for name in ("nmpc", "adaptive"))
+    assert nmpc["worst_plane_m"] > 10
+    assert nmpc["worst_space_m"] < 2
+    assert [case for case, growth in adaptive["growth_by_case"].items() if growth >= 1] == ["storm"]
+    assert boat["tau"]["medians"] > boat["tau"]["all"]
     pitch = otter.OTTER.placed(np.zeros((6, 1)))[4, 0]
     assert math.degrees(pitch) == pytest.approx(-1.5, abs=0.05)
 
