@@ -361,7 +361,7 @@ def test_the_command_compares_and_keeps(tmp_path, monkeypatch, capsys):
         (["--vehicle", "canoe"], "--vehicle 'canoe' is unknown; allowed are remus100, otter"),
         (["--policy", "ekf"], "--policy names 1; a ranking needs 2 or more"),
         (["--episodes", "1"], "--episodes must be 2 or more"),
-        (["--simulator", "installed"], "python_vehicle_simulator is not installed; clone"),
+        (["--simulator", "installed"], "python_vehicle_simulator is not installed; clone and install"),
     ],
 )
 def test_a_mistake_is_one_line(arguments, says, capsys):
