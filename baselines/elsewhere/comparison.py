@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from auv_gym.fleet import craft
 from auv_gym.kernels import MadeBodies
@@ -161,10 +160,7 @@ def summarised(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[s
         for i, name in enumerate(names)
     }
     middle = [np.mean([np.median(own, axis=1) for own in tails[place]], axis=0) for place in (PLANE, SPACE)]
-    by_case = {
-        case: float(stats.kendalltau(tails[PLANE][j].mean(axis=1), tails[SPACE][j].mean(axis=1)).statistic)
-        for j, case in enumerate(cases)
-    }
+    by_case = {case: float(concordance(*(tails[p][j].mean(axis=1) for p in tails))) for j, case in enumerate(cases)}
     return {
         "episodes": tails[PLANE][0].shape[1],
         "cases": cases,
