@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from auv_gym.fleet import craft
 from auv_gym.kernels import MadeBodies
@@ -150,6 +149,8 @@ def summarised(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[s
             "space_m": float(space[0, i]),
             "growth": float(growth[0, i]),
             "ci95": ends(growth[1:, i]),
+            "worst_plane_m": max(float(own[i].max()) for own in tails[PLANE]),
+            "worst_space_m": max(float(own[i].max()) for own in tails[SPACE]),
             "lost_plane": sum(results[name][case][PLANE]["lost"] for case in cases),
             "lost_space": sum(results[name][case][SPACE]["lost"] for case in cases),
             "growth_by_case": {
@@ -158,13 +159,16 @@ def summarised(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[s
         }
         for i, name in enumerate(names)
     }
-    by_case = {
-        case: float(stats.kendalltau(tails[PLANE][j].mean(axis=1), tails[SPACE][j].mean(axis=1)).statistic)
-        for j, case in enumerate(cases)
-    }
+    middle = [np.mean([np.median(own, axis=1) for own in tails[place]], axis=0) for place in (PLANE, SPACE)]
+    by_case = {case: float(concordance(*(tails[p][j].mean(axis=1) for p in tails))) for j, case in enumerate(cases)}
     return {
         "episodes": tails[PLANE][0].shape[1],
         "cases": cases,
         "policies": policies,
-        "tau": {"all": float(taus[0]), "ci95": ends(taus[1:]), "by_case": by_case},
+        "tau": {
+            "all": float(taus[0]),
+            "ci95": ends(taus[1:]),
+            "medians": float(concordance(*middle)),
+            "by_case": by_case,
+        },
     }

@@ -1,4 +1,4 @@
-"""The same vehicles in the user's own copy of PythonVehicleSimulator: `pip install` of cybergalactic's repository.
+"""The same vehicles in the user's own copy of PythonVehicleSimulator, cybergalactic's repository.
 
 A vehicle there is an object with `dynamics(eta, nu, u_actual, u_control, sampleTime)`, which returns velocities over
 ground and actuators a sample later, and takes the current from its `V_c` and `beta_c`.
@@ -34,7 +34,7 @@ def vehicle_of(name: str) -> Any:
         module = importlib.import_module(f"{PACKAGE}.vehicles.{name}")
     except ModuleNotFoundError as error:
         raise ValueError(
-            f"{error.name} is not installed; clone cybergalactic/PythonVehicleSimulator and pip install it, or "
+            f"{error.name} is not installed; clone and install cybergalactic/PythonVehicleSimulator, or "
             "take --simulator own"
         ) from error
     return getattr(module, name)()

@@ -59,6 +59,7 @@ def section(name: str, record: Mapping[str, Any]) -> str:
     head = ("policy", "plane [m]", "space [m]", "growth", "lost, plane", "lost, space", *cases)
     ranks = [(case, f"{tau['by_case'][case]:.2f}") for case in cases]
     ranks.append(("all", f"**{tau['all']:.2f}** ({tau['ci95'][0]:.2f} ... {tau['ci95'][1]:.2f})"))
+    ranks.append(("all, by medians", f"{tau['medians']:.2f}"))
     causes, trials = record["causes"], record["trials"]
     lacking = [(what, *(f"{growth[p]:.2f}" for p in causes["policies"])) for what, growth in causes["growth"].items()]
     runs = [(f"{r['F_u']:.3g} N ahead", f"{r['plane']:.3g} m/s", f"{r['space']:.3g} m/s") for r in trials["straight"]]
