@@ -36,6 +36,7 @@ VERBS = {
     "suites": Verb("baselines.evaluation.suites.__main__", "eval"),
     "fresh": Verb("baselines.evaluation.fresh", "eval"),
     "results": Verb("baselines.evaluation.results.command", "eval"),
+    "knows": Verb("baselines.evaluation.knows.command", "eval"),
     "submit": Verb("baselines.evaluation.submission.command", "eval"),
     "film": Verb("baselines.film.command", "eval,render"),
     "datasets": Verb("baselines.datasets", "data,eval"),

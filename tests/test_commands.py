@@ -56,6 +56,7 @@ ELSEWHERE = {
     r"python -m auv_gym\.identify .*": "test_identify.py::test_the_command_writes_a_vehicle_that_scenarios_take",
     r"auv-gym --help": "test_package.py::test_the_command",
     r"auv-gym train .*": "test_training.py::test_documented_commands_run",
+    r"auv-gym knows .*": "test_knows.py::test_command_in_a_quick_form",
     r"auv-gym suites check .*": "test_suites.py::test_episodes_generate_what_they_did",
     r"auv-gym bench .*": "`make bench`, below",
     r"python -m venv .*": "the environment that runs the tests",

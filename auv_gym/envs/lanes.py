@@ -231,6 +231,17 @@ class Lanes:
             lanes, *begun(self.parts, states, self.sample[:, lanes], self.constants[:, lanes], self.forces), errors
         )
 
+    def change(self, episodes: Sequence[Episode]) -> None:
+        """Put the constants of other episodes in place of those of the running ones; their tapes run on.
+
+        Raises:
+            ValueError: not one for each lane, or one that the lane's scenario cannot have; nothing has changed then.
+        """
+        if len(episodes) != len(self.all):
+            raise ValueError(f"{len(episodes)} episodes are given for {len(self.all)} vehicles; give one for each")
+        given = zip(self.scenarios, episodes, strict=True)
+        self.constants[:] = np.array([leaves(scenario.parameters(episode)) for scenario, episode in given]).T
+
     def with_preview(self, rows: Array, lanes: Indices) -> Array:
         """Return a copy of the observations of n lanes, (SIZE, n), with their previews behind them, (columns, n)."""
         if not self.preview.periods:

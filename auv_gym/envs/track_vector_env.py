@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 from auv_gym.envs.lanes import Beginning, Lanes, ScenarioLike
 from auv_gym.envs.spaces import ReferencePoint, checked_actions, with_action
 from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
+from auv_gym.episode import Episode
+from auv_gym.errors import to_body
 from auv_gym.fleet import Craft
 from auv_gym.kernels import Vehicles
 from auv_gym.namespaces import ARRAYS
 from auv_gym.policy import Forces, Law
 from auv_gym.preview import observation_bounds
-from auv_gym.simulation import CURRENT, PLANT, REFERENCE, current_at, ground_state
+from auv_gym.simulation import CURRENT, LOAD, PLANT, REFERENCE, current_at, ground_state
 from auv_gym.task import SIZE, decode
 from auv_gym.vehicle import Vehicle
 
@@ -179,6 +181,27 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         values = {"position_error": errors * mask, "saturated": saturated & mask, "time": self.time * mask}
         return {k: v for key, value in values.items() for k, v in ((key, value), (f"_{key}", mask.copy()))}
 
+    def change(self, episodes: Sequence[Episode]) -> None:
+        """Go on with the constants of other episodes: a payload is taken up, a fin breaks, other water begins.
+
+        What changes is the true vehicle with its actuators, and the shear, which is a step of the current where its
+        wave number is zero. Path, waves, noise and what has been drawn of the current stay, and so do positions and
+        velocities over ground: where the water differs, the velocities relative to it do.
+
+        Args:
+            episodes: one for each vehicle, of its scenario.
+
+        Raises:
+            ValueError: not N episodes, or one that the vehicle's scenario cannot have; nothing has changed then.
+        """
+        vehicles, current = self._running, self.current
+        self._lanes.change(episodes)
+        V_x, V_y = (current - self.current).T
+        psi = vehicles.plant.psi
+        gained = to_body(V_x, V_y, np.cos(psi), np.sin(psi))
+        vehicles.now.plant[PLANT.u] += gained[0]
+        vehicles.now.plant[PLANT.v] += gained[1]
+
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
         """Not kept: sub-environment i owns the generator that its seed made."""
@@ -211,6 +234,12 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         """V_x, V_y [m/s] of the water in the world, where the vehicles are; shape (N, 2)."""
         lanes, plant = self._lanes, self._running.plant
         return np.stack(current_at(plant.x, plant.y, lanes.sample[CURRENT], lanes.parameters, ARRAYS), axis=1)
+
+    @property
+    def load(self) -> Array:
+        """X, Y [N], N [N m] of the waves on the hulls at this time; shape (N, 3)."""
+        loads: Array = self._lanes.sample[LOAD].T.copy()
+        return loads
 
     @property
     def time(self) -> Array:

@@ -36,6 +36,10 @@ FRESH = Seeds(
     70_000_000, 80_000_000, "baselines.evaluation.fresh", "policies are compared on these; nothing is chosen on them"
 )
 """Those of fresh episodes."""
+KNOWLEDGE = Seeds(
+    80_000_000, 90_000_000, "baselines.evaluation.knows.collect", "what agents know is looked for on these"
+)
+"""Those of the episodes in which memories are read and vehicles change."""
 SWEEP = Seeds(
     90_000_000, 100_000_000, "baselines.evaluation.suites.bound", "the bound is tried on these: does it lose a vehicle?"
 )
@@ -43,5 +47,5 @@ SWEEP = Seeds(
 TRAINING = Seeds(1_000_000_000, 2**62, "baselines.training.config", "agents are trained on these")
 """Those that agents are trained on."""
 
-TABLE = (USERS, TUNING, TUNING_CHECK, VALIDATION, FRESH, SWEEP, TRAINING)
+TABLE = (USERS, TUNING, TUNING_CHECK, VALIDATION, FRESH, KNOWLEDGE, SWEEP, TRAINING)
 """Every range, in order; none overlaps another."""
