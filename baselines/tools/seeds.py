@@ -71,5 +71,19 @@ FINE_TUNING = Seeds(
 TRAINING = Seeds(1_000_000_000, 2**62, "baselines.training.config", "agents are trained on these")
 """Those that agents are trained on."""
 
-TABLE = (USERS, TUNING, TUNING_CHECK, VALIDATION, GUARD, CERTIFICATE, FALSIFICATION, FRESH, KNOWLEDGE, SWEEP, ELSEWHERE, FINE_TUNING, TRAINING)
+TABLE = (
+    USERS,
+    TUNING,
+    TUNING_CHECK,
+    VALIDATION,
+    GUARD,
+    CERTIFICATE,
+    FALSIFICATION,
+    FRESH,
+    KNOWLEDGE,
+    SWEEP,
+    ELSEWHERE,
+    FINE_TUNING,
+    TRAINING,
+)
 """Every range, in order; none overlaps another."""
