@@ -64,8 +64,12 @@ def make_policy(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None = N
     """
     if (parts := guarded_name(name)) is not None:
         bare, other = parts
-        fallback = make_policy(other, vehicle) if other else bounded_law(vehicle)
-        return Guarded(make_policy(bare, vehicle, **options), fallback, vehicle)
+
+        def guarded(known: Any) -> Policy:
+            fallback = make_policy(other, known) if other else bounded_law(known)
+            return Guarded(make_policy(bare, known, **options), fallback, known)
+
+        return made_for(vehicle, guarded)
     if name.endswith(FADING) and not name.startswith(COMMAND):
         return make_policy(name.removesuffix(FADING), vehicle, **{"fade": True, **options})
     if is_path(name) or agent_folder(name) is not None:
