@@ -67,7 +67,7 @@ class Options:
 
     vehicle: Annotated[tuple[str, ...], arg(metavar="V [V ...]", help_behavior_hint="")] = VEHICLES
     """Published vehicles by name."""
-    agent: str = "helm"
+    agent: str = "helm-any"
     """The agent that is tuned, one that ships with the package."""
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
     """Who is measured: "tuned", "alone", or policies by name. Default: these two, the agent, the expert and nmpc."""
