@@ -304,7 +304,7 @@ def folder(tmp_path_factory):
             name = text.split("\n", 1)[0].removeprefix("# ")
             if re.fullmatch(r"\w+\.(py|toml|yml)", name) and language in ("python", "toml", "yaml"):
                 (folder / name).write_text(text, encoding="utf-8")
-    for run, agent in (("apg-cruise", "apg-cruise"), ("ppo-slow", "ppo-slow"), ("helm-vehicle", "helm")):
+    for run, agent in (("apg-cruise", "apg-cruise"), ("ppo-slow", "ppo-slow"), ("helm-any-vehicle", "helm-any")):
         shutil.copytree(AGENTS / agent, folder / "runs" / "train" / run / "agent")
     (folder / "runs" / "ppo").mkdir()
     model = PPO("MlpPolicy", make_env(PRESETS["cruise-calm"]), n_steps=8, batch_size=8, device="cpu")

@@ -32,6 +32,7 @@ SAMPLE = {
     "unmodelled-v1": "slow-everything",
     "deep-v1": "cruise-deep",
     "sealed-v1": "slow-far-start",
+    "vehicles-v1": "cruise-storm@otter",
 }
 CLOSEST = 1e-6
 """Relative difference that another processor may make; on the one that recorded the rows there is none."""
