@@ -57,9 +57,10 @@ def test_the_wheel_holds_all_but_what_pages_are_written_from(built):
     kept_out = re.compile(
         rf"{data}(fresh|fronts|knows|studies|recorded/(ood|unmodelled|deep|sealed|vehicles)-v1)/.*"
         rf"|{data}(bound|certificates|floor|guards|residual)\.json"
-        r"|baselines/agents/shipped/.*\.png|baselines/evaluation/suites/(ood|unmodelled|deep|sealed|vehicles)-v1\.json\.bz2"
+        r"|baselines/agents/shipped/(.*\.png|(apg-adverse|apg-scratch|helm-blind).*)"
+        r"|baselines/evaluation/suites/(ood|unmodelled|deep|sealed|vehicles)-v1\.json\.bz2"
         r"|baselines/tuning/priced/.*"
-        rf"|{data}recorded/benchmark-v1/(adaptive|backstepping-.*|ilos|integral|open-loop|oracle|smc-dob)\.npz"
+        rf"|{data}recorded/benchmark-v1/(adaptive|apg-(adverse|scratch)-.*|backstepping-.*|helm-blind|ilos|integral|open-loop|oracle|smc-dob)\.npz"
     )
     assert {name for name in there if not kept_out.fullmatch(name)} == names
 

@@ -63,6 +63,8 @@ FAMILIES: Mapping[str, str] = {
     "apg-preview": "A larger network, which sees the reference ahead and pays nearly nothing for its commands.",
     "apg-adverse": "Trained also where sensors, commands, actuators and current are not as told.",
     "helm": "One agent for both regimes: small errors seen as well as large ones, filters, and slewing thrusters.",
+    "helm-blind": "The same without sight of the path ahead.",
+    "helm-small": "The same with a network of 2,004 weights.",
     "helm-any": "The same, trained further on drawn vehicles and told which one it steers.",
     "apg-scratch": "Without an expert: the network commands alone.",
     "ppo": "The expert corrected by a network without memory, which learns from rewards until it gets no better.",
