@@ -238,8 +238,8 @@ def test_documented_commands_run(page, call, monkeypatch):
         assert call(*line.split(), *scenario, "--timesteps", 40) == 0, line
 
 
-def test_what_fine_tuning_is_worth_is_measured_and_shown(tmp_path, monkeypatch, capsys):
-    """A quick form of the command, whose agents have learned nothing; the page's table is that of the kept file."""
+def test_what_fine_tuning_is_worth_is_measured(tmp_path, monkeypatch, capsys):
+    """A quick form of the command, whose agents have learned nothing."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(fine_tuning, "CASES", ("calm", "noise"))
     words = ["--vehicle", "otter", "--episodes", "2", "--out", "new.json", "--policy", "backstepping", "helm"]
@@ -254,6 +254,9 @@ def test_what_fine_tuning_is_worth_is_measured_and_shown(tmp_path, monkeypatch, 
     capsys.readouterr()
     assert run(fine_tuning.main, fine_tuning.PROGRAM, words) == 0
     assert capsys.readouterr().out == ""  # all is there
+
+
+def test_page_shows_what_fine_tuning_is_worth():
     page = ROOT / "docs" / "training.md"
     text = page.read_text(encoding="utf-8")
     head, _, rest = text.partition(f"{fine_tuning.BEGIN}\n")
