@@ -42,6 +42,7 @@ POLICIES = (
     "ekf",
     "nmpc",
     "helm",
+    "helm-any",
 )
 """Who is compared."""
 CASES = ("calm", "noise", "current", "waves", "mismatch", "storm")
