@@ -13,12 +13,14 @@ import pytest
 
 import evaluate
 from auv_gym.presets import PRESETS
+from auv_gym.units import in_paper_units
 from auv_gym.vehicle import Vehicle
 from baselines import common_vehicle, make_policy, make_residual_vector_env
 from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES
 from baselines.agents.loading import caution
 from baselines.agents.networks import Gru
+from baselines.control.backstepping import Backstepping
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.options import Options
 from baselines.evaluation.request import Request
@@ -273,7 +275,7 @@ def make_open_loop():
 
 
 def test_policies_are_told_the_vehicle_that_the_scenario_knows(tmp_path, monkeypatch):
-    """By name, as an agent's expert and from a file, the law knows the heavy vehicle of a scenario."""
+    """By name and as an agent's expert, made in the vehicle's own units, and from a file the law knows the vehicle."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.py").write_text(BELIEVING)
     heavy = Vehicle(m11=600.0, m22=840.0, m33=300.0, d11=160.0, d22=320.0, d33=180.0, X_uu=40.0)
@@ -283,20 +285,23 @@ def test_policies_are_told_the_vehicle_that_the_scenario_knows(tmp_path, monkeyp
     told = rollout(make_policy("backstepping", vehicle=heavy), scenario, cell.episodes, 1.0).measures.tail
     wrong = rollout(make_policy("backstepping"), scenario, cell.episodes, 1.0).measures.tail
     runs = run_all(("backstepping", "./agent", "mine.py:Law", "mine.py:make_open_loop"), [cell])
-    for run in runs[:3]:
+    for run in runs[:2]:
         np.testing.assert_array_equal(run.measures.tail, told)
+    as_it_is = rollout(Backstepping(vehicle=heavy), scenario, cell.episodes, 1.0).measures.tail
+    np.testing.assert_array_equal(runs[2].measures.tail, as_it_is)
     assert runs[3].error is None
     assert told.mean() < 0.5 * wrong.mean()
     assert Config(scenarios=((scenario, 1.0),)).make_expert().vehicle == heavy
-    assert make_policy("ekf", heavy).controller.slow.vehicle == heavy
+    assert make_policy("ekf", heavy).policy.controller.slow.vehicle == in_paper_units(heavy)
     assert make_policy("open-loop", heavy)
     residual = gym.make("auv_gym:UnderactuatedAUVTrackResidual-v0", scenario=scenario)
-    assert residual.unwrapped.scenario.vehicle == residual.get_wrapper_attr("expert").vehicle == heavy
+    assert residual.unwrapped.scenario.vehicle == heavy
+    assert residual.get_wrapper_attr("expert").policy.vehicle == in_paper_units(heavy)
 
 
 def test_an_expert_by_name_is_told_the_vehicle_that_all_know():
     heavy = Vehicle(m11=600.0, m22=840.0, m33=300.0, d11=160.0, d22=320.0, d33=180.0, X_uu=40.0)
     one, other = PRESETS["cruise-calm"], PRESETS["cruise-calm"].changed(vehicle=heavy)
     assert (common_vehicle([one, one]), common_vehicle([one, other])) == (one.vehicle, None)
-    for scenario, known in ((other, heavy), ([one, other], one.vehicle)):
-        assert make_residual_vector_env(2, scenario).expert.vehicle == known
+    assert make_residual_vector_env(2, other).expert.policy.vehicle == in_paper_units(heavy)
+    assert make_residual_vector_env(2, [one, other]).expert.vehicle == one.vehicle
