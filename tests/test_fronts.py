@@ -199,7 +199,7 @@ def test_all_seeds_count_where_there_are_several(benchmark, three):
     (agent,) = who.agents["apg-preview-cruise"]
     assert [tail.shape for tail in agent.tails] == [(5, 260)] * 8
     own = studies["apg-preview-cruise"].suites[SUITE]
-    assert agent.error == pytest.approx(np.mean(own.capped("cruise")))
+    assert agent.error == pytest.approx(np.mean(own.capped()))
     fewer = replace(three[0], rows=replace(three[0].rows, tails=tuple(t[:, :9] for t in three[0].rows.tails)))
     with pytest.raises(ValueError, match="measure them with the same number"):
         page.spenders([three[0], fewer], benchmark, studies, "slow")

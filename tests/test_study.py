@@ -161,3 +161,11 @@ def test_variants_can_be_trained(name, tmp_path):
 def test_unknown_variants_are_named(monkeypatch):
     monkeypatch.setattr("sys.argv", ["study", "nonsense"])
     assert run(study.main, study.PROGRAM) == 2
+
+
+def test_lost_episodes_have_the_cap_of_their_cell():
+    """A tail of a metre is lost in slow motion, and is not where positions are reckoned."""
+    tail, ended = np.array([[1.0, 0.1]]), np.zeros((1, 2), bool)
+    own = InSuite("", ("slow-calm", "slow-deep"), (tail, tail), (ended, ended), np.zeros(1), np.zeros(1), 0.0)
+    assert own.losses() == 1
+    np.testing.assert_array_equal(own.capped(), [[[0.6, 0.1]], [[1.0, 0.1]]])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from baselines.evaluation import suites
 from baselines.evaluation.metrics import Array, Measures
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import LARGEST_TAIL, cut, in_paper_units, is_lost
+from baselines.evaluation.score import cut, in_paper_units, is_lost, largest_tail, waters_of
 from baselines.evaluation.store import Stored, reading, write
 from baselines.tools.files import versions
 
@@ -57,15 +57,17 @@ class InSuite:
             float(np.mean([run.decision_seconds for own in runs for run in own])),
         )
 
-    def capped(self, regime: str) -> tuple[Array, ...]:
+    def capped(self) -> tuple[Array, ...]:
         """Return the tails with that of an episode that was lost cut at `score.LARGEST_TAIL`."""
-        cap = LARGEST_TAIL[regime]
-        return tuple(cut(tail, ended, cap) for tail, ended in zip(self.tails, self.lost, strict=True))
+        return tuple(cut(*own) for own in zip(self.tails, self.lost, self._caps, strict=True))
 
-    def losses(self, regime: str) -> int:
+    def losses(self) -> int:
         """Return how many episodes of all seeds are lost, see `score.is_lost`."""
-        cap = LARGEST_TAIL[regime]
-        return sum(int(is_lost(t, ended, cap).sum()) for t, ended in zip(self.tails, self.lost, strict=True))
+        return sum(int(is_lost(*own).sum()) for own in zip(self.tails, self.lost, self._caps, strict=True))
+
+    @property
+    def _caps(self) -> list[float]:
+        return [largest_tail(waters_of(cell)) for cell in self.cells]
 
 
 @dataclass(frozen=True)

@@ -96,7 +96,7 @@ def _leads(results: Results, anew: Results | None, studies: Mapping[str, Study],
             continue
         regime, tails = study.regime, dict(zip(own.cells, own.tails, strict=True))
         above, count = _lead(results, regime, tails, rival)
-        total, lost = sum(tail.size for tail in own.tails), own.losses(regime)
+        total, lost = sum(tail.size for tail in own.tails), own.losses()
         rows.append([
             _named(name, regime),
             score_text(_score(results, study)),
@@ -170,7 +170,7 @@ def _trainings(results: Results, studies: Mapping[str, Study], *kinds: str) -> s
         if name.startswith(kinds) and (own := study.suites.get(results.suite.source[0])) is not None:
             steps = float(np.mean([curve[-1, 0] for curve in study.curves])) / 1e6
             score, total = _score(results, study), sum(tail.size for tail in own.tails)
-            lost = f"{own.losses(study.regime)} of {total}"
+            lost = f"{own.losses()} of {total}"
             rows.append(
                 (score.mean, [f"{_named(name, study.regime)}: {study.about}", f"{steps:.3g} M", *_text(score), lost])
             )

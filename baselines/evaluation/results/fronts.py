@@ -88,7 +88,7 @@ def spenders(fronts: Sequence[Front], results: Results, studies: Mapping[str, St
 
 def _points(front: Front, expert: tuple[float, float]) -> tuple[Spent, ...]:
     """Return the points of a front; an agent that ships with the package has a place of its own."""
-    tails, rows = front.rows.capped(front.regime), front.rows
+    tails, rows = front.rows.capped(), front.rows
     return tuple(
         Spent(
             front.name,

@@ -70,7 +70,7 @@ def tails_of(policy: str, results: Results, studies: Mapping[str, Study], regime
     """
     study = studies.get(policy) or studies.get(f"{policy}-{regime}")  # that of one agent for both regimes
     if study is not None and study.regime == regime and (own := study.suites.get(results.suite.source[0])) is not None:
-        return dict(zip(own.cells, own.capped(regime), strict=True))
+        return dict(zip(own.cells, own.capped(), strict=True))
     found = [r for r in results.runs if r.policy == policy and regime_of(r.scenario.name) == regime]
     return {r.scenario.name: capped(r.measures, regime)[None] for r in found if r.measures is not None}
 

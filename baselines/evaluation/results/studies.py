@@ -12,7 +12,7 @@ from baselines.evaluation.metrics import Array
 from baselines.evaluation.report.columns import lost_text
 from baselines.evaluation.results.collection import Results
 from baselines.evaluation.results.tables import table
-from baselines.evaluation.score import EXPERT, RIVAL, interval_text, lead, score_text, seeds_score
+from baselines.evaluation.score import EXPERT, RIVAL, capped, interval_text, lead, score_text, seeds_score, waters_of
 from baselines.evaluation.study_files import InSuite, Study
 from baselines.tools.figure_style import LOOKS, REFERENCE, panels
 
@@ -66,7 +66,8 @@ _NAMES = (
 def _row(name: str, study: Study, results: Results) -> list[str]:
     own, regime = study.suites[results.suite.source[0]], study.regime
     zero, one = (_tails(results, policy, own) for policy in results.suite.anchors)
-    score, capped = (seeds_score(zero, seeds, one) for seeds in (own.tails, own.capped(regime)))
+    low, high = (_tails(results, policy, own, cut=True) for policy in results.suite.anchors)
+    score, below_cap = seeds_score(zero, own.tails, one), seeds_score(low, own.capped(), high)
     above = None
     if RIVAL in results.policies:
         rival = _tails(results, RIVAL, own)
@@ -84,18 +85,19 @@ def _row(name: str, study: Study, results: Results) -> list[str]:
         interval_text(score, 3),
         score_text(above, 3),
         interval_text(above, 3),
-        score_text(capped, 3),
-        lost_text(own.losses(regime), episodes),
+        score_text(below_cap, 3),
+        lost_text(own.losses(), episodes),
         f"{float(own.effort.mean()) / effort:.2f}",
         f"{float(own.smoothness.mean()) / rate:.2f}",
         f"{1e3 * own.decision_seconds:.2g}",
     ]
 
 
-def _tails(results: Results, policy: str, own: InSuite) -> list[Array]:
-    """Return a policy's tails in the cells that agents ran in, shape (M,) each."""
+def _tails(results: Results, policy: str, own: InSuite, cut: bool = False) -> list[Array]:
+    """Return a policy's tails in the cells that agents ran in, shape (M,) each, cut at `score.LARGEST_TAIL` or not."""
     by_case = {r.scenario.name: r.measures for r in results.runs if r.policy == policy and r.measures is not None}
-    return [by_case[cell].tail[: tail.shape[1]] for cell, tail in zip(own.cells, own.tails, strict=True)]
+    tails = (capped(by_case[cell], waters_of(cell)) if cut else by_case[cell].tail for cell in own.cells)
+    return [tail[: ran.shape[1]] for tail, ran in zip(tails, own.tails, strict=True)]
 
 
 def _made(name: str, study: Study) -> str:

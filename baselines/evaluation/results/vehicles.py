@@ -185,11 +185,11 @@ def of_seeds(regime: str, rival: Mapping[str, Measures], studies: Mapping[str, S
     for name, study in studies.items():
         if (found := study.suites.get(SUITE)) is None or study.regime != regime:
             continue
-        own = dict(zip(found.cells, found.capped(regime), strict=True))
+        own = dict(zip(found.cells, found.capped(), strict=True))
         theirs = {cell: capped(rival[cell], waters_of(cell))[: tail.shape[1]] for cell, tail in own.items()}
         troubled = [cell for cell in own if _case(cell) != CALM]
         ratios = (relative_error([theirs[c] for c in few], [own[c] for c in few]) for few in (list(own), troubled))
-        lost, total = found.losses(regime), sum(tail.size for tail in found.tails)
+        lost, total = found.losses(), sum(tail.size for tail in found.tails)
         rows.append([
             f"`{name}`",
             str(len(found.tails[0])),
