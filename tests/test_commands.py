@@ -50,7 +50,7 @@ MADE = {"api", "scenarios"}  # folders of pages that the build writes
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 PAGES += [p for p in sorted((ROOT / "docs").rglob("*.md")) if p.parent.name not in MADE]
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-FROZEN = ("benchmark-v2", "benchmark-v1", "ood-v1", "unmodelled-v1")
+FROZEN = ("benchmark-v2", "benchmark-v1", "ood-v1", "unmodelled-v1", "vehicles-v1")
 ELSEWHERE = {
     r"make( .*)?": "the verbs, below",
     r"python -m auv_gym\.identify .*": "test_identify.py::test_the_command_writes_a_vehicle_that_scenarios_take",
@@ -306,6 +306,7 @@ def folder(tmp_path_factory):
                 (folder / name).write_text(text, encoding="utf-8")
     for run, agent in (("apg-cruise", "apg-cruise"), ("ppo-slow", "ppo-slow"), ("helm-any-vehicle", "helm-any")):
         shutil.copytree(AGENTS / agent, folder / "runs" / "train" / run / "agent")
+    shutil.copytree(ROOT / "docs" / "seas", folder / "docs" / "seas")
     (folder / "runs" / "ppo").mkdir()
     model = PPO("MlpPolicy", make_env(PRESETS["cruise-calm"]), n_steps=8, batch_size=8, device="cpu")
     for name in ("model.zip", "runs/ppo/model.zip"):
