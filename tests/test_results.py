@@ -42,7 +42,8 @@ def test_the_page_is_what_the_rows_say(found):
     whole = [entry for entry, _ in found.values() if entry is not None]
     missing = [name for name, (entry, _) in found.items() if entry is None]
     text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
-    parts = results.sections(whole, load_all()), what_it_is_for(residual_file.load())
+    fleet, _ = collected("vehicles-v1")
+    parts = results.sections(whole, load_all(), fleet), what_it_is_for(residual_file.load())
     assert text == results_page.page(whole, missing, *parts), "run `make results`"
     assert {name: refused for name, (_, refused) in found.items() if refused} == {}
     for image in re.findall(r"\]\((images/.+?)\)", text):

@@ -9,7 +9,7 @@ import shlex
 import signal
 import sys
 import unicodedata
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import fields
 from typing import Any, NoReturn, TypeVar
@@ -95,6 +95,17 @@ def words_of(options: Any, defaults: Any) -> list[str]:
             given = value if isinstance(value, tuple) else () if value is True else (value,)
             words += [f"--{f.name.rstrip('_').replace('_', '-')}", *map(str, given)]
     return words
+
+
+def check_words(option: str, given: Sequence[str], allowed: Iterable[str]) -> None:
+    """Check the words of an option.
+
+    Raises:
+        UsageError: one is not allowed; the first of them is named, with what is.
+    """
+    known = tuple(allowed)
+    if unknown := [word for word in given if word not in known]:
+        raise UsageError(f"--{option} is {unknown[0]!r}; allowed are {', '.join(known)}")
 
 
 def called(program: str) -> str:

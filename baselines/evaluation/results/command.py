@@ -53,9 +53,9 @@ def main(arguments: Sequence[str]) -> int:
     if checkout() is None:
         raise UsageError(left_out("the rows and studies that the pages are written from are"))
     try:
-        found, missing, failed = _checked(program)
+        found, missing, fleet, failed = _checked(program)
         (options.out / "images").mkdir(parents=True, exist_ok=True)
-        _write(found, missing, options.out)
+        _write(found, missing, fleet, options.out)
     except OSError as error:
         print(f"{program}: cannot write to {options.out}: {error.strerror}", file=sys.stderr)
         return FAILED
@@ -66,31 +66,31 @@ def main(arguments: Sequence[str]) -> int:
     return FAILED if failed else DONE
 
 
-def _checked(program: str) -> tuple[list[Results], list[str], bool]:
-    """Return what is recorded of the suites, names of those without rows, and whether something is wrong; tell it."""
-    found, missing, wrong = [], [], []
+def _checked(program: str) -> tuple[list[Results], list[str], Results | None, bool]:
+    """Return what is recorded of suites, names of those without rows, the suite of vehicles, and if a row is wrong."""
+    every: dict[str, Results | None] = {}
+    wrong = []
     for name in (*SUITES, vehicles.SUITE):
         results, refused = collected(name)
+        every[name] = results
         wrong += [f"{policy} in {name}: {reason}; left out" for policy, reason in refused.items()]
-        if results is None:
-            missing += [name] if name != vehicles.SUITE else []
-            continue
-        found += [results] if name != vehicles.SUITE else []
         wrong += [
             f"{policy} is better than {best} in {case} by {gain:.3g} m"
             for best, tolerance in ((ORACLE, TOLERANCE.get(name, math.inf)), (BOUND, ROUNDING))
-            for case, policy, gain in better_than(best, results)
+            for case, policy, gain in (better_than(best, results) if results else ())
             if gain > tolerance
         ]
     for line in wrong:
         print(f"{program}: {line}", file=sys.stderr)
-    return found, missing, bool(wrong)
+    fleet = every.pop(vehicles.SUITE)
+    found = [results for results in every.values() if results is not None]
+    return found, [name for name, results in every.items() if results is None], fleet, bool(wrong)
 
 
-def _write(found: Sequence[Results], missing: Sequence[str], out: Path) -> None:
+def _write(found: Sequence[Results], missing: Sequence[str], fleet: Results | None, out: Path) -> None:
     """Write the pages and their figures."""
     studies, groups = load_all(), load(FILE)
-    write_atomically(out / PAGE, page(found, missing, sections(found, studies), what_it_is_for(groups)))
+    write_atomically(out / PAGE, page(found, missing, sections(found, studies, fleet), what_it_is_for(groups)))
     write_atomically(out / "images" / FIGURE, to_png(residual_figure(groups)))
     write_atomically(out / FINDINGS, findings(found, fresh_results(), studies))
     for name, own in figures_of(studies).items():
@@ -101,13 +101,16 @@ def _write(found: Sequence[Results], missing: Sequence[str], out: Path) -> None:
     for results in found:
         for figure, png in results_figures(results).items():
             write_atomically(out / "images" / f"results-{results.suite.name}-{figure}.png", png)
-    if vehicles.shown(fleet := collected(vehicles.SUITE)[0]):
+    if vehicles.shown(fleet):
         write_atomically(out / "images" / vehicles.FIGURE, vehicles.figure(fleet))
 
 
-def sections(found: Sequence[Results], studies: Mapping[str, Study]) -> str:
-    """Return the sections of the page behind the suites: other vehicles, how robust leads are, fronts, agents."""
-    parts, kept = [vehicles.section(collected(vehicles.SUITE)[0], studies)], front_files.load_all()
+def sections(found: Sequence[Results], studies: Mapping[str, Study], fleet: Results | None) -> str:
+    """Return the sections of the page behind the suites: other vehicles, how robust leads are, fronts, agents.
+
+    `fleet` is what is recorded of the suite of vehicles, None without its anchors.
+    """
+    parts, kept = [vehicles.section(fleet, studies)], front_files.load_all()
     for results in filter(_has_fronts, found):
         parts += [robust.section(results, studies), fronts.section(kept, results, studies)]
     return "\n\n".join(filter(None, [*parts, section(studies, found)]))

@@ -33,7 +33,7 @@ from baselines.evaluation.safety.seas import KINDS, names, sea
 from baselines.evaluation.score import cut, is_lost, largest_tail
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.policy import Array
-from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, check_words, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tools.seeds import FALSIFICATION
 from baselines.tuning.search import strategies
@@ -207,9 +207,8 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    for option, given, allowed in (("regime", options.regime, REGIMES), ("sea", options.sea, KINDS)):
-        if unknown := [word for word in given if word not in allowed]:
-            raise UsageError(f"--{option} is {unknown[0]!r}; allowed are {', '.join(allowed)}")
+    check_words("regime", options.regime, REGIMES)
+    check_words("sea", options.sea, KINDS)
     if not 1 <= options.generations <= 10_000:
         raise UsageError(f"--generations is {options.generations}; it must be in [1, 10000]")
     policies = checked_policies(options.policy)

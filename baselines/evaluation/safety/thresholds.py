@@ -29,7 +29,7 @@ from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import EXPERT, cut, is_lost, largest_tail
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.policy import Array
-from baselines.tools.command_line import DONE, UsageError, parse, run
+from baselines.tools.command_line import DONE, UsageError, check_words, parse, run
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tools.seeds import GUARD
 from baselines.training.mixtures import OUTAGE_TIMES, SLEW_TIMES, adverse, hasty, slewing
@@ -128,9 +128,8 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    for option, given, allowed in (("regime", options.regime, REGIMES), ("guard", options.guard, GUARDS)):
-        if unknown := [word for word in given if word not in allowed]:
-            raise UsageError(f"--{option} is {unknown[0]!r}; allowed are {', '.join(allowed)}")
+    check_words("regime", options.regime, REGIMES)
+    check_words("guard", options.guard, GUARDS)
     if not 1 <= options.episodes <= 10_000:
         raise UsageError(f"--episodes is {options.episodes}; it must be in [1, 10000]")
     options.out.parent.mkdir(parents=True, exist_ok=True)
