@@ -34,7 +34,9 @@ from baselines.training.trainings import EXACT, PPO_AUTHORITY, SHIPPED, SPINS, r
 PROGRAM = "python -m baselines.training.study"
 
 
-OF_THE_PAPER = tuple(name for name in SUITES if name != "vehicles-v1")  # suites of the vehicle that agents know
+OF_ALL_VEHICLES = "helm-any"
+"""The agent that is run on other vehicles too."""
+OF_THE_PAPER = tuple(name for name in SUITES if name != "vehicles-v1")  # suites of the vehicle that the others know
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,8 @@ def _shipped(name: str, each: TrainOptions) -> dict[str, Variant]:
     if regime in REGIMES:
         return {name: Variant(FAMILIES[family], regime, replace(each, seeds=SEEDS))}
     own = replace(each, seeds=SEEDS)
-    return {f"{name}-{regime}": Variant(FAMILIES[name], regime, own, runs=name) for regime in REGIMES}
+    where = SUITES if name == OF_ALL_VEHICLES else OF_THE_PAPER
+    return {f"{name}-{regime}": Variant(FAMILIES[name], regime, own, where, name) for regime in REGIMES}
 
 
 VARIANTS: Mapping[str, Variant] = {
