@@ -22,7 +22,7 @@ from baselines.evaluation.metrics import Measures
 from baselines.evaluation.options import Options
 from baselines.evaluation.report.numbers import compare, pool
 from baselines.evaluation.request import Request
-from baselines.evaluation.results import vehicles
+from baselines.evaluation.results import vehicles, vehicles_figure
 from baselines.evaluation.results.collection import ROUNDING, Results, better_than
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import Cell, Recorded, Run, drawn, run_all
@@ -172,15 +172,28 @@ def test_the_section_tells_what_the_rows_say(suite):
         ]
     results = Results.of(suite, runs)
     text = vehicles.section(results, {})
-    assert text.count("| `ekf` | 0.50 (0.50 ... 0.50) | 0.50 (0.50 ... 0.50) | 0.96 (0.96 ... 0.96) | 0 of 2048") == 1
-    assert text.count("| `ekf` |") == 2 * 2 + 8
+    half = "| `ekf` | 0.50 (0.50 ... 0.50) | 0.50 (0.50 ... 0.50) | 0.50 | 0.96 (0.96 ... 0.96) | 0 of "
+    assert [text.count(f"{half}{episodes} ") for episodes in (2304, 2048, 256)] == [1, 1, 1]
+    assert text.count("| `ekf` |") == 2 * 3 + 8
     assert "Nobody is." in text
     assert "`backstepping` loses 0 of 2304 episodes" in text
-    own = [run for run in runs if run.policy == "ekf" and run.scenario.name.startswith("cruise-")]
-    study = Study.of("", "cruise", "", {vehicles.SUITE: [own, own]}, [[], []])
-    rival = vehicles.pairs_of(results, "cruise")["nmpc"].own
-    _, rows = vehicles.of_seeds("cruise", rival, {"any": study})
-    assert "| `any` | 2 | 0.50 (0.50 ... 0.50) | 0.50 (0.50 ... 0.50) | 0 of 4096" in rows
+    studies = {}
+    for regime in ("cruise", "slow"):
+        own = [run for run in runs if run.policy == "ekf" and run.scenario.name.startswith(regime)]
+        studies[f"any-{regime}"] = Study.of("", regime, "", {vehicles.SUITE: [own, own]}, [[], []])
+    pairs = [vehicles.pairs_of(results, regime)["nmpc"] for regime in ("cruise", "slow")]
+    for pair, known, lost in (
+        (pairs[0], studies, "0 of 4096"),
+        (pairs[1], studies, "0 of 512"),
+        (vehicles.Pair.joined(pairs), studies, "0 of 4608"),
+        (pairs[1], {"any-slow": studies["any-slow"]}, "0 of 512"),
+    ):
+        _, rows = vehicles.of_seeds(pair.own, known)
+        assert f"| `any` | 2 | 0.50 (0.50 ... 0.50) | 0.50 (0.50 ... 0.50) | {lost}" in rows
+    assert vehicles.of_seeds(pairs[1].own, {"any-cruise": studies["any-cruise"]}) == []
+    ekf = vehicles.pairs_of(results, "slow")["ekf"]
+    assert ekf.error_above(1.0) == 1.0  # nobody errs by a metre
+    assert ekf.error_above(1e-9) == pytest.approx(ekf.error.mean)
     assert vehicles.nearer(results) == []
     first = next(i for i, run in enumerate(runs) if run.policy == "ekf")
     better = runs[first].measures.tail.copy()
@@ -188,7 +201,7 @@ def test_the_section_tells_what_the_rows_say(suite):
     runs[first] = replace(runs[first], measures=measures(better))
     ((name, episode, policy, _),) = vehicles.nearer(Results.of(suite, runs))
     assert (name, episode, policy) == (suite.cells[0].scenario.name, 3, "ekf")
-    assert vehicles.figure(results).startswith(b"\x89PNG")
+    assert vehicles_figure.figure(results).startswith(b"\x89PNG")
     assert "Not recorded yet" in vehicles.section(None, {})
 
 

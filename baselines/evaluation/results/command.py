@@ -11,7 +11,7 @@ from pathlib import Path
 from auv_gym.installation import checkout, left_out
 from baselines.evaluation import front_files
 from baselines.evaluation.residual_file import FILE, load
-from baselines.evaluation.results import fronts, robust, vehicles
+from baselines.evaluation.results import fronts, robust, vehicles, vehicles_figure
 from baselines.evaluation.results.collection import ROUNDING, SUITES, TOLERANCE, Results, better_than, collected
 from baselines.evaluation.results.figures import results_figures
 from baselines.evaluation.results.findings import findings, fresh_results
@@ -102,7 +102,7 @@ def _write(found: Sequence[Results], missing: Sequence[str], fleet: Results | No
         for figure, png in results_figures(results).items():
             write_atomically(out / "images" / f"results-{results.suite.name}-{figure}.png", png)
     if vehicles.shown(fleet):
-        write_atomically(out / "images" / vehicles.FIGURE, vehicles.figure(fleet))
+        write_atomically(out / "images" / vehicles.FIGURE, vehicles_figure.figure(fleet))
 
 
 def sections(found: Sequence[Results], studies: Mapping[str, Study], fleet: Results | None) -> str:

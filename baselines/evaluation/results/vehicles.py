@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from typing import TypeGuard
 
 import numpy as np
-from matplotlib.colors import LogNorm
-from matplotlib.figure import Figure
 
 from baselines.evaluation.metrics import Array, Measures
 from baselines.evaluation.report.columns import NONE, lost_text
@@ -18,7 +16,6 @@ from baselines.evaluation.results.tables import table
 from baselines.evaluation.score import (
     BOUND,
     EXPERT,
-    FORESIGHTED,
     RIVAL,
     Score,
     capped,
@@ -34,14 +31,12 @@ from baselines.evaluation.score import (
     vehicle_of,
     waters_of,
 )
-from baselines.evaluation.study_files import Study
-from baselines.tools.figure_style import panels, styled, to_png
+from baselines.evaluation.study_files import InSuite, Study
 
 SUITE = "vehicles-v1"  # what the section is about
 FIGURE = f"results-{SUITE}.png"  # its figure
 CALM = "calm"  # the case without a trouble, whose errors are those of rounding
-LEAST = 0.1  # ratio from which on all have the darkest blue
-MOST = 10.0  # ratio from which on all have the darkest red
+SMALL = 1e-3  # [m of the paper's vehicle] below which one column takes every error to be as good
 
 
 @dataclass(frozen=True)
@@ -64,11 +59,27 @@ class Pair:
         """Return both in the scenarios that are wanted."""
         return Pair(*({name: m for name, m in side.items() if wanted(name)} for side in (self.own, self.rival)))
 
+    @classmethod
+    def joined(cls, pairs: Iterable[Pair]) -> Pair:
+        """Return both in the scenarios of several pairs."""
+        own, rival = ({name: m for side in sides for name, m in side.items()}
+                      for sides in zip(*((pair.own, pair.rival) for pair in pairs), strict=True))  # fmt: skip
+        return cls(own, rival)
+
     @property
     def error(self) -> Score:
         """The geometric mean over cells of the policy's mean tail, capped, over the rival's."""
         sides = ([capped(m, waters_of(name)) for name, m in side.items()] for side in (self.rival, self.own))
         return relative_error(*sides)
+
+    def error_above(self, least: float) -> float:
+        """Return the same ratio where no mean error counts as less than this [m]: both are good enough there."""
+        sides = (
+            [max(least, capped(m, waters_of(name)).mean()) for name, m in side.items()]
+            for side in (self.own, self.rival)
+        )
+        own, rival = map(np.log, sides)
+        return float(np.exp(np.mean(own - rival)))
 
     @property
     def lost(self) -> int:
@@ -106,9 +117,11 @@ def section(results: Results | None, studies: Mapping[str, Study]) -> str:
         return f"## {SUITE}\n\nNot recorded yet: `python -m baselines.evaluation.suites record {SUITE}`."
     regimes = list(dict.fromkeys(regime_of(cell.scenario.name) or "" for cell in results.suite.cells))
     pairs = {regime: pairs_of(results, regime) for regime in regimes}
+    whole = {policy: Pair.joined([own[policy] for own in pairs.values()])
+             for policy in pairs[regimes[0]] if all(policy in own for own in pairs.values())}  # fmt: skip
     parts = [_introduction(results)]
-    for regime, own in pairs.items():
-        parts += [_regime(results, regime, own), *of_seeds(regime, own[RIVAL].own, studies)]
+    for heading, own in ((f"{SUITE}, all cells", whole), *((f"{SUITE}, {r}", pairs[r]) for r in regimes)):
+        parts += [f"### {heading}", *_together(results, own), *of_seeds(own[RIVAL].own, studies)]
     parts += [TABLES, f"![Errors by vehicle](images/{FIGURE})"]
     parts += [_vehicle(results, vehicle, pairs) for vehicle in vehicles_of(results)]
     return "\n\n".join([*parts, _anchors(results), CAVEATS])
@@ -144,61 +157,74 @@ INTRODUCTION = f"""### What is compared
 `{RIVAL}`, which is told each vehicle too, in the same episodes, none counted above the cap; of these ratios the
 geometric mean over cells. It has no unit, and a ship counts no more than a torpedo. In brackets a 95 % interval, by
 bootstrap over the episodes of each cell, the same for both. *without {CALM}* leaves out the cells in which nothing is
-in the way and errors are those of rounding. *score* is the capped one of all cells together, its distances in lengths
+in the way and errors are those of rounding; *at least {1e3 * SMALL:g} mm* takes every mean error below that, in the
+paper's units, to be as good. *score* is the capped one of all cells together, its distances in lengths
 $\\sqrt{{m_{{33}}/m_{{11}}}}$ of each vehicle. The cap, from which on an episode is *lost*, is as many times the
 paper's vehicle's as the vehicle is as long. *effort* and *rate* are means over all cells, over those of `{RIVAL}`."""
 
 
-def _regime(results: Results, regime: str, pairs: Mapping[str, Pair]) -> str:
-    """Return the tables of all vehicles together, over all cases and case by case."""
-    names = [cell.scenario.name for cell in results.suite.cells if regime_of(cell.scenario.name) == regime]
-    cases = list(dict.fromkeys(_case(name) for name in names))
+def _together(results: Results, pairs: Mapping[str, Pair]) -> list[str]:
+    """Return the tables of all vehicles together, over all cases and case by case; the nearest policy first."""
+    names = list(pairs[RIVAL].own)
+    cases = list(dict.fromkeys(map(_case, names)))
     rows, more = [], []
-    for policy, pair in pairs.items():
-        overall, troubled = pair.error, pair.among(lambda name: _case(name) != CALM).error
+    for policy, pair in sorted(pairs.items(), key=lambda item: item[1].error.mean):
         points = _score(results, policy, names)
         rows.append([
             f"`{policy}`",
-            f"{ratio(overall.mean)} ({fixed_ends(overall.ci95, 2)})",
-            f"{ratio(troubled.mean)} ({fixed_ends(troubled.ci95, 2)})",
+            *_ratios(pair.error, pair.among(_troubled).error),
+            ratio(pair.error_above(SMALL)),
             f"{score_text(points, 2)} ({interval_text(points, 2)})",
             lost_text(pair.lost, pair.episodes),
             *(ratio(pair.over(what)) for what in ("effort", "smoothness")),
         ])  # fmt: skip
         by_case = (pair.among(lambda name, case=case: _case(name) == case) for case in cases)  # type: ignore[misc]
         more.append([f"`{policy}`", *(ratio(few.error.mean) for few in by_case)])
-    heads = ("policy", f"error / {RIVAL}", f"without {CALM}", "score", "lost", "effort", "rate")
-    left = len({vehicle_of(name) for name in names}), sum(len(pairs[RIVAL].own[name]) for name in names)
-    about = f"{left[0]} vehicles, {left[1]} episodes; below, the same ratio case by case."
-    return "\n\n".join([f"### {SUITE}, {regime}", about, table(heads, rows), table((regime, *cases), more)])
+    heads = ("policy", *RATIOS, f"at least {1e3 * SMALL:g} mm", "score", "lost", "effort", "rate")
+    about = (
+        f"{len(set(map(vehicle_of, names)))} vehicles, {len(names)} cells, {pairs[RIVAL].episodes} episodes; "
+        "below, the same ratio case by case."
+    )
+    return [about, table(heads, rows), table(("", *cases), more)]
 
 
-def of_seeds(regime: str, rival: Mapping[str, Measures], studies: Mapping[str, Study]) -> list[str]:
-    """Return the text about agents of several training seeds in a regime; [] without any.
+def of_seeds(rival: Mapping[str, Measures], studies: Mapping[str, Study]) -> list[str]:
+    """Return the text about agents of several training seeds; [] without any that ran in all of the cells.
 
     Args:
-        regime: "slow" or "cruise".
         rival: what was measured of the rival in each cell, in metres of the paper's vehicle.
-        studies: by name.
+        studies: by name: those of an agent for both regimes are NAME-REGIME.
     """
-    rows = []
+    agents: dict[str, list[InSuite]] = {}
     for name, study in studies.items():
-        if (found := study.suites.get(SUITE)) is None or study.regime != regime:
-            continue
-        own = dict(zip(found.cells, found.capped(), strict=True))
-        theirs = {cell: capped(rival[cell], waters_of(cell))[: tail.shape[1]] for cell, tail in own.items()}
-        troubled = [cell for cell in own if _case(cell) != CALM]
-        ratios = (relative_error([theirs[c] for c in few], [own[c] for c in few]) for few in (list(own), troubled))
-        lost, total = found.losses(), sum(tail.size for tail in found.tails)
-        rows.append([
-            f"`{name}`",
-            str(len(found.tails[0])),
-            *(f"{ratio(error.mean)} ({fixed_ends(error.ci95, 2)})" for error in ratios),
-            lost_text(lost, total),
-        ])  # fmt: skip
-    heads = ("agent", "seeds", f"error / {RIVAL}", f"without {CALM}", "lost")
+        if SUITE in study.suites:
+            agents.setdefault(name.removesuffix(f"-{study.regime}"), []).append(study.suites[SUITE])
+    rows = []
+    for agent, found in agents.items():
+        tails = {cell: tail for each in found for cell, tail in zip(each.cells, each.capped(), strict=True)}
+        if rival.keys() <= tails.keys():
+            theirs = {cell: capped(m, waters_of(cell))[: tails[cell].shape[1]] for cell, m in rival.items()}
+            troubled = list(filter(_troubled, rival))
+            ratios = (relative_error([theirs[c] for c in few], [tails[c] for c in few]) for few in (theirs, troubled))
+            own = [each for each in found if {*each.cells} <= rival.keys()]
+            lost, total = sum(each.losses() for each in own), sum(tails[cell].size for cell in rival)
+            rows.append([f"`{agent}`", str(len(next(iter(tails.values())))), *_ratios(*ratios), lost_text(lost, total)])
     text = "Agents of several training seeds; intervals are over seeds and episodes."
-    return [text, table(heads, rows)] if rows else []
+    return [text, table(("agent", "seeds", *RATIOS, "lost"), rows)] if rows else []
+
+
+RATIOS = (f"error / {RIVAL}", f"without {CALM}")
+"""Heads of the columns that `_ratios` fills."""
+
+
+def _ratios(overall: Score, troubled: Score) -> list[str]:
+    """Return the errors over the rival's in all cells and in those with a trouble, with their intervals."""
+    return [f"{ratio(error.mean)} ({fixed_ends(error.ci95, 2)})" for error in (overall, troubled)]
+
+
+def _troubled(scenario: str) -> bool:
+    """Return whether anything is in the way in a scenario."""
+    return _case(scenario) != CALM
 
 
 def _case(scenario: str) -> str:
@@ -291,35 +317,3 @@ CAVEATS = """### What the vehicles do not show
 The vehicles are as their sources say, in the plane, with sea and sensors scaled
 to their length and speed rather than measured on them; limits and speeds of some are ours ([Vehicles](vehicles.md)).
 Eight vehicles are no sample of all there are."""
-
-
-def figure(results: Results) -> bytes:
-    """Return the section's figure as PNG."""
-    with styled():
-        return to_png(_drawn(results))
-
-
-def _drawn(results: Results) -> Figure:
-    """Return a map of the errors over the rival's: a row for each policy, a column a vehicle, a panel a regime."""
-    regimes = list(dict.fromkeys(regime_of(cell.scenario.name) or "" for cell in results.suite.cells))
-    vehicles = vehicles_of(results)
-    own = {regime: {p: pair for p, pair in pairs_of(results, regime).items() if p not in FORESIGHTED}
-           for regime in regimes}  # fmt: skip
-    rows = max(map(len, own.values()))
-    fig, [axes] = panels(1, len(regimes), (9.6, 1.6 + 0.27 * rows))
-    for ax, regime in zip(axes, regimes, strict=True):
-        shown = [v for v in vehicles if any(vehicle_of(n) == v for n in next(iter(own[regime].values())).own)]
-        values = np.array([
-            [pair.among(lambda name, v=v: vehicle_of(name) == v).error.mean for v in shown]  # type: ignore[misc]
-            for pair in own[regime].values()
-        ])  # fmt: skip
-        image = ax.imshow(values, aspect="auto", cmap="RdBu_r", norm=LogNorm(LEAST, MOST))
-        for (i, j), value in np.ndenumerate(values):
-            colour = "white" if abs(np.log10(value)) > 0.7 else "black"
-            ax.text(j, i, ratio(value), ha="center", va="center", fontsize=7, color=colour)
-        ax.set_xticks(range(len(shown)), shown, rotation=40, ha="right", rotation_mode="anchor")
-        ax.set_yticks(range(len(own[regime])), list(own[regime]))
-        ax.set_title(regime)
-        ax.grid(visible=False)
-    fig.colorbar(image, ax=axes, label=f"error / {RIVAL}", shrink=0.9)
-    return fig
