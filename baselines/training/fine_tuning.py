@@ -44,6 +44,7 @@ ALONE = "alone"  # the one that begins with nothing
 FILE = "fine-tuning.json"  # of what was measured, in docs/
 BEGIN = "<!-- fine-tuning -->"  # before the table in the page
 END = "<!-- end of fine-tuning -->"  # behind it
+TOLD = "hull"  # the hyper-parameter that says whether an agent is told the vehicle
 PIECES = 6
 """How often the training for a vehicle alone is validated: it goes on from there when it is interrupted."""
 SAYS = {
@@ -82,7 +83,9 @@ class Options:
 
 
 def trainings(agent: str, vehicle: str, timesteps: int | None = None) -> dict[str, Training]:
-    """Return the two trainings for a vehicle: the agent's own from nothing, and what begins with the agent.
+    """Return the two trainings for a vehicle: what begins with the agent, and one from nothing.
+
+    That is the agent's own, or that of the agent which it began with, and it is told the vehicle if the agent is.
 
     Args:
         agent: one of `trainings.SHIPPED`.
@@ -90,8 +93,9 @@ def trainings(agent: str, vehicle: str, timesteps: int | None = None) -> dict[st
         timesteps: of both, None: their own.
     """
     own = SHIPPED[agent]
-    begun = SHIPPED.get(own.from_ or "", own)  # of an agent that began with another, the whole of what both were told
-    whole = replace(begun, set=(*begun.set, *(word for word in own.set if own.from_), f"validations={PIECES}"))
+    first = SHIPPED.get(own.from_ or "", own)  # an agent that began with another has its rates for going on
+    seen = [word for word in own.set if own.from_ and word.partition("=")[0] == TOLD]
+    whole = replace(first, set=(*first.set, *seen, f"validations={PIECES}"))
     return {
         TUNED: replace(Training(), from_=agent, vehicle=vehicle, timesteps=timesteps),
         ALONE: replace(whole, vehicle=vehicle, timesteps=timesteps or whole.timesteps),
