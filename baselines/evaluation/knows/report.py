@@ -34,6 +34,8 @@ NAMES = {
 """The sections and their titles."""
 GOAL = 10
 """Lengths within which a policy should be back."""
+BORNE = 0.01
+"""What a score may be lower where a hull is told wrong."""
 
 
 def load(folder: Path) -> dict[tuple[str, str], dict[str, Any]]:
@@ -242,7 +244,19 @@ def _told(found: Found) -> list[str]:
             sizes = [f"by {100 * size:.0f} % at most" for size in SIZES]
             head = ["policy", "told the truth", "wrong in", *sizes, "worst hull", "dearest in", "lost"]
             parts += [f"**{regime}**:", table(head, rows)]
-    return parts
+    return [_borne(own), *parts] if own else []
+
+
+def _borne(own: Mapping[str, Any]) -> str:
+    """Return who bears a hull that is wrong by the largest share, in which way and regime, and who does not."""
+    borne: dict[bool, list[str]] = {True: [], False: []}
+    for name, record in own.items():
+        for regime, of in record.items():
+            for key, way in WAYS.items():
+                last = max(of["wrong"][key], key=lambda at: float(at["size"]))
+                borne[last["above"][0] >= -BORNE].append(f"`{name}` with {way.says} ({regime})")
+    yes, no = ("; ".join(borne[is_so]) or "nobody" for is_so in (True, False))
+    return f"At most {BORNE:g} lower on average where hulls are wrong by the largest share: {yes}. Not: {no}."
 
 
 def _told_rows(name: str, of: Mapping[str, Any]) -> list[list[str]]:
