@@ -250,10 +250,30 @@ def test_what_fine_tuning_is_worth_is_measured(tmp_path, monkeypatch, capsys):
     own["alone"] = {"tails": [[2 * x for x in case] for case in own["helm"]["tails"]], "lost": [0, 0]}
     assert fine_tuning.ratio(own["helm"], own["alone"]) == pytest.approx((0.5, 0.5, 0.5))
     assert "the agent as it is | " in fine_tuning.table(record)
-    assert "| 0.50 (0.50 ... 0.50) |" in fine_tuning.table(record)
+    assert "| 0.50 (0.50 ... 0.50) | 0.50 (0.50 ... 0.50) |" in fine_tuning.table(record)
+    assert fine_tuning.verdict(record) == ""
+    own["tuned"] = {"tails": [own["helm"]["tails"][0], [5 * x for x in own["helm"]["tails"][1]]], "lost": [0, 0]}
+    assert "`otter` beyond by the typical error, beyond by the mean one" in fine_tuning.verdict(record)
     capsys.readouterr()
     assert run(fine_tuning.main, fine_tuning.PROGRAM, words) == 0
     assert capsys.readouterr().out == ""  # all is there
+
+
+def test_rows_of_an_agent_with_other_weights_do_not_count(tmp_path):
+    rows = {name: {"tails": [[1.0]], "lost": [0]} for name in ("helm", "backstepping", "tuned", "alone")}
+    options = replace(fine_tuning.Options(), agent="helm", episodes=1, out=tmp_path / "kept.json")
+    record = {"agent": "helm", "weights": "old", "episodes": 1, "vehicles": {"otter": rows}}
+    options.out.write_text(json.dumps(record), encoding="utf-8")
+    assert fine_tuning.begun(options, "old") == record
+    found = fine_tuning.begun(options, "new")
+    assert found["weights"] == "new"
+    assert set(found["vehicles"]["otter"]) == {"backstepping", "alone"}
+    assert fine_tuning.begun(replace(options, episodes=2), "old")["vehicles"] == {}
+
+
+def test_the_agent_whose_tuning_the_page_shows_is_the_one_that_ships():
+    kept = json.loads((ROOT / "docs" / fine_tuning.FILE).read_text(encoding="utf-8"))
+    assert kept["weights"] == fine_tuning.weights_of(kept["agent"]), "run python -m baselines.training.fine_tuning"
 
 
 def test_page_shows_what_fine_tuning_is_worth():
@@ -276,3 +296,6 @@ def test_the_two_trainings_differ_in_where_they_begin():
     assert (own["alone"].from_, own["alone"].vehicle) == (None, "lauv")
     assert own["alone"].timesteps == SHIPPED["helm"].timesteps
     assert own["alone"].set[:-1] == SHIPPED["helm"].set
+    any_hull = fine_tuning.trainings("helm-any", "lauv")["alone"]
+    assert any_hull.set[:-2] == SHIPPED["helm"].set
+    assert (any_hull.set[-2], any_hull.timesteps) == ("hull=true", SHIPPED["helm"].timesteps)

@@ -13,7 +13,7 @@ from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.presets import PRESETS
 from auv_gym.vehicle import PAPER_VEHICLE
 from baselines.agents.networks import Gru
-from baselines.evaluation.knows import command, outside, probe, report
+from baselines.evaluation.knows import command, outside, probe, report, told
 from baselines.evaluation.knows.adaptation import EPISODES, back, course_of, followed, lengths_of, windows
 from baselines.evaluation.knows.changes import BEFORE, CHANGES, EVERYWHERE, LENGTHS, Trial
 from baselines.evaluation.knows.collect import agent_of, collected, episodes_of
@@ -23,6 +23,7 @@ from baselines.evaluation.knows.report import load, pictures, ratio_of, sections
 from baselines.evaluation.knows.tap import HIDDEN, Beside, Tapped, acting, untrained
 from baselines.evaluation.knows.transplant import SWAPS, _twins
 from baselines.evaluation.rollout import beginning, play
+from baselines.evaluation.side_by_side import SideBySide
 from baselines.tools.command_line import run
 
 ROOT = Path(__file__).parents[1]
@@ -235,6 +236,47 @@ def test_stretched_storms_differ_in_one_thing():
     assert last.vehicle.d11 == first.vehicle.d11
 
 
+def test_wrong_hulls_are_wrong_in_what_is_said_and_no_more_than_it():
+    """Shares are spread over what there is; what `ratios` leaves right is right; each hull has a size of its own."""
+    drawn = [told.mistakes(k) for k in range(40)]
+    assert all(abs(share) <= 1 for own in drawn for share in own.values())
+    assert min(own["d11"] for own in drawn) < -0.9
+    assert max(own["d11"] for own in drawn) > 0.9
+    by = {name: told.wrong(PAPER_VEHICLE, drawn[0], 0.6, way) for name, way in told.WAYS.items()}
+    assert (by["ratios"].m11, by["ratios"].m33, by["ratios"].speed) == (215, 80, PAPER_VEHICLE.speed)
+    assert by["all"].m33 / 80 - 1 == pytest.approx(0.6 * drawn[0]["m33"])
+    assert by["all"].d22 == by["ratios"].d22 == pytest.approx(100 * (1 + 0.6 * drawn[0]["d22"]))
+    assert told.wrong(PAPER_VEHICLE, drawn[0], 0.0, told.WAYS["all"]) == PAPER_VEHICLE
+    assert told.mistakes(3) == drawn[3] != drawn[4]
+
+
+@pytest.fixture
+def few(monkeypatch):
+    """Make the measurement short: two cases, two hulls, one size."""
+    whole = told.cells_of
+    monkeypatch.setattr(told, "cells_of", lambda regime, n: [whole(regime, n)[i] for i in (0, 1)])
+    monkeypatch.setattr(told, "HULLS", 2)
+    monkeypatch.setattr(told, "SIZES", (0.6,))
+
+
+def test_who_is_told_a_wrong_hull_and_does_not_listen_loses_nothing(few):
+    """The plan's own forces hear of no hull; the paper's law cancels what it believes of one."""
+    deaf = told.misled("open-loop", "cruise", 6)
+    assert deaf["wrong"]["ratios"][0]["above"] == [0, 0, 0]
+    assert deaf["wrong"]["ratios"][0]["error_m"] == deaf["right"]["error_m"]
+    found = told.misled("backstepping", "cruise", 6)
+    assert found["right"]["score"][0] == pytest.approx(0, abs=1e-3)  # the suite's own zero, run again
+    for rows in found["wrong"].values():
+        mean, low, high = rows[0]["above"]
+        assert low <= mean <= high
+        assert mean == pytest.approx(np.mean(rows[0]["hulls"]), abs=1e-4)
+        assert rows[0]["score"][0] == pytest.approx(found["right"]["score"][0] + mean, abs=1e-4)
+        assert rows[0]["error_m"] != found["right"]["error_m"]
+    text = sections({("told", "backstepping"): {"cruise": found}}, "")["told"]
+    mean, low, high = found["wrong"]["all"][0]["above"]
+    assert f"| `backstepping` | 0.000 | m22, drag, m11, m33 | - | - | {mean:+.3f} [{low:+.3f}, {high:+.3f}] |" in text
+
+
 def test_ratio_of_paired_errors():
     errors = np.exp(np.random.default_rng(0).standard_normal(50))
     assert ratio_of(2 * errors, errors) == pytest.approx((2.0, 2.0, 2.0))
@@ -262,9 +304,10 @@ def test_command_in_a_quick_form(tmp_path, capsys, monkeypatch):
     ("arguments", "says"),
     [
         (["--policy", "helmet"], "'helmet' is not the name of a policy or an agent's folder"),
-        (["--part", "probes"], "'probes' is not a part; allowed are probe, transplant, adaptation, outside, range"),
+        (["--part", "probes"], "'probes' is not a part; allowed are probe, transplant, adaptation, outside, told,"),
         (["--regime", "fast"], "'fast' is not a regime; allowed are slow, cruise"),
         (["--episodes", "2"], "--episodes is 2; it must be 6 or more"),
+        (["--policy", "oracle", "--part", "told"], "oracle looks behind the observation"),
         (["--policy", "nmpc", "--part", "probe"], "none of nmpc has a network that remembers"),
     ],
 )
@@ -288,6 +331,20 @@ def test_kept_errors_are_those_of_today(policy, at):
         errors[k] = moment.error
     tails = np.sqrt(np.square(errors[scenario.steps // 3 :]).mean(axis=0))
     np.testing.assert_allclose(tails, kept["tails_m"][at][:3], atol=2e-5)
+
+
+def test_kept_errors_of_who_is_told_are_those_of_today():
+    """Three episodes in still water, told the truth and told the first wrong hull."""
+    kept = load(command.FOLDER)["told", "helm-any"]["cruise"]
+    cell = told.cells_of("cruise", told.KEPT)[0]
+    first = told.wrong(cell.scenario.vehicle, told.mistakes(0), told.SIZES[-1], told.WAYS["ratios"])
+    there = SideBySide([cell])
+    for vehicle, errors in (
+        (cell.scenario.vehicle, kept["right"]["first_m"][0]),
+        (first, kept["wrong"]["ratios"][-1]["first_m"][0]),
+    ):
+        tails = there.run(acting("helm-any", vehicle))[0].tail
+        np.testing.assert_allclose(tails, errors, rtol=1e-2, atol=1e-5)
 
 
 def test_page_is_what_was_found():

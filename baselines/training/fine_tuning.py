@@ -24,19 +24,23 @@ from auv_gym.presets import CASES
 from auv_gym.presets import as_scenario as preset
 from auv_gym.units import Units
 from baselines import make_policy
+from baselines.agents.names import agent_folder
 from baselines.evaluation.metrics import Array, resamplings
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
-from baselines.evaluation.score import EXPERT, LARGEST_TAIL, RIVAL, cut, is_lost
+from baselines.evaluation.score import EXPERT, LARGEST_TAIL, RIVAL, cut, is_lost, relative_error
 from baselines.tools.command_line import DONE, UsageError, parse, run
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tools.seeds import FINE_TUNING
+from baselines.training.beginning import digest
 from baselines.training.command import train
 from baselines.training.options import Options as Training
 from baselines.training.run_folder import AGENT
 from baselines.training.trainings import SHIPPED, request_of
 
 PROGRAM = "python -m baselines.training.fine_tuning"
+GOAL = 1.05
+"""What the error of a tuned agent may be at most, over that of one trained alone."""
 VEHICLES = ("lauv", "otter", "remus100")
 """Whom it is measured for."""
 TUNED = "tuned"  # the agent that begins with another one and is trained for a vehicle
@@ -44,6 +48,7 @@ ALONE = "alone"  # the one that begins with nothing
 FILE = "fine-tuning.json"  # of what was measured, in docs/
 BEGIN = "<!-- fine-tuning -->"  # before the table in the page
 END = "<!-- end of fine-tuning -->"  # behind it
+TOLD = "hull"  # the hyper-parameter that says whether an agent is told the vehicle
 PIECES = 6
 """How often the training for a vehicle alone is validated: it goes on from there when it is interrupted."""
 SAYS = {
@@ -60,7 +65,8 @@ SAYS = {
 class Options:
     """Tune an agent to vehicles, train one for each alone, and compare them on fresh episodes.
 
-    What is in the file already is not measured again, and trainings go on where they were interrupted.
+    What is in the file already is not measured again, but for the agent and what was tuned from it once its weights are
+    others; trainings go on where they were interrupted.
 
     Exit status: 0 done, 1 a training failed, 2 wrong usage.
     """
@@ -71,7 +77,7 @@ class Options:
     """The agent that is tuned, one that ships with the package."""
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
     """Who is measured: "tuned", "alone", or policies by name. Default: these two, the agent, the expert and nmpc."""
-    episodes: int = 64
+    episodes: int = 32
     """Episodes of each case."""
     timesteps: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Control steps of each training, to try it out."""
@@ -82,7 +88,9 @@ class Options:
 
 
 def trainings(agent: str, vehicle: str, timesteps: int | None = None) -> dict[str, Training]:
-    """Return the two trainings for a vehicle: the agent's own from nothing, and what begins with the agent.
+    """Return the two trainings for a vehicle: what begins with the agent, and one from nothing.
+
+    That is the agent's own, or that of the agent which it began with, and it is told the vehicle if the agent is.
 
     Args:
         agent: one of `trainings.SHIPPED`.
@@ -90,8 +98,9 @@ def trainings(agent: str, vehicle: str, timesteps: int | None = None) -> dict[st
         timesteps: of both, None: their own.
     """
     own = SHIPPED[agent]
-    begun = SHIPPED.get(own.from_ or "", own)  # of an agent that began with another, the whole of what both were told
-    whole = replace(begun, set=(*begun.set, *(word for word in own.set if own.from_), f"validations={PIECES}"))
+    first = SHIPPED.get(own.from_ or "", own)  # an agent that began with another has its rates for going on
+    seen = [word for word in own.set if own.from_ and word.partition("=")[0] == TOLD]
+    whole = replace(first, set=(*first.set, *seen, f"validations={PIECES}"))
     return {
         TUNED: replace(Training(), from_=agent, vehicle=vehicle, timesteps=timesteps),
         ALONE: replace(whole, vehicle=vehicle, timesteps=timesteps or whole.timesteps),
@@ -130,28 +139,57 @@ def main(arguments: Sequence[str]) -> int:
     if options.episodes < 2:
         raise UsageError(f"--episodes is {options.episodes}; it must be 2 or more")
     names = options.policy or (EXPERT, RIVAL, options.agent, TUNED, ALONE)
-    record = read_json(options.out) if options.out.exists() else {}
-    if record.get("agent") != options.agent or record.get("episodes") != options.episodes:
-        record = {"agent": options.agent, "episodes": options.episodes, "vehicles": {}}
+    record = begun(options, weights_of(options.agent))
     status = DONE
     for vehicle in options.vehicle:
         kept = record["vehicles"].setdefault(vehicle, {})
         for name in names:
             if name not in kept:
-                found = _measured(name, vehicle, options)
-                status = max(status, found.pop("status", DONE))
-                kept |= {name: found} if found else {}
+                found = _measured(name, vehicle, options, record["weights"])
+                if failed := found.pop("status", DONE):
+                    status = max(status, failed)
+                    continue
+                kept[name] = found
                 options.out.parent.mkdir(parents=True, exist_ok=True)
                 write_atomically(options.out, json_text(record))
                 print(f"{vehicle}: {name}", flush=True)
     return status
 
 
-def _measured(name: str, vehicle: str, options: Options) -> dict[str, Any]:
+def weights_of(agent: str) -> str:
+    """Return the SHA-256 of the weights of an agent that ships.
+
+    Raises:
+        OSError: they cannot be read.
+        UsageError: it is not here.
+    """
+    if (folder := agent_folder(agent)) is None:
+        raise UsageError(f"--agent {agent} is not here: auv-gym train-all {agent} --install trains it")
+    return digest(folder)
+
+
+def begun(options: Options, weights: str) -> dict[str, Any]:
+    """Return the record of a file with what still counts in it.
+
+    That is nothing of another agent or of other episodes, and of an agent with other weights all but the rows of the
+    agent itself and of what was tuned from it.
+    """
+    record = read_json(options.out) if options.out.exists() else {}
+    if record.get("agent") != options.agent or record.get("episodes") != options.episodes:
+        return {"agent": options.agent, "weights": weights, "episodes": options.episodes, "vehicles": {}}
+    if record.get("weights") != weights:
+        stale = (options.agent, TUNED)
+        for vehicle, found in record["vehicles"].items():
+            record["vehicles"][vehicle] = {name: row for name, row in found.items() if name not in stale}
+    return {**record, "weights": weights}
+
+
+def _measured(name: str, vehicle: str, options: Options, weights: str) -> dict[str, Any]:
     """Return what one of them does, once it is trained; only a status where that has failed."""
     if name not in (TUNED, ALONE):
         return errors(name, vehicle, options.episodes)
-    folder, seconds = options.runs / f"{vehicle}-{name}", time.process_time()
+    of = f"{name}-{weights[:8]}" if name == TUNED else name  # no run is gone on with that began with other weights
+    folder, seconds = options.runs / f"{vehicle}-{of}", time.process_time()
     there = folder.exists()
     training = trainings(options.agent, vehicle, options.timesteps)[name]
     if status := train(request_of(training, folder)):
@@ -178,8 +216,9 @@ def section(record: Mapping[str, Any]) -> str:
     return (
         f"What that is worth for `{record['agent']}`, in the cruise cases of published vehicles, {record['episodes']} "
         "fresh episodes each; everybody is told the vehicle. The typical error is the geometric mean of tails, those "
-        "of lost episodes cut at the cap; ratios are over paired episodes, with 95 % intervals over episodes. One "
-        f"training seed.{missing}\n\n{table(record)}"
+        "of lost episodes cut at the cap; *typical over alone* is the geometric mean of ratios over paired episodes, "
+        "*mean over alone* that over cases of the ratio of mean tails, which large errors decide. Intervals (95 %) are "
+        f"over episodes. One training seed.{missing}\n\n{table(record)}{verdict(record)}"
     )
 
 
@@ -187,18 +226,46 @@ def table(record: Mapping[str, Any]) -> str:
     """Return what was measured as a table in Markdown."""
     count = record["episodes"] * len(CASES)
     lines = [
-        f"| vehicle | policy | typical error [cm] | over that of the agent trained for it alone | lost of {count} |",
-        "|---|---|---|---|---|",
+        f"| vehicle | policy | typical error [cm] | typical over alone | mean over alone | lost of {count} |",
+        "|---|---|---|---|---|---|",
     ]
     for vehicle, found in record["vehicles"].items():
         length = Units.of(preset(f"cruise-calm@{vehicle}").vehicle).length
         for name, own in found.items():
             typical = 100 * length * math.exp(float(np.mean(np.log(own["tails"]))))
             says = f"`{name}`, {SAYS[name]}" if name in (EXPERT, RIVAL) else SAYS.get(name, f"`{name}`, {SAYS['']}")
-            share = "{:.2f} ({:.2f} ... {:.2f})".format(*ratio(own, found[ALONE])) if ALONE in found else "-"
+            shares = [_share(ends) for ends in _over_alone(own, found)] if name != ALONE else ["1", "1"]
             took = f", {own['processor_s']:.0f} s of processor time" if "processor_s" in own else ""
-            lines.append(f"| `{vehicle}` | {says}{took} | {typical:.2f} | {share} | {sum(own['lost'])} |")
+            lines.append(f"| `{vehicle}` | {says}{took} | {typical:.2f} | {' | '.join(shares)} | {sum(own['lost'])} |")
     return "\n".join(lines) + "\n"
+
+
+def _over_alone(own: Mapping[str, Any], found: Mapping[str, Any]) -> list[tuple[float, float, float] | None]:
+    """Return the typical and the mean error over that of the agent trained alone, with intervals; None without one."""
+    if ALONE not in found:
+        return [None, None]
+    mean = relative_error(*([np.array(case) for case in of["tails"]] for of in (found[ALONE], own)))
+    return [ratio(own, found[ALONE]), (mean.mean, *mean.ci95)]
+
+
+def _share(ends: tuple[float, float, float] | None) -> str:
+    return "-" if ends is None else "{:.2f} ({:.2f} ... {:.2f})".format(*ends)
+
+
+def verdict(record: Mapping[str, Any]) -> str:
+    """Return whether tuned agents are as near as those trained alone, vehicle by vehicle; nothing where none was."""
+    lines = []
+    for vehicle, found in record["vehicles"].items():
+        if TUNED in found and ALONE in found:
+            shares = [ends for ends in _over_alone(found[TUNED], found) if ends is not None]
+            words = ["within" if high <= GOAL else "beyond" if low > GOAL else "undecided" for _, low, high in shares]
+            lines.append(f"`{vehicle}` {words[0]} by the typical error, {words[1]} by the mean one")
+    if not lines:
+        return ""
+    return (
+        f"\nIs a tuned agent within {GOAL:g} times the error of one trained alone? {'; '.join(lines)}. *Within* and "
+        "*beyond* are said where the whole interval lies there.\n"
+    )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """Look into what policies know of vehicle and sea: `auv-gym knows`.
 
 Probes of an agent's memory, memories exchanged between vehicles, vehicles that change in mid-run, the range of a
-training, and errors outside of it. docs/knows.md shows what comes out for the shipped agents.
+training, errors outside of it, and what it costs to be told a wrong hull. docs/knows.md shows what comes out for the
+shipped agents.
 """
 
 from __future__ import annotations
@@ -25,15 +26,23 @@ from baselines.evaluation.knows.probe import probed
 from baselines.evaluation.knows.ranges import ranged
 from baselines.evaluation.knows.report import NAMES, load, pictures, sections
 from baselines.evaluation.knows.tap import remembering
+from baselines.evaluation.knows.told import misled
 from baselines.evaluation.knows.transplant import transplanted
 from baselines.evaluation.rollout import PolicyError
+from baselines.evaluation.score import FORESIGHTED
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse, run
 from baselines.tools.files import json_text, write_atomically
 
 PROGRAM = "python -m baselines.evaluation.knows"
 FOLDER = Path(__file__).parents[1] / "data" / "knows"
+RANGE = "range"  # what an agent was trained on: of all regimes at once
 POLICIES = ("helm", "nmpc", "integral-normalised", "backstepping")
 """Whose adaptation and errors are measured by default; of those that remember the memories are read."""
+OTHERS: Mapping[str, tuple[str, ...]] = {
+    RANGE: ("helm", "helm-any"),
+    "told": ("helm-any", "helm", "ekf", "backstepping", "nmpc"),
+}
+"""Who is measured by default in the other parts."""
 
 
 def _in_seas(name: str, regime: str, episodes: int | None) -> dict[str, Any]:
@@ -45,9 +54,9 @@ PARTS: Mapping[str, Callable[[str, str, int | None], dict[str, Any]]] = {
     "transplant": transplanted,
     "adaptation": _in_seas,
     "outside": stretched,
+    "told": misled,
 }
 """What is looked into, by name, for a policy in a regime with so many episodes."""
-RANGE = "range"  # what an agent was trained on: of all regimes at once
 OF_AGENTS = ("probe", "transplant", RANGE)
 """Parts that only agents have."""
 
@@ -56,17 +65,19 @@ OF_AGENTS = ("probe", "transplant", RANGE)
 class Options:
     """Look into what policies know: memories, adaptation, training ranges; a file for each part and policy.
 
-    All of it takes about ten minutes of one core. Exit status: 0 done, 1 a policy failed, 2 wrong usage.
+    All of it takes about twenty minutes of one core. Exit status: 0 done, 1 a policy failed, 2 wrong usage.
     """
 
-    policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = POLICIES
-    """Policies by name, or agents by their folder. Memories and training ranges are those of the agents among them."""
+    policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
+    """Policies by name, or agents by their folder. Memories and training ranges are those of the agents among them.
+    Default: those of docs/knows.md."""
     part: Annotated[tuple[str, ...], arg(metavar="PART [PART ...]", help_behavior_hint="")] = (*PARTS, RANGE)
-    """What to look into: probe, transplant, adaptation, outside, range."""
+    """What to look into: probe, transplant, adaptation, outside, told, range."""
     regime: Annotated[tuple[str, ...], arg(metavar="R [R ...]", help_behavior_hint="")] = REGIMES
     """Ranges of speeds: slow, cruise."""
     episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
-    """Episodes of each kind. Default: 960 for probes, 40 for adaptation, 32 pairs for transplants, 12 outside."""
+    """Episodes of each kind. Default: 960 for probes, 40 for adaptation, 32 pairs for transplants, 12 outside and in
+    each case where hulls are told wrong."""
     out: Path = FOLDER if checkout() else Path("runs/knows")
     """Folder for the files; what other policies did is left in it. Figures and knows.md go there too, unless it is the
     package's own."""
@@ -87,20 +98,18 @@ def main(arguments: Sequence[str]) -> int:
     ):
         if unknown := [name for name in given if name not in known]:
             raise UsageError(f"{unknown[0]!r} is not {what}; allowed are {', '.join(known)}")
+    if wise := [name for name in options.policy if name in FORESIGHTED]:
+        raise UsageError(f"{wise[0]} looks behind the observation: nobody need ask what it knows; leave it out")
     if options.episodes is not None and options.episodes < 6:
         raise UsageError(f"--episodes is {options.episodes}; it must be 6 or more: what is fitted has to be tested")
-    remember = {name for name in options.policy if agent_folder(name) and remembering(make_policy(name))}
+    asked = [(part, name) for part in options.part for name in options.policy or OTHERS.get(part, POLICIES)]
+    remember = {name for _, name in asked if agent_folder(name) and remembering(make_policy(name))}
     if not remember and set(options.part) <= set(OF_AGENTS):
         raise UsageError(
             f"none of {', '.join(options.policy)} has a network that remembers; name an agent such as helm"
         )
     options.out.mkdir(parents=True, exist_ok=True)
-    done = [
-        _kept(part, name, options)
-        for name in options.policy
-        for part in options.part
-        if part not in OF_AGENTS or name in remember
-    ]
+    done = [_kept(part, name, options) for part, name in asked if part not in OF_AGENTS or name in remember]
     _show(options.out)
     return DONE if all(done) else FAILED
 

@@ -15,6 +15,7 @@ from baselines.evaluation.knows.changes import CHANGES, LENGTHS, SEAS
 from baselines.evaluation.knows.collect import SOURCES, TARGETS
 from baselines.evaluation.knows.figures import adaptation_figure, outside_figure, probe_figure, range_figure
 from baselines.evaluation.knows.outside import parameters_of
+from baselines.evaluation.knows.told import SIZES, WAYS
 from baselines.evaluation.knows.transplant import SWAPS, TRAITS
 from baselines.evaluation.metrics import resamplings
 from baselines.evaluation.score import EXPERT, RIVAL
@@ -28,10 +29,13 @@ NAMES = {
     "adaptation": "When the vehicle changes in mid-run",
     "range": "What it was trained on",
     "outside": "Outside of that",
+    "told": "Told a wrong hull",
 }
 """The sections and their titles."""
 GOAL = 10
 """Lengths within which a policy should be back."""
+BORNE = 0.01
+"""What a score may be lower where a hull is told wrong."""
 
 
 def load(folder: Path) -> dict[tuple[str, str], dict[str, Any]]:
@@ -58,6 +62,7 @@ def sections(found: Found, images: str) -> dict[str, str]:
         "adaptation": _adaptation,
         "range": _range,
         "outside": _outside,
+        "told": _told,
     }
     texts = {}
     for key, write in writers.items():
@@ -229,6 +234,50 @@ def _outside_table(mine: Mapping[str, Any], regime: str) -> str:
     if RIVAL in mine:
         head += [f"`{name}` is behind `{RIVAL}` at" for name in rivals[:1]]
     return table(head, rows)
+
+
+def _told(found: Found) -> list[str]:
+    own, parts = of_part(found, "told"), []
+    for regime in ("slow", "cruise"):
+        rows = [row for name, record in own.items() if regime in record for row in _told_rows(name, record[regime])]
+        if rows:
+            sizes = [f"by {100 * size:.0f} % at most" for size in SIZES]
+            head = ["policy", "told the truth", "wrong in", *sizes, "worst hull", "dearest in", "lost"]
+            parts += [f"**{regime}**:", table(head, rows)]
+    return [_borne(own), *parts] if own else []
+
+
+def _borne(own: Mapping[str, Any]) -> str:
+    """Return who bears a hull that is wrong by the largest share, in which way and regime, and who does not."""
+    borne: dict[bool, list[str]] = {True: [], False: []}
+    for name, record in own.items():
+        for regime, of in record.items():
+            for key, way in WAYS.items():
+                last = max(of["wrong"][key], key=lambda at: float(at["size"]))
+                borne[last["above"][0] >= -BORNE].append(f"`{name}` with {way.says} ({regime})")
+    yes, no = ("; ".join(borne[is_so]) or "nobody" for is_so in (True, False))
+    return f"At most {BORNE:g} lower on average where hulls are wrong by the largest share: {yes}. Not: {no}."
+
+
+def _told_rows(name: str, of: Mapping[str, Any]) -> list[list[str]]:
+    """Return a row for each way in which a policy was told wrong hulls."""
+    right, rows = of["right"], []
+    for key, way in WAYS.items():
+        sizes = {float(at["size"]): at for at in of["wrong"][key]}
+        last, episodes = sizes[max(sizes)], of["episodes"] * len(of["cases"])
+        worse = [after - before for before, after in zip(right["error_m"], last["error_m"], strict=True)]
+        i = worse.index(max(worse))
+        dearest = f"{of['cases'][i]}, {1e3 * right['error_m'][i]:.1f} -> {1e3 * last['error_m'][i]:.1f} mm"
+        above = [_above(sizes[size]["above"]) if size in sizes else "-" for size in SIZES]
+        lost = f"{sum(last['lost'])} of {len(last['lost']) * episodes}; {right['lost']} of {episodes}"
+        cells = [f"`{name}`", f"{right['score'][0]:.3f}", way.says, *above, f"{min(last['hulls']):+.3f}", dearest, lost]
+        rows.append(cells)
+    return rows
+
+
+def _above(ends: Sequence[float]) -> str:
+    value, low, high = (f"{x:+.3f}" for x in ends)
+    return f"{value} [{low}, {high}]"
 
 
 def _some(values: Sequence[float]) -> str:
