@@ -18,6 +18,7 @@ from auv_gym.paths import PATHS
 from auv_gym.presets import PRESETS
 from auv_gym.vehicle import VEHICLES
 from baselines import POLICIES, list_policies
+from baselines.agents.names import AGENTS
 from baselines.evaluation.paper.numbers import reproduce
 from baselines.evaluation.report import terminal
 from baselines.evaluation.report.columns import COLUMNS
@@ -165,6 +166,17 @@ def compare_or_refresh(page, shown, made):
         page.write_text(text.replace(shown, made), encoding="utf-8")
     else:
         assert shown == made
+
+
+def test_page_says_how_long_the_shipped_agents_took():
+    """In minutes, as their cards have it in seconds."""
+    page = ROOT / "docs" / "training.md"
+    said = re.findall(r"baselines\.training\.shipped ([\w-]+)` trains it in (\d+)\s", page.read_text(encoding="utf-8"))
+    assert [name for name, _ in said] == ["helm", "helm-any"]
+    for name, minutes in said:
+        card = (AGENTS / name / "card.md").read_text(encoding="utf-8")
+        taken = round(float(re.search(r"\| seconds \| `([\d.]+)` \|", card)[1]) / 60)
+        compare_or_refresh(page, f"{name}` trains it in {minutes}", f"{name}` trains it in {taken}")
 
 
 def table(names, rows):
