@@ -54,8 +54,9 @@ def wait_for(condition, seconds=60):
 needs_proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes in /proc")
 
 
-AT_ONCE = "Ctrl-C while workers start"
-ENDS = [("evaluate.py", end) for end in (signal.SIGTERM, signal.SIGINT, signal.SIGKILL, "Ctrl-C", AT_ONCE)]
+TERMINAL = "SIGINT to all"
+"""What a terminal sends when Ctrl-C is pressed."""
+ENDS = [("evaluate.py", end) for end in (signal.SIGTERM, signal.SIGINT, signal.SIGKILL, TERMINAL)]
 """One way to end is enough of each kind for the other program: signals and workers are in rooms that both share."""
 PROCESSES = 5  # the first, its two workers, and two that clean up behind it
 
@@ -86,8 +87,8 @@ def test_no_process_is_left_behind(program, end, tmp_path):
             wait_for(lambda: all((tmp_path / f"out/seed-{i}/progress.csv").exists() for i in range(2)), 200)
         else:
             wait_for(lambda: len(of_session(process)) >= PROCESSES, 200)
-            time.sleep(0 if end == AT_ONCE else 2)
-        if end in ("Ctrl-C", AT_ONCE):
+            time.sleep(2)
+        if end == TERMINAL:
             os.killpg(process.pid, signal.SIGINT)
         else:
             process.send_signal(end)
@@ -98,11 +99,43 @@ def test_no_process_is_left_behind(program, end, tmp_path):
         else:
             assert process.returncode == 1
             assert "interrupted" in err.splitlines()[-1]
-        wait_for(lambda: not of_session(process), 20)
+        wait_for(lambda: not of_session(process))
     finally:
         process.kill()
         for pid in of_session(process):
             os.kill(int(pid), signal.SIGKILL)
+        process.communicate()
+
+
+WAITING = """
+import os, signal, sys, time
+import joblib
+from baselines.tools.command_line import run
+from baselines.tools.workers import Workers
+
+if "at once" in sys.argv:  # while workers begin
+    begin = joblib.Parallel.__call__
+    joblib.Parallel.__call__ = lambda *given: (begin(*given), os.killpg(0, signal.SIGINT))[0]
+if __name__ == "__main__":
+    sys.exit(run(lambda _: list(Workers(2).results(time.sleep, [(100.0,), (100.0,)])) or 0, "it"))
+"""
+"""A program whose workers wait."""
+
+
+@needs_proc
+@pytest.mark.parametrize("when", ["at once", "as soon as there are workers"])
+def test_an_interrupt_while_workers_still_import_is_one_line(when, tmp_path):
+    (tmp_path / "it.py").write_text(WAITING, encoding="utf-8")
+    process = started(tmp_path / "it.py", when)
+    try:
+        if when != "at once":
+            wait_for(lambda: len(of_session(process)) >= PROCESSES, 200)
+            os.killpg(process.pid, signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+        assert (process.returncode, err) == (1, "it: interrupted\n")
+        wait_for(lambda: not of_session(process))
+    finally:
+        process.kill()
         process.communicate()
 
 

@@ -85,15 +85,25 @@ class Workers:
         elif jobs <= 1:
             yield from (function(*task) for task in tasks)
         else:
-            calls = [joblib.delayed(function)(*task) for task in tasks]
-            each = {"inner_max_num_threads": 1, "initializer": _end_with, "initargs": (os.getpid(),)}
-            try:
-                with joblib.parallel_config(backend="loky", **each), _deaf_to_interrupts():
-                    results = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(calls)
-                yield from results
-            except BrokenProcessPool as error:
-                reason = str(error).partition(chr(10))[0]
-                raise WorkerError(f"a worker process was lost, perhaps for want of memory: {reason}") from error
+            yield from _beside(function, tasks, jobs)
+
+
+def _beside(function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], jobs: int) -> Iterator[Any]:
+    """Yield the results of so many worker processes on this machine."""
+    calls, found = [joblib.delayed(function)(*task) for task in tasks], None
+    each = {"inner_max_num_threads": 1, "initializer": _end_with, "initargs": (os.getpid(),)}
+    try:
+        try:
+            with joblib.parallel_config(backend="loky", **each), _deaf_to_interrupts():
+                found = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(calls)
+        except KeyboardInterrupt as interrupt:
+            if found is not None:
+                found.throw(interrupt)  # one that is left alone ends its workers too, but warns of what is lost
+            raise
+        yield from found
+    except BrokenProcessPool as error:
+        reason = str(error).partition(chr(10))[0]
+        raise WorkerError(f"a worker process was lost, perhaps for want of memory: {reason}") from error
 
 
 @contextmanager
