@@ -4,6 +4,7 @@
 """
 
 import importlib
+import json
 import os
 import re
 import sys
@@ -19,7 +20,6 @@ from auv_gym.presets import PRESETS
 from auv_gym.vehicle import VEHICLES
 from baselines import POLICIES, list_policies
 from baselines.agents.names import AGENTS
-from baselines.evaluation.paper.numbers import reproduce
 from baselines.evaluation.report import terminal
 from baselines.evaluation.report.columns import COLUMNS
 
@@ -188,15 +188,20 @@ def shown(value):
     return "-" if value is None else f"{value:.4g}"
 
 
-def test_page_about_the_paper_is_what_is_recomputed():
+def test_page_about_the_paper_is_what_is_recomputed(paper):
     """Its tables stand behind comments that name them."""
-    page, found = ROOT / "docs" / "paper.md", reproduce()
+    page = ROOT / "docs" / "paper.md"
+    found = json.loads((paper / "results.json").read_text(encoding="utf-8"))["reproduction"]
     verdict = {True: "yes", False: "no", None: "-"}
     rows = [
-        (r.quantity, r.place, shown(r.paper), shown(r.measured), r.unit, verdict[r.agrees], r.note) for r in found.rows
+        (r["quantity"], r["place"], shown(r["paper"]), shown(r["measured"]), r["unit"], verdict[r["agrees"]], r["note"])
+        for r in found["rows"]
     ]
-    starts = [(f"`{s.signs}`", *(f"{v:.3g}" for v in tuple(vars(s).values())[1:])) for s in found.starts]
-    remarks = [(r.place, r.quantity, shown(r.paper), shown(r.measured), r.unit, r.note) for r in found.remarks]
+    starts = [(f"`{s['signs']}`", *(f"{v:.3g}" for v in tuple(s.values())[1:])) for s in found["starts"]]
+    remarks = [
+        (r["place"], r["quantity"], shown(r["paper"]), shown(r["measured"]), r["unit"], r["note"])
+        for r in found["remarks"]
+    ]
     tables = {
         "rows": table(("quantity", "place", "printed", "recomputed", "unit", "agrees", "note"), rows),
         "starts": table(
