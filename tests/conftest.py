@@ -47,3 +47,13 @@ def browser():
     """A headless browser, started once a worker; `browser.opened` opens a page in it."""
     with browser_of_tests.browser() as started:
         yield started
+
+
+@pytest.fixture(scope="session")
+def paper(tmp_path_factory):
+    """The folder of an evaluation of the paper, made once a worker; nobody writes into it."""
+    import evaluate
+
+    out = tmp_path_factory.mktemp("paper")
+    assert evaluate.main(["--suite", "paper", "--episodes", "2", "--jobs", "1", "--out", str(out)]) == 0
+    return out

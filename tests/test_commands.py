@@ -231,6 +231,8 @@ def test_results_are_the_pages_that_are_kept(copy):
     assert [page.name for page in pages] == ["findings.md", "results.md"]
     for page in pages:
         assert page.read_bytes() == (ROOT / "docs" / page.name).read_bytes(), "run `make results`"
+        for image in re.findall(r"\]\((images/.+?)\)", page.read_text(encoding="utf-8")):
+            assert (ROOT / "docs" / image).stat().st_size > 1e4
 
 
 def test_verify_says_what_is_equal(copy):

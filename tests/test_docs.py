@@ -4,6 +4,7 @@
 """
 
 import importlib
+import json
 import os
 import re
 import sys
@@ -18,7 +19,7 @@ from auv_gym.paths import PATHS
 from auv_gym.presets import PRESETS
 from auv_gym.vehicle import VEHICLES
 from baselines import POLICIES, list_policies
-from baselines.evaluation.paper.numbers import reproduce
+from baselines.agents.names import AGENTS
 from baselines.evaluation.report import terminal
 from baselines.evaluation.report.columns import COLUMNS
 
@@ -167,6 +168,17 @@ def compare_or_refresh(page, shown, made):
         assert shown == made
 
 
+def test_page_says_how_long_the_shipped_agents_took():
+    """In minutes, as their cards have it in seconds."""
+    page = ROOT / "docs" / "training.md"
+    said = re.findall(r"baselines\.training\.shipped ([\w-]+)` trains it in (\d+)\s", page.read_text(encoding="utf-8"))
+    assert [name for name, _ in said] == ["helm", "helm-any"]
+    for name, minutes in said:
+        card = (AGENTS / name / "card.md").read_text(encoding="utf-8")
+        taken = round(float(re.search(r"\| seconds \| `([\d.]+)` \|", card)[1]) / 60)
+        compare_or_refresh(page, f"{name}` trains it in {minutes}", f"{name}` trains it in {taken}")
+
+
 def table(names, rows):
     lines = [names, ["---"] * len(names), *([cell.replace("|", "\\|") for cell in row] for row in rows)]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
@@ -176,15 +188,20 @@ def shown(value):
     return "-" if value is None else f"{value:.4g}"
 
 
-def test_page_about_the_paper_is_what_is_recomputed():
+def test_page_about_the_paper_is_what_is_recomputed(paper):
     """Its tables stand behind comments that name them."""
-    page, found = ROOT / "docs" / "paper.md", reproduce()
+    page = ROOT / "docs" / "paper.md"
+    found = json.loads((paper / "results.json").read_text(encoding="utf-8"))["reproduction"]
     verdict = {True: "yes", False: "no", None: "-"}
     rows = [
-        (r.quantity, r.place, shown(r.paper), shown(r.measured), r.unit, verdict[r.agrees], r.note) for r in found.rows
+        (r["quantity"], r["place"], shown(r["paper"]), shown(r["measured"]), r["unit"], verdict[r["agrees"]], r["note"])
+        for r in found["rows"]
     ]
-    starts = [(f"`{s.signs}`", *(f"{v:.3g}" for v in tuple(vars(s).values())[1:])) for s in found.starts]
-    remarks = [(r.place, r.quantity, shown(r.paper), shown(r.measured), r.unit, r.note) for r in found.remarks]
+    starts = [(f"`{s['signs']}`", *(f"{v:.3g}" for v in tuple(s.values())[1:])) for s in found["starts"]]
+    remarks = [
+        (r["place"], r["quantity"], shown(r["paper"]), shown(r["measured"]), r["unit"], r["note"])
+        for r in found["remarks"]
+    ]
     tables = {
         "rows": table(("quantity", "place", "printed", "recomputed", "unit", "agrees", "note"), rows),
         "starts": table(

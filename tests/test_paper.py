@@ -8,9 +8,6 @@ import pytest
 
 from auv_gym.vehicle import PAPER_VEHICLE
 from baselines.control.backstepping import GAINS
-from baselines.evaluation.command import evaluate
-from baselines.evaluation.options import Options
-from baselines.evaluation.request import Request
 from baselines.evaluation.stability.analysis import (
     closed_loop_eigenvalues,
     derived_sign_forces,
@@ -51,15 +48,8 @@ NAMES = ("fig3_trajectory", "fig4_forces", "fig5_velocity_errors", "fig6_trackin
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    out = tmp_path_factory.mktemp("paper")
-    assert evaluate(Request.of(Options(suite="paper", episodes=2, jobs=1, out=out))) == 0
-    return out
-
-
-@pytest.fixture(scope="module")
-def reproduction(folder):
-    return json.loads((folder / "results.json").read_text())["reproduction"]
+def reproduction(paper):
+    return json.loads((paper / "results.json").read_text())["reproduction"]
 
 
 @pytest.fixture(scope="module")
@@ -126,9 +116,9 @@ def test_remarks_on_the_printed_equations(measured):
     assert measured["width of the interval for k_2"] == 0
 
 
-def test_figures_are_pictures(folder):
+def test_figures_are_pictures(paper):
     for name in NAMES:
-        assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+        assert (paper / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_eigenvalues_on_the_circle(reproduction):

@@ -54,8 +54,11 @@ def wait_for(condition, seconds=60):
 needs_proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes in /proc")
 
 
-ENDS = [("evaluate.py", end) for end in (signal.SIGTERM, signal.SIGINT, signal.SIGKILL, "Ctrl-C")]
+TERMINAL = "SIGINT to all"
+"""What a terminal sends when Ctrl-C is pressed."""
+ENDS = [("evaluate.py", end) for end in (signal.SIGTERM, signal.SIGINT, signal.SIGKILL, TERMINAL)]
 """One way to end is enough of each kind for the other program: signals and workers are in rooms that both share."""
+PROCESSES = 5  # the first, its two workers, and two that clean up behind it
 
 
 @needs_proc
@@ -73,7 +76,7 @@ def test_no_process_is_left_behind(program, end, tmp_path):
             "--policy",
             "nmpc",
             "--episodes",
-            "3000",
+            "300",
             "--out",
             "out",
         ],
@@ -83,9 +86,9 @@ def test_no_process_is_left_behind(program, end, tmp_path):
         if program == "train.py":
             wait_for(lambda: all((tmp_path / f"out/seed-{i}/progress.csv").exists() for i in range(2)), 200)
         else:
-            wait_for(lambda: len(of_session(process)) >= 3, 200)
+            wait_for(lambda: len(of_session(process)) >= PROCESSES, 200)
             time.sleep(2)
-        if end == "Ctrl-C":
+        if end == TERMINAL:
             os.killpg(process.pid, signal.SIGINT)
         else:
             process.send_signal(end)
@@ -96,11 +99,32 @@ def test_no_process_is_left_behind(program, end, tmp_path):
         else:
             assert process.returncode == 1
             assert "interrupted" in err.splitlines()[-1]
-        wait_for(lambda: not of_session(process), 20)
+        wait_for(lambda: not of_session(process))
     finally:
         process.kill()
         for pid in of_session(process):
             os.kill(int(pid), signal.SIGKILL)
+        process.communicate()
+
+
+@needs_proc
+def test_workers_that_still_import_leave_an_interrupt_to_the_first_process(tmp_path):
+    """All but the first get one, as soon as they are there; they go on, and what they are for arrives."""
+    code = (
+        "import sys, time; from baselines.tools.command_line import run; from baselines.tools.workers import Workers\n"
+        "sys.exit(run(lambda _: list(Workers(2).results(time.sleep, [(2.0,), (2.0,)])) and 0, 'it'))"
+    )
+    (tmp_path / "it.py").write_text(code, encoding="utf-8")
+    process = started(tmp_path / "it.py")
+    try:
+        wait_for(lambda: len(of_session(process)) >= PROCESSES, 200)
+        for pid in of_session(process):
+            if int(pid) != process.pid:
+                os.kill(int(pid), signal.SIGINT)
+        _, err = process.communicate(timeout=200)
+        assert (process.returncode, err) == (0, "")
+    finally:
+        process.kill()
         process.communicate()
 
 

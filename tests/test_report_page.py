@@ -1,6 +1,7 @@
 """The pages of an evaluation in a browser: on a desk, on a telephone, in print, without a script, and under attack."""
 
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -173,14 +174,14 @@ def test_the_same_run_makes_the_same_page(pages, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def others(pages):
+def others(pages, paper):
     """The pages about stability and about the paper."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("baselines.evaluation.stability.report.STARTS", 2)
         patch.setattr("baselines.evaluation.stability.report.SPEEDS", (0.2, 1.0))
         words = ["--stability", "--policy", "open-loop", "integral", "--out", str(pages / "stability")]
         assert evaluate.main(words) == 0
-        assert evaluate.main(["--suite", "paper", "--episodes", "2", "--jobs", "1", "--out", str(pages / "paper")]) == 0
+    shutil.copytree(paper, pages / "paper")
     return pages
 
 

@@ -121,9 +121,8 @@ def test_error_over_the_rivals_is_a_geometric_mean_over_cells_without_units():
 
 
 def test_the_bound_of_a_similar_vehicle_is_the_similar_one():
-    tails = [
-        rollout(make_policy("clairvoyant"), s, drawn(s, 3, 100).episodes).measures.tail for s in (PAPER_CELL, FAR_CELL)
-    ]
+    short = [replace(s, steps=s.steps // 3) for s in (PAPER_CELL, FAR_CELL)]
+    tails = [rollout(make_policy("clairvoyant"), s, drawn(s, 3, 100).episodes).measures.tail for s in short]
     np.testing.assert_allclose(tails[1] / 16, tails[0], atol=2 * TOLERANCE)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import reduce
 from typing import Any, NamedTuple
@@ -11,14 +11,14 @@ import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
+from auv_gym.envs.arguments import checked_reset, checked_steps, scenarios_of, seeded
 from auv_gym.envs.vector_api import AutoresetMode, Ends, checked_mode
-from auv_gym.episode import Episode, checked_options, with_options
+from auv_gym.episode import Episode, with_options
 from auv_gym.fleet import Craft
 from auv_gym.kernels import begun
 from auv_gym.namespaces import ARRAYS
 from auv_gym.planner import plan
 from auv_gym.policy import Forces
-from auv_gym.presets import as_scenario
 from auv_gym.preview import Preview, encode_preview
 from auv_gym.rows import leaves
 from auv_gym.scenario import Scenario
@@ -92,7 +92,7 @@ class Lanes:
     ) -> None:
         if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
             raise ValueError(f"num_envs is {num_envs!r}; it must be an integer of at least 1")
-        self.scenarios = _scenarios(scenario, num_envs, vehicle, control_dt)
+        self.scenarios = scenarios_of(scenario, num_envs, vehicle, control_dt)
         self.all: Indices = np.arange(num_envs)
         self.begun = False
         self.forces: Forces | None = None
@@ -150,37 +150,12 @@ class Lanes:
                 has changed then.
             gymnasium.error.Error: a seed is no integer, or negative; nothing has changed then.
         """
-        lanes, choices = self._checked_options(options or {})
-        seeds = seed if isinstance(seed, Iterable) else [None if seed is None else seed + i for i in self.all.tolist()]
-        if len(seeds) != len(self.all):
-            raise ValueError(f"seed has {len(seeds)} entries; it must be one integer, or {len(self.all)} of them")
-        plain = [int(s) if isinstance(s, np.integer) else s for s in seeds]
-        seeded = {i: seeding.np_random(s)[0] for i, s in enumerate(plain) if s is not None}
-        generators = [seeded.get(i, generator) for i, generator in enumerate(self._generators)]
+        lanes, choices = checked_reset(options or {}, len(self.all), self.begun)
+        generators = seeded(self._generators, seed)
         planned = self._planned(lanes, generators, choices)
         for i in lanes.tolist():
             self._generators[i] = generators[i]
         return self.begin(lanes, planned)
-
-    def _checked_options(self, options: Mapping[str, Any]) -> tuple[Indices, list[dict[str, Any]]]:
-        """Return the lanes to reset and every lane's options."""
-        n, lanes, rest = len(self.all), self.all, dict(options)
-        if "reset_mask" in rest:
-            mask = np.asarray(rest.pop("reset_mask"))
-            if mask.shape != (n,) or mask.dtype != np.bool_ or not mask.any():
-                raise ValueError(f"reset_mask is {mask!r}; it must be a boolean array ({n},) with a True")
-            if not (self.begun or mask.all()):
-                raise ValueError("the first reset must be of all sub-environments, without reset_mask")
-            lanes = mask.nonzero()[0]
-        checked_options(dict.fromkeys(set(rest) - {"episode"}, (0, 0, 0)))  # the names alone
-        choices: list[dict[str, Any]] = [{} for _ in range(n)]
-        for key, value in rest.items():
-            shared = key != "episode" and np.ndim(value) == 1
-            if not shared and (np.ndim(value) == 0 or len(value) != n):
-                raise ValueError(f"reset option {key} is {value!r}; it must have one entry for each of {n} vehicles")
-            for i, choice in enumerate(choices):
-                choice.update(checked_options({key: value if shared else value[i]}))
-        return lanes, choices
 
     def planned(self, lanes: Indices) -> list[Planned]:
         """Return the next episode of each of the lanes, ready to begin.
@@ -319,36 +294,3 @@ def reference_tables(
     reference = plan(paths, vehicle, dt * np.arange(steps + 1, dtype=np.float64), (F_u_max, F_r_max), fin).table
     check_reference(reference, span)
     return list(np.ascontiguousarray(reference.transpose(2, 0, 1)))
-
-
-def checked_steps(max_episode_steps: int | None) -> int:
-    """Return a number of control steps; a very large one for None.
-
-    Raises:
-        ValueError: it is no integer of at least 1.
-    """
-    if max_episode_steps is None or max_episode_steps == -1:  # Gymnasium's word for no limit
-        return int(np.iinfo(np.int64).max)
-    if isinstance(max_episode_steps, bool) or not isinstance(max_episode_steps, int) or max_episode_steps < 1:
-        raise ValueError(f"max_episode_steps is {max_episode_steps!r}; it must be an integer of at least 1, or None")
-    return max_episode_steps
-
-
-def replaced(old: NDArray[Any], where: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:
-    """Return a copy of an array with new values at the indices, or where the mask is True."""
-    result = old.copy()
-    result[where] = new
-    return result
-
-
-def _scenarios(
-    scenario: Any, num_envs: int, vehicle: Vehicle | Craft | str | Mapping[str, Any] | None, control_dt: float | None
-) -> list[Scenario]:
-    several = isinstance(scenario, Iterable) and not isinstance(scenario, (str, Mapping))
-    given = list(scenario) if several else [scenario]
-    if several and len(given) != num_envs:
-        raise ValueError(f"{len(given)} scenarios are given for {num_envs} sub-environments; give one, or one for each")
-    made = [as_scenario(s).changed(vehicle, control_dt) for s in given]
-    if len({s.substeps for s in made}) > 1:
-        raise ValueError("the scenarios differ in substeps; side by side they must have the same number")
-    return made if several else made * num_envs

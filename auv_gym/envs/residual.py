@@ -10,7 +10,6 @@ import numpy as np
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from auv_gym.envs.lanes import replaced
 from auv_gym.envs.spaces import checked_action, checked_actions, with_action
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
@@ -114,9 +113,9 @@ class VectorResidualAction(
             self._base, self._memory = self.expert.predict(observation, None, begun)
         else:  # the others have seen their observation already
             base, memory = self._predicted(observation[begun], begun, fresh=True)
-            self._base, self._over = replaced(self._base, begun, base), self._over & ~begun
+            self._base, self._over = _replaced(self._base, begun, base), self._over & ~begun
             if self._memory is not None and memory is not None:
-                self._memory = tuple(replaced(m, begun, new) for m, new in zip(self._memory, memory, strict=True))
+                self._memory = tuple(_replaced(m, begun, new) for m, new in zip(self._memory, memory, strict=True))
         return np.concatenate((observation, self._base), axis=1), info
 
     def step(
@@ -149,3 +148,10 @@ class VectorResidualAction(
         """Return the expert's actions and memory for the n observations of the lanes where the mask is True."""
         memory = None if self._memory is None else tuple(m[mask] for m in self._memory)
         return self.expert.predict(observation, memory, np.full(len(observation), fresh))
+
+
+def _replaced(old: NDArray[Any], where: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:
+    """Return a copy of an array with new values where the mask is True."""
+    result = old.copy()
+    result[where] = new
+    return result

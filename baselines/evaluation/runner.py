@@ -10,7 +10,7 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -51,17 +51,17 @@ class Cell:
     @cached_property
     def hash(self) -> str:
         """SHA-256 of scenario and episodes."""
-        record = [self.scenario.to_dict(), [[type(e.path).__name__, _plain(e)] for e in self.episodes]]
-        return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+        record = [self.scenario.to_dict(), [[type(e.path).__name__, e] for e in self.episodes]]
+        return hashlib.sha256(json.dumps(record, sort_keys=True, default=_plain).encode()).hexdigest()
 
 
-def _plain(episode: Episode) -> dict[str, Any]:
-    """Return an episode as a dict; what came later is left out where it is as it was before, so that hashes stay."""
-    record = asdict(episode)
-    if episode.reckoning is None:
+def _plain(part: Any) -> dict[str, Any]:
+    """Return fields of an episode or a part; what came later is left out where it is as before, so that hashes stay."""
+    record = {f.name: getattr(part, f.name) for f in fields(part)}
+    if isinstance(part, Episode) and part.reckoning is None:
         del record["reckoning"]
-    if episode.vehicle.speed == Vehicle.speed:
-        del record["vehicle"]["speed"]
+    if isinstance(part, Vehicle) and part.speed == Vehicle.speed:
+        del record["speed"]
     return record
 
 

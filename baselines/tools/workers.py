@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import itertools
 import os
+import signal
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent import futures
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from multiprocessing import resource_tracker
 from typing import Any
 from urllib.parse import urlsplit
 
 import joblib
+from joblib.externals.loky.backend import resource_tracker as resource_tracker_of_joblib
 from joblib.externals.loky.process_executor import BrokenProcessPool
 
 from auv_gym.installation import install
@@ -68,7 +73,8 @@ class Workers:
         """Yield what the function returns for each task's arguments, as it arrives.
 
         A worker gets one thread, since it shares its machine with the others, and ends with the process that started
-        it. On a cluster every machine needs this project in the same version, and the files that the arguments name.
+        it: Ctrl-C, which a terminal sends to all of them, is that one's alone to answer. On a cluster every machine
+        needs this project in the same version, and the files that the arguments name.
 
         Raises:
             WorkerError: a worker process was lost, or the cluster failed; what it did is to be run again.
@@ -79,14 +85,44 @@ class Workers:
         elif jobs <= 1:
             yield from (function(*task) for task in tasks)
         else:
-            calls = [joblib.delayed(function)(*task) for task in tasks]
-            each = {"inner_max_num_threads": 1, "initializer": _end_with, "initargs": (os.getpid(),)}
-            try:
-                with joblib.parallel_config(backend="loky", **each):
-                    yield from joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(calls)
-            except BrokenProcessPool as error:
-                reason = str(error).partition(chr(10))[0]
-                raise WorkerError(f"a worker process was lost, perhaps for want of memory: {reason}") from error
+            yield from _beside(function, tasks, jobs)
+
+
+def _beside(function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], jobs: int) -> Iterator[Any]:
+    """Yield the results of so many worker processes on this machine."""
+    calls, found = [joblib.delayed(function)(*task) for task in tasks], None
+    each = {"inner_max_num_threads": 1, "initializer": _end_with, "initargs": (os.getpid(),)}
+    try:
+        try:
+            with joblib.parallel_config(backend="loky", **each), _deaf_to_interrupts():
+                found = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(calls)
+        except KeyboardInterrupt as interrupt:
+            if found is not None:
+                found.throw(interrupt)  # one that is left alone ends its workers too, but warns of what is lost
+            raise
+        yield from found
+    except BrokenProcessPool as error:
+        reason = str(error).partition(chr(10))[0]
+        raise WorkerError(f"a worker process was lost, perhaps for want of memory: {reason}") from error
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Let the processes that begin in this block be deaf to Ctrl-C; here it is answered at the end of the block.
+
+    What is blocked stays so in a child, from before its first line. A handler of its own would come too late: a worker
+    imports for seconds first, and an interrupt in between is a traceback.
+    """
+    if sys.platform == "win32":  # has no masks
+        yield
+        return
+    for tracker in (resource_tracker_of_joblib, resource_tracker):
+        tracker.ensure_running()  # now: starting it lifts the block
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _end_with(parent: int) -> None:

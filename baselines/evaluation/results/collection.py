@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.metrics import Measures
@@ -44,6 +45,11 @@ class Results:
             tails.setdefault(policy, {})[name] = float(cases[name][policy].tail.mean())
         return cls(suite, tuple(runs), pool(runs, suite.anchors), scores, tails)
 
+    @cached_property
+    def cases(self) -> dict[str, dict[str, Measures]]:
+        """What was measured in metres of the paper's vehicle, by scenario, then by policy."""
+        return measures_of(self.runs)
+
     @property
     def policies(self) -> list[str]:
         """The policies, in the order of the registry."""
@@ -61,7 +67,7 @@ def better_than(best: str, results: Results) -> list[tuple[str, str, float]]:
     The errors are those of the same episodes. That `BOUND` is better than another is no fault, and left out.
     """
     found = []
-    for case, measures in measures_of(results.runs).items():
+    for case, measures in results.cases.items():
         for policy in sorted(set(measures) - {best, BOUND}) if best in measures else ():
             own, its = paired(measures[policy], measures[best])
             if (gain := float((its.tail - own.tail).mean())) > 0:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from baselines.evaluation.metrics import Array, bootstrap_interval
-from baselines.evaluation.report.numbers import measures_of
 from baselines.evaluation.results.collection import Results
 from baselines.evaluation.results.tables import table
 from baselines.evaluation.score import FORESIGHTED, fixed, fixed_ends, regime_of
@@ -26,7 +25,7 @@ that on the scale of the scores above nobody gets far from 0."""
 def navigation(results: Results, regimes: Sequence[str]) -> list[str]:
     """Return what the navigation alone would be off, and every policy's error beyond that; [] where none reckons."""
     floor = {c.scenario.name: navigation_tails(c) for c in results.suite.cells if c.scenario.sensors.reckoning}
-    cases, parts = measures_of(results.runs), [NAVIGATION] if floor else []
+    cases, parts = results.cases, [NAVIGATION] if floor else []
     for regime in regimes if floor else ():
         own = [case for case in floor if regime_of(case) == regime]
         rows = [["navigation", *(fixed(floor[case].mean()) for case in own), *_mean([floor[case] for case in own])]]

@@ -49,7 +49,7 @@ class Pair:
     @classmethod
     def of(cls, results: Results, policy: str, regime: str) -> Pair | None:
         """Return a policy and the rival in a regime; None where it did not run in all of its cells."""
-        cases = {name: case for name, case in measures_of(results.runs).items() if regime_of(name) == regime}
+        cases = {name: case for name, case in results.cases.items() if regime_of(name) == regime}
         if not cases or any(policy not in case or RIVAL not in case for case in cases.values()):
             return None
         both = {name: paired(case[policy], case[RIVAL]) for name, case in cases.items()}
@@ -239,7 +239,7 @@ def ratio(value: float) -> str:
 
 def _score(results: Results, policy: str, names: Sequence[str]) -> Score:
     """Return the capped score of a policy in these cells together."""
-    cases, (zero, one) = measures_of(results.runs), results.suite.anchors
+    cases, (zero, one) = results.cases, results.suite.anchors
     three = [paired(*(cases[name][key] for key in (zero, policy, one))) for name in names]
     cut = [[capped(m, waters_of(name)) for m in own] for name, own in zip(names, three, strict=True)]
     return score(*zip(*cut, strict=True))
@@ -278,7 +278,7 @@ def nearer(results: Results) -> list[tuple[str, int, str, float]]:
     Distances are in metres of the paper's vehicle. What counts is more than `ROUNDING` in a single episode.
     """
     found = []
-    for name, case in measures_of(results.runs).items():
+    for name, case in results.cases.items():
         for policy in case if BOUND in case else ():
             own, best = paired(case[policy], case[BOUND])
             gain = best.tail - own.tail
