@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,10 +28,11 @@ from baselines.evaluation.results.collection import ROUNDING, Results, better_th
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import Cell, Recorded, Run, drawn, run_all
 from baselines.evaluation.score import BY_BOUND, cap_of, in_paper_units, relative_error, unit_of
-from baselines.evaluation.study_files import Study
+from baselines.evaluation.study_files import Study, load_all
 from baselines.evaluation.suites import rounded
 from baselines.evaluation.suites.builder import SUITES, VEHICLE_EPISODES, _cell
 
+ROOT = Path(__file__).parents[1]
 OTHER = Units(length=16.0, time=4.0, mass=4096.0)  # of a copy of the paper's vehicle
 
 
@@ -211,3 +213,21 @@ def test_nobody_is_nearer_than_the_bound_in_what_is_recorded(suite):
         results = Results.of(suite, found.runs)
         assert [gain for _, _, gain in better_than("clairvoyant", results) if gain > ROUNDING] == []
         assert [entry for entry in vehicles.nearer(results) if entry[-1] > 1e-3] == []  # a local optimum, now and then
+
+
+def test_the_readme_says_how_the_agent_for_every_vehicle_compares(suite):
+    """Of several training seeds, in each regime; and who loses more."""
+    results, studies = Results.of(suite, recorded.load(suite).runs), load_all()
+    pairs = {regime: vehicles.pairs_of(results, regime) for regime in ("cruise", "slow")}
+    told = {}
+    for regime, own in pairs.items():
+        _, text = vehicles.of_seeds(own["nmpc"].own, studies)
+        (row,) = (line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("| `helm-any`"))
+        assert row[1] == "5"
+        told[regime] = row[2]
+    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    assert (
+        f"`helm-any` has {told['cruise']} of the error of `nmpc` at cruise, but {told['slow']} of it in slow motion, "
+        "five training seeds; and where fins are weak it loses more episodes"
+    ) in readme
+    assert pairs["cruise"]["helm-any"].lost > pairs["cruise"]["nmpc"].lost
