@@ -41,6 +41,7 @@ POLICIES = (
     "ekf",
     *(f"{family}-{regime}" for family in AGENTS for regime in REGIMES),
     "helm",
+    "helm-any",
     ADVERSE_RIVAL,
     RIVAL,
 )
