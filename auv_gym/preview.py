@@ -61,14 +61,15 @@ def columns_behind(rows: NDArray[Any], preview: Sequence[int]) -> NDArray[Any]:
 
 def observation_bounds(preview: tuple[int, ...], span: int = 1) -> Array:
     """Return the bounds of an observation with a preview, shape (SIZE + 2 P,); for the span see `task.bounds`."""
-    return np.append(bounds(span), np.full(2 * len(preview), L))
+    return np.append(bounds(span), np.full(2 * len(preview), L * span))
 
 
 class Preview:
     """Positions of the references of N lanes, up to P control periods ahead.
 
     A preview's columns are, for each of its times, the displacement x, y [m] of the reference from where it is now to
-    where it will be, along the measured body axes; the scale is 1 and the bound `task.L`. Behind an episode's last
+    where it will be, along the measured body axes; the scale is 1 and the bound `task.L`, as many times as wide for a
+    ship as that of other lengths. Behind an episode's last
     instant the path goes on, and behind a path's end it goes straight on at its last velocity.
     """
 
@@ -106,18 +107,20 @@ class Preview:
         return np.asarray((later - now[:, None]).transpose(1, 2, 0))
 
 
-def encode_preview(ahead: Any, o: Observation, ns: Namespace) -> Any:
+def encode_preview(ahead: Any, o: Observation, ns: Namespace, span: int = 1) -> Any:
     """Return a preview's columns as rows, shape (2 P, n), for displacements in the world [m], shape (P, 2, n).
 
-    `o` is the observation, whose measured heading alone counts; `ns` is the namespace of arrays or tensors.
+    `o` is the observation, whose measured heading alone counts; `ns` is the namespace of arrays or tensors; for the span
+    see `task.bounds`.
     """
-    return ns.stack(preview_columns(ahead.reshape(2 * len(ahead), -1), o, ns))
+    return ns.stack(preview_columns(ahead.reshape(2 * len(ahead), -1), o, ns, span))
 
 
-def preview_columns(ahead: Sequence[Number], o: Observation, ns: Namespace) -> tuple[Number, ...]:
+def preview_columns(ahead: Sequence[Number], o: Observation, ns: Namespace, span: int = 1) -> tuple[Number, ...]:
     """Return what `encode_preview` does as components, for as many displacements x, y, x, y, ... [m] of any numbers."""
     ways = zip(ahead[::2], ahead[1::2], strict=True)
-    return tuple(ns.clip(z, -L, L) for x, y in ways for z in to_body(x, y, o.cos_psi, o.sin_psi))
+    far = L * span
+    return tuple(ns.clip(z, -far, far) for x, y in ways for z in to_body(x, y, o.cos_psi, o.sin_psi))
 
 
 def _positions(paths: Sequence[Path], t: Array) -> Array:

@@ -86,6 +86,7 @@ def test_the_ratio_of_means_and_its_interval():
         (["search", "--policy", "helm"], "unknown controller 'helm'; allowed are backstepping-tuned"),
         (["search", "--episodes", "12"], "--episodes is 12; it must be a positive multiple of 8"),
         (["search", "--evaluations", "-1"], "--evaluations is -1; it must be at least 0"),
+        (["agent", "--policy", "lqi"], "--policy lqi makes no sense here: helm-any runs, and nmpc; leave it out"),
     ],
 )
 def test_mistakes_are_told_in_a_line(arguments, says, capsys):
@@ -105,6 +106,25 @@ def test_the_command_keeps_what_it_finds_beside_what_there_is(tmp_path):
     found = record["scaling"]["otter"]["policies"]["los-pid"]
     assert set(found) == {"before", "after"}
     assert found["before"]["error"] != found["after"]["error"]
+
+
+def test_an_agent_runs_beside_predictive_control_of_either_gains(tmp_path, capsys):
+    """Told to keep the gains from the parameters, both sides of predictive control are the same."""
+    out = tmp_path / "found.json"
+    few = ["--vehicle", "otter", "--fresh", "8", "--out", str(out)]
+    assert run(vehicles.main, vehicles.PROGRAM, ["agent", *few]) == 2
+    assert "no gains of nmpc are searched for otter: run python -m baselines.tuning" in capsys.readouterr().err
+    gains = vehicles.load_gains("nmpc", "cruise", TUNABLES["nmpc"].names)
+    out.write_text(json.dumps({"search": {"otter": {"nmpc": {"gains": gains, "budget": [60, 16]}}}}))
+    assert run(vehicles.main, vehicles.PROGRAM, ["agent", *few]) == 0
+    record = json.loads(out.read_text())
+    tails = record["agent"]["otter"]["tails"]
+    assert tails["parameters"] == tails["searched"] != tails["helm-any"]
+    assert [len(own) for own in tails["helm-any"].values()] == [1] * 8
+    says, rows = vehicles_page._agent(record)
+    assert "over all 1 vehicles" in says
+    own, theirs = (np.concatenate(list(tails[side].values())) for side in ("helm-any", "parameters"))
+    assert rows.splitlines()[-1].count(f" {np.exp(np.log(own / theirs).mean()):.2f} (") == 2
 
 
 def test_the_papers_vehicle_is_the_same_before_and_after():

@@ -9,8 +9,12 @@ import pytest
 from test_units import twin
 
 from auv_gym import PRESETS
+from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.fleet import craft, fleet
+from auv_gym.fleet.scaling import in_vehicle_units
 from auv_gym.presets import CASES, as_scenario
+from auv_gym.task import SIZE
 from auv_gym.units import Units
 from auv_gym.vehicle import PAPER_VEHICLE
 from baselines import make_policy
@@ -31,6 +35,7 @@ from baselines.evaluation.score import BY_BOUND, cap_of, in_paper_units, relativ
 from baselines.evaluation.study_files import Study, load_all
 from baselines.evaluation.suites import rounded
 from baselines.evaluation.suites.builder import SUITES, VEHICLE_EPISODES, _cell
+from baselines.similar import shown_factors
 
 ROOT = Path(__file__).parents[1]
 OTHER = Units(length=16.0, time=4.0, mass=4096.0)  # of a copy of the paper's vehicle
@@ -162,6 +167,24 @@ def test_a_factory_is_told_each_vehicle(suite, tmp_path):
         np.testing.assert_array_equal(a.measures.tail, b.measures.tail)
 
 
+@pytest.mark.parametrize("name", fleet())
+def test_all_that_is_seen_is_what_is_seen_in_the_vehicles_own_units(name):
+    """The way ahead too, which is hundreds of metres for a ship: nothing meets a bound."""
+    scenario, preview = as_scenario(f"cruise-calm@{name}"), (1, 40)
+    seen = []
+    for each in (scenario, in_vehicle_units(scenario)):
+        vectors = UnderactuatedAUVTrackVectorEnv(2, [each, each], preview=preview)
+        single = UnderactuatedAUVTrackEnv(each, preview=preview)
+        rows, one = vectors.reset(seed=3)[0], single.reset(seed=3)[0]
+        np.testing.assert_allclose(rows[0], one, rtol=1e-6, atol=1e-6)
+        assert vectors.single_observation_space.contains(rows[0])
+        seen.append(rows.astype(float))
+    units = Units.of(scenario.vehicle)
+    factors = shown_factors(units) + [1 / units.length] * 2 * len(preview)
+    np.testing.assert_allclose(seen[0] * factors, seen[1], rtol=1e-5, atol=1e-5)
+    assert np.abs(seen[0][:, SIZE:]).max() > 0.9 * 40 * scenario.control_dt * scenario.path.speed[0]
+
+
 def test_the_section_tells_what_the_rows_say(suite):
     """Of rows made up: half the rival's errors on every vehicle, and then once less than the bound's."""
     rng, runs, when = np.random.default_rng(0), [], Recorded("2026-01-01", {"auv_gym": "0"})
@@ -227,7 +250,7 @@ def test_the_readme_says_how_the_agent_for_every_vehicle_compares(suite):
         told[regime] = row[2]
     readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
     assert (
-        f"`helm-any` has {told['cruise']} of the error of `nmpc` at cruise, but {told['slow']} of it in slow motion, "
-        "five training seeds; and where fins are weak it loses more episodes"
+        f"`helm-any` has {told['cruise']} times the error of `nmpc` at cruise and {told['slow']} times in slow motion, "
+        "five training seeds; where fins are weak it loses more episodes"
     ) in readme
     assert pairs["cruise"]["helm-any"].lost > pairs["cruise"]["nmpc"].lost

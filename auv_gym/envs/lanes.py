@@ -222,7 +222,7 @@ class Lanes:
         if not self.preview.periods:
             return rows.copy()
         o = Observation._make(decode(rows, ARRAYS))
-        return np.vstack((rows, encode_preview(self.preview.ahead(lanes, self.k[lanes]), o, ARRAYS)))
+        return np.vstack((rows, encode_preview(self.preview.ahead(lanes, self.k[lanes]), o, ARRAYS, self.parts.span)))
 
     def _feasible(self, lane: int, episode: Episode | None, rng: np.random.Generator) -> tuple[Episode, Array]:
         """Return an episode of a lane, the given one or one that can be followed, and its reference table."""

@@ -223,7 +223,7 @@ class TorchSimulator(VectorEnv[Tensor, Tensor, Tensor]):
             return rows
         ahead = self._tensor(host.preview.ahead(lanes, host.k[lanes]))
         o = Observation._make(rows.unbind())  # the scale of sine and cosine is 1
-        return torch.cat((rows, encode_preview(ahead, o, TENSORS)))
+        return torch.cat((rows, encode_preview(ahead, o, TENSORS, self._lanes.parts.span)))
 
     def step(self, actions: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, dict[str, Any]]:
         """Advance every vehicle by one control period; start the next episode where one ends.

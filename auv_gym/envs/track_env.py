@@ -233,7 +233,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         if not self._preview.periods:
             return observation.copy()
         o = Observation._make(decoded_terms(observation))
-        return np.append(observation, encode_preview(self._preview.ahead((0,), self._k), o, ARRAYS))
+        return np.append(observation, encode_preview(self._preview.ahead((0,), self._k), o, ARRAYS, self.scenario.span))
 
     def _drawn(self) -> None:
         """Take up where the vehicle is now, and draw it if a window is to follow."""

@@ -86,14 +86,18 @@ class Course:
             PolicyError: its actions are not finite.
         """
         tail, gone, actions = self.tails(policy)
-        names = np.array(self._names)
         return Result(
             error_m=float(tail.mean()),
-            case_error_m={name: float(tail[names == name].mean()) for name in dict.fromkeys(self._names)},
+            case_error_m={name: float(own.mean()) for name, own in self.by_case(tail).items()},
             lost=float(np.mean(gone)),
             effort=effort(actions),
             smoothness=smoothness(actions),
         )
+
+    def by_case(self, values: Array) -> dict[str, Array]:
+        """Return what there is of each episode, shape (N,), by the case that it is of."""
+        names = np.array(self._names)
+        return {name: values[names == name] for name in dict.fromkeys(self._names)}
 
     def tails(self, policy: Policy) -> tuple[Array, NDArray[np.bool_], Array]:
         """Return the capped tail RMSE [m] of each episode, whether it was lost, and the commands, shape (steps, N, 2).

@@ -2,8 +2,8 @@
 
 `scaling` compares policies that are made for a vehicle in its own units with the same ones that are told the vehicle
 and left with the gains of the paper's. `search` compares those gains with what a search for that vehicle finds, on
-episodes that the search has not seen. Errors are mean tail RMSE, capped as in the score, as a share of the vehicle's
-length scale.
+episodes that the search has not seen. `agent` runs an agent beside predictive control with either gains. Errors are
+mean tail RMSE, capped as in the score, as a share of the vehicle's length scale.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from baselines.control import POLICIES, make_controller
 from baselines.evaluation.metrics import RESAMPLES, Array
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
-from baselines.evaluation.score import LARGEST_TAIL, cut, is_lost
+from baselines.evaluation.score import LARGEST_TAIL, RIVAL, cut, is_lost
 from baselines.gains.loading import load_gains
 from baselines.tools.command_line import DONE, UsageError, parse, run
 from baselines.tools.files import json_text, read_json, write_atomically
@@ -47,6 +47,9 @@ SCALED = ("integral-normalised", "los-pid", "ekf", "nmpc")
 """Policies that `scaling` compares, if none are named."""
 SEARCHED = ("backstepping-tuned", "los-pid", "lqi", "ekf", "nmpc")
 """Controllers whose gains `search` searches, if none are named."""
+AGENT = "helm-any"  # whom `agent` runs
+SIDES = ("parameters", "searched", AGENT)
+"""Who runs side by side: predictive control with gains from the parameters and with searched ones, and the agent."""
 NEAR = 1.2
 """How many times the error of searched gains that of gains from parameters may be, to be called near."""
 
@@ -58,8 +61,9 @@ class Options:
     Exit status: 0 done, 2 wrong usage.
     """
 
-    what: Annotated[Positional[Literal["scaling", "search"]], arg(metavar="scaling|search")]
-    """Against the gains of the paper's vehicle, or against a search for the vehicle."""
+    what: Annotated[Positional[Literal["scaling", "search", "agent"]], arg(metavar="scaling|search|agent")]
+    """Against the gains of the paper's vehicle, or against a search for the vehicle; or an agent against what a search
+    found for nmpc."""
     vehicle: UseAppendAction[tuple[str, ...]] = ()
     """A vehicle's name; may be given again. None: all of the fleet."""
     policy: UseAppendAction[tuple[str, ...]] = ()
@@ -116,6 +120,28 @@ def searched(craft: Craft, name: str, options: Options) -> dict[str, Any]:
     }
 
 
+def beside(craft: Craft, gains: Mapping[str, float], episodes: int) -> dict[str, Any]:
+    """Return the capped tails [m of the paper's vehicle] of each of `SIDES`, by case, and how many each one lost.
+
+    Args:
+        craft: the vehicle.
+        gains: what a search for it has found for predictive control.
+        episodes: how many, those that searches are compared on.
+    """
+    own, tunable = craft.in_paper_units, TUNABLES[RIVAL]
+    course = Course(REGIME, episodes, VALIDATION_SEED, tunable.world, own)
+    start = load_gains(RIVAL, REGIME, tunable.names)
+    controllers = (tunable.factory(dict(each), vehicle=own.vehicle) for each in (start, gains))
+    ended = [course.tails(policy) for policy in (*controllers, make_policy(AGENT, vehicle=own.vehicle))]
+    return {
+        "tails": {
+            side: {case: np.round(tails, 6).tolist() for case, tails in course.by_case(tail).items()}
+            for side, (tail, _, _) in zip(SIDES, ended, strict=True)
+        },
+        "lost": {side: int(lost.sum()) for side, (_, lost, _) in zip(SIDES, ended, strict=True)},
+    }
+
+
 def ratio_interval(mine: Array, theirs: Array) -> list[float]:
     """Return the 95 % interval of the ratio of two means over the same episodes, by bootstrap over episodes."""
 
@@ -144,13 +170,32 @@ def main(arguments: Sequence[str]) -> int:
             found = {"scaling": {craft.name: scaling(craft, options.policy or SCALED, options.fresh)}}
             record = _merged(record, found, options.out)
             continue
+        if options.what == "agent":
+            gains = _found(record, craft.name)["gains"]
+            record = _merged(record, {"agent": {craft.name: beside(craft, gains, options.fresh)}}, options.out)
+            continue
         for name in options.policy or SEARCHED:
             record = _merged(record, {"search": {craft.name: {name: searched(craft, name, options)}}}, options.out)
     return DONE
 
 
+def _found(record: Mapping[str, Any], vehicle: str) -> Any:
+    """Return what a search for predictive control on a vehicle has found.
+
+    Raises:
+        UsageError: there was none.
+    """
+    try:
+        return record["search"][vehicle][RIVAL]
+    except KeyError as error:
+        words = f"search --policy {RIVAL} --vehicle {vehicle}"
+        raise UsageError(f"no gains of {RIVAL} are searched for {vehicle}: run {PROGRAM} {words} first") from error
+
+
 def _check(options: Options) -> None:
     """Raise UsageError if an option is wrong."""
+    if options.what == "agent" and options.policy:
+        raise UsageError(f"--policy {options.policy[0]} makes no sense here: {AGENT} runs, and {RIVAL}; leave it out")
     allowed = POLICIES if options.what == "scaling" else TUNABLES
     for name in options.policy:
         if name not in allowed:

@@ -6,11 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from auv_gym.fleet import PAPER, Craft, craft, fleet
 from auv_gym.units import Units
 from baselines import make_policy
+from baselines.evaluation.score import RIVAL, Score, relative_error
 from baselines.evaluation.stability.analysis import linearise_policy
-from baselines.tuning.vehicles import NEAR, SCENARIO
+from baselines.tuning.vehicles import AGENT, NEAR, SCENARIO, SIDES
 
 BEGIN = "<!-- gains: written by REFRESH_DOCS=1 python -m pytest tests/test_vehicle_gains.py -->"
 """The line before what is written, in the page."""
@@ -97,7 +100,7 @@ def section(record: Mapping[str, Any]) -> str:
         "**Stable.** The expert is locally stable on each vehicle, in still water, on straight lines and in turns as "
         "fast as those of its presets:"
     )
-    parts = (stable, stability_table(), *_scaling(record["scaling"]), *_search(record["search"]))
+    parts = (stable, stability_table(), *_scaling(record["scaling"]), *_search(record["search"]), *_agent(record))
     return "\n\n".join(parts)
 
 
@@ -129,3 +132,40 @@ def _search(record: Mapping[str, Any]) -> tuple[str, str]:
         "are what this budget shows, no bound."
     )
     return says, search_table(record)
+
+
+def _agent(record: Mapping[str, Any]) -> tuple[str, str]:
+    """Return how an agent compares with predictive control whose gains were searched for each vehicle."""
+    found, cells = record["agent"], {side: list[Any]() for side in SIDES}
+    rows = []
+    for vehicle, entry in found.items():
+        own = {side: [np.array(tails) for tails in entry["tails"][side].values()] for side in SIDES}
+        percent = [_percent(float(np.mean(own[side])) / PAPER.vehicle.length, entry["lost"][side]) for side in SIDES]
+        ratios = [_ratio(relative_error(own[side], own[AGENT])) for side in SIDES[:2]]
+        rows.append([f"`{vehicle}`", *percent, *ratios])
+        for side in SIDES:
+            cells[side] += own[side]
+    over = [_ratio(relative_error(cells[side], cells[AGENT])) for side in SIDES[:2]]
+    budgets = {tuple(record["search"][vehicle][RIVAL]["budget"]) for vehicle in found}
+    ((evaluations, episodes),) = budgets
+    (fresh,) = {sum(map(len, entry["tails"][AGENT].values())) for entry in found.values()}
+    says = (
+        f"**`{AGENT}` beside `{RIVAL}` with searched gains.** As many evaluations for each vehicle ({evaluations} of "
+        f"{episodes} episodes), all cases of cruise, {fresh} fresh episodes each, the same for all; errors as "
+        f"above. The ratio is the geometric mean over cases of that of mean errors: over all {len(found)} vehicles the "
+        f"agent has {over[0]} of the error of `{RIVAL}` with gains from the parameters, and {over[1]} of that with "
+        "searched ones. The agent is tuned to none of them, one set of weights; slow motion is not searched."
+    )
+    names = [
+        "vehicle",
+        f"`{RIVAL}`, from parameters",
+        "searched",
+        f"`{AGENT}`",
+        "agent over the first",
+        "over the second",
+    ]
+    return says, table(names, rows)
+
+
+def _ratio(value: Score) -> str:
+    return f"{value.mean:.2f} ({value.ci95[0]:.2f} ... {value.ci95[1]:.2f})"
