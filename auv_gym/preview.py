@@ -110,8 +110,8 @@ class Preview:
 def encode_preview(ahead: Any, o: Observation, ns: Namespace, span: int = 1) -> Any:
     """Return a preview's columns as rows, shape (2 P, n), for displacements in the world [m], shape (P, 2, n).
 
-    `o` is the observation, whose measured heading alone counts; `ns` is the namespace of arrays or tensors; for the span
-    see `task.bounds`.
+    `o` is the observation, whose measured heading alone counts; `ns` is the namespace of arrays or tensors; see
+    `task.bounds` for the span.
     """
     return ns.stack(preview_columns(ahead.reshape(2 * len(ahead), -1), o, ns, span))
 

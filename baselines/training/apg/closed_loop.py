@@ -112,7 +112,8 @@ class ClosedLoop:
             known: the coefficients of the hull as it is known.
         """
         o, hull = Observation._make(decode(observation, ns)), Coefficients._make(known)
-        return self.inputs.update(o, preview_columns(ahead, o, ns, self.parts.span), base, correction, integrals, ns, hull)
+        way = preview_columns(ahead, o, ns, self.parts.span)
+        return self.inputs.update(o, way, base, correction, integrals, ns, hull)
 
     def move(
         self,
