@@ -86,7 +86,7 @@ def search_table(record: Mapping[str, Any]) -> str:
             f"`{name}`",
             _percent(found["error"], found["lost"]),
             _percent(found["searched_error"], found["searched_lost"]),
-            f"{found['ratio']:.2f} ({found['interval'][0]:.2f} ... {found['interval'][1]:.2f})",
+            _ratio(Score(found["ratio"], tuple(found["interval"]))),
         ]
         for vehicle, entry in sorted(record.items(), key=lambda item: item[0] != "paper")
         for name, found in entry.items()

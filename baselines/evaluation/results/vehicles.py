@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeGuard
 
 import numpy as np
@@ -66,7 +67,7 @@ class Pair:
                       for sides in zip(*((pair.own, pair.rival) for pair in pairs), strict=True))  # fmt: skip
         return cls(own, rival)
 
-    @property
+    @cached_property
     def error(self) -> Score:
         """The geometric mean over cells of the policy's mean tail, capped, over the rival's."""
         sides = ([capped(m, waters_of(name)) for name, m in side.items()] for side in (self.rival, self.own))
@@ -117,8 +118,8 @@ def section(results: Results | None, studies: Mapping[str, Study]) -> str:
         return f"## {SUITE}\n\nNot recorded yet: `python -m baselines.evaluation.suites record {SUITE}`."
     regimes = list(dict.fromkeys(regime_of(cell.scenario.name) or "" for cell in results.suite.cells))
     pairs = {regime: pairs_of(results, regime) for regime in regimes}
-    whole = {policy: Pair.joined([own[policy] for own in pairs.values()])
-             for policy in pairs[regimes[0]] if all(policy in own for own in pairs.values())}  # fmt: skip
+    everywhere = [policy for policy in pairs[regimes[0]] if all(policy in own for own in pairs.values())]
+    whole = nearest_first({policy: Pair.joined([own[policy] for own in pairs.values()]) for policy in everywhere})
     parts = [_introduction(results)]
     for heading, own in ((f"{SUITE}, all cells", whole), *((f"{SUITE}, {r}", pairs[r]) for r in regimes)):
         parts += [f"### {heading}", *_together(results, own), *of_seeds(own[RIVAL].own, studies)]
@@ -136,7 +137,12 @@ def pairs_of(results: Results, regime: str) -> dict[str, Pair]:
     """Return the policies that ran in all cells of a regime with the rival in the same episodes, the nearest first."""
     found = {policy: Pair.of(results, policy, regime) for policy in results.policies}
     whole = {policy: pair for policy, pair in found.items() if pair is not None}
-    return dict(sorted(whole.items(), key=lambda item: item[1].error.mean))
+    return nearest_first(whole)
+
+
+def nearest_first(pairs: Mapping[str, Pair]) -> dict[str, Pair]:
+    """Return pairs by policy in the order of their errors over the rival's."""
+    return dict(sorted(pairs.items(), key=lambda item: item[1].error.mean))
 
 
 def _introduction(results: Results) -> str:
@@ -164,11 +170,11 @@ paper's vehicle's as the vehicle is as long. *effort* and *rate* are means over 
 
 
 def _together(results: Results, pairs: Mapping[str, Pair]) -> list[str]:
-    """Return the tables of all vehicles together, over all cases and case by case; the nearest policy first."""
+    """Return the tables of all vehicles together, over all cases and case by case."""
     names = list(pairs[RIVAL].own)
     cases = list(dict.fromkeys(map(_case, names)))
     rows, more = [], []
-    for policy, pair in sorted(pairs.items(), key=lambda item: item[1].error.mean):
+    for policy, pair in pairs.items():
         points = _score(results, policy, names)
         rows.append([
             f"`{policy}`",
