@@ -59,7 +59,7 @@ def columns_behind(rows: NDArray[Any], preview: Sequence[int]) -> NDArray[Any]:
     return extra
 
 
-def observation_bounds(preview: tuple[int, ...], span: int = 1) -> Array:
+def observation_bounds(preview: tuple[int, ...], span: int) -> Array:
     """Return the bounds of an observation with a preview, shape (SIZE + 2 P,); for the span see `task.bounds`."""
     return np.append(bounds(span), np.full(2 * len(preview), L * span))
 
@@ -107,7 +107,7 @@ class Preview:
         return np.asarray((later - now[:, None]).transpose(1, 2, 0))
 
 
-def encode_preview(ahead: Any, o: Observation, ns: Namespace, span: int = 1) -> Any:
+def encode_preview(ahead: Any, o: Observation, ns: Namespace, span: int) -> Any:
     """Return a preview's columns as rows, shape (2 P, n), for displacements in the world [m], shape (P, 2, n).
 
     `o` is the observation, whose measured heading alone counts; `ns` is the namespace of arrays or tensors; see
@@ -116,7 +116,7 @@ def encode_preview(ahead: Any, o: Observation, ns: Namespace, span: int = 1) -> 
     return ns.stack(preview_columns(ahead.reshape(2 * len(ahead), -1), o, ns, span))
 
 
-def preview_columns(ahead: Sequence[Number], o: Observation, ns: Namespace, span: int = 1) -> tuple[Number, ...]:
+def preview_columns(ahead: Sequence[Number], o: Observation, ns: Namespace, span: int) -> tuple[Number, ...]:
     """Return what `encode_preview` does as components, for as many displacements x, y, x, y, ... [m] of any numbers."""
     ways = zip(ahead[::2], ahead[1::2], strict=True)
     far = L * span

@@ -79,7 +79,7 @@ def bounds(span: int) -> NDArray[np.float64]:
 _ERROR_BOUNDS = {2**k: Constants.of(bounds(2**k)[:ERRORS]) for k in range(32)}  # by span
 
 
-def encode(terms: Sequence[Number], ns: Namespace, span: int = 1) -> Any:
+def encode(terms: Sequence[Number], ns: Namespace, span: int) -> Any:
     """Return observations, their first axis counting the terms, for terms in SI units: each over its scale, bounded.
 
     The span widens the `bounds`.
@@ -100,9 +100,9 @@ def decode(rows: Any, ns: Namespace) -> Any:
     return ns.scaled(rows, _SCALES)
 
 
-def encode_observation(terms: Sequence[float]) -> NDArray[np.float64]:
-    """Return the observation, shape (SIZE,), of terms in SI units."""
-    observation: NDArray[np.float64] = encode(terms, FLOATS)
+def encode_observation(terms: Sequence[float], span: int = 1) -> NDArray[np.float64]:
+    """Return the observation, shape (SIZE,), of terms in SI units; a ship's scenario has a `span` beyond 1."""
+    observation: NDArray[np.float64] = encode(terms, FLOATS, span)
     return observation
 
 
@@ -143,7 +143,7 @@ def action_of(forces: Force, o: Sequence[Number], ns: Namespace) -> tuple[Number
     return ns.clip(F_u / o[F_U_MAX], -1.0, 1.0), ns.clip(F_r / o[F_R_MAX], -1.0, 1.0)
 
 
-def check_reference(table: NDArray[np.float64], span: int = 1) -> None:
+def check_reference(table: NDArray[np.float64], span: int) -> None:
     """Raise ValueError if a reference table, shape (T, 8, ...), has rates or forces beyond the observation's bounds."""
     names = "x", "y", "psi", "u_R", "v_R", "r_R", "F_uR", "F_rR"  # of its columns, as in an observation
     for term, most in zip(TERMS, (bounds(span) * SCALES).tolist(), strict=True):

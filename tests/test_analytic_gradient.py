@@ -217,7 +217,7 @@ def test_windows_and_their_renewal_are_steps_of_the_environment():
     state, terms, rng = carried.state, carried.observation, np.random.default_rng(0)
     for ends in (False, True, False, True):
         for ahead, sample in zip(*fleet.window(), strict=True):
-            columns = preview_columns(ahead, Observation._make(terms), ARRAYS)
+            columns = preview_columns(ahead, Observation._make(terms), ARRAYS, span=1)
             np.testing.assert_allclose(np.transpose(columns), observation[:, len(TERMS) :], rtol=0, atol=1e-12)
             actions = rng.uniform(-0.3, 0.3, (3, 2))
             given = state, actions.T, np.zeros((2, 3)), sample, fleet.constants, AUTHORITY, LOSS

@@ -15,7 +15,7 @@ from auv_gym.codegen import native
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.presets import PRESETS, as_scenario
 from auv_gym.preview import Preview
-from auv_gym.task import decode_observation
+from auv_gym.task import SIZE, decode_observation
 from auv_gym.vehicle import PAPER_VEHICLE
 from baselines import make_policy
 from baselines.agents.names import shipped_agents
@@ -154,17 +154,21 @@ def test_headers_compile_without_a_warning(tmp_path, compiler, precision, weight
     }
 
 
-@pytest.mark.parametrize("name", ["apg-cruise", "apg-preview-cruise"])
-def test_measurements_in_si_units_are_observed_as_the_environment_does(name):
+@pytest.mark.parametrize(
+    ("name", "vehicle"), [("apg-cruise", "paper"), ("apg-preview-cruise", "paper"), ("helm-any", "supply")]
+)
+def test_measurements_in_si_units_are_observed_as_the_environment_does(name, vehicle):
+    """A supply ship looks farther ahead than an observation of the paper's vehicle could say."""
     compiled()
-    agent, wide = exported(name), 8 if "preview" in name else 0
+    agent, scenario = exported(name, vehicle), as_scenario("cruise-storm").changed(vehicle)
     source = f"#define AUV_AGENT_IMPLEMENTATION\n{c_header(agent, 'float64')}"
     library = native.library(source)
     library.auv_agent_observe.restype = None
-    env = UnderactuatedAUVTrackEnv("cruise-storm", preview=agent.preview)
+    env = UnderactuatedAUVTrackEnv(scenario, preview=agent.preview)
     ahead, rng = Preview(1, agent.preview, 600), np.random.default_rng(2)
     observation, _ = env.reset(seed=4)
-    ahead.load((0,), (env._planned[0],), (0.1,))
+    ahead.load((0,), (env._planned[0],), (scenario.control_dt,))
+    assert np.abs(observation[SIZE:]).max(initial=0) > 64 or vehicle == "paper"
     last, seen = np.zeros(2), np.zeros(len(agent.columns))
     memory = np.zeros(sum(agent.memory.values()) + 2)
     for k in range(20):
@@ -172,11 +176,12 @@ def test_measurements_in_si_units_are_observed_as_the_environment_does(name):
         turn = np.array([[o.cos_psi, -o.sin_psi], [o.sin_psi, o.cos_psi]])
         x, y = np.array([R.x, R.y]) + turn @ (o.e_x, o.e_y)
         measured = x, y, np.arctan2(o.sin_psi, o.cos_psi), R.u + o.u_e, R.v + o.v_e, R.r + o.r_e
-        ways = ahead.ahead((0,), k).ravel() if wide else ()
-        view = np.array([*measured, R.x, R.y, R.psi, R.u, R.v, R.r, R.F_u, R.F_r, 400.0, 200.0, 0.1, *ways])
+        ways = ahead.ahead((0,), k).ravel() if agent.preview else ()
+        setting = o.F_u_max, o.F_r_max, o.dt
+        view = np.array([*measured, R.x, R.y, R.psi, R.u, R.v, R.r, R.F_u, R.F_r, *setting, *ways])
         memory[-2:] = last
         library.auv_agent_observe(*(ctypes.c_void_p(a.ctypes.data) for a in (memory, view, seen)))
-        np.testing.assert_allclose(seen, observation, atol=1e-12)
+        np.testing.assert_allclose(seen, observation, rtol=1e-12, atol=1e-10 if agent.span > 1 else 1e-12)
         last = rng.uniform(-1, 1, 2).astype(np.float32).astype(np.float64)
         observation, *_ = env.step(last)
 

@@ -62,7 +62,7 @@ def test_a_step_is_the_simulations_own_whatever_is_in_use(flags):
             filled(PLANT, before), command, outside, Parameters.of(constants, parts), FLOATS
         )
         np.testing.assert_allclose(found["next_plant"][:, i], leaves(after), rtol=1e-12, atol=1e-13)
-        np.testing.assert_allclose(found["next_seen"][:, i], encode(terms, FLOATS), rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(found["next_seen"][:, i], encode(terms, FLOATS, span=1), rtol=1e-12, atol=1e-13)
         outcome = reward, lost, math.sqrt(squared), saturated
         np.testing.assert_allclose(found["outcome"][:, i], outcome, rtol=1e-12, atol=1e-13)
 
@@ -76,7 +76,7 @@ def test_a_start_is_the_simulations_own():
         p = Parameters.of(parameters[:, i].tolist(), parts)
         expected, terms = start(tuple(states[:, i].tolist()), sample[:, i].tolist(), p, FLOATS)
         np.testing.assert_allclose(plant[:, i], leaves(expected), rtol=1e-12)
-        np.testing.assert_allclose(seen[:, i], encode(terms, FLOATS), rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(seen[:, i], encode(terms, FLOATS, span=1), rtol=1e-12, atol=1e-13)
 
 
 @pytest.mark.skipif(not native.wanted() or native.compiler() is None, reason="bits are those of compiled code")

@@ -54,9 +54,9 @@ def test_codec_of_floats_rows_and_tensors_is_one():
     from auv_gym.namespaces import ARRAYS, tensors
 
     terms = np.random.default_rng(0).normal(size=(task.SIZE, 5)) * np.repeat([100.0, 0.5], [6, task.SIZE - 6])[:, None]
-    rows = task.encode(tuple(terms), ARRAYS)
+    rows = task.encode(tuple(terms), ARRAYS, span=1)
     singles = np.array([task.encode_observation(tuple(column)) for column in terms.T.tolist()]).T
-    encoded = task.encode(torch.tensor(terms).unbind(), tensors())
+    encoded = task.encode(torch.tensor(terms).unbind(), tensors(), span=1)
     np.testing.assert_array_equal(rows, singles)
     np.testing.assert_array_equal(rows, encoded.numpy())
     decoded = torch.stack(list(task.decode(encoded.unbind(), tensors())))
@@ -103,7 +103,7 @@ def test_lost_is_beyond_the_distance():
 
 def test_reference_beyond_the_bounds_is_refused():
     table = np.zeros((4, 8))
-    task.check_reference(table)
+    task.check_reference(table, span=1)
     table[2, 5] = 9.0
     with pytest.raises(ValueError, match=r"reference r_R reaches 9 rad/s; at most 8"):
-        task.check_reference(table)
+        task.check_reference(table, span=1)

@@ -271,8 +271,8 @@ def reference_tables(
     vehicle: Vehicle,
     F_u_max: float,
     F_r_max: float,
-    fin: float = 0.0,
-    span: int = 1,
+    fin: float,
+    span: int,
 ) -> list[Array]:
     """Return the reference tables of episodes, shape (steps + 1, 8) each.
 

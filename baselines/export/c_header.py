@@ -180,7 +180,7 @@ def _comment(agent: Exported, names: Mapping[str, str]) -> str:
 
 def _functions(agent: Exported, precision: str, weights: str, prefix: str) -> str:
     """Return the weights and the functions that are printed from graph and program."""
-    dialect, kernel = c_dialect(precision), measurement_kernel(agent.preview)
+    dialect, kernel = c_dialect(precision), measurement_kernel(agent.preview, agent.span)
     tables: list[str] = []
     scales: dict[str, str] = {}
     program = network_program(agent.agent, f"{prefix}_")
@@ -221,7 +221,7 @@ def _calls(agent: Exported, precision: str) -> dict[str, str]:
     given = {"observation": "observation", "ahead": f"observation + {len(agent.columns) - 2 * len(agent.preview)}"}
     given |= {"correction": "memory->correction", "integrals": "memory->integrals"}
     see = parameters(agent.see.arguments, agent.seen)
-    encode = parameters(*_sides(agent.preview))
+    encode = parameters(*_sides(agent))
     own = {"observation": "observation", "last": "memory->command"}
     hidden = agent.agent.network.memory
     network = (
@@ -239,6 +239,6 @@ def _calls(agent: Exported, precision: str) -> dict[str, str]:
     }
 
 
-def _sides(preview: tuple[int, ...]) -> tuple[Mapping[str, Sequence[Any]], Mapping[str, Sequence[Any]]]:
-    kernel = measurement_kernel(preview)
+def _sides(agent: Exported) -> tuple[Mapping[str, Sequence[Any]], Mapping[str, Sequence[Any]]]:
+    kernel = measurement_kernel(agent.preview, agent.span)
     return kernel.arguments, kernel.results

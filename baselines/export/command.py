@@ -11,7 +11,6 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from auv_gym.installation import install
-from auv_gym.scenario import as_vehicle
 from baselines.export.c_header import PREFIX, c_header
 from baselines.export.parts import Exported, exported
 from baselines.tools.command_line import DONE, UsageError, parse
@@ -55,7 +54,7 @@ def main(arguments: Sequence[str]) -> int:
     if not re.fullmatch(r"[a-z][a-z0-9_]*", options.prefix):
         raise UsageError(f"prefix is {options.prefix!r}; it must be lower-case letters, digits and underscores")
     try:
-        agent = exported(options.agent, as_vehicle(options.vehicle))
+        agent = exported(options.agent, options.vehicle)
     except ValueError as error:
         raise UsageError(str(error)) from None
     files = {

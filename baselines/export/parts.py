@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, cast
@@ -17,10 +18,12 @@ import numpy as np
 from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.codegen.vectors import Program
+from auv_gym.fleet import Craft
 from auv_gym.policy import Law, traceable
 from auv_gym.presets import PRESETS
 from auv_gym.preview import preview_columns
 from auv_gym.records import to_record
+from auv_gym.scenario import as_vehicle
 from auv_gym.simulation import PARAMETER_ROWS, PARAMETERS, SAMPLE, SAMPLE_ROWS, Parameters, Parts, start
 from auv_gym.task import TERMS, Observation, decode, encode
 from auv_gym.units import Units, in_paper_units
@@ -50,6 +53,7 @@ class Exported:
     network: Program  # from features and hidden to correction and next_hidden
     command: Kernel  # from base, authority and correction to the command
     vehicle: Vehicle = PAPER_VEHICLE  # that it steers
+    span: int = 1  # of its scenarios' observations, see `auv_gym.task.bounds`
 
     @property
     def preview(self) -> tuple[int, ...]:
@@ -93,30 +97,41 @@ class Exported:
         }
 
 
-def exported(name: str, vehicle: Vehicle = PAPER_VEHICLE) -> Exported:
+def exported(name: str, vehicle: Vehicle | Craft | str = PAPER_VEHICLE) -> Exported:
     """Return the parts of an agent, by its name or its folder, for a vehicle; see `baselines.similar`.
+
+    A published vehicle, by its name or file, brings the bounds of its observations; a hull alone has the paper's.
 
     Raises:
         OSError: a file of it cannot be read.
-        ValueError: there is no such agent, or it has a part that cannot be printed: an expert with a memory, or
-            corrections that fade.
+        ValueError: there is no such agent or vehicle, or the agent has a part that cannot be printed: an expert with a
+            memory, or corrections that fade.
     """
     if name.endswith(FADING):
         raise ValueError(f"{name!r} cannot be exported: corrections that fade are not printed; leave out {FADING}")
     if (folder := agent_folder(name)) is None:
         raise ValueError(f"{name!r} is no agent; there are {', '.join(shipped_agents())}, or give an agent's folder")
     agent = Agent.load(folder)
-    similar = in_paper_units(vehicle)
+    own = as_vehicle(vehicle)
+    similar = in_paper_units(own)
     expert = make_expert(agent.expert, vehicle=similar)
     if not traceable(expert):
         raise ValueError(f"{name!r} cannot be exported: its expert {agent.expert!r} is no law without memory")
     record = read_json(folder / RECORD)
     forces = cast(Law, expert).forces
     hull = similar if agent.inputs.hull else PAPER_VEHICLE
-    see = feature_kernel(agent.inputs, forces, hull.coefficients, Units.of(vehicle))
-    return Exported(
-        folder.name, agent, record["weights_sha256"], see, network_program(agent), command_kernel(), vehicle
-    )
+    see = feature_kernel(agent.inputs, forces, hull.coefficients, Units.of(own))
+    network, command, span = network_program(agent), command_kernel(), widest_span(vehicle)
+    return Exported(folder.name, agent, record["weights_sha256"], see, network, command, own, span)
+
+
+def widest_span(vehicle: Vehicle | Craft | str) -> int:
+    """Return the widest span of the observations of a vehicle's presets, see `auv_gym.task.bounds`."""
+    spans = [1]
+    for preset in PRESETS.values():
+        with suppress(ValueError):  # a path too slow for its fins
+            spans.append(preset.changed(vehicle).span)
+    return max(spans)
 
 
 def network_program(agent: Agent, prefix: str = "") -> Program:
@@ -137,11 +152,11 @@ KINDS = ("weight", "bias")
 
 
 @cache
-def measurement_kernel(preview: tuple[int, ...]) -> Kernel:
+def measurement_kernel(preview: tuple[int, ...], span: int) -> Kernel:
     """Return the kernel from measurements in SI units to an observation, by what the environment does.
 
     Its arguments: `MEASURED`; `REFERENCE`; ahead, displacements of the reference in the world from now to each time of
-    the preview, x, y, x, y, ... [m]; last, the previous command; `SETTING`.
+    the preview, x, y, x, y, ... [m]; last, the previous command; `SETTING`. For the span see `auv_gym.task.bounds`.
     """
 
     def equation(measured: Any, reference: Any, last: Any, setting: Any, ahead: Any = ()) -> Mapping[str, Any]:
@@ -149,9 +164,9 @@ def measurement_kernel(preview: tuple[int, ...]) -> Kernel:
         sample[: len(reference)], sample[SAMPLE.fix] = reference, 1.0
         constants[PARAMETERS.F_u_max], constants[PARAMETERS.F_r_max], constants[PARAMETERS.h] = setting
         _, terms = start(tuple(measured), sample, Parameters.of(constants, Parts()), SYMBOLS)
-        rows = encode(Observation(*terms)._replace(a_u=last[0], a_r=last[1]), SYMBOLS)
+        rows = encode(Observation(*terms)._replace(a_u=last[0], a_r=last[1]), SYMBOLS, span)
         o = Observation._make(decode(rows, SYMBOLS))
-        return {"observation": [*rows, *preview_columns(ahead, o, SYMBOLS)]}
+        return {"observation": [*rows, *preview_columns(ahead, o, SYMBOLS, span)]}
 
     rows = {"measured": len(MEASURED), "reference": len(REFERENCE), "last": ACTIONS, "setting": len(SETTING)}
     return Kernel.traced(equation, rows | ({"ahead": 2 * len(preview)} if preview else {}), structural=True)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from auv_gym.envs.lanes import reference_tables
+from auv_gym.envs.lanes import plan_of, reference_tables
 from auv_gym.episode import Episode
 from auv_gym.intervals import Interval
 from auv_gym.kernels import OUTCOMES, STATES
@@ -130,8 +130,8 @@ def regime_record(regime: str, ahead: int) -> dict[str, Any]:
 
 def _table(regime: str, path: Path) -> Any:
     scenario = scenario_of(regime, "actuator", path)  # whose limits are the tightest
-    act, episode = scenario.actuators, episode_of(regime, "actuator", path, 0)
-    return reference_tables([episode], scenario.control_dt, STEPS, scenario.vehicle, act.F_u_max, act.F_r_max)[0]
+    episode = episode_of(regime, "actuator", path, 0)
+    return reference_tables([episode], *plan_of(replace(scenario, steps=STEPS)))[0]
 
 
 def path_record(regime: str, path: Path, ahead: int) -> dict[str, Any]:

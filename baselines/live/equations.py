@@ -93,7 +93,7 @@ def preview_kernel(columns: int) -> Kernel:
     """Return the kernel from the reference's ways in the world to a preview's columns."""
 
     def equation(seen: Any, ways: Any) -> dict[str, Any]:
-        return {"ahead": preview_columns(ways, Observation._make(decode(seen, SYMBOLS)), SYMBOLS)}
+        return {"ahead": preview_columns(ways, Observation._make(decode(seen, SYMBOLS)), SYMBOLS, span=1)}
 
     return Kernel.traced(equation, {"seen": SIZE, "ways": columns})
 

@@ -51,7 +51,7 @@ def feedback_of(policy: Policy, dt: float) -> tuple[Feedback, float]:
         n = len(o[0])
         one, zero, limit = np.ones(n), np.zeros(n), np.full(n, LIMITS)
         rest = (one, zero, limit, limit, o[9] / LIMITS, o[10] / LIMITS, np.full(n, dt))
-        actions, memory = policy.predict(encode((*o, *rest), ARRAYS).T, None, np.ones(n, dtype=bool))
+        actions, memory = policy.predict(encode((*o, *rest), ARRAYS, span=1).T, None, np.ones(n, dtype=bool))
         if memory is not None:
             raise ValueError("it has a memory; the map is of policies without one")
         F_u, F_r = LIMITS * np.asarray(actions, dtype=np.float64).T

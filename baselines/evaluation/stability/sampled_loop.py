@@ -159,11 +159,12 @@ class _Loop:
         plant, terms = start(state, self._sample(nothing, nothing, psi), self.parameters, ARRAYS)
         o = Observation._make(terms)._replace(a_u=own[6], a_r=own[7])
         n = len(psi)
-        rows = encode([np.broadcast_to(term, n) for term in o], ARRAYS)
+        span = self.parameters.parts.span
+        rows = encode([np.broadcast_to(term, n) for term in o], ARRAYS, span)
         if len(self.ahead) > 1:
             away = self.ahead[1:].T[:, :, None]
             ways = np.array(to_world(away[0], away[1], np.cos(psi), np.sin(psi))).transpose(1, 0, 2)
-            rows = np.vstack((rows, encode_preview(ways, o, ARRAYS)))
+            rows = np.vstack((rows, encode_preview(ways, o, ARRAYS, span)))
         return plant._replace(a_u=own[6], a_r=own[7]), rows.T
 
     def acted(self, seen: Array, memory: Memory | None) -> tuple[Array, Memory]:

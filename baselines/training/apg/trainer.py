@@ -297,7 +297,7 @@ class Trainer(Descent):
         rows = observation.T.astype(np.float64)
         if self._seen_by_expert:
             ways = ahead[self._seen_by_expert].reshape(-1, 2, len(rows))
-            rows = np.hstack((rows, encode_preview(ways, decode_observation(rows), ARRAYS).T))
+            rows = np.hstack((rows, encode_preview(ways, decode_observation(rows), ARRAYS, self.fleet.parts.span).T))
         action, self._memory = self._expert.predict(rows, self._memory, fresh)
         return action.T
 
