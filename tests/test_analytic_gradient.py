@@ -1,10 +1,13 @@
 """Training by the analytic gradient: gradients, what the network becomes on NumPy, determinism, and going on."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from auv_gym.codegen.native import SWITCH, library
 from auv_gym.envs.torch_sim import TENSORS
@@ -25,6 +28,7 @@ from baselines.training.apg.fleet import Fleet
 from baselines.training.apg.passes import gates_back
 from baselines.training.apg.torch_network import torch_network, weights_of
 from baselines.training.apg.trainer import Settings, Trainer, check, train
+from baselines.training.apg.window import SMALLEST, evened
 from baselines.training.config import Config
 from baselines.training.run_folder import Run
 from baselines.training.validation import PRECISION
@@ -135,6 +139,33 @@ def test_gradient_equals_finite_differences():
                 sides.append(loss())
                 parameter.sub_(sign * step * direction)
         assert slope == pytest.approx((sides[0] - sides[1]) / (2 * step), rel=1e-4, abs=1e-7), name
+
+
+def test_errors_may_count_by_their_ratios():
+    """The gradient is that of the mean loss with other shares, which by ratios are one over the errors."""
+    names, net = ["cruise-storm", "slow-mismatch", "cruise-gauss-markov"], network(0.1)
+
+    def found(**options):
+        setting = Setting(names, net, steps=12)
+        own = *setting.fleet.window(), setting.fleet.constants, AUTHORITY, LOSS
+        setting.window.run(setting.carried, *own, **options)
+        return gradient_of(net), setting.window._errors()
+
+    even, errors = found(evenness=0.5)
+    assert errors.max() > 1.5 * errors.min() > 0
+    shares = 1 / np.sqrt(errors + SMALLEST)
+    expected, _ = found(shares=shares / shares.sum())
+    assert float((even - expected).norm()) <= 1e-12 * float(expected.norm())
+    assert float((even - found()[0]).norm()) > 0.01 * float(expected.norm())
+
+
+@given(st.lists(st.floats(0, 1e30) | st.just(math.nan) | st.just(math.inf), min_size=1, max_size=6), st.floats(0, 1))
+def test_even_shares_add_up_and_fall_with_the_error(errors, evenness):
+    errors = np.array(errors)
+    shares = evened(np.full(len(errors), 1 / len(errors)), errors, evenness)
+    assert shares.sum() == pytest.approx(1)
+    order = np.argsort(errors)  # what is no number comes last
+    assert (np.diff(shares[order]) <= 1e-12).all()
 
 
 def test_loss_has_no_kink_and_a_slope_everywhere():

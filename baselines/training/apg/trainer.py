@@ -42,7 +42,7 @@ from baselines.training.hulls import turns
 from baselines.training.run_folder import VALIDATIONS, Run, TrainingError
 from baselines.training.validation import PRECISION
 
-SHARES = ("final_share", "warm_up", "average", "cruise_share", "hulls")  # settings in [0, 1]
+SHARES = ("final_share", "warm_up", "average", "cruise_share", "hulls", "evenness")  # settings in [0, 1]
 WEIGHTS = ("cut", "hull_weight", "effort_weight", "rate_weight", "cruise_effort_weight", "cruise_rate_weight")
 """Settings of 0 or more; those of cruise may be None."""
 LOGS = 200  # how often in a run its progress is logged
@@ -68,6 +68,7 @@ class Settings:
     cruise_rate_weight: float | None = None  # `rate_weight` in scenarios of the cruise regime, if it is another
     cruise_share: float = 0.5  # what the loss of cruise counts for, where both regimes are trained on
     cut: float = 0.0  # medians over vehicles beyond which a vehicle's derivatives are shortened; 0: never
+    evenness: float = 0.0  # 0: errors count as they are, 1: by ratios, see `window.evened`
     memory: bool = True  # whether the network has recurrent units, else it is of two tanh layers
     integrals: bool = True  # whether it sees the integrals of the position error
     fine: bool = False  # whether it sees the errors on finer scales too
@@ -288,6 +289,7 @@ class Trainer(Descent):
             self._shares,
             self.settings.cut,
             known=self.fleet.known,
+            evenness=self.settings.evenness,
         )
         self.carried = self.fleet.renew(carried, squared_error)
         return loss, error

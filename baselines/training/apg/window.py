@@ -14,7 +14,7 @@ from auv_gym.simulation import PARAMETERS, PLANT, PLANT_ROWS
 from auv_gym.task import SIZE
 from baselines.agents.networks import ACTIONS, Network
 from baselines.training.apg.closed_loop import Loss
-from baselines.training.apg.kernels import KNOWN_ROWS, MOVED, LoopKernels
+from baselines.training.apg.kernels import KNOWN_ROWS, MOVED, Chosen, LoopKernels
 from baselines.training.apg.passes import Pass, Tape, pass_of
 from baselines.training.apg.torch_network import TorchGru, TorchMlp
 
@@ -31,6 +31,10 @@ class Steering(Protocol):
         """What it is on NumPy."""
 
 
+SMALLEST = 0.002
+"""Mean error, in units of its scale, far below which errors count as equal where they are compared by ratios."""
+LARGEST = 1000.0  # likewise, for those of vehicles that are lost altogether
+SHARE = Chosen._fields.index("share")
 CARRIED = ("d_state", "d_observation", "d_integrals", "d_correction")
 """Derivatives that go from one control instant back to the one before."""
 
@@ -136,6 +140,7 @@ class Window:
         cut: float = 0.0,
         back: bool = True,
         known: Array | None = None,
+        evenness: float = 0.0,
     ) -> tuple[float, float, Carried, Array]:
         """Run the window and set the gradients of the network's weights, those of its mean loss.
 
@@ -151,6 +156,7 @@ class Window:
             cut: how many medians over the vehicles a vehicle's derivatives may reach going back; 0: anything.
             back: whether gradients are wanted.
             known: what the network is told of the hulls, shape (KNOWN_ROWS, N), if its inputs have that.
+            evenness: see `evened`; the mean loss is returned without it.
 
         Returns:
             The mean loss, the mean position error [m], what is carried on, which the next run overwrites, and the
@@ -167,6 +173,8 @@ class Window:
         with torch.no_grad():
             self._forward(act)
             if back:
+                if evenness:
+                    self._chosen[SHARE] = evened(own, self._errors(), evenness) / self.steps
                 self._backward(cut)
         with np.errstate(all="ignore"):  # of vehicles that are lost altogether
             mean, error = self._mean_loss(loss, own), float(np.sqrt(self._squared, dtype=np.float64).mean())
@@ -203,8 +211,31 @@ class Window:
                 np.nan_to_num(d, copy=False, posinf=0.0, neginf=0.0)
                 np.multiply(d, share, out=d)
 
+    def _errors(self) -> Array:
+        """Return each vehicle's mean position error in the window, in units of its scale."""
+        with np.errstate(all="ignore"):
+            mean = np.sqrt(self._squared[:, 0], dtype=np.float64).mean(axis=0)
+        return np.asarray(mean / self._parameters[PARAMETERS.error_scale])
+
     def _mean_loss(self, loss: Loss, shares: Array) -> float:
         a_u, a_r = self._carried.state[:, PLANT.a_u], self._carried.state[:, PLANT.a_r]
         dt, scale = self._substeps * self._parameters[PARAMETERS.h], self._parameters[PARAMETERS.error_scale]
         of = loss.of(self._squared[:, 0], scale, (a_u[1:], a_r[1:]), (a_u[:-1], a_r[:-1]), dt, ARRAYS)
         return float(np.mean(of @ shares.astype(of.dtype), dtype=np.float64))
+
+
+def evened(shares: Array, errors: Array, evenness: float) -> Array:
+    """Return shares of sum 1 in which vehicles with small errors count for more, and those that are no number nothing.
+
+    The loss of vehicle i counts for what it did over errors_i^evenness. With 0 errors count as they are, as in a mean;
+    with 1 as ratios, as in a geometric mean: halving one of a millimetre is worth as much as halving one of a metre.
+
+    Args:
+        shares: of sum 1, shape (N,).
+        errors: of the vehicles, in units of their scales, shape (N,).
+        evenness: 0 ... 1.
+    """
+    bounded = np.minimum(np.nan_to_num(errors, nan=LARGEST, posinf=LARGEST), LARGEST) + SMALLEST
+    even = np.where(np.isfinite(errors), shares * bounded**-evenness, 0.0)
+    total = even.sum()
+    return even / total if total > 0 else shares
