@@ -48,7 +48,7 @@ LIFTS = {"Y_ur": (0.0, 450.0), "N_uv": (-120.0, 220.0)}  # [kg], drawn evenly
 SOME = 0.65  # share of the hulls that have quadratic drag, of each kind; and of lift where there is lift
 LIFTING = 0.5  # share of the hulls that have lift
 FINNED = 0.5  # share of them with fins in place of a rudder that steers at any speed
-WRONG = 0.25  # share of the hulls that are told wrong by up to `MISTAKE`
+WRONG = 0.5  # share of the hulls that are told wrong by up to `MISTAKE`
 MISTAKE = RandomMismatch((0.7, 1.4), 1.0, (0.5, 1.7), (0.4, 1.9), (0.4, 1.9), (0.4, 1.9))
 """How wrong a hull may be told; and m22/m11 by a fifth or a quarter, as far as it stays a slender hull."""
 

@@ -106,17 +106,17 @@ ANY_HULL: Mapping[str, Any] = {
     "hull_weight": 1.0,
     "n_envs": 96,
     "n_steps": 100,
-    "learning_rate": 0.0015,
-    "matrix_learning_rate": 0.01,
+    "learning_rate": 0.001,
+    "matrix_learning_rate": 0.006,
     "warm_up": 0.1,
     "final_share": 0.01,
     "cut": 3,
-    "evenness": 0.5,
+    "evenness": 0.75,
     "validations": 1,
 }
 """Of the agent for every vehicle, which begins as `helm`: it is told the hull, which is drawn for half of the vehicles
 that it learns on. Weak rudders need a longer sight back, and what they make of the gradient must then be cut sooner;
-errors count half-way by their ratios, or those of the worst hulls would drown all others."""
+errors count mostly by their ratios, or those of the worst hulls would drown all others."""
 SHIPPED: Mapping[str, Options] = {
     "helm": training("apg", "helm", (1.0, 1.6), None, 12_000_000, HELM),
     "helm-any": training("apg", "helm", timesteps=20_000_000, changes=ANY_HULL, from_="helm"),
