@@ -268,6 +268,9 @@ def test_rows_of_an_agent_with_other_weights_do_not_count(tmp_path):
     found = fine_tuning.begun(options, "new")
     assert found["weights"] == "new"
     assert set(found["vehicles"]["otter"]) == {"backstepping", "alone"}
+    rows["alone"]["set"] = ["another"]
+    options.out.write_text(json.dumps(record), encoding="utf-8")
+    assert set(fine_tuning.begun(options, "old")["vehicles"]["otter"]) == {"helm", "backstepping", "tuned"}
     assert fine_tuning.begun(replace(options, episodes=2), "old")["vehicles"] == {}
 
 
@@ -297,5 +300,11 @@ def test_the_two_trainings_differ_in_where_they_begin():
     assert own["alone"].timesteps == SHIPPED["helm"].timesteps
     assert own["alone"].set[:-1] == SHIPPED["helm"].set
     any_hull = fine_tuning.trainings("helm-any", "lauv")["alone"]
-    assert any_hull.set[:-2] == SHIPPED["helm"].set
-    assert (any_hull.set[-2], any_hull.timesteps) == ("hull=true", SHIPPED["helm"].timesteps)
+    assert any_hull.timesteps == SHIPPED["helm"].timesteps
+    made, helms, anys = (
+        dict(word.split("=") for word in training.set) for training in (any_hull, SHIPPED["helm"], SHIPPED["helm-any"])
+    )
+    assert {name: made[name] for name in fine_tuning.SHARED} == {name: anys[name] for name in fine_tuning.SHARED}
+    rates = [name for name in helms if name.endswith(("rate", "weight", "size"))]
+    assert len(rates) > 4
+    assert {name: made[name] for name in rates} == {name: helms[name] for name in rates}

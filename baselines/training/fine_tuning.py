@@ -48,7 +48,8 @@ ALONE = "alone"  # the one that begins with nothing
 FILE = "fine-tuning.json"  # of what was measured, in docs/
 BEGIN = "<!-- fine-tuning -->"  # before the table in the page
 END = "<!-- end of fine-tuning -->"  # behind it
-TOLD = "hull"  # the hyper-parameter that says whether an agent is told the vehicle
+SHARED = ("hull", "n_envs", "n_steps", "cut", "evenness")
+"""Hyper-parameters of an agent that began with another one which are of no less use from nothing: not its rates."""
 PIECES = 6
 """How often the training for a vehicle alone is validated: it goes on from there when it is interrupted."""
 SAYS = {
@@ -90,7 +91,7 @@ class Options:
 def trainings(agent: str, vehicle: str, timesteps: int | None = None) -> dict[str, Training]:
     """Return the two trainings for a vehicle: what begins with the agent, and one from nothing.
 
-    That is the agent's own, or that of the agent which it began with, and it is told the vehicle if the agent is.
+    That is the agent's own, or that of the agent which it began with, with `SHARED` of the agent's own.
 
     Args:
         agent: one of `trainings.SHIPPED`.
@@ -99,8 +100,8 @@ def trainings(agent: str, vehicle: str, timesteps: int | None = None) -> dict[st
     """
     own = SHIPPED[agent]
     first = SHIPPED.get(own.from_ or "", own)  # an agent that began with another has its rates for going on
-    seen = [word for word in own.set if own.from_ and word.partition("=")[0] == TOLD]
-    whole = replace(first, set=(*first.set, *seen, f"validations={PIECES}"))
+    shared = [word for word in own.set if own.from_ and word.partition("=")[0] in SHARED]
+    whole = replace(first, set=(*first.set, *shared, f"validations={PIECES}"))
     return {
         TUNED: replace(Training(), from_=agent, vehicle=vehicle, timesteps=timesteps),
         ALONE: replace(whole, vehicle=vehicle, timesteps=timesteps or whole.timesteps),
@@ -171,16 +172,18 @@ def weights_of(agent: str) -> str:
 def begun(options: Options, weights: str) -> dict[str, Any]:
     """Return the record of a file with what still counts in it.
 
-    That is nothing of another agent or of other episodes, and of an agent with other weights all but the rows of the
-    agent itself and of what was tuned from it.
+    That is nothing of another agent or of other episodes; of an agent with other weights all but the rows of the agent
+    itself and of what was tuned from it; and no agent trained alone whose hyper-parameters were others.
     """
     record = read_json(options.out) if options.out.exists() else {}
     if record.get("agent") != options.agent or record.get("episodes") != options.episodes:
         return {"agent": options.agent, "weights": weights, "episodes": options.episodes, "vehicles": {}}
-    if record.get("weights") != weights:
-        stale = (options.agent, TUNED)
-        for vehicle, found in record["vehicles"].items():
-            record["vehicles"][vehicle] = {name: row for name, row in found.items() if name not in stale}
+    stale = (options.agent, TUNED) if record.get("weights") != weights else ()
+    for vehicle, found in record["vehicles"].items():
+        alone = list(trainings(options.agent, vehicle)[ALONE].set)
+        record["vehicles"][vehicle] = {
+            name: row for name, row in found.items() if name not in stale and row.get("set", alone) == alone
+        }
     return {**record, "weights": weights}
 
 
@@ -195,7 +198,8 @@ def _measured(name: str, vehicle: str, options: Options, weights: str) -> dict[s
     if status := train(request_of(training, folder)):
         return {"status": status}
     took = {} if there else {"processor_s": round(time.process_time() - seconds, 1)}
-    return errors(str(folder / AGENT), vehicle, options.episodes) | took
+    own = {"set": list(training.set)} if name == ALONE else {}
+    return errors(str(folder / AGENT), vehicle, options.episodes) | took | own
 
 
 def ratio(policy: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[float, float, float]:
