@@ -90,8 +90,9 @@ def test_gradient_equals_that_of_torch(expert, memory, inputs):
         expected = theirs.by_torch()
         expected.backward()
         near = tolerance if mine.exact else 1e-5  # its actions are in float32
+        steady = max(near, 1e-6) if mine.loop.parts.finned else near  # the torque that is told of fins is held
         assert value == pytest.approx(float(expected.detach()), rel=near)
-        assert float((found - gradient_of(net)).norm()) <= near * float(gradient_of(net).norm())
+        assert float((found - gradient_of(net)).norm()) <= steady * float(gradient_of(net).norm())
 
 
 def test_begins_as_its_expert():

@@ -34,7 +34,7 @@ class Steering(Protocol):
 SMALLEST = 0.002
 """Mean error, in units of its scale, far below which errors count as equal where they are compared by ratios."""
 LARGEST = 1000.0  # likewise, for those of vehicles that are lost altogether
-SHARE = Chosen._fields.index("share")
+SHARE = Chosen._fields.index("share")  # row of what a vehicle's loss counts for
 CARRIED = ("d_state", "d_observation", "d_integrals", "d_correction")
 """Derivatives that go from one control instant back to the one before."""
 
