@@ -69,8 +69,8 @@ class Preview:
 
     A preview's columns are, for each of its times, the displacement x, y [m] of the reference from where it is now to
     where it will be, along the measured body axes; the scale is 1 and the bound `task.L`, as many times as wide for a
-    ship as that of other lengths. Behind an episode's last
-    instant the path goes on, and behind a path's end it goes straight on at its last velocity.
+    ship as that of other lengths. Behind an episode's last instant the path goes on, and behind a path's end it goes
+    straight on at its last velocity.
     """
 
     def __init__(self, lanes: int, periods: Sequence[int], steps: int) -> None:

@@ -235,7 +235,7 @@ def evened(shares: Array, errors: Array, evenness: float) -> Array:
         errors: of the vehicles, in units of their scales, shape (N,).
         evenness: 0 ... 1.
     """
-    bounded = np.minimum(np.nan_to_num(errors, nan=LARGEST, posinf=LARGEST), LARGEST) + SMALLEST
+    bounded = np.minimum(errors, LARGEST) + SMALLEST
     even = np.where(np.isfinite(errors), shares * bounded**-evenness, 0.0)
     total = even.sum()
     return even / total if total > 0 else shares
