@@ -19,7 +19,7 @@ from baselines.control.open_loop import NO_EXPERT, Zero
 from baselines.training.apg.closed_loop import ClosedLoop, Loss, law_of
 from baselines.training.apg.fleet import Fleet
 from baselines.training.apg.kernels import LoopKernels
-from baselines.training.apg.window import Carried, Window
+from baselines.training.apg.window import Carried, Objective, Window
 from baselines.training.hulls import turns
 
 AUTHORITY = (0.3, 0.6)  # largest corrections of surge and yaw
@@ -37,6 +37,7 @@ class Setting:
         inputs: of the network.
         steps: of a window.
         precision: of the kernels, "float64" or "float32".
+        options: of the window's `Objective`, but for its loss.
     """
 
     def __init__(
@@ -47,6 +48,7 @@ class Setting:
         inputs: Inputs = STANDARD,
         steps: int = 5,
         precision: str = "float64",
+        **options: Any,
     ) -> None:
         self.expert = Zero() if expert == NO_EXPERT else make_policy(expert)
         law, self.exact = law_of(self.expert)
@@ -56,7 +58,8 @@ class Setting:
         believer = self.expert if inputs.hull and isinstance(self.expert, Backstepping) else None
         self.loop = ClosedLoop(law, inputs, self.fleet.parts, believer)
         self.net = net
-        self.window = Window(LoopKernels(self.loop, self.exact, precision), net, len(names), steps)
+        kernels, objective = LoopKernels(self.loop, self.exact, precision), Objective(LOSS, **options)
+        self.window = Window(kernels, net, len(names), steps, AUTHORITY, objective)
         self.carried: Carried = self.fleet.reset(net.sizes.memory, inputs.memory)
         self._memory: Any = None
 
@@ -68,7 +71,7 @@ class Setting:
     def run(self) -> tuple[float, Any]:
         """Return the mean loss and the squared error at the end of the next window; the gradient is the network's."""
         act = None if self.exact else lambda _, observation: self.act(observation)
-        given = (*self.fleet.window(), self.fleet.constants, AUTHORITY, LOSS, act)
+        given = (*self.fleet.window(), self.fleet.constants, act)
         loss, _, carried, squared_error = self.window.run(self.carried, *given, known=self.fleet.known)
         self.carried = Carried(*(x.copy() for x in carried))
         return loss, squared_error

@@ -37,9 +37,10 @@ class Chosen(NamedTuple):
 
 SEEN = {"observation": SIZE, "correction": ACTIONS}
 """What the features are made of, rows by array, but for what is remembered, `ahead` and the expert's action."""
-STEERED = tuple(map(Observation._fields.index, (*Observation._fields[:ERRORS], "cos_psi", "sin_psi", "a_u", "a_r")))
-"""Terms of an observation that the vehicle's motion changes; the others are not differentiated by. That of fins, whose
-largest torque is told by the measured speed, is not among them."""
+_STEERED = (*Observation._fields[:ERRORS], "cos_psi", "sin_psi", "F_r_max", "a_u", "a_r")
+STEERED = tuple(map(Observation._fields.index, _STEERED))
+"""Terms of an observation that the vehicle's motion changes; the others are not differentiated by. The largest torque
+is among them: that of fins changes with the speed."""
 MOVED = {
     "state": PLANT_ROWS,
     "base": ACTIONS,

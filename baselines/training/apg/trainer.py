@@ -35,7 +35,7 @@ from baselines.training.apg.closed_loop import ClosedLoop, Loss, law_of
 from baselines.training.apg.fleet import Fleet
 from baselines.training.apg.kernels import LoopKernels
 from baselines.training.apg.torch_network import put, torch_network, weights_of
-from baselines.training.apg.window import Array, Window
+from baselines.training.apg.window import Array, Objective, Window
 from baselines.training.beginning import loaded
 from baselines.training.config import Config
 from baselines.training.hulls import turns
@@ -106,15 +106,16 @@ class Settings:
         inputs, size = len(self.inputs.features), self.hidden_size
         return Gru(inputs, size, size, size) if self.memory else Mlp(inputs, (size, size), bound="tanh")
 
-    def loss(self, names: Sequence[str]) -> tuple[Loss, NDArray[np.float64]]:
-        """Return the weights of the loss for vehicles in scenarios of these names, and what each one counts for."""
+    def objective(self, names: Sequence[str], drawn: Sequence[bool] = ()) -> Objective:
+        """Return what is learned in scenarios of these names; `drawn` says whose hull is drawn, () for nobody's."""
         fast = np.array([regime_of(name) == "cruise" for name in names])
         cruise = (self.cruise_effort_weight, self.cruise_rate_weight)
         pairs = zip((self.effort_weight, self.rate_weight), cruise, strict=True)
         loss = Loss(*(np.where(fast, slow if own is None else own, slow) for slow, own in pairs))
         both = fast.any() and not fast.all()
         share = np.where(fast, self.cruise_share / max(1, fast.sum()), (1 - self.cruise_share) / max(1, (~fast).sum()))
-        return loss, share if both else np.full(len(fast), 1 / len(fast))
+        shares = np.where(drawn or False, self.hull_weight, 1.0) * (share if both else np.ones(len(fast)))
+        return Objective(loss, shares / shares.sum(), self.cut, self.evenness)
 
     def share_at(self, progress: float) -> float:
         """Return the share of the learning rates that is left after a share `progress` of the run."""
@@ -247,10 +248,9 @@ class Trainer(Descent):
         law, self._exact = law_of(self._expert)
         believer = self._expert if settings.hull and isinstance(self._expert, Backstepping) else None
         kernels = LoopKernels(ClosedLoop(law, settings.inputs, self.fleet.parts, believer), self._exact)
-        self._window = Window(kernels, self.network, settings.n_envs, settings.n_steps)
-        self._loss, shares = settings.loss([scenario.name for scenario in lanes])
-        shares = np.where([len(own) > 1 for own in hulls], settings.hull_weight * shares, shares) if hulls else shares
-        self._shares = shares / shares.sum()
+        objective = settings.objective([scenario.name for scenario in lanes], [len(own) > 1 for own in hulls])
+        sizes = settings.n_envs, settings.n_steps
+        self._window = Window(kernels, self.network, *sizes, config.authority, objective)
 
     @property
     def timesteps(self) -> int:
@@ -283,13 +283,8 @@ class Trainer(Descent):
             ahead[:, self._seen],
             samples,
             self.fleet.constants,
-            self.run.config.authority,
-            self._loss,
             None if self._exact else act,
-            self._shares,
-            self.settings.cut,
             known=self.fleet.known,
-            evenness=self.settings.evenness,
         )
         self.carried = self.fleet.renew(carried, squared_error)
         return loss, error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -49,6 +50,16 @@ class Carried(NamedTuple):
     hidden: Array  # of the network, shape (memory, N)
 
 
+@dataclass(frozen=True)
+class Objective:
+    """What a window's gradient is that of."""
+
+    loss: Loss  # of a control step; its weights may be of each vehicle, shape (N,)
+    shares: Array | None = None  # what each vehicle's loss counts for in their mean, shape (N,) of sum 1; None: alike
+    cut: float = 0.0  # medians over the vehicles that a vehicle's derivatives may reach going back; 0: anything
+    evenness: float = 0.0  # see `evened`
+
+
 class Window:
     """T control steps of N vehicles, run again and again; it computes in the kernels' precision.
 
@@ -57,6 +68,8 @@ class Window:
         network: what corrects the expert; its weights may change in place between windows.
         n: N, the number of vehicles.
         steps: T.
+        authority: largest corrections of surge and yaw.
+        objective: of what the gradient is.
         way: makes the way through the network, if it is none of those that `pass_of` knows.
     """
 
@@ -66,9 +79,11 @@ class Window:
         network: TorchGru | TorchMlp | Steering,
         n: int,
         steps: int,
+        authority: Sequence[float],
+        objective: Objective,
         way: Callable[[Any, Tape], Pass] = pass_of,
     ) -> None:
-        self.steps, self._type = steps, np.dtype(kernels.precision)
+        self.steps, self.objective, self._type = steps, objective, np.dtype(kernels.precision)
         inputs, self._substeps = kernels.loop.inputs, kernels.loop.parts.substeps
         features, memory = len(inputs.features), network.sizes.memory
         self._carried = Carried(
@@ -77,7 +92,10 @@ class Window:
         self._ahead, self._samples, self._features, self._base, self._squared = (
             self._zeros(steps, rows, n) for rows in (2 * len(inputs.preview), MOVED["sample"], features, ACTIONS, 1)
         )
-        self._parameters, self._chosen = self._zeros(MOVED["parameters"], n), self._zeros(MOVED["chosen"], n)
+        self._parameters = self._zeros(MOVED["parameters"], n)
+        self._shares = np.full(n, 1 / n) if objective.shares is None else objective.shares
+        chosen = (*authority, *objective.loss, self._shares / steps)  # a `Chosen`
+        self._chosen = np.array([np.broadcast_to(x, n) for x in chosen], dtype=self._type)
         self._known = {"known": self._zeros(KNOWN_ROWS, n)} if inputs.hull else {}
         self._d = {
             name: self._zeros(rows, n)
@@ -133,51 +151,38 @@ class Window:
         ahead: Array,
         samples: Array,
         parameters: Array,
-        authority: Sequence[float],
-        loss: Loss,
         act: Act | None = None,
-        shares: Array | None = None,
-        cut: float = 0.0,
         back: bool = True,
         known: Array | None = None,
-        evenness: float = 0.0,
     ) -> tuple[float, float, Carried, Array]:
-        """Run the window and set the gradients of the network's weights, those of its mean loss.
+        """Run the window and set the gradients of the network's weights, those of the `objective`.
 
         Args:
             carried: from the window before; nothing is differentiated beyond it.
             ahead: the preview of the network's inputs in the world [m], shape (T, 2 P, N).
             samples: the rows of `simulation.Sample`s, shape (T, SAMPLE_ROWS, N).
             parameters: the rows of `simulation.Parameters`, shape (PARAMETER_ROWS, N).
-            authority: largest corrections of surge and yaw.
-            loss: of a control step; its weights may be of each vehicle, shape (N,).
             act: the expert, if it does not compute in the kernels.
-            shares: what each vehicle's loss counts for in their mean, shape (N,) of sum 1; None: the same.
-            cut: how many medians over the vehicles a vehicle's derivatives may reach going back; 0: anything.
             back: whether gradients are wanted.
             known: what the network is told of the hulls, shape (KNOWN_ROWS, N), if its inputs have that.
-            evenness: see `evened`; the mean loss is returned without it.
 
         Returns:
-            The mean loss, the mean position error [m], what is carried on, which the next run overwrites, and the
-            squared position error [m^2] at the end, shape (N,).
+            The mean loss, without `evenness`, the mean position error [m], what is carried on, which the next run
+            overwrites, and the squared position error [m^2] at the end, shape (N,).
         """
         for mine, given in zip(self._carried, carried, strict=True):
             mine[0] = given
         self._ahead[:], self._samples[:], self._parameters[:] = ahead, samples, parameters
         for mine in self._known.values():
             mine[:] = known
-        n = self._parameters.shape[-1]
-        own = np.full(n, 1 / n) if shares is None else shares
-        self._chosen[:] = np.stack([np.broadcast_to(x, n) for x in (*authority, *loss, own / self.steps)])  # `Chosen`
         with torch.no_grad():
             self._forward(act)
             if back:
-                if evenness:
-                    self._chosen[SHARE] = evened(own, self._errors(), evenness) / self.steps
-                self._backward(cut)
+                if evenness := self.objective.evenness:
+                    self._chosen[SHARE] = evened(self._shares, self._errors(), evenness) / self.steps
+                self._backward()
         with np.errstate(all="ignore"):  # of vehicles that are lost altogether
-            mean, error = self._mean_loss(loss, own), float(np.sqrt(self._squared, dtype=np.float64).mean())
+            mean, error = self._mean_loss(), float(np.sqrt(self._squared, dtype=np.float64).mean())
         return mean, error, Carried(*(x[-1] for x in self._carried)), self._squared[-1, 0]
 
     def _forward(self, act: Act | None) -> None:
@@ -189,14 +194,14 @@ class Window:
             self._pass.forward(k)
             self._move(k, 1)
 
-    def _backward(self, cut: float) -> None:
+    def _backward(self) -> None:
         for derivative in self._d.values():
             derivative.fill(0.0)
         for k in reversed(range(self.steps)):
             self._move_back(k, 1)
             self._pass.backward(k)
             self._look_back(k, 1)
-            if cut:
+            if cut := self.objective.cut:
                 self._bound(cut)
         self._pass.finish()
 
@@ -206,10 +211,9 @@ class Window:
         with np.errstate(all="ignore"):
             size = np.sqrt(sum(np.einsum("ij,ij->j", d, d) for d in carried))
             share = np.where(np.isfinite(size), np.minimum(1.0, cut * np.median(size) / (size + 1e-30)), 0.0)
-        if (share < 1).any():
-            for d in carried:
-                np.nan_to_num(d, copy=False, posinf=0.0, neginf=0.0)
+            for d in carried if (share < 1).any() else ():
                 np.multiply(d, share, out=d)
+                d[:, share == 0] = 0.0  # nothing times what is no number is none
 
     def _errors(self) -> Array:
         """Return each vehicle's mean position error in the window, in units of its scale."""
@@ -217,11 +221,11 @@ class Window:
             mean = np.sqrt(self._squared[:, 0], dtype=np.float64).mean(axis=0)
         return np.asarray(mean / self._parameters[PARAMETERS.error_scale])
 
-    def _mean_loss(self, loss: Loss, shares: Array) -> float:
+    def _mean_loss(self) -> float:
         a_u, a_r = self._carried.state[:, PLANT.a_u], self._carried.state[:, PLANT.a_r]
         dt, scale = self._substeps * self._parameters[PARAMETERS.h], self._parameters[PARAMETERS.error_scale]
-        of = loss.of(self._squared[:, 0], scale, (a_u[1:], a_r[1:]), (a_u[:-1], a_r[:-1]), dt, ARRAYS)
-        return float(np.mean(of @ shares.astype(of.dtype), dtype=np.float64))
+        of = self.objective.loss.of(self._squared[:, 0], scale, (a_u[1:], a_r[1:]), (a_u[:-1], a_r[:-1]), dt, ARRAYS)
+        return float(np.mean(of @ self._shares.astype(of.dtype), dtype=np.float64))
 
 
 def evened(shares: Array, errors: Array, evenness: float) -> Array:

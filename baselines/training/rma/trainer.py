@@ -124,7 +124,6 @@ class Trainer(Descent):
         self.updates, self.skipped, self.score = 0, 0, -math.inf
         self.best = self.weights
         self.carried = self.fleet.reset(0, gradient.inputs.memory)
-        self._loss, self._shares = gradient.loss([scenario.name for scenario in config.lanes(gradient.n_envs)])
         if (state := run.load_checkpoint()) is not None:
             with run.restoring():
                 self._restore(state)
@@ -160,8 +159,10 @@ class Trainer(Descent):
             made.append(way(network, tape))
             return made[0]
 
-        gradient = self.settings.gradient
-        return Window(self._kernels, network, gradient.n_envs, gradient.n_steps, kept), made[0]
+        config, gradient = self.run.config, self.settings.gradient
+        objective = gradient.objective([scenario.name for scenario in config.lanes(gradient.n_envs)])
+        sizes = gradient.n_envs, gradient.n_steps
+        return Window(self._kernels, network, *sizes, config.authority, objective, kept), made[0]
 
     def update(self) -> None:
         """Run one window, learn from it, and log, validate and save where it is time to."""
@@ -178,17 +179,8 @@ class Trainer(Descent):
         known = self.run.config.vehicle or PAPER_VEHICLE
         told = torch.from_numpy(extrinsics(samples, self.fleet.constants, known).astype(np.float32))
         tell(told)
-        loss, error, carried, squared_error = window.run(
-            self.carried,
-            ahead,
-            samples,
-            self.fleet.constants,
-            self.run.config.authority,
-            self._loss,
-            shares=self._shares,
-            cut=self.settings.gradient.cut,
-            back=back,
-        )
+        given = self.carried, ahead, samples, self.fleet.constants
+        loss, error, carried, squared_error = window.run(*given, back=back)
         self.carried = self.fleet.renew(carried, squared_error)
         return loss, error, told
 
