@@ -48,7 +48,7 @@ ALONE = "alone"  # the one that begins with nothing
 FILE = "fine-tuning.json"  # of what was measured, in docs/
 BEGIN = "<!-- fine-tuning -->"  # before the table in the page
 END = "<!-- end of fine-tuning -->"  # behind it
-SHARED = ("hull", "n_envs", "n_steps", "cut", "evenness")
+SHARED = ("hull",)
 """Hyper-parameters of an agent that began with another one which are of no less use from nothing: not its rates."""
 PIECES = 6
 """How often the training for a vehicle alone is validated: it goes on from there when it is interrupted."""

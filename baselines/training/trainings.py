@@ -80,46 +80,46 @@ PPO_AUTHORITY: Mapping[str, tuple[float, float]] = {"slow": (0.6, 1.0), "cruise"
 """Of PPO, with memory or without: more lets fast vehicles with slow actuators spin."""
 WIDE: Mapping[str, Any] = {"n_envs": 512, "n_steps": 64, "batch_size": 4096, "n_epochs": 4}
 """Of PPO where it is trained until its score has stopped to rise: less noise in each update."""
-HELM: Mapping[str, Any] = {
+EVEN: Mapping[str, Any] = {"n_envs": 96, "n_steps": 100, "cut": 3, "final_share": 0.01, "evenness": 0.75}
+"""Of the analytic gradient where vehicles are of very different difficulty: a long sight back, derivatives that are cut
+soon, as that makes chaos of some, and errors that count mostly by their ratios, or the worst would drown all others."""
+BOTH: Mapping[str, Any] = {
     "preview": EXACT["preview"],
     "hidden_size": 128,
-    "matrix_learning_rate": 0.02,
     "effort_weight": 0.02,
     "rate_weight": 0.0025,
     "cruise_effort_weight": 0.0012,
     "cruise_rate_weight": 0.0007,
     "cruise_share": 0.3,
-    "cut": 12,
     "fine": True,
     "filters": True,
     "validations": 1,
 }
-"""Of the agent for both regimes: small errors seen as well as large ones, filters, and commands no rougher than
-those of `nmpc`."""
-SMALL: Mapping[str, Any] = {**HELM, "hidden_size": 11}
-"""`HELM` for a microcontroller: about 2,000 weights."""
-BLIND: Mapping[str, Any] = {**HELM, "preview": []}
-"""`HELM` that is shown nothing of the reference ahead."""
+"""Of agents for both regimes: small errors seen as well as large ones, filters, and commands no rougher than those of
+`nmpc`."""
+HELM: Mapping[str, Any] = {**BOTH, **EVEN, "learning_rate": 0.002, "matrix_learning_rate": 0.013}
+"""Of the agent for both regimes."""
+MEAN: Mapping[str, Any] = {**BOTH, "matrix_learning_rate": 0.02, "cut": 12}
+"""Of its kin: shorter windows, and errors count as they are."""
+SMALL: Mapping[str, Any] = {**MEAN, "hidden_size": 11}
+"""Of one for a microcontroller: about 2,000 weights."""
+BLIND: Mapping[str, Any] = {**MEAN, "preview": []}
+"""Of one that is shown nothing of the reference ahead."""
 ANY_HULL: Mapping[str, Any] = {
+    **EVEN,
     "hull": True,
     "hulls": 0.5,
     "hull_weight": 1.0,
-    "n_envs": 96,
-    "n_steps": 100,
     "learning_rate": 0.001,
     "matrix_learning_rate": 0.006,
     "warm_up": 0.1,
-    "final_share": 0.01,
-    "cut": 3,
-    "evenness": 0.75,
     "validations": 1,
 }
 """Of the agent for every vehicle, which begins as `helm`: it is told the hull, which is drawn for half of the vehicles
-that it learns on. Weak rudders need a longer sight back, and what they make of the gradient must then be cut sooner;
-errors count mostly by their ratios, or those of the worst hulls would drown all others."""
+that it learns on."""
 SHIPPED: Mapping[str, Options] = {
     "helm": training("apg", "helm", (1.0, 1.6), None, 12_000_000, HELM),
-    "helm-any": training("apg", "helm", timesteps=20_000_000, changes=ANY_HULL, from_="helm"),
+    "helm-any": training("apg", "helm", timesteps=40_000_000, changes=ANY_HULL, from_="helm"),
     "helm-blind": training("apg", "helm", (1.0, 1.6), None, 12_000_000, BLIND),
     "helm-small": training("apg", "helm", (1.0, 1.6), None, 12_000_000, SMALL),
     "apg-cruise": training("apg", "cruise"),
