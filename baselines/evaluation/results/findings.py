@@ -223,7 +223,9 @@ SEALED = f"""## In worlds that nobody had seen
 policies ran in them once, 512 episodes a regime, one shipped agent each. Speeds between and beyond the regimes,
 missions of five minutes, slewing actuators, long outages of the position fix, far starts, other hulls, and all at once.
 `helm` knows slewing actuators and some of the speeds ([Evaluation](metrics.md#sealed-suites)); it trails where the fix
-is out for longer than in its training. The first lead is over `{RIVAL}`, the second over `{ADVERSE_RIVAL}`."""
+is out for longer than in its training. It and `helm-any` have been trained anew since the suite was opened, and chosen
+on other episodes: for them these are episodes that anybody knows. The first lead is over `{RIVAL}`, the second over
+`{ADVERSE_RIVAL}`."""
 RESIDUAL = """## What the expert is for
 
 The expert does not make the final score better: `apg-scratch-*`, networks that command alone, end level with the
