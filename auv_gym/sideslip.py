@@ -20,6 +20,7 @@ from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
 from auv_gym.codegen.graph import SYMBOLS
@@ -33,6 +34,7 @@ Array = NDArray[np.float64]
 ORDER = 4  # samples in each integration formula
 TERMS = 4  # of the equation, see `sideslip_terms`
 FIXED_POINT = 12  # iterations for the first samples, which settle within fewer
+_POINTS, _GAUSS = leggauss(24)  # of an integral over [-1, 1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,13 +198,12 @@ def sideslip_step(
     return new, rest_at(new)
 
 
-@lru_cache
+@lru_cache(2**12)  # a training plans for hundreds of hulls again and again
 def _weights(z: float, first: int, end: int) -> tuple[float, ...]:
     """Return c with  integral_0^end exp(-z (end - s)) n(s) ds = sum_j c_j n(first + j)  for cubic n."""
     nodes = range(first, first + ORDER)
-    points, gauss = np.polynomial.legendre.leggauss(24)
-    s = 0.5 * end * (points + 1)
-    kernel = 0.5 * end * gauss * np.exp(-z * (end - s))
+    s = 0.5 * end * (_POINTS + 1)
+    kernel = 0.5 * end * _GAUSS * np.exp(-z * (end - s))
     return tuple(float(kernel @ np.prod([(s - m) / (j - m) for m in nodes if m != j], axis=0)) for j in nodes)
 
 

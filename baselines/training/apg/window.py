@@ -213,6 +213,7 @@ class Window:
             share = np.where(np.isfinite(size), np.minimum(1.0, cut * np.median(size) / (size + 1e-30)), 0.0)
             for d in carried if (share < 1).any() else ():
                 np.multiply(d, share, out=d)
+            for d in carried if not share.all() else ():
                 d[:, share == 0] = 0.0  # nothing times what is no number is none
 
     def _errors(self) -> Array:
