@@ -69,11 +69,11 @@ def test_each_episode_is_of_the_next_hull_and_what_is_known_is_not_the_true_one(
     vehicles = Fleet(scenarios, 0, 50, (), given)
     carried = vehicles.reset(0)
     at = slice(PARAMETERS.coefficients.m11, PARAMETERS.coefficients.N_ur + 1)
-    seen = [vehicles.known]
+    seen = [vehicles.known.copy()]
     for _ in range(hulls.SEVERAL):
         carried = vehicles.renew(carried, np.full(4, np.nan))
         assert vehicles.fresh.all()
-        seen.append(vehicles.known)
+        seen.append(vehicles.known.copy())
         true = vehicles.constants[at]
         assert (true[:, 2] == seen[-1][:, 2]).all()  # noise alone
         assert (true[:, 3] != seen[-1][:, 3]).any()
@@ -81,6 +81,37 @@ def test_each_episode_is_of_the_next_hull_and_what_is_known_is_not_the_true_one(
     for k, known in enumerate(seen):
         for i in range(4):
             assert tuple(known[:, i]) == given[i][k % len(given[i])].vehicle.coefficients
+
+
+def test_who_is_told_a_wrong_hull_plans_and_moves_as_with_the_right_one(turned):
+    scenarios, given = turned
+    right, misled = Fleet(scenarios, 0, 50, (), given), Fleet(scenarios, 0, 50, (), given, hulls.told)
+    carried, other, wrong = right.reset(0), misled.reset(0), []
+    for _ in range(hulls.SEVERAL):
+        assert (right.constants == misled.constants).all()
+        assert all((a == b).all() for a, b in zip(carried, other, strict=True))
+        for ours, its in zip(right.window(), misled.window(), strict=True):
+            np.testing.assert_array_equal(ours, its)
+        wrong.append((right.known != misled.known).any(axis=0))
+        carried, other = right.renew(carried, np.full(4, np.nan)), misled.renew(other, np.full(4, np.nan))
+    assert 0.5 < np.mean(wrong) < 0.95  # of 64, three of four are expected
+    assert np.any(wrong, axis=0).all()
+
+
+def test_a_wrong_hull_is_wrong_in_its_ratios_alone_and_a_slender_one():
+    rng, low, high = np.random.default_rng(0), *hulls.MISTAKE
+    for vehicle in (PAPER_VEHICLE, OTHER):
+        said = [hulls.told(vehicle, rng) for _ in range(400)]
+        assert np.mean([told != vehicle for told in said]) == pytest.approx(hulls.WRONG, abs=0.07)
+        for name in ("m11", "m33", "Y_ur", "N_uv", "speed"):
+            assert {getattr(told, name) for told in said} == {getattr(vehicle, name)}
+        for name in ("d11", "d22", "d33"):
+            shares = [getattr(told, name) / getattr(vehicle, name) for told in said]
+            assert low <= min(shares) < low + 0.05
+            assert high - 0.05 < max(shares) <= high
+        m22 = [told.m22 for told in said]
+        assert 1.02 * vehicle.m11 <= min(m22) * (1 + 1e-9)
+        assert max(m22) > 1.5 * vehicle.m22
 
 
 def test_rows_of_hulls_are_told_what_each_vehicle_alone_is():

@@ -139,7 +139,7 @@ def main(arguments: Sequence[str]) -> int:
         raise UsageError(f"--agent {options.agent} does not ship; allowed are {', '.join(SHIPPED)}")
     if options.episodes < 2:
         raise UsageError(f"--episodes is {options.episodes}; it must be 2 or more")
-    names = options.policy or (EXPERT, RIVAL, options.agent, TUNED, ALONE)
+    names = options.policy or compared(options.agent)
     record = begun(options, weights_of(options.agent))
     status = DONE
     for vehicle in options.vehicle:
@@ -187,6 +187,11 @@ def begun(options: Options, weights: str) -> dict[str, Any]:
     return {**record, "weights": weights}
 
 
+def compared(agent: str) -> tuple[str, ...]:
+    """Return who is compared where an agent is tuned, in the order of the table."""
+    return EXPERT, RIVAL, agent, TUNED, ALONE
+
+
 def _measured(name: str, vehicle: str, options: Options, weights: str) -> dict[str, Any]:
     """Return what one of them does, once it is trained; only a status where that has failed."""
     if name not in (TUNED, ALONE):
@@ -214,8 +219,8 @@ def ratio(policy: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[float, f
 
 def section(record: Mapping[str, Any]) -> str:
     """Return what the page says about what was measured."""
-    asked = (EXPERT, RIVAL, record["agent"], TUNED, ALONE)
-    gaps = [f"{name} for {v}" for v, found in record["vehicles"].items() for name in asked if name not in found]
+    asked, vehicles = compared(record["agent"]), record["vehicles"].items()
+    gaps = [f"{name} for {vehicle}" for vehicle, found in vehicles for name in asked if name not in found]
     missing = f" Not measured yet: {', '.join(gaps)}." if gaps else ""
     return (
         f"What that is worth for `{record['agent']}`, in the cruise cases of published vehicles, {record['episodes']} "
@@ -233,9 +238,11 @@ def table(record: Mapping[str, Any]) -> str:
         f"| vehicle | policy | typical error [cm] | typical over alone | mean over alone | lost of {count} |",
         "|---|---|---|---|---|---|",
     ]
+    asked = compared(record["agent"])
     for vehicle, found in record["vehicles"].items():
         length = Units.of(preset(f"cruise-calm@{vehicle}").vehicle).length
-        for name, own in found.items():
+        for name in sorted(found, key=lambda name: asked.index(name) if name in asked else -1):
+            own = found[name]
             typical = 100 * length * math.exp(float(np.mean(np.log(own["tails"]))))
             says = f"`{name}`, {SAYS[name]}" if name in (EXPERT, RIVAL) else SAYS.get(name, f"`{name}`, {SAYS['']}")
             shares = [_share(ends) for ends in _over_alone(own, found)] if name != ALONE else ["1", "1"]

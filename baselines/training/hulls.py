@@ -48,9 +48,9 @@ LIFTS = {"Y_ur": (0.0, 450.0), "N_uv": (-120.0, 220.0)}  # [kg], drawn evenly
 SOME = 0.65  # share of the hulls that have quadratic drag, of each kind; and of lift where there is lift
 LIFTING = 0.5  # share of the hulls that have lift
 FINNED = 0.5  # share of them with fins in place of a rudder that steers at any speed
-WRONG = 0.5  # share of the hulls that are told wrong by up to `MISTAKE`
-MISTAKE = RandomMismatch((0.7, 1.4), 1.0, (0.5, 1.7), (0.4, 1.9), (0.4, 1.9), (0.4, 1.9))
-"""How wrong a hull may be told; and m22/m11 by a fifth or a quarter, as far as it stays a slender hull."""
+WRONG = 0.75  # share of the episodes, of drawn hulls or not, in which a vehicle is told wrong
+MISTAKE = (0.35, 1.65)
+"""What is told of m22/m11, as far as that is a slender hull, and of each kind of drag, over what is right."""
 
 
 def turns(scenarios: Sequence[Scenario], share: float, seed: int) -> list[list[Scenario]]:
@@ -77,8 +77,6 @@ def fitted(scenario: Scenario, rng: np.random.Generator) -> Scenario:
     while True:
         with suppress(ValueError):  # a hull, a scenario for it or a plan that there cannot be
             other = drawn(rng).adapted(scenario)
-            if rng.random() < WRONG:
-                other = replace(other, mismatch=_mistaken(other))
             if other.substeps == scenario.substeps and _followed(other, rng):
                 return other
 
@@ -107,12 +105,14 @@ def drawn(rng: np.random.Generator) -> Craft:
     return Craft("drawn", "", "", "", "", vehicle, acts, x["turn_rate"], x["lag"], slowest)
 
 
-def _mistaken(scenario: Scenario) -> RandomMismatch:
-    """Return the mismatch of a scenario whose hull is told wrong."""
-    hull, own = scenario.vehicle, scenario.mismatch or MISTAKE
-    least = 1.02 * hull.m11 / hull.m22
-    ratio = max(0.8, least), max(1.25, least)
-    return replace(MISTAKE, ratio=ratio, quadratic=own.quadratic, quadratic_drag=own.quadratic_drag)
+def told(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
+    """Return what is told of a known vehicle in an episode: that vehicle, or another one of its m11 and m33."""
+    if rng.random() >= WRONG:
+        return vehicle
+    low, high = MISTAKE
+    least = 1.02 * vehicle.m11 / vehicle.m22
+    mistake = RandomMismatch(ratio=(max(low, least), max(high, least)), d11=MISTAKE, d22=MISTAKE, d33=MISTAKE)
+    return mistake.draw(rng.uniform, vehicle)
 
 
 def _followed(scenario: Scenario, rng: np.random.Generator) -> bool:

@@ -119,7 +119,7 @@ ANY_HULL: Mapping[str, Any] = {
 that it learns on."""
 SHIPPED: Mapping[str, Options] = {
     "helm": training("apg", "helm", (1.0, 1.6), None, 12_000_000, HELM),
-    "helm-any": training("apg", "helm", timesteps=40_000_000, changes=ANY_HULL, from_="helm"),
+    "helm-any": training("apg", "helm", timesteps=48_000_000, changes=ANY_HULL, from_="helm"),
     "helm-blind": training("apg", "helm", (1.0, 1.6), None, 12_000_000, BLIND),
     "helm-small": training("apg", "helm", (1.0, 1.6), None, 12_000_000, SMALL),
     "apg-cruise": training("apg", "cruise"),

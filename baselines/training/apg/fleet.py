@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import reduce
 from typing import Any
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from auv_gym.envs.lanes import Lanes, Planned
 from auv_gym.scenario import Scenario
 from auv_gym.simulation import SAMPLE_ROWS, Parts
+from auv_gym.vehicle import Coefficients, Vehicle
 from baselines.agents.features import STANDARD
 from baselines.agents.networks import ACTIONS
 from baselines.training.apg.window import Array, Carried
@@ -29,6 +30,7 @@ class Fleet:
 
     Attributes:
         fresh: whether an episode began at the last renewal, shape (N,).
+        known: the coefficients of the hulls as a policy is told them, shape (len(Coefficients._fields), N).
     """
 
     def __init__(
@@ -38,10 +40,12 @@ class Fleet:
         window: int,
         preview: Sequence[int] = (),
         turns: Sequence[Sequence[Scenario]] = (),
+        told: Callable[[Vehicle, np.random.Generator], Vehicle] | None = None,
     ) -> None:
         """Make the fleet; `window` control steps are run between beginnings.
 
-        With `turns` each vehicle's episodes are of those scenarios in place of its only one.
+        With `turns` each vehicle's episodes are of those scenarios in place of its only one. What `told` returns for an
+        episode's known vehicle is `known` in its place; plans and the true vehicle stay what they are.
         """
         n = len(scenarios)
         self._turns = turns or [[scenario] for scenario in scenarios]
@@ -49,6 +53,9 @@ class Fleet:
         self._lanes = Lanes(n, [own[0] for own in self._turns], None, None, preview)
         self._lanes.parts = reduce(Parts.joined, {s.parts: None for own in self._turns for s in own})
         self._seed, self._window = seed, window
+        self._told, self._rng = told, np.random.default_rng([seed, n, 1])
+        self.known: Array = np.empty((len(Coefficients._fields), n))
+        self._tell(self._lanes.all)
         self._steps = np.array([s.steps for s in scenarios])
         self._lost = np.array([s.lost_distance**2 for s in scenarios])
         windows = np.maximum(self._steps // window, 1)
@@ -64,11 +71,6 @@ class Fleet:
     def constants(self) -> Array:
         """The rows of `simulation.Parameters` of the running episodes, shape (PARAMETER_ROWS, N)."""
         return self._lanes.constants
-
-    @property
-    def known(self) -> Array:
-        """The coefficients of the hulls as they are known, shape (len(Coefficients._fields), N)."""
-        return np.array([scenario.vehicle.coefficients for scenario in self._lanes.scenarios]).T
 
     def reset(self, hidden: int, memory: int = STANDARD.memory) -> Carried:
         """Begin an episode everywhere; return what is carried into it, for a network of so many hidden units.
@@ -103,8 +105,15 @@ class Fleet:
         renewed = Carried(*(np.where(self.fresh, 0.0, x) for x in carried))
         if len(lanes):
             beginning = self._lanes.begin(lanes, self._planned(lanes))
+            self._tell(lanes)
             renewed.state[:, lanes], renewed.observation[:, lanes] = beginning.plant, beginning.seen
         return renewed
+
+    def _tell(self, lanes: NDArray[np.int64]) -> None:
+        """Set what is told of the hulls of episodes that begin."""
+        for i in lanes.tolist():
+            vehicle = self._lanes.scenarios[i].vehicle
+            self.known[:, i] = (self._told(vehicle, self._rng) if self._told else vehicle).coefficients
 
     def _planned(self, lanes: NDArray[np.int64]) -> list[Planned]:
         """Return the next episodes of some vehicles; where no path can be followed each goes on to its next turn."""

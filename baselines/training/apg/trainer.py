@@ -38,7 +38,7 @@ from baselines.training.apg.torch_network import put, torch_network, weights_of
 from baselines.training.apg.window import Array, Objective, Window
 from baselines.training.beginning import loaded
 from baselines.training.config import Config
-from baselines.training.hulls import turns
+from baselines.training.hulls import told, turns
 from baselines.training.run_folder import VALIDATIONS, Run, TrainingError
 from baselines.training.validation import PRECISION
 
@@ -236,7 +236,7 @@ class Trainer(Descent):
         lanes = config.lanes(settings.n_envs)
         drawn = settings.hulls and config.vehicle == PAPER_VEHICLE  # for another one, it alone is learned
         self._hulls = hulls = turns(lanes, settings.hulls, config.episode_seed) if drawn else []
-        self.fleet = Fleet(lanes, config.episode_seed, settings.n_steps, preview, hulls)
+        self.fleet = Fleet(lanes, config.episode_seed, settings.n_steps, preview, hulls, told if drawn else None)
         self.updates, self.skipped, self.score = 0, 0, -math.inf
         self.best = weights_of(self.averaged.module)
         self._memory: Memory | None = None  # of an expert on NumPy
