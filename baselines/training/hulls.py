@@ -110,8 +110,8 @@ def told(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
     if rng.random() >= WRONG:
         return vehicle
     low, high = MISTAKE
-    least = 1.02 * vehicle.m11 / vehicle.m22
-    mistake = RandomMismatch(ratio=(max(low, least), max(high, least)), d11=MISTAKE, d22=MISTAKE, d33=MISTAKE)
+    slender = max(low, 1.02 * vehicle.m11 / vehicle.m22), high
+    mistake = RandomMismatch(ratio=slender, d11=MISTAKE, d22=MISTAKE, d33=MISTAKE)
     return mistake.draw(rng.uniform, vehicle)
 
 
