@@ -24,10 +24,13 @@ from baselines.agents.networks import Gru, Mlp
 from baselines.benchmarks.eager import AUTHORITY, LOSS, Setting
 from baselines.control.open_loop import Zero
 from baselines.training.apg.closed_loop import CURVE, NEAR, ClosedLoop, Loss, law_of
+from baselines.training.apg.crews import Crews
 from baselines.training.apg.fleet import Fleet
+from baselines.training.apg.group import Learned
 from baselines.training.apg.passes import gates_back
+from baselines.training.apg.settings import Settings, check
 from baselines.training.apg.torch_network import torch_network, weights_of
-from baselines.training.apg.trainer import Settings, Trainer, check, train
+from baselines.training.apg.trainer import Trainer, train
 from baselines.training.apg.window import SMALLEST, evened
 from baselines.training.config import Config
 from baselines.training.run_folder import Run
@@ -56,6 +59,10 @@ def network(head=0.5, sizes=SIZES, dtype=torch.float64):
     made = torch_network(sizes).to(dtype)
     torch.nn.init.normal_((made.head if isinstance(sizes, Gru) else made.layers[-1]).weight, std=head)
     return made
+
+
+def trainer_of(run):
+    return Trainer(run, Crews(run.config, check(run.config)))
 
 
 def gradient_of(net):
@@ -366,6 +373,8 @@ def test_without_a_rate_of_their_own_matrices_follow_adam():
         ({"compiled": True}, "no entry 'compiled'"),
         ({"preview": [0]}, "preview is"),
         ({"memory": 1}, "memory is 1"),
+        ({"groups": 0}, "groups is 0"),
+        ({"n_envs": 8, "groups": 5}, "groups is 5; n_envs is 8, which is enough for 4"),
     ],
 )
 def test_refuses_settings(settings, says):
@@ -376,7 +385,7 @@ def test_refuses_settings(settings, says):
 def test_expert_that_looks_ahead_sees_its_own_preview(tmp_path):
     """Expert and network ask for different times; in training as in use each gets its own."""
     settings = configuration().hyperparameters | {"preview": (3, 20)}
-    trainer = Trainer(Run(configuration(expert="nmpc", hyperparameters=settings), tmp_path))
+    trainer = trainer_of(Run(configuration(expert="nmpc", hyperparameters=settings), tmp_path))
     policy, nmpc = trainer.agent(trainer.best).policy(), make_policy("nmpc")
     assert policy.preview == (1, 2, 3, *nmpc.preview[2:])
     actions = []
@@ -385,21 +394,20 @@ def test_expert_that_looks_ahead_sees_its_own_preview(tmp_path):
         observation, _ = env.reset(seed=trainer.run.config.episode_seed)
         actions.append((policy if preview == policy.preview else nmpc).predict(observation)[0])
     np.testing.assert_array_equal(*actions)
-    ahead, _ = trainer.fleet.window()
-    mine = trainer._act(trainer.carried.observation, ahead[0], np.ones(8, dtype=bool))
+    [group] = trainer.crews.own.groups.values()
+    ahead, _ = group.fleet.window()
+    mine = group._act(group.carried.observation, ahead[0], np.ones(8, dtype=bool))
     np.testing.assert_allclose(mine.T, actions[0], atol=1e-6)
 
 
 def test_gradients_that_are_not_finite_are_skipped(tmp_path, monkeypatch):
     run = Run(configuration(), tmp_path)
-    trainer = Trainer(run)
+    trainer = trainer_of(run)
 
-    def diverged(self):
-        for p in self.network.parameters():
-            p.grad = torch.full_like(p, torch.nan)
-        return 0.0, 0.0
+    def diverged(self, weights):
+        return Learned(0.0, 0.0, {name: np.full_like(w, np.nan) for name, w in weights.items()})
 
-    monkeypatch.setattr(Trainer, "_run", diverged)
+    monkeypatch.setattr(Crews, "learn", diverged)
     before = weights_of(trainer.network)
     trainer.update()
     run.close()

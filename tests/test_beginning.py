@@ -25,8 +25,10 @@ from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.tools.command_line import run
 from baselines.training import fine_tuning
+from baselines.training.apg.crews import Crews
+from baselines.training.apg.settings import Settings, check
 from baselines.training.apg.torch_network import weights_of
-from baselines.training.apg.trainer import Settings, Trainer
+from baselines.training.apg.trainer import Trainer
 from baselines.training.beginning import OF_AGENT, fitted, in_own_units
 from baselines.training.hyperparameters import ENV_ID, TUNING, load_hyperparameters, shipped
 from baselines.training.mixtures import MIXTURES
@@ -93,7 +95,7 @@ def same(a, b):
 
 def test_it_begins_with_the_agents_weights_for_a_vehicle_and_remembers_both(call):
     config, agent = read_config(FOUND), Agent.load(FOUND / "agent")
-    begun = Trainer(Run(config, Path("new")))
+    begun = Trainer(Run(config, Path("new")), Crews(config, check(config)))
     assert same(weights_of(begun.network), weights("runs/train/apg-small-slow/agent"))
     assert same(weights_of(begun.averaged.module), weights("runs/train/apg-small-slow/agent"))
     assert not same(weights_of(begun.network), at_the_end(FOUND))

@@ -20,8 +20,8 @@ from baselines.control.backstepping import Backstepping
 from baselines.training import hulls
 from baselines.training.apg.closed_loop import ClosedLoop, law_of
 from baselines.training.apg.fleet import Fleet
+from baselines.training.apg.settings import check
 from baselines.training.apg.torch_network import put, torch_network, weights_of
-from baselines.training.apg.trainer import check
 from baselines.training.config import Config
 
 TOLD = Inputs((3, 20), fine=True, filters=True, hull=True)
@@ -85,7 +85,7 @@ def test_each_episode_is_of_the_next_hull_and_what_is_known_is_not_the_true_one(
 
 def test_who_is_told_a_wrong_hull_plans_and_moves_as_with_the_right_one(turned):
     scenarios, given = turned
-    right, misled = Fleet(scenarios, 0, 50, (), given), Fleet(scenarios, 0, 50, (), given, hulls.told)
+    right, misled = Fleet(scenarios, 0, 50, (), given), Fleet(scenarios, 0, 50, (), given, hulls.believed)
     carried, other, wrong = right.reset(0), misled.reset(0), []
     for _ in range(hulls.SEVERAL):
         assert (right.constants == misled.constants).all()
@@ -101,7 +101,7 @@ def test_who_is_told_a_wrong_hull_plans_and_moves_as_with_the_right_one(turned):
 def test_a_wrong_hull_is_wrong_in_its_ratios_alone_and_a_slender_one():
     rng, low, high = np.random.default_rng(0), *hulls.MISTAKE
     for vehicle in (PAPER_VEHICLE, OTHER):
-        said = [hulls.told(vehicle, rng) for _ in range(400)]
+        said = [hulls.believed(vehicle, rng) for _ in range(400)]
         assert np.mean([told != vehicle for told in said]) == pytest.approx(hulls.WRONG, abs=0.07)
         for name in ("m11", "m33", "Y_ur", "N_uv", "speed"):
             assert {getattr(told, name) for told in said} == {getattr(vehicle, name)}

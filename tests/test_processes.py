@@ -108,6 +108,33 @@ def test_no_process_is_left_behind(program, end, tmp_path):
 
 
 @needs_proc
+@pytest.mark.slow
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL, TERMINAL])
+def test_no_process_is_left_behind_of_one_training_in_two(end, tmp_path):
+    SMALL.save(tmp_path / "small.toml")
+    words = ["--scenario", "small.toml", *QUICK, "groups=2", "--timesteps", "100000000", "--jobs", "2", "--out", "out"]
+    process = started("train.py", "--algo", "apg", *words, cwd=tmp_path)
+    try:
+        wait_for((tmp_path / "out/progress.csv").exists, 200)
+        wait_for(lambda: len(of_session(process)) >= PROCESSES - 1)
+        if end == TERMINAL:
+            os.killpg(process.pid, signal.SIGINT)
+        else:
+            process.send_signal(end)
+        _, err = process.communicate(timeout=60)
+        assert "Traceback" not in err
+        if end != signal.SIGKILL:
+            assert process.returncode == 1
+            assert "--resume goes on" in err.splitlines()[-1]
+        wait_for(lambda: not of_session(process))
+    finally:
+        process.kill()
+        for pid in of_session(process):
+            os.kill(int(pid), signal.SIGKILL)
+        process.communicate()
+
+
+@needs_proc
 def test_workers_that_still_import_leave_an_interrupt_to_the_first_process(tmp_path):
     """All but the first get one, as soon as they are there; they go on, and what they are for arrives."""
     code = (

@@ -21,8 +21,8 @@ from baselines.benchmarks.eager import Setting
 from baselines.benchmarks.environments import EPISODE, NATIVE, RESIDUAL, track, vector_run
 from baselines.benchmarks.figures import SCENARIO, Figure, faster, takes
 from baselines.benchmarks.timing import Run, cpu_time, interleaved, timed, typical, whole
+from baselines.training.apg.settings import Settings
 from baselines.training.apg.torch_network import torch_network
-from baselines.training.apg.trainer import Settings
 from baselines.training.run_folder import PROGRESS, read_progress
 
 WINDOW = 32  # control steps that a gradient goes back over

@@ -19,11 +19,12 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import joblib
+from joblib.externals.loky import ProcessPoolExecutor
 from joblib.externals.loky.backend import resource_tracker as resource_tracker_of_joblib
 from joblib.externals.loky.process_executor import BrokenProcessPool
 
 from auv_gym.installation import install
-from baselines.tools.command_line import WorkerError
+from baselines.tools.command_line import THREADS, WorkerError
 
 PATIENCE = 4.0  # [s] until an address counts as not answering
 JOINING = 60.0  # [s] in which a cluster that answers must take this process in
@@ -69,6 +70,10 @@ class Workers:
         processors = connect(cluster)
         return cls(jobs or processors, on_cluster=True)
 
+    def each_of(self, tasks: int) -> int:
+        """Return how many processes each of so many tasks may have, its own included, if all run at a time."""
+        return 1 if self.on_cluster else max(1, self.jobs // max(1, tasks))
+
     def results(self, function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
         """Yield what the function returns for each task's arguments, as it arrives.
 
@@ -102,8 +107,58 @@ def _beside(function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], jobs
             raise
         yield from found
     except BrokenProcessPool as error:
-        reason = str(error).partition(chr(10))[0]
-        raise WorkerError(f"a worker process was lost, perhaps for want of memory: {reason}") from error
+        raise _lost(error) from error
+
+
+class Elsewhere:
+    """An object in a worker process of its own, whose methods are called from here; see `Workers.results`.
+
+    It ends with `close`, or with the process that has made it.
+    """
+
+    def __init__(self, make: Callable[..., Any], *arguments: Any) -> None:
+        """Begin to make an object; what that raises the first call does."""
+        with _deaf_to_interrupts():
+            self._process = ProcessPoolExecutor(1, initializer=_end_with, initargs=(os.getpid(),), env={THREADS: "1"})
+            self._made = self._process.submit(_keep, make, arguments)
+
+    def call(self, method: str, *arguments: Any) -> Callable[[], Any]:
+        """Begin to call a method, behind all calls before; what is returned waits for what it returns.
+
+        Raises, where it is waited for:
+            WorkerError: the process was lost.
+        """
+        answer = self._process.submit(_call, method, arguments)
+
+        def wait() -> Any:
+            try:
+                self._made.result()
+                return answer.result()
+            except BrokenProcessPool as error:
+                raise _lost(error) from error
+
+        return wait
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.shutdown(kill_workers=True)
+
+
+_kept: list[Any] = []
+"""The object of an `Elsewhere` in its process."""
+
+
+def _keep(make: Callable[..., Any], arguments: Sequence[Any]) -> None:
+    _kept[:] = [make(*arguments)]
+
+
+def _call(method: str, arguments: Sequence[Any]) -> Any:
+    return getattr(_kept[0], method)(*arguments)
+
+
+def _lost(error: BrokenProcessPool) -> WorkerError:
+    reason = str(error).partition(chr(10))[0]
+    return WorkerError(f"a worker process was lost, perhaps for want of memory: {reason}")
 
 
 @contextmanager

@@ -29,8 +29,9 @@ def train(request: Request) -> int:
     Progress goes to stderr: a live line on a terminal, else a line for each validation.
     """
     several = len(request.folders) > 1
+    processes = request.workers.each_of(len(request.folders))
     tasks = [
-        (config, folder.absolute() if request.workers.on_cluster else folder, request.command, several)
+        (config, folder.absolute() if request.workers.on_cluster else folder, request.command, several, processes)
         for config, folder in zip(request.configs, request.folders, strict=True)
     ]
     status = DONE
@@ -48,14 +49,19 @@ def train(request: Request) -> int:
     return status
 
 
-def train_one(config: Config, folder: Path, command: str, one_of_several: bool = False) -> tuple[int, str]:
-    """Train one agent in its folder; return the exit status, and the line that says what has come of it."""
+def train_one(
+    config: Config, folder: Path, command: str, one_of_several: bool = False, processes: int = 1
+) -> tuple[int, str]:
+    """Train one agent in its folder; return the exit status, and the line that says what has come of it.
+
+    A worker that is lost raises WorkerError.
+    """
     label = f"{folder.name}: " if one_of_several else ""
     if (folder / AGENT).exists():
         return DONE, f"{label}{folder} holds the finished agent: python evaluate.py --policy {folder / AGENT}"
     try:
         with locked(folder), nullcontext(plain(label)) if one_of_several else live(config) as show:
-            run = Run(config, folder, show)
+            run = Run(config, folder, show, processes)
             agent = importlib.import_module(ALGORITHMS[config.algo]).train(run)
             score = _finish(run, agent, command)
     except UsageError as error:

@@ -105,8 +105,8 @@ def drawn(rng: np.random.Generator) -> Craft:
     return Craft("drawn", "", "", "", "", vehicle, acts, x["turn_rate"], x["lag"], slowest)
 
 
-def told(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
-    """Return what is told of a known vehicle in an episode: that vehicle, or another one of its m11 and m33."""
+def believed(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
+    """Return what a policy is told of a vehicle in an episode: that vehicle, or another one of its m11 and m33."""
     if rng.random() >= WRONG:
         return vehicle
     low, high = MISTAKE

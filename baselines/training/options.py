@@ -44,7 +44,8 @@ class Options:
     seeds: int = 1
     """How many seeds to train with, from the one above on, each in a folder seed-N of its own."""
     jobs: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
-    """Worker processes for several seeds, one thread each. Default: 2, or 1 on a single processor."""
+    """Worker processes for several seeds, or for the groups of a single training of apg, one thread each.
+    Default: 2, or 1 on a single processor."""
     cluster: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="")] = None
     """Train on a Ray cluster, --jobs seeds at a time (default: all): HOST:PORT of its head, "auto" for the one that
     this machine belongs to, "local" for one made for the occasion. Its machines must share the folder."""

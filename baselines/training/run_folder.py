@@ -78,6 +78,7 @@ class Run:
         config: what determines the run.
         folder: made if need be; what it holds must be of the same configuration.
         on_state: called whenever something is known about how far the run is.
+        processes: that a trainer may compute in, this one included; what is learned does not depend on it.
 
     Raises:
         OSError: the folder cannot be written to.
@@ -85,9 +86,16 @@ class Run:
         ValueError: what it holds is damaged.
     """
 
-    def __init__(self, config: Config, folder: Path, on_state: Callable[[State], None] = lambda _: None) -> None:
+    def __init__(
+        self,
+        config: Config,
+        folder: Path,
+        on_state: Callable[[State], None] = lambda _: None,
+        processes: int = 1,
+    ) -> None:
         self.config = config
         self.folder = folder
+        self.processes = processes
         self._on_state = on_state
         self._rows: list[dict[str, float]] = []
         self._begin, self._earlier, self._start = time.monotonic(), 0.0, 0

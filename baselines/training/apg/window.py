@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -55,9 +55,16 @@ class Objective:
     """What a window's gradient is that of."""
 
     loss: Loss  # of a control step; its weights may be of each vehicle, shape (N,)
-    shares: Array | None = None  # what each vehicle's loss counts for in their mean, shape (N,) of sum 1; None: alike
+    shares: Array | None = None  # what each vehicle's loss counts for in their mean, shape (N,); None: alike
     cut: float = 0.0  # medians over the vehicles that a vehicle's derivatives may reach going back; 0: anything
     evenness: float = 0.0  # see `evened`
+
+    def of(self, vehicles: NDArray[np.int64]) -> Objective:
+        """Return that of some of the vehicles, whose shares stay what they are."""
+        if self.shares is None:
+            raise ValueError("it has no shares, so it is that of any vehicles")
+        loss = Loss(*(np.broadcast_to(weight, len(self.shares))[vehicles] for weight in self.loss))
+        return replace(self, loss=loss, shares=self.shares[vehicles])
 
 
 class Window:
@@ -230,17 +237,17 @@ class Window:
 
 
 def evened(shares: Array, errors: Array, evenness: float) -> Array:
-    """Return shares of sum 1 in which vehicles with small errors count for more, and those that are no number nothing.
+    """Return shares of the same sum in which vehicles with small errors count for more; what is no number for nothing.
 
     The loss of vehicle i counts for what it did over errors_i^evenness. With 0 errors count as they are, as in a mean;
     with 1 as ratios, as in a geometric mean: halving one of a millimetre is worth as much as halving one of a metre.
 
     Args:
-        shares: of sum 1, shape (N,).
+        shares: what vehicles count for, shape (N,).
         errors: of the vehicles, in units of their scales, shape (N,).
         evenness: 0 ... 1.
     """
     bounded = np.minimum(errors, LARGEST) + SMALLEST
     even = np.where(np.isfinite(errors), shares * bounded**-evenness, 0.0)
     total = even.sum()
-    return even / total if total > 0 else shares
+    return even * (shares.sum() / total) if total > 0 else shares

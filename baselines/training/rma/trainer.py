@@ -28,10 +28,10 @@ from baselines.training.apg.closed_loop import ClosedLoop, law_of
 from baselines.training.apg.fleet import Fleet
 from baselines.training.apg.kernels import LoopKernels
 from baselines.training.apg.passes import Tape
+from baselines.training.apg.settings import Settings as Gradient
+from baselines.training.apg.settings import check as check_gradient
 from baselines.training.apg.torch_network import weights_of
 from baselines.training.apg.trainer import LOGS, Descent
-from baselines.training.apg.trainer import Settings as Gradient
-from baselines.training.apg.trainer import check as check_gradient
 from baselines.training.apg.window import Window
 from baselines.training.config import Config
 from baselines.training.rma.extrinsics import extrinsics

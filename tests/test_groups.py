@@ -1,0 +1,139 @@
+"""Groups of vehicles that learn at a time: who is in them, what they count for, and where they compute."""
+
+import os
+from contextlib import closing
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from auv_gym.presets import PRESETS
+from baselines.tools.command_line import WorkerError
+from baselines.tools.workers import Elsewhere, Workers
+from baselines.training import hulls
+from baselines.training.apg.crews import Crews
+from baselines.training.apg.group import Group, divided
+from baselines.training.apg.settings import check
+from baselines.training.apg.torch_network import torch_network, weights_of
+from baselines.training.apg.window import evened
+from baselines.training.config import Config
+
+GROUPED = {"n_envs": 20, "n_steps": 10, "hidden_size": 16, "groups": 3, "cut": 3, "evenness": 0.75}
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    torch.set_num_threads(1)
+    torch.manual_seed(0)
+
+
+def grouped(**changes):
+    """Return a training whose vehicles are in groups, and its settings."""
+    scenarios = tuple((replace(PRESETS[name], steps=50), 1.0) for name in ("slow-current", "cruise-storm"))
+    config = Config(scenarios=scenarios, authority=(0.5, 0.5), hyperparameters=GROUPED | changes)
+    return config, check(config)
+
+
+@pytest.fixture
+def weights():
+    net = torch_network(grouped()[1].network)
+    torch.nn.init.normal_(net.head.weight, std=0.5)
+    return weights_of(net)
+
+
+def test_groups_share_all_vehicles_and_what_they_count_for():
+    config, settings = grouped()
+    groups = divided(config, settings)
+    assert [len(group.scenarios) for group in groups] == [8, 6, 6]
+    lanes = config.lanes(settings.n_envs)
+    names = [scenario.name for group in groups for scenario in group.scenarios]
+    assert sorted(names) == sorted(scenario.name for scenario in lanes)
+    seeds = [group.seed + i for group in groups for i in range(len(group.scenarios))]
+    assert seeds == list(range(config.episode_seed, config.episode_seed + 20))
+    whole = settings.objective([scenario.name for scenario in lanes])
+    shares = np.concatenate([group.objective.shares for group in groups])
+    assert sorted(shares) == sorted(whole.shares)
+    for group in groups:
+        of = settings.objective([scenario.name for scenario in group.scenarios])
+        np.testing.assert_array_equal(group.objective.loss.rate, of.loss.rate)
+        even = evened(group.objective.shares, np.geomspace(0.01, 1, len(group.scenarios)), 0.75)
+        assert even.sum() == pytest.approx(group.objective.shares.sum())
+
+
+def test_half_of_each_group_has_drawn_hulls(monkeypatch):
+    monkeypatch.setattr(hulls, "SEVERAL", 2)
+    for group in divided(*grouped(n_envs=8, groups=2, hull=True, hulls=0.5)):
+        assert sorted(len(own) for own in group.hulls) == [1, 1, 2, 2]
+
+
+@pytest.mark.slow
+def test_what_is_learned_depends_on_no_number_of_processes(weights):
+    """Not in the last bit; nor on when a checkpoint is taken, and by how many processes it was left."""
+    config, settings = grouped()
+    found = []
+    for before, after in ((1, 1), (2, 1), (1, 4)):
+        with closing(Crews(config, settings, before)) as crews:
+            learned, state = [crews.learn(weights) for _ in range(2)], crews.state()
+        with closing(Crews(config, settings, after)) as crews:
+            crews.restore(state)
+            found.append([*learned, crews.learn(weights)])
+    for windows in zip(*found, strict=True):
+        assert len({(each.loss, each.error) for each in windows}) == 1
+        for name, gradient in windows[0].gradients.items():
+            assert all(np.array_equal(each.gradients[name], gradient) for each in windows)
+
+
+def test_the_gradient_of_groups_is_the_sum_of_theirs(weights):
+    """Each weighed as in the mean over all vehicles: against a window of the group alone, whose shares add up to 1."""
+    config, settings = grouped()
+    with closing(Crews(config, settings)) as crews:
+        both, loss, error = crews.learn(weights), 0.0, 0.0
+    summed = {name: np.zeros_like(w) for name, w in weights.items()}
+    for members in divided(config, settings):
+        share = members.objective.shares.sum()
+        alone = replace(members, objective=replace(members.objective, shares=members.objective.shares / share))
+        part = Group(config, settings, alone).learn(weights)
+        loss, error = loss + share * part.loss, error + part.error
+        for name, gradient in part.gradients.items():
+            summed[name] += share * gradient
+    assert (both.loss, both.error) == (pytest.approx(loss), pytest.approx(error))
+    for name, gradient in both.gradients.items():
+        np.testing.assert_allclose(summed[name], gradient, rtol=1e-4, atol=1e-6 * np.abs(gradient).max())
+
+
+class Counter:
+    def __init__(self, count):
+        if count < 0:
+            raise ValueError("none can be there")
+        self.count = count
+
+    def add(self, more):
+        self.count += more
+        return self.count, os.getpid()
+
+    def end(self):
+        os._exit(3)
+
+
+def test_an_object_elsewhere_does_what_it_is_called_for_in_order():
+    with closing(Elsewhere(Counter, 3)) as there:
+        answers = [there.call("add", more) for more in (4, 5)]
+        (first, process), (second, same) = (answer() for answer in answers)
+        assert (first, second) == (7, 12)
+        assert process == same != os.getpid()
+        with pytest.raises(TypeError):
+            there.call("add", "x")()
+        answer = there.call("end")
+        with pytest.raises(WorkerError, match="a worker process was lost"):
+            answer()
+
+
+def test_what_making_it_raises_its_first_call_does():
+    with closing(Elsewhere(Counter, -1)) as there, pytest.raises(ValueError, match="none can be there"):
+        there.call("add", 1)()
+
+
+def test_trainings_side_by_side_share_the_processes():
+    assert [Workers(5).each_of(tasks) for tasks in (1, 2, 5, 9)] == [5, 2, 1, 1]
+    assert Workers(5, on_cluster=True).each_of(1) == 1
