@@ -161,6 +161,7 @@ def test_a_teacher_learns_and_its_student_learns_the_latent(tmp_path, monkeypatc
     ("changes", "message"),
     [
         ({"memory": True}, "unknown hyper-parameter 'memory' of rma; allowed are latent, channels"),
+        ({"groups": 2}, "unknown hyper-parameter 'groups' of rma"),
         ({"latent": 0}, r"latent is 0; it must be an integer in \[1, 4096\]"),
         ({"adaptation_share": 1.0}, "adaptation_share"),
         ({"n_steps": 300}, "n_steps is 300"),

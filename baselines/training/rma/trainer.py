@@ -43,7 +43,7 @@ from baselines.training.validation import PRECISION
 
 @dataclass(frozen=True)
 class Settings:
-    """Hyper-parameters: those of the analytic gradient but for `memory`, for the teacher, and these."""
+    """Hyper-parameters: those of the analytic gradient but for `memory` and `groups`, for the teacher, and these."""
 
     latent: int = 8  # numbers that an encoder makes of the extrinsics
     channels: int = 12  # of the student's filters
@@ -78,7 +78,7 @@ def check(config: Config) -> Settings:
     Raises:
         ValueError: a hyper-parameter is unknown or wrong, or the expert is no law without memory.
     """
-    allowed = (*OWN, *(f.name for f in fields(Gradient) if f.name != "memory"))
+    allowed = (*OWN, *(f.name for f in fields(Gradient) if f.name not in ("memory", "groups")))
     if unknown := [name for name in config.hyperparameters if name not in allowed]:
         raise ValueError(f"unknown hyper-parameter {unknown[0]!r} of rma; allowed are {', '.join(allowed)}")
     if not law_of(config.make_expert())[1]:
