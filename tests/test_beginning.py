@@ -256,6 +256,10 @@ def test_what_fine_tuning_is_worth_is_measured(tmp_path, monkeypatch, capsys):
     assert fine_tuning.verdict(record) == ""
     own["tuned"] = {"tails": [own["helm"]["tails"][0], [5 * x for x in own["helm"]["tails"][1]]], "lost": [0, 0]}
     assert "`otter` beyond by the typical error, beyond by the mean one" in fine_tuning.verdict(record)
+    assert fine_tuning.worth(record) == ""
+    own["nmpc"] = {"tails": [[4 * x for x in case] for case in own["tuned"]["tails"]], "lost": [0, 0]}
+    worth = fine_tuning.worth({**record, "agent": "helm"})
+    assert "for `otter` 2.24 (2.24 ... 2.24) times that of the agent as it is and 0.25 (0.25 ... 0.25) times" in worth
     capsys.readouterr()
     assert run(fine_tuning.main, fine_tuning.PROGRAM, words) == 0
     assert capsys.readouterr().out == ""  # all is there
@@ -270,14 +274,20 @@ def test_rows_of_an_agent_with_other_weights_do_not_count(tmp_path):
     found = fine_tuning.begun(options, "new")
     assert found["weights"] == "new"
     assert set(found["vehicles"]["otter"]) == {"backstepping", "alone"}
-    rows["alone"]["set"] = ["another"]
-    options.out.write_text(json.dumps(record), encoding="utf-8")
-    assert set(fine_tuning.begun(options, "old")["vehicles"]["otter"]) == {"helm", "backstepping", "tuned"}
+    for name in ("alone", "tuned"):
+        rows[name]["set"] = ["another"]
+        options.out.write_text(json.dumps(record), encoding="utf-8")
+        assert set(fine_tuning.begun(options, "old")["vehicles"]["otter"]) == set(rows) - {name}
+        rows[name]["set"] = fine_tuning.recipe(name, "helm", "otter")
     assert fine_tuning.begun(replace(options, episodes=2), "old")["vehicles"] == {}
 
 
 def test_the_agent_whose_tuning_the_page_shows_is_the_one_that_ships():
+    """And it is tuned, and others are trained alone, as the hyper-parameters say."""
     kept = json.loads((ROOT / "docs" / fine_tuning.FILE).read_text(encoding="utf-8"))
+    for vehicle, found in kept["vehicles"].items():
+        for name in ("tuned", "alone"):
+            assert found[name]["set"] == fine_tuning.recipe(name, kept["agent"], vehicle), name
     assert kept["weights"] == fine_tuning.weights_of(kept["agent"]), "run python -m baselines.training.fine_tuning"
 
 

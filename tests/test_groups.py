@@ -125,8 +125,9 @@ def test_an_object_elsewhere_does_what_it_is_called_for_in_order():
         with pytest.raises(TypeError):
             there.call("add", "x")()
         answer = there.call("end")
-        with pytest.raises(WorkerError, match="a worker process was lost"):
-            answer()
+        for lost in (answer, lambda: there.call("add", 1)):
+            with pytest.raises(WorkerError, match="a worker process was lost"):
+                lost()
 
 
 def test_what_making_it_raises_its_first_call_does():

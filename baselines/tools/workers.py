@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import multiprocessing
 import os
 import signal
 import socket
@@ -11,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent import futures
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -19,12 +21,10 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import joblib
-from joblib.externals.loky import ProcessPoolExecutor
 from joblib.externals.loky.backend import resource_tracker as resource_tracker_of_joblib
-from joblib.externals.loky.process_executor import BrokenProcessPool
 
 from auv_gym.installation import install
-from baselines.tools.command_line import THREADS, WorkerError
+from baselines.tools.command_line import WorkerError
 
 PATIENCE = 4.0  # [s] until an address counts as not answering
 JOINING = 60.0  # [s] in which a cluster that answers must take this process in
@@ -97,7 +97,7 @@ def _beside(function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], jobs
     """Yield the results of so many worker processes on this machine."""
     calls, found = [joblib.delayed(function)(*task) for task in tasks], None
     each = {"inner_max_num_threads": 1, "initializer": _end_with, "initargs": (os.getpid(),)}
-    try:
+    with _told_of_losses():
         try:
             with joblib.parallel_config(backend="loky", **each), _deaf_to_interrupts():
                 found = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(calls)
@@ -106,8 +106,6 @@ def _beside(function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], jobs
                 found.throw(interrupt)  # one that is left alone ends its workers too, but warns of what is lost
             raise
         yield from found
-    except BrokenProcessPool as error:
-        raise _lost(error) from error
 
 
 class Elsewhere:
@@ -118,30 +116,30 @@ class Elsewhere:
 
     def __init__(self, make: Callable[..., Any], *arguments: Any) -> None:
         """Begin to make an object; what that raises the first call does."""
-        with _deaf_to_interrupts():
-            self._process = ProcessPoolExecutor(1, initializer=_end_with, initargs=(os.getpid(),), env={THREADS: "1"})
+        spawn = multiprocessing.get_context("spawn")
+        with _deaf_to_interrupts():  # not joblib's processes: one whose memory grows is replaced there by another
+            self._process = futures.ProcessPoolExecutor(1, spawn, initializer=_end_with, initargs=(os.getpid(),))
             self._made = self._process.submit(_keep, make, arguments)
 
     def call(self, method: str, *arguments: Any) -> Callable[[], Any]:
         """Begin to call a method, behind all calls before; what is returned waits for what it returns.
 
-        Raises, where it is waited for:
-            WorkerError: the process was lost.
+        Raises:
+            WorkerError: the process was lost, here or where it is waited for.
         """
-        answer = self._process.submit(_call, method, arguments)
+        with _told_of_losses():
+            answer = self._process.submit(_call, method, arguments)
 
         def wait() -> Any:
-            try:
+            with _told_of_losses():
                 self._made.result()
                 return answer.result()
-            except BrokenProcessPool as error:
-                raise _lost(error) from error
 
         return wait
 
     def close(self) -> None:
-        """End the process."""
-        self._process.shutdown(kill_workers=True)
+        """End the process, behind the call that it is at."""
+        self._process.shutdown(cancel_futures=True)
 
 
 _kept: list[Any] = []
@@ -156,9 +154,14 @@ def _call(method: str, arguments: Sequence[Any]) -> Any:
     return getattr(_kept[0], method)(*arguments)
 
 
-def _lost(error: BrokenProcessPool) -> WorkerError:
-    reason = str(error).partition(chr(10))[0]
-    return WorkerError(f"a worker process was lost, perhaps for want of memory: {reason}")
+@contextmanager
+def _told_of_losses() -> Iterator[None]:
+    """Raise `WorkerError` in place of what a pool of processes does, joblib's or Python's, that has lost one."""
+    try:
+        yield
+    except BrokenProcessPool as error:
+        reason = str(error).partition(chr(10))[0]
+        raise WorkerError(f"a worker process was lost, perhaps for want of memory: {reason}") from error
 
 
 @contextmanager

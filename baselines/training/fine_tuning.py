@@ -32,8 +32,10 @@ from baselines.evaluation.score import EXPERT, LARGEST_TAIL, RIVAL, cut, is_lost
 from baselines.tools.command_line import DONE, UsageError, parse, run
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tools.seeds import FINE_TUNING
-from baselines.training.beginning import digest
+from baselines.tools.workers import DEFAULT_JOBS
+from baselines.training.beginning import ALGO, digest
 from baselines.training.command import train
+from baselines.training.hyperparameters import TUNING, load_hyperparameters, shipped, words_of
 from baselines.training.options import Options as Training
 from baselines.training.run_folder import AGENT
 from baselines.training.trainings import SHIPPED, request_of
@@ -41,7 +43,7 @@ from baselines.training.trainings import SHIPPED, request_of
 PROGRAM = "python -m baselines.training.fine_tuning"
 GOAL = 1.05
 """What the error of a tuned agent may be at most, over that of one trained alone."""
-VEHICLES = ("lauv", "otter", "remus100")
+VEHICLES = ("lauv", "otter", "remus100", "cybership2", "nps-auv2")
 """Whom it is measured for."""
 TUNED = "tuned"  # the agent that begins with another one and is trained for a vehicle
 ALONE = "alone"  # the one that begins with nothing
@@ -106,6 +108,14 @@ def trainings(agent: str, vehicle: str, timesteps: int | None = None) -> dict[st
         TUNED: replace(Training(), from_=agent, vehicle=vehicle, timesteps=timesteps),
         ALONE: replace(whole, vehicle=vehicle, timesteps=timesteps or whole.timesteps),
     }
+
+
+def recipe(name: str, agent: str, vehicle: str) -> list[str]:
+    """Return what makes one of the two `trainings` what it is, as words NAME=VALUE."""
+    if name == ALONE:
+        return list(trainings(agent, vehicle)[ALONE].set)
+    table = load_hyperparameters(shipped(ALGO), TUNING)
+    return words_of({"timesteps": table.timesteps, **table.values})
 
 
 def errors(policy: str, vehicle: str, episodes: int) -> dict[str, Any]:
@@ -173,16 +183,18 @@ def begun(options: Options, weights: str) -> dict[str, Any]:
     """Return the record of a file with what still counts in it.
 
     That is nothing of another agent or of other episodes; of an agent with other weights all but the rows of the agent
-    itself and of what was tuned from it; and no agent trained alone whose hyper-parameters were others.
+    itself and of what was tuned from it; and nothing that was trained by another `recipe`.
     """
     record = read_json(options.out) if options.out.exists() else {}
     if record.get("agent") != options.agent or record.get("episodes") != options.episodes:
         return {"agent": options.agent, "weights": weights, "episodes": options.episodes, "vehicles": {}}
     stale = (options.agent, TUNED) if record.get("weights") != weights else ()
     for vehicle, found in record["vehicles"].items():
-        alone = list(trainings(options.agent, vehicle)[ALONE].set)
+        own = {name: recipe(name, options.agent, vehicle) for name in (TUNED, ALONE)}
         record["vehicles"][vehicle] = {
-            name: row for name, row in found.items() if name not in stale and row.get("set", alone) == alone
+            name: row
+            for name, row in found.items()
+            if name not in stale and ("set" not in row or row["set"] == own[name])
         }
     return {**record, "weights": weights}
 
@@ -197,13 +209,15 @@ def _measured(name: str, vehicle: str, options: Options, weights: str) -> dict[s
     if name not in (TUNED, ALONE):
         return errors(name, vehicle, options.episodes)
     of = f"{name}-{weights[:8]}" if name == TUNED else name  # no run is gone on with that began with other weights
-    folder, seconds = options.runs / f"{vehicle}-{of}", time.process_time()
+    folder, begin = options.runs / f"{vehicle}-{of}", time.monotonic()
     there = folder.exists()
     training = trainings(options.agent, vehicle, options.timesteps)[name]
-    if status := train(request_of(training, folder)):
+    request = request_of(training, folder, DEFAULT_JOBS)
+    if status := train(request):
         return {"status": status}
-    took = {} if there else {"processor_s": round(time.process_time() - seconds, 1)}
-    own = {"set": list(training.set)} if name == ALONE else {}
+    processors = min(DEFAULT_JOBS, request.configs[0].hyperparameters.get("groups", 1))
+    took = {} if there else {"seconds": round(time.monotonic() - begin, 1), "processors": processors}
+    own = {"set": recipe(name, options.agent, vehicle)}
     return errors(str(folder / AGENT), vehicle, options.episodes) | took | own
 
 
@@ -227,7 +241,7 @@ def section(record: Mapping[str, Any]) -> str:
         "fresh episodes each; everybody is told the vehicle. The typical error is the geometric mean of tails, those "
         "of lost episodes cut at the cap; *typical over alone* is the geometric mean of ratios over paired episodes, "
         "*mean over alone* that over cases of the ratio of mean tails, which large errors decide. Intervals (95 %) are "
-        f"over episodes. One training seed.{missing}\n\n{table(record)}{verdict(record)}"
+        f"over episodes. One training seed.{missing}\n\n{table(record)}{worth(record)}{verdict(record)}"
     )
 
 
@@ -246,9 +260,16 @@ def table(record: Mapping[str, Any]) -> str:
             typical = 100 * length * math.exp(float(np.mean(np.log(own["tails"]))))
             says = f"`{name}`, {SAYS[name]}" if name in (EXPERT, RIVAL) else SAYS.get(name, f"`{name}`, {SAYS['']}")
             shares = [_share(ends) for ends in _over_alone(own, found)] if name != ALONE else ["1", "1"]
-            took = f", {own['processor_s']:.0f} s of processor time" if "processor_s" in own else ""
-            lines.append(f"| `{vehicle}` | {says}{took} | {typical:.2f} | {' | '.join(shares)} | {sum(own['lost'])} |")
+            lines.append(
+                f"| `{vehicle}` | {says}{_took(own)} | {typical:.2f} | {' | '.join(shares)} | {sum(own['lost'])} |"
+            )
     return "\n".join(lines) + "\n"
+
+
+def _took(own: Mapping[str, Any]) -> str:
+    if "seconds" not in own:
+        return ""
+    return f", {own['seconds']:.0f} s on {own['processors']} processor{'s' if own['processors'] > 1 else ''}"
 
 
 def _over_alone(own: Mapping[str, Any], found: Mapping[str, Any]) -> list[tuple[float, float, float] | None]:
@@ -261,6 +282,17 @@ def _over_alone(own: Mapping[str, Any], found: Mapping[str, Any]) -> list[tuple[
 
 def _share(ends: tuple[float, float, float] | None) -> str:
     return "-" if ends is None else "{:.2f} ({:.2f} ... {:.2f})".format(*ends)
+
+
+def worth(record: Mapping[str, Any]) -> str:
+    """Return what tuning makes of the agent's error, and of that of its rival; nothing where that is not measured."""
+    asked = {record["agent"]: "the agent as it is", RIVAL: f"`{RIVAL}`"}
+    lines = []
+    for vehicle, found in record["vehicles"].items():
+        if TUNED in found and asked.keys() <= found.keys():
+            shares = [f"{_share(ratio(found[TUNED], found[name]))} times that of {of}" for name, of in asked.items()]
+            lines.append(f"for `{vehicle}` {' and '.join(shares)}")
+    return f"\nThe typical error of the tuned agent is {'; '.join(lines)}.\n" if lines else ""
 
 
 def verdict(record: Mapping[str, Any]) -> str:

@@ -14,6 +14,7 @@ from baselines.agents.agent import Agent
 from baselines.agents.model_card import CURVE
 from baselines.agents.names import AGENTS
 from baselines.tools.command_line import DONE, UsageError, parse, run
+from baselines.tools.workers import DEFAULT_JOBS
 from baselines.training.command import train
 from baselines.training.run_folder import AGENT
 from baselines.training.trainings import SHIPPED, request_of
@@ -50,7 +51,7 @@ def main(arguments: Sequence[str]) -> int:
     for name in options.name or SHIPPED:
         print(f"{name}:", flush=True)
         training = replace(SHIPPED[name], timesteps=options.timesteps or SHIPPED[name].timesteps)
-        request = request_of(training, options.out / name)
+        request = request_of(training, options.out / name, DEFAULT_JOBS)
         if (status := train(request)) != DONE:
             return status
         if options.install:

@@ -107,6 +107,7 @@ BLIND: Mapping[str, Any] = {**MEAN, "preview": []}
 """Of one that is shown nothing of the reference ahead."""
 ANY_HULL: Mapping[str, Any] = {
     **EVEN,
+    "groups": 1,
     "hull": True,
     "hulls": 0.5,
     "hull_weight": 1.0,
