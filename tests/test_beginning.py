@@ -1,7 +1,6 @@
 """train.py --from and --vehicle: where a training begins, in whose units it takes place, and what contradicts it."""
 
 import json
-import os
 import re
 import shutil
 import sys
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from kept_pages import compare_or_refresh
 
 import train
 from auv_gym.fleet import craft
@@ -299,10 +299,7 @@ def test_page_shows_what_fine_tuning_is_worth():
     kept = ROOT / "docs" / fine_tuning.FILE
     shown = fine_tuning.section(json.loads(kept.read_text(encoding="utf-8")))
     made = f"{head}{fine_tuning.BEGIN}\n\n{shown}\n{fine_tuning.END}\n{tail}"
-    if os.environ.get("REFRESH_DOCS"):
-        page.write_text(made, encoding="utf-8")
-    else:
-        assert text == made
+    compare_or_refresh(page, text, made)
 
 
 def test_the_two_trainings_differ_in_where_they_begin():

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from kept_pages import compare_or_refresh
 
 import evaluate
 from auv_gym.paths import PATHS
@@ -157,15 +158,6 @@ def test_table_of_a_comparison_is_what_the_command_prints(tmp_path, capsys, monk
     table = "\n".join(lines[first : lines.index("", lines.index("", first) + 1)]) + "\n"
     block = next(b for b in blocks(page) if "tail [m]" in b.text)
     compare_or_refresh(page, block.text, table)
-
-
-def compare_or_refresh(page, shown, made):
-    """Check that a page shows what is made; with `REFRESH_DOCS` write it into the page instead."""
-    if os.environ.get("REFRESH_DOCS"):
-        text = page.read_text(encoding="utf-8")
-        page.write_text(text.replace(shown, made), encoding="utf-8")
-    else:
-        assert shown == made
 
 
 def test_page_says_how_long_the_shipped_agents_took():

@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +9,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from kept_pages import compare_or_refresh
 from matrix_forms import otter_acceleration, remus_acceleration
 from scipy import stats
 from scipy.spatial.transform import Rotation
@@ -302,7 +302,4 @@ def test_the_page_shows_what_was_measured(kept):
     head, _, rest = text.partition(f"{page.BEGIN}\n")
     _, _, tail = rest.partition(f"{page.END}\n")
     made = f"{head}{page.BEGIN}\n\n{shown}\n\n{page.END}\n{tail}"
-    if os.environ.get("REFRESH_DOCS"):
-        file.write_text(made, encoding="utf-8")
-    else:
-        assert text == made
+    compare_or_refresh(file, text, made)

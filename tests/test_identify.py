@@ -2,12 +2,12 @@
 
 import json
 import math
-import os
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from kept_pages import compare_or_refresh
 from scipy.integrate import solve_ivp
 
 from auv_gym.actuators import Actuators
@@ -298,7 +298,4 @@ def test_coverage_counts_and_its_tables_are_what_the_page_shows(tmp_path, monkey
     head, _, rest = text.partition(f"{coverage.BEGIN}\n")
     _, _, tail = rest.partition(f"{coverage.END}\n")
     made = f"{head}{coverage.BEGIN}\n\n{shown}\n{coverage.END}\n{tail}"
-    if os.environ.get("REFRESH_DOCS"):
-        page.write_text(made, encoding="utf-8")
-    else:
-        assert text == made
+    compare_or_refresh(page, text, made)

@@ -3,12 +3,12 @@
 import itertools
 import json
 import math
-import os
 from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from kept_pages import compare_or_refresh
 from scipy import stats
 
 from auv_gym import PRESETS, Scenario
@@ -354,10 +354,7 @@ def test_kept_seas_lose_whom_they_should(name):
 def test_page_says_what_was_counted():
     text = page.PAGE.read_text(encoding="utf-8")
     made = page.filled(text)
-    if os.environ.get("REFRESH_DOCS"):
-        page.PAGE.write_text(made, encoding="utf-8")
-    else:
-        assert text == made
+    compare_or_refresh(page.PAGE, text, made)
 
 
 def test_certificates_and_guards_are_of_what_acts_now():

@@ -1,7 +1,6 @@
 """The tuning command: its objective is the evaluation's error, its search improves, its files have a provenance."""
 
 import json
-import os
 import re
 import shutil
 from dataclasses import replace
@@ -9,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kept_pages import compare_or_refresh
 
 import baselines
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
@@ -167,10 +167,7 @@ def test_page_shows_what_the_files_say():
             cells = name, regime, len(record["gains"]), f"{1e3 * v['error_m']:.3g}", f"{v['score']:.3f}"
             ratios = f"{100 * v['lost']:.1f} %", f"{v['effort_ratio']:.2f}", f"{v['smoothness_ratio']:.1f}"
             rows.append(f"| `{cells[0]}` | " + " | ".join(map(str, (*cells[1:], *ratios))) + " |")
-    if os.environ.get("REFRESH_DOCS"):
-        page.write_text(text.replace(table, "\n".join(rows)), encoding="utf-8")
-    else:
-        assert table == "\n".join(rows)
+    compare_or_refresh(page, table, "\n".join(rows))
 
 
 @pytest.mark.parametrize("regime", REGIMES)

@@ -1,7 +1,6 @@
 """Gains that follow the vehicle: stable on the fleet and on random hulls, compared with searches, and on the page."""
 
 import json
-import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from kept_pages import compare_or_refresh
 
 from auv_gym.fleet import PAPER, craft, fleet
 from auv_gym.units import POWERS, Units
@@ -141,10 +141,7 @@ def test_page_shows_what_was_measured():
     head, _, rest = text.partition(f"{vehicles_page.BEGIN}\n")
     _, _, tail = rest.partition(f"{vehicles_page.END}\n")
     made = f"{head}{vehicles_page.BEGIN}\n\n{vehicles_page.section(record)}\n\n{vehicles_page.END}\n{tail}"
-    if os.environ.get("REFRESH_DOCS"):
-        page.write_text(made, encoding="utf-8")
-    else:
-        assert text == made
+    compare_or_refresh(page, text, made)
 
 
 def test_the_readme_says_how_the_agent_does_beside_searched_gains():
@@ -152,9 +149,6 @@ def test_the_readme_says_how_the_agent_does_beside_searched_gains():
     pattern = r"(\d\.\d\d \(\d\.\d\d \.\.\. \d\.\d\d\))"
     measured = re.search(f"{pattern} of that with searched ones", (ROOT / "docs/vehicles.md").read_text("utf-8"))[1]
     page = ROOT / "README.md"
-    text = page.read_text(encoding="utf-8")
-    [said] = re.findall(rf"searched for each vehicle it has {pattern} times the error at cruise", text)
-    if os.environ.get("REFRESH_DOCS"):
-        page.write_text(text.replace(said, measured), encoding="utf-8")
-    else:
-        assert said == measured
+    said = rf"searched for each vehicle it has {pattern} times the error at cruise"
+    [shown] = re.findall(said, page.read_text(encoding="utf-8"))
+    compare_or_refresh(page, shown, measured)

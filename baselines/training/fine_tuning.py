@@ -215,7 +215,9 @@ def _measured(name: str, vehicle: str, options: Options, weights: str) -> dict[s
     request = request_of(training, folder, DEFAULT_JOBS)
     if status := train(request):
         return {"status": status}
-    processors = min(DEFAULT_JOBS, request.configs[0].hyperparameters.get("groups", 1))
+    from baselines.training.apg.settings import check  # here: it takes seconds to load, and --help needs none of it
+
+    processors = min(DEFAULT_JOBS, check(request.configs[0]).groups)
     took = {} if there else {"seconds": round(time.monotonic() - begin, 1), "processors": processors}
     own = {"set": recipe(name, options.agent, vehicle)}
     return errors(str(folder / AGENT), vehicle, options.episodes) | took | own

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import ExitStack, closing
 from functools import reduce
+from operator import or_
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,7 @@ class Crews:
     """
 
     def __init__(self, config: Config, settings: Settings, processes: int = 1) -> None:
+        self.settings = settings
         members = dict(enumerate(divided(config, settings)))
         mine, *rest = ({k: m for k, m in members.items() if k % processes == j} for j in range(processes))
         with ExitStack() as stack:
@@ -59,24 +61,21 @@ class Crews:
         Raises:
             WorkerError: a process was lost.
         """
-        found = self._everywhere("learn", weights)
+        found: dict[int, Learned] = reduce(or_, self._everywhere("learn", weights))
         losses, errors, gradients = zip(*(found[k] for k in sorted(found)), strict=True)
         summed = {name: reduce(np.add, [each[name] for each in gradients]) for name in gradients[0]}
         return Learned(sum(losses), sum(errors), summed)
 
     def state(self) -> dict[int, dict[str, Any]]:
         """Return what it takes to go on."""
-        found: dict[int, dict[str, Any]] = self._everywhere("state")
+        found: dict[int, dict[str, Any]] = reduce(or_, self._everywhere("state"))
         return found
 
     def restore(self, states: Mapping[int, Mapping[str, Any]]) -> None:
         """Go on from a state."""
         self._everywhere("restore", states)
 
-    def _everywhere(self, method: str, *arguments: Any) -> Any:
-        """Call a method of all crews at once and return what all of them do."""
+    def _everywhere(self, method: str, *arguments: Any) -> list[Any]:
+        """Call a method of all crews at once and return what each of them does."""
         answers = [other.call(method, *arguments) for other in self._others]
-        found = getattr(self.own, method)(*arguments)
-        for answer in answers:
-            found = answer() if found is None else found | answer()
-        return found
+        return [getattr(self.own, method)(*arguments), *(answer() for answer in answers)]

@@ -63,7 +63,7 @@ class Settings:
     validations: int = VALIDATIONS  # how often in the run the agent is validated, and a checkpoint kept
 
     def __post_init__(self) -> None:
-        for name, high in (("n_envs", 2**16), ("n_steps", 10**4), ("validations", 1000)):
+        for name, high in (("n_envs", 2**16), ("n_steps", 10**4), ("groups", 2**15), ("validations", 1000)):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= high:
                 raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")
@@ -74,8 +74,6 @@ class Settings:
         for name in WEIGHTS:
             if getattr(self, name) is not None or not name.startswith("cruise"):
                 check_number(name, getattr(self, name), 0, 1e6)
-        if isinstance(self.groups, bool) or not isinstance(self.groups, int) or self.groups < 1:
-            raise ValueError(f"groups is {self.groups!r}; it must be an integer of 1 or more")
         if self.groups > (most := max(1, self.n_envs // PAIR)):
             raise ValueError(f"groups is {self.groups}; n_envs is {self.n_envs}, which is enough for {most}")
         if not isinstance(self.memory, bool):

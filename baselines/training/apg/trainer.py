@@ -85,7 +85,7 @@ class Trainer(Descent):
 
     def __init__(self, run: Run, crews: Crews) -> None:
         """Begin a run with these vehicles, or take it up."""
-        self.run, self.crews, self.settings = run, crews, check(run.config)
+        self.run, self.crews, self.settings = run, crews, crews.settings
         config, settings = run.config, self.settings
         self.total = max(1, math.ceil(config.timesteps / (settings.n_envs * settings.n_steps)))
         torch.manual_seed(config.seed)
