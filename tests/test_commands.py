@@ -207,7 +207,8 @@ def test_bench_measures_in_a_quick_form(copy):
         "python evaluate.py",
         "gradient through",
         "in PPO",
-        "window",
+        "against eager torch",
+        "two processes against one",
         "python train.py",
     ):
         assert case in text

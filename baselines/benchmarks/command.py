@@ -39,6 +39,7 @@ CASES: tuple[Case, ...] = (
     learning.gradient_cases,
     learning.sb3_cases,
     learning.window_cases,
+    learning.group_cases,
     learning.training_cases,
 )
 """What `make bench` runs, in this order."""

@@ -6,7 +6,10 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 from unittest import mock
 
@@ -21,9 +24,13 @@ from baselines.benchmarks.eager import Setting
 from baselines.benchmarks.environments import EPISODE, NATIVE, RESIDUAL, track, vector_run
 from baselines.benchmarks.figures import SCENARIO, Figure, faster, takes
 from baselines.benchmarks.timing import Run, cpu_time, interleaved, timed, typical, whole
-from baselines.training.apg.settings import Settings
-from baselines.training.apg.torch_network import torch_network
+from baselines.training.apg.crews import Crews
+from baselines.training.apg.settings import Settings, check
+from baselines.training.apg.torch_network import torch_network, weights_of
+from baselines.training.config import Config
+from baselines.training.mixtures import MIXTURES
 from baselines.training.run_folder import PROGRESS, read_progress
+from baselines.training.trainings import HELM
 
 WINDOW = 32  # control steps that a gradient goes back over
 GOOD = 0.95
@@ -124,6 +131,21 @@ def window_cases(quick: bool) -> Iterator[Figure]:
             begin = cpu_time()
             setting().run()
             yield takes("  its kernels built for the first time", cpu_time() - begin, 3)
+
+
+def group_cases(quick: bool) -> Iterator[Figure]:
+    """A window of `helm`'s training in two groups, a process for each against one for both, by the time that passes."""
+    sizes = {"n_envs": 32, "n_steps": 5} if quick else {}
+    config = Config(scenarios=MIXTURES["helm"], hyperparameters={**HELM, **sizes, "groups": 2})
+    settings = check(config)
+    weights = weights_of(torch_network(settings.network))
+    with closing(Crews(config, settings, 2)) as apart, closing(Crews(config, settings)) as together:
+        runs = [timed(partial(crews.learn, weights), clock=time.perf_counter) for crews in (apart, together)]
+        for run in runs:
+            run()  # waits for the other process
+        two, one = interleaved(1 if quick else 25, *runs)
+    case = f"training window, {settings.n_envs} vehicles, two processes against one, time that passes"
+    yield faster(case, typical(two), typical(one))
 
 
 def training_cases(quick: bool) -> Iterator[Figure]:

@@ -20,13 +20,13 @@ def cpu_time() -> float:
     return time.process_time() + children.ru_utime + children.ru_stime
 
 
-def timed(work: Callable[[], object], units: int = 1) -> Run:
-    """Return the run that does the work, of so many units, in one piece."""
+def timed(work: Callable[[], object], units: int = 1, clock: Callable[[], float] = cpu_time) -> Run:
+    """Return the run that does the work, of so many units, in one piece; by another clock, the times are its."""
 
     def run() -> Sequence[float]:
-        begin = cpu_time()
+        begin = clock()
         work()
-        return [(cpu_time() - begin) / units]
+        return [(clock() - begin) / units]
 
     return run
 
