@@ -35,6 +35,7 @@ from baselines.training.hyperparameters import shipped as shipped_file
 from baselines.training.options import Options
 from baselines.training.run_folder import Run, locked, read_config, read_progress
 from baselines.training.trainings import SHIPPED, training
+from baselines.training.validation import Validation
 
 torch.set_num_threads(1)
 ROOT = Path(__file__).parents[1]
@@ -379,6 +380,20 @@ def test_agent_says_where_it_comes_from(call):
     assert agent.training["command"].startswith("python train.py --algo ppo")
     scores = [row["score"] for row in read_progress(Path("out")) if "score" in row]
     assert agent.training["validation"]["score"] == max(scores)
+
+
+@pytest.mark.parametrize("drawn_hulls", [0.0, 0.5])
+def test_an_agent_and_its_score_are_of_one_validation(call, monkeypatch, drawn_hulls):
+    """The best one; where hulls are drawn, which are not validated, the last one."""
+    monkeypatch.setattr("baselines.training.hulls.SEVERAL", 1)
+    measured, scores = Validation.run, iter(np.linspace(0.9, 0.1, 17))
+    monkeypatch.setattr(Validation, "run", lambda *given: replace(measured(*given), score=float(next(scores))))
+    assert call(*tiny("apg"), "--set", "hull=true", f"hulls={drawn_hulls}", "validations=2") == 0
+    first, *_, last = (row for row in read_progress(Path("out")) if "score" in row)
+    kept = Agent.load("out/agent").training
+    assert kept["validation"] == {name: (last if drawn_hulls else first)[name] for name in kept["validation"]}
+    assert kept["scores"] == {"validation episodes": round(kept["validation"]["score"], 3)}
+    assert bool(weights("out/agent")["head.weight"].any()) == bool(drawn_hulls)  # the first network corrects nothing
 
 
 def configuration(**changes):

@@ -76,18 +76,16 @@ def train_one(
 def _finish(run: Run, agent: Agent, command: str) -> float:
     """Write learning curve and agent, the latter last and at once; return its score on the validation episodes."""
     run.close()
-    rows = read_progress(run.folder)
-    best = max((row for row in rows if "score" in row), key=lambda row: row["score"])
-    curve = learning_curve([rows])
+    kept, curve = run.validated, learning_curve([read_progress(run.folder)])
     write_atomically(run.folder / CURVE, curve)
     training: dict[str, Any] = {
         "command": command,
         "config": run.config.to_dict(),
         "seconds": round(run.seconds, 1),
         "versions": {**versions(), **{name: version(name) for name in ("stable-baselines3", "torch")}},
-        "scores": {"validation episodes": round(best["score"], 3)},
-        "validation": {name: best[name] for name in ("timesteps", "score", "error_m", "lost")},
+        "scores": {"validation episodes": round(kept["score"], 3)},
+        "validation": {name: kept[name] for name in ("timesteps", "score", "error_m", "lost")},
     }
     region = run.validation.run(agent.policy(vehicle=run.config.vehicle)).region
     replace(agent, region=region, training={**training, **agent.training}).save(run.folder / AGENT, curve)
-    return best["score"]
+    return kept["score"]

@@ -80,6 +80,9 @@ class Run:
         on_state: called whenever something is known about how far the run is.
         processes: that a trainer may compute in, this one included; what is learned does not depend on it.
 
+    Attributes:
+        keeps_last: whether the trainer keeps the agent of the last validation in place of that of the best one.
+
     Raises:
         OSError: the folder cannot be written to.
         TrainingError: the folder holds another run.
@@ -96,6 +99,7 @@ class Run:
         self.config = config
         self.folder = folder
         self.processes = processes
+        self.keeps_last = False
         self._on_state = on_state
         self._rows: list[dict[str, float]] = []
         self._begin, self._earlier, self._start = time.monotonic(), 0.0, 0
@@ -155,6 +159,12 @@ class Run:
         verdict = self.validation.run(policy)
         self.log(timesteps, score=verdict.score, error_m=verdict.error_m, lost=verdict.lost)
         return verdict.score
+
+    @property
+    def validated(self) -> dict[str, float]:
+        """What was logged of the validation whose agent is kept: the best one, or the last one with `keeps_last`."""
+        rows = [row for row in self._rows if "score" in row]
+        return rows[-1] if self.keeps_last else max(rows, key=lambda row: row["score"])
 
     def save_checkpoint(self, state: Mapping[str, Any]) -> None:
         """Keep what it takes to go on, in place of the last checkpoint; a kill at any moment leaves one of them whole.

@@ -87,6 +87,7 @@ class Trainer(Descent):
         """Begin a run with these vehicles, or take it up."""
         self.run, self.crews, self.settings = run, crews, crews.settings
         config, settings = run.config, self.settings
+        run.keeps_last = settings.draws_hulls(config.vehicle)  # of validations, which are of that vehicle alone
         self.total = max(1, math.ceil(config.timesteps / (settings.n_envs * settings.n_steps)))
         torch.manual_seed(config.seed)
         self.network = torch_network(settings.network)
@@ -123,14 +124,11 @@ class Trainer(Descent):
             self.validate()
 
     def validate(self) -> None:
-        """Measure the agent on the validation episodes, keep the best, and save a checkpoint.
-
-        The episodes are of the configuration's own vehicle, so where hulls are drawn the last one is kept.
-        """
+        """Measure the agent on the validation episodes, keep the best or the last one, and save a checkpoint."""
         weights = weights_of(self.averaged.module)
         policy = self.agent(weights).policy(vehicle=self.run.config.vehicle, precision=PRECISION)
         score = self.run.validate(policy, self.timesteps)
-        if score > self.score or self.settings.draws_hulls(self.run.config.vehicle):
+        if score > self.score or self.run.keeps_last:
             self.score, self.best = score, weights
         self.run.save_checkpoint(self._state())
 
