@@ -107,20 +107,20 @@ BLIND: Mapping[str, Any] = {**MEAN, "preview": []}
 """Of one that is shown nothing of the reference ahead."""
 ANY_HULL: Mapping[str, Any] = {
     **EVEN,
-    "groups": 1,
+    "groups": 2,
     "hull": True,
-    "hulls": 0.5,
+    "hulls": 0.67,
     "hull_weight": 1.0,
     "learning_rate": 0.001,
     "matrix_learning_rate": 0.006,
     "warm_up": 0.1,
     "validations": 1,
 }
-"""Of the agent for every vehicle, which begins as `helm`: it is told the hull, which is drawn for half of the vehicles
-that it learns on."""
+"""Of the agent for every vehicle, which begins as `helm`: it is told the hull, which is drawn for two thirds of the
+vehicles that it learns on."""
 SHIPPED: Mapping[str, Options] = {
     "helm": training("apg", "helm", (1.0, 1.6), None, 12_000_000, HELM),
-    "helm-any": training("apg", "helm", timesteps=48_000_000, changes=ANY_HULL, from_="helm"),
+    "helm-any": training("apg", "helm", timesteps=64_000_000, changes=ANY_HULL, from_="helm"),
     "helm-blind": training("apg", "helm", (1.0, 1.6), None, 12_000_000, BLIND),
     "helm-small": training("apg", "helm", (1.0, 1.6), None, 12_000_000, SMALL),
     "apg-cruise": training("apg", "cruise"),
