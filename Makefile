@@ -36,13 +36,15 @@ test: export MPLBACKEND = Agg
 test: export SDL_AUDIODRIVER = dummy
 test: export SDL_VIDEODRIVER = dummy
 test: lint typecheck ## lint, typecheck and run the tests
-	$(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 25 $(ARGS)
 	$(if $(ARGS),,AUV_GYM_NATIVE=0 $(BIN)/python -m pytest -n 2 --dist worksteal -k "$(UNCOMPILED)" $(EQUATIONS))
 
-# What runs equations runs once more as on a machine without a compiler, but for what has nothing to do with that.
+# What runs equations runs once more as on a machine without a compiler, but for what has nothing to do with that, and
+# for long runs of what shorter ones show.
 EQUATIONS = $(addprefix tests/test_,$(addsuffix .py,agent analytic_gradient codegen controllers disturbances elementary \
   env estimators evaluation kernels nmpc planner vector_env))
-UNCOMPILED = not (16384 or torch or frames or report_is_one_page)
+UNCOMPILED = not (16384 or torch or frames or report_is_one_page or interrupted or number_of_jobs or as_a_process or \
+  finished_work or long_runs or steers_alike)
 
 lint: $(VENV)/dev.stamp ## check the style, the format and the set-up of the project
 	$(BIN)/python -m ruff check

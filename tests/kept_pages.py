@@ -10,3 +10,10 @@ def compare_or_refresh(page, shown, made):
         page.write_text(text.replace(shown, made), encoding="utf-8")
     else:
         assert shown == made
+
+
+def compare_between(page, begin, end, made):
+    """Do that with the part of a page between two marks, which blank lines set apart."""
+    text = page.read_text(encoding="utf-8")
+    first = text.index(begin)
+    compare_or_refresh(page, text[first : text.index(end, first)], f"{begin}\n\n{made.strip()}\n\n")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from kept_pages import compare_or_refresh
+from kept_pages import compare_between
 
 import train
 from auv_gym.fleet import craft
@@ -279,6 +279,10 @@ def test_rows_of_an_agent_with_other_weights_do_not_count(tmp_path):
         options.out.write_text(json.dumps(record), encoding="utf-8")
         assert set(fine_tuning.begun(options, "old")["vehicles"]["otter"]) == set(rows) - {name}
         rows[name]["set"] = fine_tuning.recipe(name, "helm", "otter")
+    options.out.write_text(json.dumps(record), encoding="utf-8")
+    assert fine_tuning.begun(options, "old") == record
+    tried = fine_tuning.begun(replace(options, timesteps=40), "old")
+    assert set(tried["vehicles"]["otter"]) == {"helm", "backstepping"}
     assert fine_tuning.begun(replace(options, episodes=2), "old")["vehicles"] == {}
 
 
@@ -292,14 +296,9 @@ def test_the_agent_whose_tuning_the_page_shows_is_the_one_that_ships():
 
 
 def test_page_shows_what_fine_tuning_is_worth():
+    kept = json.loads((ROOT / "docs" / fine_tuning.FILE).read_text(encoding="utf-8"))
     page = ROOT / "docs" / "training.md"
-    text = page.read_text(encoding="utf-8")
-    head, _, rest = text.partition(f"{fine_tuning.BEGIN}\n")
-    _, _, tail = rest.partition(f"{fine_tuning.END}\n")
-    kept = ROOT / "docs" / fine_tuning.FILE
-    shown = fine_tuning.section(json.loads(kept.read_text(encoding="utf-8")))
-    made = f"{head}{fine_tuning.BEGIN}\n\n{shown}\n{fine_tuning.END}\n{tail}"
-    compare_or_refresh(page, text, made)
+    compare_between(page, fine_tuning.BEGIN, fine_tuning.END, fine_tuning.section(kept))
 
 
 def test_the_two_trainings_differ_in_where_they_begin():

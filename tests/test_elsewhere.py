@@ -9,7 +9,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from kept_pages import compare_or_refresh
+from kept_pages import compare_between
 from matrix_forms import otter_acceleration, remus_acceleration
 from scipy import stats
 from scipy.spatial.transform import Rotation
@@ -297,9 +297,4 @@ def test_what_the_page_says_in_words_holds(kept):
 
 def test_the_page_shows_what_was_measured(kept):
     shown = "\n\n".join(page.section(name, record) for name, record in kept.items())
-    file = ROOT / "docs" / "elsewhere.md"
-    text = file.read_text(encoding="utf-8")
-    head, _, rest = text.partition(f"{page.BEGIN}\n")
-    _, _, tail = rest.partition(f"{page.END}\n")
-    made = f"{head}{page.BEGIN}\n\n{shown}\n\n{page.END}\n{tail}"
-    compare_or_refresh(file, text, made)
+    compare_between(ROOT / "docs" / "elsewhere.md", page.BEGIN, page.END, shown)

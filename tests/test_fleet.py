@@ -2,7 +2,6 @@
 
 import inspect
 import math
-import os
 import random
 import re
 from dataclasses import fields, replace
@@ -12,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from fleet_sources import SOURCES
+from kept_pages import compare_between
 from matrix_form import matrix_form
 
 from auv_gym import PRESETS, Scenario, list_vehicles
@@ -252,12 +252,8 @@ def fleet_tables():
 
 
 def test_page_shows_the_fleet():
-    text = PAGE.read_text(encoding="utf-8")
-    start, end = re.search(r"<!-- the fleet.*-->\n", text).end(), text.index("<!-- end of the fleet -->")
-    if os.environ.get("REFRESH_DOCS"):
-        PAGE.write_text(f"{text[:start]}\n{fleet_tables()}\n\n{text[end:]}", encoding="utf-8")
-    else:
-        assert text[start:end].strip() == fleet_tables()
+    begin = re.search(r"<!-- the fleet.*-->", PAGE.read_text(encoding="utf-8"))[0]
+    compare_between(PAGE, begin, "<!-- end of the fleet -->", fleet_tables())
 
 
 @pytest.mark.parametrize("name", ["lauv", "gunnerus"])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kept_pages import compare_or_refresh
+from kept_pages import compare_between
 from scipy.integrate import solve_ivp
 
 from auv_gym.actuators import Actuators
@@ -292,10 +292,5 @@ def test_coverage_counts_and_its_tables_are_what_the_page_shows(tmp_path, monkey
     assert run(coverage.main, coverage.PROGRAM, ["--logs", "1", "--out", "new.json"]) == 0
     record = json.loads(Path("new.json").read_text(encoding="utf-8"))["the paper's vehicle"]
     assert sum(row["near"] for row in record["parameters"].values()) >= len(PARAMETERS) - 1
-    page = ROOT / "docs" / "identify.md"
-    text = page.read_text(encoding="utf-8")
     shown = "\n".join(coverage.section(*kept) for kept in coverage.load(ROOT / "docs" / "identify.json").items())
-    head, _, rest = text.partition(f"{coverage.BEGIN}\n")
-    _, _, tail = rest.partition(f"{coverage.END}\n")
-    made = f"{head}{coverage.BEGIN}\n\n{shown}\n{coverage.END}\n{tail}"
-    compare_or_refresh(page, text, made)
+    compare_between(ROOT / "docs" / "identify.md", coverage.BEGIN, coverage.END, shown)

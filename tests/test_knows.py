@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kept_pages import compare_between
 from scipy.integrate import solve_ivp
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
@@ -349,16 +350,9 @@ def test_kept_errors_of_who_is_told_are_those_of_today():
 
 def test_page_is_what_was_found():
     found = load(command.FOLDER)
-    text = PAGE.read_text(encoding="utf-8")
     for key, made in sections(found, "images/").items():
-        begin, end = f"<!-- {key} -->\n", f"<!-- end of {key} -->"
-        first, last = text.index(begin) + len(begin), text.index(end)
-        if os.environ.get("REFRESH_DOCS"):
-            text = f"{text[:first]}\n{made}\n{text[last:]}"
-        else:
-            assert text[first:last].strip() == made.strip(), "run it with REFRESH_DOCS=1"
+        compare_between(PAGE, f"<!-- {key} -->", f"<!-- end of {key} -->", made)
     assert set(report.NAMES) <= set(sections(found, ""))
     if os.environ.get("REFRESH_DOCS"):
-        PAGE.write_text(text, encoding="utf-8")
         for name, picture in pictures(found).items():
             (PAGE.parent / "images" / name).write_bytes(picture)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kept_pages import compare_or_refresh
+from kept_pages import compare_between, compare_or_refresh
 
 from auv_gym.fleet import PAPER, craft, fleet
 from auv_gym.units import POWERS, Units
@@ -135,13 +135,9 @@ def test_the_papers_vehicle_is_the_same_before_and_after():
 
 
 def test_page_shows_what_was_measured():
-    page = ROOT / "docs" / "vehicles.md"
-    text = page.read_text(encoding="utf-8")
     record = json.loads((ROOT / "docs" / vehicles.FILE).read_text(encoding="utf-8"))
-    head, _, rest = text.partition(f"{vehicles_page.BEGIN}\n")
-    _, _, tail = rest.partition(f"{vehicles_page.END}\n")
-    made = f"{head}{vehicles_page.BEGIN}\n\n{vehicles_page.section(record)}\n\n{vehicles_page.END}\n{tail}"
-    compare_or_refresh(page, text, made)
+    page = ROOT / "docs" / "vehicles.md"
+    compare_between(page, vehicles_page.BEGIN, vehicles_page.END, vehicles_page.section(record))
 
 
 def test_the_readme_says_how_the_agent_does_beside_searched_gains():

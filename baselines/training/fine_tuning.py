@@ -110,12 +110,12 @@ def trainings(agent: str, vehicle: str, timesteps: int | None = None) -> dict[st
     }
 
 
-def recipe(name: str, agent: str, vehicle: str) -> list[str]:
+def recipe(name: str, agent: str, vehicle: str, timesteps: int | None = None) -> list[str]:
     """Return what makes one of the two `trainings` what it is, as words NAME=VALUE."""
     if name == ALONE:
-        return list(trainings(agent, vehicle)[ALONE].set)
+        return [*trainings(agent, vehicle)[ALONE].set, *words_of({"timesteps": timesteps} if timesteps else {})]
     table = load_hyperparameters(shipped(ALGO), TUNING)
-    return words_of({"timesteps": table.timesteps, **table.values})
+    return words_of({"timesteps": timesteps or table.timesteps, **table.values})
 
 
 def errors(policy: str, vehicle: str, episodes: int) -> dict[str, Any]:
@@ -190,7 +190,7 @@ def begun(options: Options, weights: str) -> dict[str, Any]:
         return {"agent": options.agent, "weights": weights, "episodes": options.episodes, "vehicles": {}}
     stale = (options.agent, TUNED) if record.get("weights") != weights else ()
     for vehicle, found in record["vehicles"].items():
-        own = {name: recipe(name, options.agent, vehicle) for name in (TUNED, ALONE)}
+        own = {name: recipe(name, options.agent, vehicle, options.timesteps) for name in (TUNED, ALONE)}
         record["vehicles"][vehicle] = {
             name: row
             for name, row in found.items()
@@ -219,7 +219,7 @@ def _measured(name: str, vehicle: str, options: Options, weights: str) -> dict[s
 
     processors = min(DEFAULT_JOBS, check(request.configs[0]).groups)
     took = {} if there else {"seconds": round(time.monotonic() - begin, 1), "processors": processors}
-    own = {"set": recipe(name, options.agent, vehicle)}
+    own = {"set": recipe(name, options.agent, vehicle, options.timesteps)}
     return errors(str(folder / AGENT), vehicle, options.episodes) | took | own
 
 
