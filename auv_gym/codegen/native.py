@@ -23,13 +23,8 @@ SWITCH = "AUV_GYM_NATIVE"
 CACHE = "AUV_GYM_CACHE"
 """Environment variable that names another folder for compiled code than that of the user's caches."""
 COMPILERS = ("gcc", "clang", "cc")  # looked for in this order, behind that of the environment variable CC
-FLAGS = ("-std=c99", "-fPIC", "-shared", "-fopenmp-simd")
+FLAGS = ("-O3", "-std=c99", "-fPIC", "-shared", "-fopenmp-simd")
 """What every compiler that is used here knows."""
-OPTIMISED = ("-O3",)
-"""How hard a compiler tries, which is seconds for a long kernel."""
-OPTIMISED_BY_GCC = ("-O1", "-ftree-vectorize", "-fexpensive-optimizations")
-"""What makes gcc's code for these equations as fast as -O3 does, in two thirds of the time."""
-GCC = "Free Software Foundation"  # in the version that gcc tells
 EXACT = ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros")
 """A product and a sum are rounded one after the other, as everywhere else; what is not a number stays none."""
 TUNED = ("-march=native",)
@@ -65,23 +60,22 @@ def library(source: str) -> ctypes.CDLL | None:
     if not wanted() or (found := compiler()) is None:
         return None
     path, version = found
-    flags = (*(OPTIMISED_BY_GCC if GCC in version else OPTIMISED), *FLAGS, *EXACT)
-    key = "\0".join((source, path, version, *flags, *TUNED, platform.machine(), sys.platform, _processor()))
+    key = "\0".join((source, path, version, *FLAGS, *EXACT, *TUNED, platform.machine(), sys.platform, _processor()))
     name = f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
     for folder in cache_folders():
-        if (made := _loaded(path, flags, source, folder / name)) is not None:
+        if (made := _loaded(path, source, folder / name)) is not None:
             return made
     return None
 
 
-def _loaded(path: str, flags: tuple[str, ...], source: str, file: Path) -> ctypes.CDLL | None:
+def _loaded(path: str, source: str, file: Path) -> ctypes.CDLL | None:
     """Return the library that a file holds or shall hold; None, which is logged, where that cannot be."""
     try:
         try:
-            return ctypes.CDLL(str(_built(path, flags, source, file)))
+            return ctypes.CDLL(str(_built(path, source, file)))
         except OSError:
             file.unlink()  # damaged, else this is the error to report
-            return ctypes.CDLL(str(_built(path, flags, source, file)))
+            return ctypes.CDLL(str(_built(path, source, file)))
     except subprocess.SubprocessError as error:
         logger.info("%s cannot compile the equations, so they run as Python: %s", path, _reason(error))
     except OSError as error:
@@ -122,7 +116,7 @@ def _temporary() -> Path:
 _kept: list[tempfile.TemporaryDirectory[str]] = []
 
 
-def _built(path: str, flags: tuple[str, ...], source: str, file: Path) -> Path:
+def _built(path: str, source: str, file: Path) -> Path:
     """Return a library's file, compiled if it is not there; two processes at once leave one whole file."""
     if file.exists():
         return file
@@ -130,14 +124,14 @@ def _built(path: str, flags: tuple[str, ...], source: str, file: Path) -> Path:
     with tempfile.TemporaryDirectory(dir=file.parent) as folder:
         made = Path(folder) / file.name
         try:
-            _compile(path, (*flags, *TUNED), source, made)
+            _compile(path, source, made, (*FLAGS, *EXACT, *TUNED))
         except subprocess.CalledProcessError:
-            _compile(path, flags, source, made)
+            _compile(path, source, made, (*FLAGS, *EXACT))
         made.replace(file)
     return file
 
 
-def _compile(path: str, flags: tuple[str, ...], source: str, made: Path) -> None:
+def _compile(path: str, source: str, made: Path, flags: tuple[str, ...]) -> None:
     command = [path, *flags, "-x", "c", "-", "-o", str(made), "-lm"]
     subprocess.run(command, input=source.encode(), capture_output=True, timeout=PATIENCE, check=True)
 
