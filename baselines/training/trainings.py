@@ -97,7 +97,7 @@ BOTH: Mapping[str, Any] = {
 }
 """Of agents for both regimes: small errors seen as well as large ones, filters, and commands no rougher than those of
 `nmpc`."""
-HELM: Mapping[str, Any] = {**BOTH, **EVEN, "learning_rate": 0.002, "matrix_learning_rate": 0.013}
+HELM: Mapping[str, Any] = {**BOTH, **EVEN, "groups": 2, "learning_rate": 0.002, "matrix_learning_rate": 0.013}
 """Of the agent for both regimes."""
 MEAN: Mapping[str, Any] = {**BOTH, "matrix_learning_rate": 0.02, "cut": 12}
 """Of its kin: shorter windows, and errors count as they are."""
@@ -119,7 +119,7 @@ ANY_HULL: Mapping[str, Any] = {
 """Of the agent for every vehicle, which begins as `helm`: it is told the hull, which is drawn for two thirds of the
 vehicles that it learns on."""
 SHIPPED: Mapping[str, Options] = {
-    "helm": training("apg", "helm", (1.0, 1.6), None, 12_000_000, HELM),
+    "helm": training("apg", "helm", (1.0, 1.6), None, 20_000_000, HELM),
     "helm-any": training("apg", "helm", timesteps=64_000_000, changes=ANY_HULL, from_="helm"),
     "helm-blind": training("apg", "helm", (1.0, 1.6), None, 12_000_000, BLIND),
     "helm-small": training("apg", "helm", (1.0, 1.6), None, 12_000_000, SMALL),
