@@ -301,17 +301,19 @@ def test_page_shows_what_fine_tuning_is_worth():
     compare_between(page, fine_tuning.BEGIN, fine_tuning.END, fine_tuning.section(kept))
 
 
+def _named(words):
+    return dict(word.split("=") for word in words)
+
+
 def test_the_two_trainings_differ_in_where_they_begin():
-    own = fine_tuning.trainings("helm", "lauv")
+    own, helms = fine_tuning.trainings("helm", "lauv"), _named(SHIPPED["helm"].set)
     assert (own["tuned"].from_, own["tuned"].vehicle, own["tuned"].timesteps) == ("helm", "lauv", None)
     assert (own["alone"].from_, own["alone"].vehicle) == (None, "lauv")
-    assert own["alone"].timesteps == SHIPPED["helm"].timesteps
-    assert own["alone"].set[:-1] == SHIPPED["helm"].set
+    assert own["alone"].timesteps == fine_tuning.LENGTH
+    assert _named(own["alone"].set) == {**helms, "groups": "1", "validations": str(fine_tuning.PIECES)}
     any_hull = fine_tuning.trainings("helm-any", "lauv")["alone"]
-    assert any_hull.timesteps == SHIPPED["helm"].timesteps
-    made, helms, anys = (
-        dict(word.split("=") for word in training.set) for training in (any_hull, SHIPPED["helm"], SHIPPED["helm-any"])
-    )
+    assert any_hull.timesteps == fine_tuning.LENGTH
+    made, anys = _named(any_hull.set), _named(SHIPPED["helm-any"].set)
     assert {name: made[name] for name in fine_tuning.SHARED} == {name: anys[name] for name in fine_tuning.SHARED}
     rates = [name for name in helms if name.endswith(("rate", "weight", "size"))]
     assert len(rates) > 4

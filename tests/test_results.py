@@ -108,7 +108,7 @@ def test_the_first_sentence_of_the_readme(benchmark):
         f"In the storm at cruise the published law is {errors['backstepping']} off its path, an extended Kalman filter "
         f"with model predictive control (`nmpc`) {errors['nmpc']}, and an agent that learned to correct the law "
         f"(`{AGENT}`) {errors[AGENT]}. The agent takes {agent} for a decision where `nmpc` takes {rival}, and it took "
-        f"{WORDS[minutes]} minutes on one core to train."
+        f"{WORDS[minutes]} minutes on two cores to train."
     )
     assert said in readme
 

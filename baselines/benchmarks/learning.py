@@ -136,7 +136,7 @@ def window_cases(quick: bool) -> Iterator[Figure]:
 def group_cases(quick: bool) -> Iterator[Figure]:
     """A window of `helm`'s training in two groups, a process for each against one for both, by the time that passes."""
     sizes = {"n_envs": 32, "n_steps": 5} if quick else {}
-    config = Config(scenarios=MIXTURES["helm"], hyperparameters={**HELM, **sizes, "groups": 2})
+    config = Config(scenarios=MIXTURES["helm"], hyperparameters={**HELM, **sizes})
     settings = check(config)
     weights = weights_of(torch_network(settings.network))
     with closing(Crews(config, settings, 2)) as apart, closing(Crews(config, settings)) as together:

@@ -52,8 +52,10 @@ BEGIN = "<!-- fine-tuning -->"  # before the table in the page
 END = "<!-- end of fine-tuning -->"  # behind it
 SHARED = ("hull",)
 """Hyper-parameters of an agent that began with another one which are of no less use from nothing: not its rates."""
+LENGTH = 12_000_000
+"""Control steps of the training for a vehicle alone, which has no other regime to learn."""
 PIECES = 6
-"""How often the training for a vehicle alone is validated: it goes on from there when it is interrupted."""
+"""How often it is validated: it goes on from there when it is interrupted."""
 SAYS = {
     EXPERT: "the expert",
     RIVAL: "predictive control",
@@ -93,20 +95,22 @@ class Options:
 def trainings(agent: str, vehicle: str, timesteps: int | None = None) -> dict[str, Training]:
     """Return the two trainings for a vehicle: what begins with the agent, and one from nothing.
 
-    That is the agent's own, or that of the agent which it began with, with `SHARED` of the agent's own.
+    That is the agent's own, or that of the agent which it began with, with `SHARED` of the agent's own, `LENGTH` and
+    `PIECES`, in one group.
 
     Args:
         agent: one of `trainings.SHIPPED`.
         vehicle: its name.
-        timesteps: of both, None: their own.
+        timesteps: of both, None: what `train.py --from` takes, and `LENGTH`.
     """
     own = SHIPPED[agent]
     first = SHIPPED.get(own.from_ or "", own)  # an agent that began with another has its rates for going on
     shared = [word for word in own.set if own.from_ and word.partition("=")[0] in SHARED]
-    whole = replace(first, set=(*first.set, *shared, f"validations={PIECES}"))
+    words = (*first.set, *shared, *words_of({"groups": 1, "validations": PIECES}))
+    whole = {word.partition("=")[0]: word for word in words}
     return {
         TUNED: replace(Training(), from_=agent, vehicle=vehicle, timesteps=timesteps),
-        ALONE: replace(whole, vehicle=vehicle, timesteps=timesteps or whole.timesteps),
+        ALONE: replace(first, set=tuple(whole.values()), vehicle=vehicle, timesteps=timesteps or LENGTH),
     }
 
 
