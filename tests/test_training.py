@@ -2,6 +2,7 @@
 
 import errno
 import json
+import math
 import os
 import re
 import shlex
@@ -10,6 +11,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -35,7 +37,7 @@ from baselines.training.hyperparameters import shipped as shipped_file
 from baselines.training.options import Options
 from baselines.training.run_folder import Run, locked, read_config, read_progress
 from baselines.training.trainings import SHIPPED, training
-from baselines.training.validation import Validation
+from baselines.training.validation import Validation, Verdict
 
 torch.set_num_threads(1)
 ROOT = Path(__file__).parents[1]
@@ -394,6 +396,18 @@ def test_an_agent_and_its_score_are_of_one_validation(call, monkeypatch, drawn_h
     assert kept["validation"] == {name: (last if drawn_hulls else first)[name] for name in kept["validation"]}
     assert kept["scores"] == {"validation episodes": round(kept["validation"]["score"], 3)}
     assert bool(weights("out/agent")["head.weight"].any()) == bool(drawn_hulls)  # the first network corrects nothing
+
+
+@pytest.mark.parametrize(("keeps_last", "expected"), [(False, [1, 0, 1, 0, 0, 1]), (True, [1] * 6)])
+def test_the_first_of_the_best_is_kept_or_the_last(tmp_path, keeps_last, expected):
+    run, kept = Run(configuration(), tmp_path), []
+    run.keeps_last = keeps_last
+    for k, score in enumerate([0.5, 0.2, 0.7, math.nan, 0.7, 0.9]):
+        run.validation = SimpleNamespace(run=lambda policy, score=score: Verdict(score, 1.0, 0.0, ()))
+        run.log(10 * k, loss=1.0)
+        kept.append(run.validate(None, 10 * k))
+    assert kept == expected
+    assert run.validated["timesteps"] == 50
 
 
 def configuration(**changes):

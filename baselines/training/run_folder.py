@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -146,8 +147,10 @@ class Run:
         """Tell how far the run is."""
         self._on_state(self._state(timesteps))
 
-    def validate(self, policy: Policy, timesteps: int) -> float:
-        """Return the score of a policy on the validation episodes: 0 the expert, 1 the oracle; it is logged.
+    def validate(self, policy: Policy, timesteps: int) -> bool:
+        """Log the score of a policy on the validation episodes, 0 the expert, 1 the oracle; return whether to keep it.
+
+        The best one so far is kept, and of equals the first; with `keeps_last` always the last one.
 
         Args:
             policy: what acts on the observation of the tracking environment, shape (N, 18), expert included.
@@ -158,13 +161,13 @@ class Run:
         """
         verdict = self.validation.run(policy)
         self.log(timesteps, score=verdict.score, error_m=verdict.error_m, lost=verdict.lost)
-        return verdict.score
+        return self.validated["timesteps"] == timesteps
 
     @property
     def validated(self) -> dict[str, float]:
         """What was logged of the validation whose agent is kept: the best one, or the last one with `keeps_last`."""
         rows = [row for row in self._rows if "score" in row]
-        return rows[-1] if self.keeps_last else max(rows, key=lambda row: row["score"])
+        return rows[-1] if self.keeps_last else max(rows, key=lambda row: (not math.isnan(row["score"]), row["score"]))
 
     def save_checkpoint(self, state: Mapping[str, Any]) -> None:
         """Keep what it takes to go on, in place of the last checkpoint; a kill at any moment leaves one of them whole.

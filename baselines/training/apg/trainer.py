@@ -97,7 +97,7 @@ class Trainer(Descent):
         self.averaged = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(kept))  # type: ignore[no-untyped-call]
         self.optimizers = settings.optimizers(self.network)
         self._rates = [group["lr"] for group in self._groups]
-        self.updates, self.skipped, self.score = 0, 0, -math.inf
+        self.updates, self.skipped = 0, 0
         self.best = weights_of(self.averaged.module)
         if (state := run.load_checkpoint()) is not None:
             with run.restoring():
@@ -127,9 +127,8 @@ class Trainer(Descent):
         """Measure the agent on the validation episodes, keep the best or the last one, and save a checkpoint."""
         weights = weights_of(self.averaged.module)
         policy = self.agent(weights).policy(vehicle=self.run.config.vehicle, precision=PRECISION)
-        score = self.run.validate(policy, self.timesteps)
-        if score > self.score or self.run.keeps_last:
-            self.score, self.best = score, weights
+        if self.run.validate(policy, self.timesteps):
+            self.best = weights
         self.run.save_checkpoint(self._state())
 
     def agent(self, weights: Any) -> Agent:
@@ -142,7 +141,6 @@ class Trainer(Descent):
             "timesteps": self.timesteps,
             "updates": self.updates,
             "skipped": self.skipped,
-            "score": self.score,
             "best": self.best,
             "network": self.network.state_dict(),
             "averaged": self.averaged.state_dict(),
@@ -151,8 +149,7 @@ class Trainer(Descent):
         }
 
     def _restore(self, state: dict[str, Any]) -> None:
-        self.updates, self.skipped = state["updates"], state["skipped"]
-        self.score, self.best = state["score"], state["best"]
+        self.updates, self.skipped, self.best = state["updates"], state["skipped"], state["best"]
         self.network.load_state_dict(state["network"])
         self.averaged.load_state_dict(state["averaged"])
         for optimizer, its in zip(self.optimizers, state["optimizers"], strict=True):

@@ -121,7 +121,7 @@ class Trainer(Descent):
         self.adam = torch.optim.Adam(self.filters.parameters(), lr=self.settings.adaptation_rate)
         self._rates = [group["lr"] for optimizer in self.optimizers for group in optimizer.param_groups]
         self.fleet = Fleet(config.lanes(gradient.n_envs), config.episode_seed, gradient.n_steps, gradient.preview)
-        self.updates, self.skipped, self.score = 0, 0, -math.inf
+        self.updates, self.skipped = 0, 0
         self.best = self.weights
         self.carried = self.fleet.reset(0, gradient.inputs.memory)
         if (state := run.load_checkpoint()) is not None:
@@ -223,9 +223,8 @@ class Trainer(Descent):
         if self.updates == 0 or self.updates > self.lessons:
             weights = self.weights
             policy = self.agent(weights).policy(vehicle=self.run.config.vehicle, precision=PRECISION)
-            score = self.run.validate(policy, self.timesteps)
-            if score > self.score:
-                self.score, self.best = score, weights
+            if self.run.validate(policy, self.timesteps):
+                self.best = weights
         self.run.save_checkpoint(self._state())
 
     def agent(self, weights: Any) -> Agent:
@@ -254,5 +253,5 @@ class Trainer(Descent):
         torch.set_rng_state(state["generator"])
 
 
-_PLAIN = ("updates", "skipped", "score", "best", "fleet", "carried")
+_PLAIN = ("updates", "skipped", "best", "fleet", "carried")
 """What a trainer keeps as it is."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -32,7 +31,6 @@ class Tracker(BaseCallback):
         super().__init__()
         self.run = run
         self._agent: Agent | None = state["agent"] if state else None
-        self._best: float = state["best"] if state else -math.inf
         self._validated: int = state["timesteps"] if state else -1
         self._resumed = state
 
@@ -74,11 +72,10 @@ class Tracker(BaseCallback):
         self.run.log(self.num_timesteps, **self._learned())
         agent = exported(self.model.policy, self.run.config)
         policy = agent.policy(vehicle=self.run.config.vehicle, precision=PRECISION)
-        score = self.run.validate(policy, self.num_timesteps)
-        if score > self._best:
-            self._best, self._agent = score, agent
+        if self.run.validate(policy, self.num_timesteps):
+            self._agent = agent
         self._validated = self.num_timesteps
-        self.run.save_checkpoint({**snapshot(self.model), "agent": self._agent, "best": self._best})
+        self.run.save_checkpoint({**snapshot(self.model), "agent": self._agent})
 
     def _learned(self) -> dict[str, float]:
         """Return what the algorithm has logged since the last time, and the mean return of the latest episodes."""
