@@ -138,7 +138,9 @@ are told beside; only where an agent leads those too is no point of the front le
 each kind, in millimetres over the same episodes, has a 95 % interval over episodes and training seeds;
 counted as led are points whose lead holds after Holm's correction over all pairs of the table.
 
-In the figure a line joins the points of a sweep, hollow ones are tuned at a price, and what ships is outlined."""
+In the figure a line joins the points of a sweep, hollow ones are tuned at a price, and what ships is outlined. An
+agent that ships was trained for longer than the other points of its front: those show what a price does, not the least
+error that can be had at it."""
 
 
 def _setting(who: Spenders) -> str:

@@ -41,7 +41,7 @@ CONTROLLERS = ("lqi", "ekf", "nmpc")
 """Controllers that have a front, the slowest one last."""
 WEIGHTS = ((0.003, 0.002), (0.02, 0.005), (0.1, 0.01), (0.5, 0.03))
 """What agents pay for effort and rate in training, behind those that ship with the package."""
-STEPS = 3_200_000  # control steps of each of these trainings: a fifth of the longest one that ships
+STEPS = 3_200_000  # control steps of each of these trainings, far fewer than of an agent that ships
 EPISODES = 40  # of each case, eight of each family of paths
 
 
