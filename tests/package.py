@@ -37,7 +37,8 @@ def build(source, out, *options):
 def wheel_of(sdist, out, *options):
     """Return the wheel that a source distribution builds by itself."""
     with tarfile.open(sdist) as archive:
-        archive.extractall(out, filter="data")
+        archive.extraction_filter = getattr(tarfile, "data_filter", None)  # Python before 3.10.12 and 3.11.4 has none
+        archive.extractall(out)
     [source] = (folder for folder in out.iterdir() if folder.is_dir())
     run(sys.executable, "-m", "build", "--wheel", "--outdir", out, *options, source, cwd=out)
     [wheel] = out.glob("*.whl")

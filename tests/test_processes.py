@@ -75,7 +75,7 @@ def ends_clean(process, end):
     assert "Traceback" not in err
     assert process.returncode == (-signal.SIGKILL if end == signal.SIGKILL else 1)
     if end != signal.SIGKILL:
-        assert "interrupted" in err.splitlines()[-1], err
+        assert "interrupted" in err, err  # not always last: joblib may tell of what it cleans up
 
 
 needs_proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes in /proc")
