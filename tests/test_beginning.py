@@ -265,7 +265,7 @@ def test_what_fine_tuning_is_worth_is_measured(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out == ""  # all is there
 
 
-def test_rows_of_an_agent_with_other_weights_do_not_count(tmp_path):
+def test_rows_of_an_agent_with_other_weights_do_not_count(tmp_path, monkeypatch):
     rows = {name: {"tails": [[1.0]], "lost": [0]} for name in ("helm", "backstepping", "tuned", "alone")}
     options = replace(fine_tuning.Options(), agent="helm", episodes=1, out=tmp_path / "kept.json")
     record = {"agent": "helm", "weights": "old", "episodes": 1, "vehicles": {"otter": rows}}
@@ -281,6 +281,9 @@ def test_rows_of_an_agent_with_other_weights_do_not_count(tmp_path):
         rows[name]["set"] = fine_tuning.recipe(name, "helm", "otter")
     options.out.write_text(json.dumps(record), encoding="utf-8")
     assert fine_tuning.begun(options, "old") == record
+    with monkeypatch.context() as changed:
+        changed.setattr(fine_tuning, "LENGTH", 2 * fine_tuning.LENGTH)
+        assert set(fine_tuning.begun(options, "old")["vehicles"]["otter"]) == set(rows) - {"alone"}
     tried = fine_tuning.begun(replace(options, timesteps=40), "old")
     assert set(tried["vehicles"]["otter"]) == {"helm", "backstepping"}
     assert fine_tuning.begun(replace(options, episodes=2), "old")["vehicles"] == {}

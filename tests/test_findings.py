@@ -101,3 +101,12 @@ def test_readme_and_page_of_policies_say_the_same():
     assert "\n".join(leads()) + "\n" in policies
     for page in (readme, policies):
         assert f"a share of up to {100 * most_lost(0, 2080):.2f} %" in page
+
+
+def test_who_is_ahead_where_all_is_not_as_told():
+    """What README and the page of policies say in words: nobody on frozen episodes, `helm` is level on fresh ones."""
+    section = PAGE.split("## Where all is not as told")[1].split("\n## ")[0]
+    rows = [row.strip("| ").split(" | ") for row in section.splitlines() if row.startswith("| `")]
+    ends = {cells[0]: [cells[column].split(" ... ") for column in (4, 7)] for cells in rows}
+    assert all(float(frozen[1]) < 0 for frozen, _ in ends.values())
+    assert [name for name, (_, anew) in ends.items() if float(anew[1]) >= 0] == ["`helm`, cruise"]

@@ -13,12 +13,14 @@ from baselines.agents.agent import Agent
 from baselines.agents.names import AGENTS
 from baselines.evaluation import residual_file, situations
 from baselines.evaluation.failures import FAILURES, LIMITS, Failing, Shuffled
+from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import share_interval
 from baselines.evaluation.residual_file import RESIDUAL, SCRATCH, SHIPPED, STUCK, Group, load, save, whole
 from baselines.evaluation.results import residual as page
 from baselines.evaluation.results.residual_figure import residual_figure
 from baselines.evaluation.rollout import beginning, play, rollout
 from baselines.evaluation.runner import drawn
+from baselines.evaluation.score import EXPERT
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.tools.command_line import UsageError
 from baselines.tools.figure_style import to_png
@@ -266,6 +268,14 @@ def test_a_second_call_measures_nothing_again(tmp_path, capsys):
     kept = {group.regime: group for group in load(tmp_path / "residual.json")}
     assert kept["cruise"].tails["faster"][0, 0] == pytest.approx(0.4321)
     assert kept["slow"].tails["faster"].shape == (1, len(CASES))
+
+
+def test_what_is_kept_of_policies_is_of_those_that_ship():
+    kept = [group for group in load() if group.kind in (SHIPPED, STUCK)]
+    assert {group.name for group in kept if group.kind == SHIPPED} == set(command.POLICIES)
+    for group in kept:
+        policy = group.name if group.kind == SHIPPED else EXPERT
+        assert group.fingerprint == fingerprint(policy), f"run {command.PROGRAM} {group.name}, then make results"
 
 
 def test_seeds_that_are_not_finished_are_left_out(tmp_path, capsys):

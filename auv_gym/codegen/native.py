@@ -28,8 +28,8 @@ FLAGS = ("-O3", "-std=c99", "-fPIC", "-shared", "-fopenmp-simd")
 EXACT = ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros")
 """A product and a sum are rounded one after the other, as everywhere else; what is not a number stays none."""
 TUNED = ("-march=native", "--param", "iv-max-considered-uses=150")
-"""For this processor; gcc weighs no loop variables of loops with very many arrays, which takes it most of its time and
-makes nothing faster. Left out where a compiler does not know it."""
+"""For this processor; and gcc shall not search for the cheapest counters of a loop that uses them more than 150 times,
+which took most of the time and made nothing faster. All left out where a compiler does not know them."""
 PATIENCE = 300.0
 """Seconds that a compiler may take."""
 

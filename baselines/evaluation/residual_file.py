@@ -38,6 +38,7 @@ class Group:
     command: str  # that trains the agents; "": a single policy
     tails: Mapping[str, Array]  # [m] capped tail RMSE by situation, shape (S, M), case after case
     curves: tuple[Array, ...] = ()  # of each seed, columns `CURVE`
+    fingerprint: str = ""  # of the policy whose numbers these are, or of the law below the network; none for a study's
 
     def lost(self, situation: str) -> Array:
         """Return which episodes were lost in a situation, shape (S, M), 1 or 0."""

@@ -35,7 +35,7 @@ from baselines.tools.seeds import FINE_TUNING
 from baselines.tools.workers import DEFAULT_JOBS
 from baselines.training.beginning import ALGO, digest
 from baselines.training.command import train
-from baselines.training.hyperparameters import TUNING, load_hyperparameters, shipped, words_of
+from baselines.training.hyperparameters import TUNING, load_hyperparameters, overridden, shipped, words_of
 from baselines.training.options import Options as Training
 from baselines.training.run_folder import AGENT
 from baselines.training.trainings import SHIPPED, request_of
@@ -53,7 +53,7 @@ END = "<!-- end of fine-tuning -->"  # behind it
 SHARED = ("hull",)
 """Hyper-parameters of an agent that began with another one which are of no less use from nothing: not its rates."""
 LENGTH = 12_000_000
-"""Control steps of the training for a vehicle alone, which has no other regime to learn."""
+"""Control steps of the training for a vehicle alone."""
 PIECES = 6
 """How often it is validated: it goes on from there when it is interrupted."""
 SAYS = {
@@ -106,18 +106,18 @@ def trainings(agent: str, vehicle: str, timesteps: int | None = None) -> dict[st
     own = SHIPPED[agent]
     first = SHIPPED.get(own.from_ or "", own)  # an agent that began with another has its rates for going on
     shared = [word for word in own.set if own.from_ and word.partition("=")[0] in SHARED]
-    words = (*first.set, *shared, *words_of({"groups": 1, "validations": PIECES}))
-    whole = {word.partition("=")[0]: word for word in words}
+    words = overridden(first.set, [*shared, *words_of({"groups": 1, "validations": PIECES})])
     return {
         TUNED: replace(Training(), from_=agent, vehicle=vehicle, timesteps=timesteps),
-        ALONE: replace(first, set=tuple(whole.values()), vehicle=vehicle, timesteps=timesteps or LENGTH),
+        ALONE: replace(first, set=words, vehicle=vehicle, timesteps=timesteps or LENGTH),
     }
 
 
 def recipe(name: str, agent: str, vehicle: str, timesteps: int | None = None) -> list[str]:
     """Return what makes one of the two `trainings` what it is, as words NAME=VALUE."""
     if name == ALONE:
-        return [*trainings(agent, vehicle)[ALONE].set, *words_of({"timesteps": timesteps} if timesteps else {})]
+        own = trainings(agent, vehicle, timesteps)[ALONE]
+        return [*own.set, *words_of({"timesteps": own.timesteps})]
     table = load_hyperparameters(shipped(ALGO), TUNING)
     return words_of({"timesteps": timesteps or table.timesteps, **table.values})
 

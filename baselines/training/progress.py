@@ -45,6 +45,6 @@ def plain(label: str) -> Callable[[State], None]:
 
 
 def _text(state: State) -> str:
-    score = f"score {state.scores[-1]:.3f}, best {max(state.scores):.3f}" if state.scores else "validating the expert"
+    score = "validating the expert" if state.kept is None else f"score {state.scores[-1]:.3f}, kept {state.kept:.3f}"
     left = "" if state.seconds_left is None else f", {timedelta(seconds=round(state.seconds_left))} left"
     return f"{state.timesteps:,} steps, {score}{left}"

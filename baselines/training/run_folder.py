@@ -46,6 +46,7 @@ class State:
     timesteps: int  # control steps, summed over vehicles
     total: int
     scores: tuple[float, ...]  # of all validations so far
+    kept: float | None  # that of the agent that is kept; None before the first validation
     seconds: float  # wall time, that before a resumption included
     seconds_left: float | None
 
@@ -232,7 +233,8 @@ class Run:
         scores = tuple(row["score"] for row in self._rows if "score" in row)
         done, total = timesteps - self._start, self.config.timesteps
         left = (time.monotonic() - self._begin) * max(0, total - timesteps) / done if done > 0 else None
-        return State(timesteps, total, scores, self.seconds, left)
+        kept = self.validated["score"] if scores else None
+        return State(timesteps, total, scores, kept, self.seconds, left)
 
 
 def read_progress(folder: Path) -> list[dict[str, float]]:

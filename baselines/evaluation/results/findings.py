@@ -214,18 +214,18 @@ UNMODELLED = f"""## Where all is not as told
 `unmodelled-v1`, in the same columns. The rival here is `{ADVERSE_RIVAL}`, predictive control on a filter that estimates
 biased sensors and weak, late actuators too, tuned in the mixture of troubles in which `apg-adverse-*` were trained.
 Intervals are wide, since a few episodes that go badly wrong weigh much.
-`helm` and `apg-adverse-*` were trained on these kinds of trouble, all at once and in slightly wider ranges, and on the
-sheared current of `ood-v1`: for them this is no test of the unforeseen. The others had met none of it. What robustness
-costs where nothing is wrong is the distance between `apg-adverse-*` and `apg-*` above."""
+`helm`, `helm-any` and `apg-adverse-*` were trained on these kinds of trouble, all at once and in slightly wider ranges,
+and on the sheared current of `ood-v1`: for them this is no test of the unforeseen. The others had met none of it. What
+robustness costs where nothing is wrong is the distance between `apg-adverse-*` and `apg-*` above."""
 SEALED = f"""## In worlds that nobody had seen
 
 `sealed-v1`: its episodes were drawn from a secret of which only the hash was known until everything was frozen, and
 policies ran in them once, 512 episodes a regime, one shipped agent each. Speeds between and beyond the regimes,
 missions of five minutes, slewing actuators, long outages of the position fix, far starts, other hulls, and all at once.
-`helm` knows slewing actuators and some of the speeds ([Evaluation](metrics.md#sealed-suites)); it trails where the fix
-is out for longer than in its training. It and `helm-any` have been trained anew since the suite was opened, and chosen
-on other episodes: for them these are episodes that anybody knows. The first lead is over `{RIVAL}`, the second over
-`{ADVERSE_RIVAL}`."""
+`helm` and `helm-any` know slewing actuators and some of the speeds ([Evaluation](metrics.md#sealed-suites)); in slow
+motion they trail, mostly where the fix is out for longer than in their training. They have been trained anew since the
+suite was opened, and chosen on other episodes: for them these are episodes that anybody knows. The first lead is over
+`{RIVAL}`, the second over `{ADVERSE_RIVAL}`."""
 RESIDUAL = """## What the expert is for
 
 The expert does not make the final score better: `apg-scratch-*`, networks that command alone, end level with the
@@ -246,8 +246,8 @@ UNTABLED = """## What no table shows
 
 - **An authority is no safety bound** where it is large: a correction of the whole limit can undo any command. Only a
   small one leaves the expert in charge.
-- **An agent serves the speeds that it has seen.** `helm` has seen both regimes, every other one its own; outside of
-  it, it may do worse than the expert.
+- **An agent serves the speeds that it has seen.** `helm` and its kin have seen both regimes, every other one its own;
+  beyond what it has seen an agent may do worse than the expert.
 - **Memory belongs to the policy.** The recurrent agents need their state handed back at each call; without it they act
   as at an episode's first step.
 - Where commands cost next to nothing, storms and slow actuators need larger weights in training, or now and then a fast

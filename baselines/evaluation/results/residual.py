@@ -188,13 +188,13 @@ Trained long enough they end level ([Findings](findings.md#what-the-expert-is-fo
 seeds from scratch lie on both sides of those with an expert: a residual buys no better score. What it buys shows when
 something goes wrong, and how much of that is left is a matter of its authority, the largest correction as a share of
 the vehicle's limits. `python -m baselines.training.residual` trains both kinds, alike but for expert and authority, for
-a million steps, an eighth of a shipped agent's, and runs them through fresh episodes of the {len(CASES)} cases. From a
-third of each episode on the network is *dead* (its output is zero), *held* (at its last output), *stuck* (both outputs
-at +1 or at -1), or its weights are *shuffled*; the law below it goes on. Or the network works, and speed or thrusters
-are such as it was never trained on: *slew* is the time in which a thruster goes from zero to full force, at once in
-training. *error* is the mean tail, capped, with a 95 % interval over seeds and episodes; *lost* the share of all seeds'
-episodes, its 95 % interval as if they were independent (Clopper and Pearson), so *by seed* says how far the best and
-the worst seed are apart."""
+a million steps, an eighth of those of `apg-cruise`, and runs them through fresh episodes of the {len(CASES)} cases.
+From a third of each episode on the network is *dead* (its output is zero), *held* (at its last output), *stuck* (both
+outputs at +1 or at -1), or its weights are *shuffled*; the law below it goes on. Or the network works, and speed or
+thrusters are such as it was never trained on: *slew* is the time in which a thruster goes from zero to full force, at
+once in training. *error* is the mean tail, capped, with a 95 % interval over seeds and episodes; *lost* the share of
+all seeds' episodes, its 95 % interval as if they were independent (Clopper and Pearson), so *by seed* says how far the
+best and the worst seed are apart."""
 BOUNDED = """### What an authority bounds
 
 What no training changes: the law, and from a third of each episode on a correction that is stuck at its limit. Lost

@@ -30,7 +30,7 @@ class About:
     training_steps: float | None = None
     """Control steps that it was trained or tuned on."""
     training_seconds: float | None = None
-    """How long that took, on one core."""
+    """How long that took, by the clock."""
 
 
 NOTHING = About()

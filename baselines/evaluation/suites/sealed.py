@@ -31,7 +31,7 @@ BEYOND = {"slow": (0.05, 0.1), "cruise": (1.6, 2.0)}  # [m/s] speeds outside of 
 MISSION = 300.0  # [s] a mission of five minutes
 SLEW = 2.0  # [s] in which the actuators go from zero to the limit
 FIRST: Mapping[str, Any] = {"beyond": {**BEYOND, "cruise": (1.5, 2.0)}, "slew": 1.0}
-"""What was otherwise in `sealed-v1`; `helm` has been trained up to 1.6 m/s and with a slew of a second since."""
+"""What was otherwise in `sealed-v1`; `helm` and its kin are trained up to 1.6 m/s and with a slew of a second since."""
 OUTAGES = 3.0  # [1/min] how often the position fix fails
 LONG = {"slow": (5.0, 10.0), "cruise": (3.0, 6.0)}  # [s] for how long
 FAR = 5.0  # [m] how far off a far start is, on each axis

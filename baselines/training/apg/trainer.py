@@ -26,7 +26,7 @@ LOGS = 200  # how often in a run its progress is logged
 
 
 def train(run: Run) -> Agent:
-    """Train an agent and return the best one on the validation episodes.
+    """Train an agent and return the one that is kept: of the best validation, or where hulls are drawn of the last one.
 
     Raises:
         OSError: the run's folder cannot be written to.

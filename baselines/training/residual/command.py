@@ -43,7 +43,7 @@ from baselines.training.trainings import SLOW, request_of, training
 
 PROGRAM = "python -m baselines.training.residual"
 SEEDS = 5  # of each training
-STEPS = 1_000_000  # control steps of each training, an eighth of a shipped agent's
+STEPS = 1_000_000  # control steps of each training, an eighth of those of `apg-cruise`
 AUTHORITIES: Mapping[str, tuple[float, ...]] = {"cruise": (0.1, 0.25, 0.5, 1.0, 2.0), "slow": (0.5, 1.0)}
 """Authorities of surge and yaw that are trained with, for both kinds."""
 FOLLOWED = {(RESIDUAL, 0.5, "cruise"), (SCRATCH, 1.0, "cruise")}
@@ -173,7 +173,7 @@ def _registered(name: str, options: Options, workers: Workers) -> list[Group]:
     for regime in recorded.regimes_of(name):
         file = options.out / SHIPPED / f"{name}-{regime}.json"
         tails = _measured([(name, regime, options.episodes or EPISODES_SHIPPED, file)], workers)
-        groups.append(Group(name, regime, SHIPPED, None, _today(), "", tails))
+        groups.append(Group(name, regime, SHIPPED, None, _today(), "", tails, fingerprint=fingerprint(name)))
     return groups
 
 
@@ -183,7 +183,8 @@ def _stuck(options: Options) -> list[Group]:
     for regime in REGIMES:
         for authority in BOUNDS:
             found = {s: outcome(silent(authority), regime, s, episodes).tail[None] for s in LIMITS}
-            groups.append(Group(f"{STUCK}-{authority}", regime, STUCK, authority, _today(), "", found))
+            entries = f"{STUCK}-{authority}", regime, STUCK, authority, _today(), "", found
+            groups.append(Group(*entries, fingerprint=fingerprint(EXPERT)))
     return groups
 
 

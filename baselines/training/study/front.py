@@ -2,8 +2,8 @@
 
 A front is a controller, or a family of agents, at several prices of its commands. One point is what ships with the
 package. The others of a controller have swept or priced gains (`baselines.tuning.priced`); the other agents of a family
-are trained with larger weights of effort and rate. All run the same episodes, and what they did is kept in
-`baselines/evaluation/data/fronts/`, or in DIR where there is no checkout, for the page of results.
+are trained with other weights of effort and rate, the same in both regimes. All run the same episodes, and what they
+did is kept in `baselines/evaluation/data/fronts/`, or in DIR where there is no checkout, for the page of results.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from baselines.evaluation.rollout import Log, Repeatable, Watch, beginning
 from baselines.evaluation.runner import Cell, Run
 from baselines.tools.command_line import DONE, UsageError, parse, run
 from baselines.training.command import train
-from baselines.training.hyperparameters import words_of
+from baselines.training.hyperparameters import overridden, words_of
 from baselines.training.options import Options as TrainOptions
 from baselines.training.run_folder import AGENT
 from baselines.training.study.command import cells_of
@@ -129,11 +129,10 @@ def shipped_name(family: str, regime: str) -> str:
 def weighted(training: TrainOptions, effort: float, rate: float, timesteps: int) -> TrainOptions:
     """Return a training with other weights of effort and rate, in every regime, and another length."""
     changes = {"effort_weight": effort, "rate_weight": rate}
-    names = {word: word.partition("=")[0] for word in training.set}
+    names = [word.partition("=")[0] for word in training.set]
     for kind, weight in tuple(changes.items()):
-        changes |= {name: weight for name in names.values() if name.endswith(f"_{kind}")}
-    kept = [word for word, name in names.items() if name not in changes]
-    return replace(training, timesteps=timesteps, set=(*kept, *words_of(changes)))
+        changes |= {name: weight for name in names if name.endswith(f"_{kind}")}
+    return replace(training, timesteps=timesteps, set=overridden(training.set, words_of(changes)))
 
 
 class Episodes:
