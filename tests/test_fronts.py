@@ -119,7 +119,7 @@ def test_agents_are_trained_with_larger_weights_and_run(short, tmp_path, monkeyp
 def test_weights_of_both_regimes_are_replaced():
     both = replace(SHIPPED["apg-slow"], set=("effort_weight=0.1", "cruise_effort_weight=0.2", "n_envs=64"))
     words = front.weighted(both, 0.5, 0.03, 1000).set
-    assert words == ("n_envs=64", "effort_weight=0.5", "rate_weight=0.03", "cruise_effort_weight=0.5")
+    assert words == ("effort_weight=0.5", "cruise_effort_weight=0.5", "n_envs=64", "rate_weight=0.03")
 
 
 @pytest.mark.parametrize(
