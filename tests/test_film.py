@@ -25,7 +25,7 @@ from baselines.tools.workers import Workers
 pytest.importorskip("pygame")
 
 ROOT = Path(__file__).parents[1]
-TRIO = ("backstepping", "nmpc", "apg-preview-cruise")
+TRIO = ("backstepping", "nmpc", "helm")
 PAIR = ("backstepping", "apg-cruise")
 
 
