@@ -31,7 +31,7 @@ from baselines.evaluation.results import vehicles, vehicles_figure
 from baselines.evaluation.results.collection import ROUNDING, Results, better_than
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import Cell, Recorded, Run, drawn, run_all
-from baselines.evaluation.score import BY_BOUND, cap_of, in_paper_units, relative_error, unit_of
+from baselines.evaluation.score import BY_BOUND, cap_of, in_paper_units, relative_error, unit_of, vehicle_of
 from baselines.evaluation.study_files import Study, load_all
 from baselines.evaluation.suites import rounded
 from baselines.evaluation.suites.builder import SUITES, VEHICLE_EPISODES, _cell
@@ -255,7 +255,7 @@ def test_the_readme_says_how_the_agent_for_every_vehicle_compares(suite):
     ) in readme
     finned = [name for name in fleet() if craft(name).actuators.fin]
     own, rival = (
-        [pairs["cruise"][policy].among(lambda cell, name=name: cell.endswith(f"@{name}")).lost for name in finned]
+        [pairs["cruise"][policy].among(lambda cell, name=name: vehicle_of(cell) == name).lost for name in finned]
         for policy in ("helm-any", "nmpc")
     )
     assert (len(finned), sum(a > b for a, b in zip(own, rival, strict=True))) == (4, 3)

@@ -35,7 +35,7 @@ from baselines.tools.seeds import FINE_TUNING
 from baselines.tools.workers import DEFAULT_JOBS
 from baselines.training.beginning import ALGO, digest
 from baselines.training.command import train
-from baselines.training.hyperparameters import TUNING, load_hyperparameters, overridden, shipped, words_of
+from baselines.training.hyperparameters import TUNING, changes_of, load_hyperparameters, shipped, words_of
 from baselines.training.options import Options as Training
 from baselines.training.run_folder import AGENT
 from baselines.training.trainings import SHIPPED, request_of
@@ -105,11 +105,11 @@ def trainings(agent: str, vehicle: str, timesteps: int | None = None) -> dict[st
     """
     own = SHIPPED[agent]
     first = SHIPPED.get(own.from_ or "", own)  # an agent that began with another has its rates for going on
-    shared = [word for word in own.set if own.from_ and word.partition("=")[0] in SHARED]
-    words = overridden(first.set, [*shared, *words_of({"groups": 1, "validations": PIECES})])
+    shared = {name: value for name, value in changes_of(own.set).items() if own.from_ and name in SHARED}
+    words = words_of({**changes_of(first.set), **shared, "groups": 1, "validations": PIECES})
     return {
         TUNED: replace(Training(), from_=agent, vehicle=vehicle, timesteps=timesteps),
-        ALONE: replace(first, set=words, vehicle=vehicle, timesteps=timesteps or LENGTH),
+        ALONE: replace(first, set=tuple(words), vehicle=vehicle, timesteps=timesteps or LENGTH),
     }
 
 

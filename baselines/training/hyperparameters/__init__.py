@@ -88,11 +88,6 @@ def words_of(changes: Mapping[str, Any]) -> list[str]:
     return [f"{name}={json.dumps(value, separators=(',', ':'))}" for name, value in changes.items()]
 
 
-def overridden(words: Sequence[str], later: Sequence[str]) -> tuple[str, ...]:
-    """Return words NAME=VALUE and later ones, each name once: the place of the first word of a name, the last value."""
-    return tuple({word.partition("=")[0]: word for word in (*words, *later)}.values())
-
-
 def shipped(algo: str) -> Path:
     """Return the file of an algorithm; TQC learns well with what SAC learns with."""
     return FOLDER / f"{'sac' if algo == 'tqc' else algo}.yml"

@@ -179,12 +179,12 @@ def _registered(name: str, options: Options, workers: Workers) -> list[Group]:
 
 def _stuck(options: Options) -> list[Group]:
     """Measure the law with a correction that is stuck at its limit from a third of each episode on."""
-    groups, episodes = [], options.episodes or EPISODES_SHIPPED
+    groups, episodes, law = [], options.episodes or EPISODES_SHIPPED, fingerprint(EXPERT)
     for regime in REGIMES:
         for authority in BOUNDS:
             found = {s: outcome(silent(authority), regime, s, episodes).tail[None] for s in LIMITS}
             entries = f"{STUCK}-{authority}", regime, STUCK, authority, _today(), "", found
-            groups.append(Group(*entries, fingerprint=fingerprint(EXPERT)))
+            groups.append(Group(*entries, fingerprint=law))
     return groups
 
 

@@ -27,7 +27,7 @@ from baselines.evaluation.rollout import Log, Repeatable, Watch, beginning
 from baselines.evaluation.runner import Cell, Run
 from baselines.tools.command_line import DONE, UsageError, parse, run
 from baselines.training.command import train
-from baselines.training.hyperparameters import overridden, words_of
+from baselines.training.hyperparameters import changes_of, words_of
 from baselines.training.options import Options as TrainOptions
 from baselines.training.run_folder import AGENT
 from baselines.training.study.command import cells_of
@@ -128,11 +128,10 @@ def shipped_name(family: str, regime: str) -> str:
 
 def weighted(training: TrainOptions, effort: float, rate: float, timesteps: int) -> TrainOptions:
     """Return a training with other weights of effort and rate, in every regime, and another length."""
-    changes = {"effort_weight": effort, "rate_weight": rate}
-    names = [word.partition("=")[0] for word in training.set]
-    for kind, weight in tuple(changes.items()):
-        changes |= {name: weight for name in names if name.endswith(f"_{kind}")}
-    return replace(training, timesteps=timesteps, set=overridden(training.set, words_of(changes)))
+    changes = changes_of(training.set)
+    for kind, weight in (("effort_weight", effort), ("rate_weight", rate)):
+        changes |= {name: weight for name in (*changes, kind) if name == kind or name.endswith(f"_{kind}")}
+    return replace(training, timesteps=timesteps, set=tuple(words_of(changes)))
 
 
 class Episodes:
