@@ -19,13 +19,13 @@ demo: $(VENV)/eval.stamp $(VENV)/render.stamp ## recompute the paper, run every 
 	$(BIN)/python evaluate.py --suite paper --out runs/demo/paper
 	$(BIN)/python evaluate.py --suite presets --out runs/demo/scenarios $(ARGS)
 	$(BIN)/python evaluate.py --policy helm --scenario cruise-storm --jobs 1 --out runs/demo/storm $(ARGS)
-	$(BIN)/python -m baselines.film --policy backstepping helm --scenario cruise-storm --episodes 20 \
+	$(BIN)/python -m baselines film --policy backstepping helm --scenario cruise-storm --episodes 20 \
 	  --jobs 1 --size 640x400 --speed 6 --fps 10 --out runs/demo/storm/film.webp $(ARGS)
 	@echo 'Open in a browser: the tables, runs/demo/*/report.html, and the film, runs/demo/storm/film.webp'
 
 # Twenty storms, as many as an evaluation draws; the one whose errors are the most usual is shown.
 film: $(VENV)/eval.stamp $(VENV)/render.stamp ## film expert, EKF + MPC and agent in a usual storm, for the README
-	$(BIN)/python -m baselines.film --policy backstepping nmpc helm --scenario cruise-storm --episodes 20 \
+	$(BIN)/python -m baselines film --policy backstepping nmpc helm --scenario cruise-storm --episodes 20 \
 	  --size 820x470 --speed 6 --fps 10 --out docs/images/storm.webp $(ARGS)
 
 # One thread a worker and no window: the workers share the machine.
@@ -59,19 +59,19 @@ format: $(VENV)/dev.stamp ## mend the style and the format
 	$(BIN)/python -m ruff format
 
 bench: $(VENV)/dev.stamp ## measure the speed of the environments
-	$(BIN)/python -m baselines.benchmarks $(ARGS)
+	$(BIN)/python -m research throughput $(ARGS)
 
 results: $(VENV)/eval.stamp ## write docs/results.md and its figures from the recorded rows
-	$(BIN)/python -m baselines.evaluation.results $(ARGS)
+	$(BIN)/python -m research results $(ARGS)
 
 verify: $(VENV)/eval.stamp ## run all that is recorded again, an hour: does every number repeat? ARGS="--policy lqi"
-	$(BIN)/python -m baselines.evaluation.suites verify $(ARGS)
+	$(BIN)/python -m research suites verify $(ARGS)
 
 train: $(VENV)/train.stamp ## train an agent, into runs/train: ARGS="--algo ppo --scenario slow"
 	$(BIN)/python train.py $(ARGS)
 
 train-all: $(VENV)/train.stamp ## train every agent that ships with the package, into runs/shipped; goes on if interrupted
-	$(BIN)/python -m baselines.training.shipped $(ARGS)
+	$(BIN)/python -m research train-all $(ARGS)
 
 examples: $(VENV)/venv.stamp ## run other people's libraries, into build/examples: ARGS="--quick sb3 torchrl"
 	$(BIN)/python -m examples $(ARGS)

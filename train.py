@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Sequence
 
-from baselines.__main__ import call
+from baselines.__main__ import COMMANDS, call
 
 PROGRAM = "train.py"
 
@@ -16,4 +16,4 @@ def main(arguments: Sequence[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(call("train", sys.argv[1:], PROGRAM))
+    sys.exit(call(COMMANDS["train"], sys.argv[1:], PROGRAM))

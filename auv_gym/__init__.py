@@ -4,7 +4,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from auv_gym.names import STEPS
+from auv_gym.scenarios.names import STEPS
 
 __version__ = "0.1.0"
 __all__ = [
@@ -18,13 +18,13 @@ __all__ = [
 ]
 
 _HOMES = {
-    "PRESETS": "presets",
-    "Scenario": "scenario",
-    "Vehicle": "vehicle",
-    "decode_observation": "task",
-    "list_scenarios": "presets",
-    "list_vehicles": "fleet",
-    "plan": "planner",
+    "PRESETS": "scenarios.presets",
+    "Scenario": "scenarios.scenario",
+    "Vehicle": "physics.vehicle",
+    "decode_observation": "task.observation",
+    "list_scenarios": "scenarios.presets",
+    "list_vehicles": "scenarios.vehicles",
+    "plan": "planning.planner",
 }
 
 
@@ -61,7 +61,7 @@ def _register() -> None:
                     max_episode_steps=steps,
                     order_enforce=False,
                     disable_env_checker=True,
-                    kwargs={"scenario": name[1:]} if name else {},
+                    kwargs={"scenarios.scenario": name[1:]} if name else {},
                     vector_entry_point=vector_entry_point,
                 )
 

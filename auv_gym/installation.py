@@ -14,6 +14,16 @@ ROOT = Path(__file__).parents[1]
 """Folder that the packages lie in: a checkout, or an environment's `site-packages`."""
 
 
+RECORD = ROOT / "research" / "data"
+"""Folder of what was measured and trained for studies; only a checkout has it."""
+
+
+def found(folder: Path, name: str) -> Path:
+    """Return a file of a folder of the package; where it is not there, the one of the folder's namesake in `RECORD`."""
+    other = RECORD / folder.name / name
+    return other if other.exists() and not (folder / name).exists() else folder / name
+
+
 def checkout() -> Path | None:
     """Return the folder of the checkout that this code runs from; None where it was installed as a package."""
     return ROOT if (ROOT / "pyproject.toml").is_file() else None

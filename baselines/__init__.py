@@ -12,16 +12,17 @@ from auv_gym.envs.lanes import ScenarioLike
 from auv_gym.envs.residual import ResidualAction, VectorResidualAction
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
-from auv_gym.policy import Policy, preview_of
-from auv_gym.presets import as_scenario
+from auv_gym.physics.vehicle import Vehicle
 from auv_gym.rendering import PICTURE
-from auv_gym.scenario import Scenario
-from auv_gym.vehicle import Vehicle
+from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.presets import as_scenario
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.task.policy import Policy, preview_of
 from baselines.agents.guard import Guarded, bounded_law
 from baselines.agents.loading import load_policy
 from baselines.agents.names import COMMAND, FADING, agent_folder, guarded_name, is_path, shipped_agents
 from baselines.control import POLICIES, make_controller
-from baselines.episodes import EpisodeRecord, run_episode, run_episodes
+from baselines.evaluation.episodes import EpisodeRecord, run_episode, run_episodes
 from baselines.policy import Privileged
 from baselines.similar import made_for
 
@@ -117,7 +118,7 @@ def make_residual_env(
         ValueError: scenario, vehicle, control period, render mode or size, expert or authority are not what they must
             be.
     """
-    known = as_scenario(scenario).changed(vehicle).vehicle
+    known = changed(as_scenario(scenario), vehicle).vehicle
     policy = make_policy(expert, known) if isinstance(expert, str) else expert
     env = UnderactuatedAUVTrackEnv(scenario, vehicle, control_dt, render_mode, preview_of(policy), render_size)
     return ResidualAction(env, policy, authority)
@@ -164,7 +165,7 @@ def make_residual_vector_env(
         ValueError: an argument is not what it must be.
     """
     given = [scenario] if isinstance(scenario, (Scenario, str, Mapping)) else scenario
-    known = common_vehicle([as_scenario(s).changed(vehicle) for s in given])
+    known = common_vehicle([changed(as_scenario(s), vehicle) for s in given])
     policy: Any = make_policy(expert, known) if isinstance(expert, str) else expert
     env = make_track_vector_env(
         num_envs,

@@ -1,106 +1,97 @@
-"""All commands in one: `auv-gym VERB`, or `python -m baselines VERB`, and `--help` behind either for a list."""
+"""All commands in one: `auv-gym COMMAND`, or `python -m baselines COMMAND`, and `--help` behind either for a list."""
 
 from __future__ import annotations
 
 import ast
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
 import auv_gym
-from auv_gym.installation import install
+from auv_gym.installation import ROOT, install
 
 PROGRAM = "auv-gym"
-PACKAGES = ("auv_gym", "baselines")
+PACKAGES = ("auv_gym", "baselines", "research")
 """Where a module that is missing is no missing extra."""
 WRONG_USAGE = 2  # exit status; `command_line` has it too, which needs an extra to be imported
 
 
-class Verb(NamedTuple):
+class Command(NamedTuple):
     """A command: `main(arguments)` of a module, whose docstring begins with a line about it."""
 
     module: str
     extras: str  # what it needs, with commas between them
 
 
-VERBS = {
-    "evaluate": Verb("baselines.evaluation.entry", "eval"),
-    "train": Verb("baselines.training.entry", "train"),
-    "train-all": Verb("baselines.training.shipped", "train"),
-    "study": Verb("baselines.training.study.command", "train"),
-    "residual": Verb("baselines.training.residual.command", "train"),
-    "front": Verb("baselines.training.study.front", "train,tuning"),
-    "tune": Verb("baselines.tuning.command", "tuning"),
-    "suites": Verb("baselines.evaluation.suites.__main__", "eval"),
-    "fresh": Verb("baselines.evaluation.fresh", "eval"),
-    "certify": Verb("baselines.evaluation.safety.certificate", "eval"),
-    "falsify": Verb("baselines.evaluation.safety.falsification", "tuning"),
-    "results": Verb("baselines.evaluation.results.command", "eval"),
-    "knows": Verb("baselines.evaluation.knows.command", "eval"),
-    "submit": Verb("baselines.evaluation.submission.command", "eval"),
-    "film": Verb("baselines.film.command", "eval,render"),
-    "datasets": Verb("baselines.datasets", "data,eval"),
-    "export": Verb("baselines.export.command", "export"),
-    "elsewhere": Verb("baselines.elsewhere.command", "eval"),
-    "live": Verb("baselines.live.command", "eval"),
-    "identify": Verb("baselines.identification.command", "eval"),
-    "bench": Verb("baselines.benchmarks.command", "train"),
+COMMANDS = {
+    "evaluate": Command("baselines.evaluation.entry", "eval"),
+    "train": Command("baselines.training.entry", "train"),
+    "tune": Command("baselines.tuning.command", "tuning"),
+    "identify": Command("baselines.identification.command", "eval"),
+    "export": Command("baselines.export.command", "export"),
+    "film": Command("baselines.film.command", "eval,render"),
+    "datasets": Command("baselines.datasets", "data,eval"),
 }
 """The commands by name; a new one is a line here."""
 
 
-def call(verb: str, arguments: Sequence[str], program: str) -> int:
+def call(command: Command, arguments: Sequence[str], program: str) -> int:
     """Run a command and return its exit status; a missing package is one line on stderr that says what to install.
 
     Args:
-        verb: one of `VERBS`.
+        command: an entry of `COMMANDS`.
         arguments: the words behind it.
         program: what the user has typed before them, for its messages.
     """
     try:
         from baselines.tools.command_line import run
 
-        return run(import_module(VERBS[verb].module).main, program, arguments)
+        return run(import_module(command.module).main, program, arguments)
     except ModuleNotFoundError as error:
         missing = (error.name or PACKAGES[0]).partition(".")[0]
         if missing in PACKAGES:
             raise
-        print(f"{program} needs {missing}: {install(VERBS[verb].extras)}", file=sys.stderr)
+        print(f"{program} needs {missing}: {install(command.extras)}", file=sys.stderr)
         return WRONG_USAGE
 
 
-def about(verb: str) -> str:
+def about(command: Command) -> str:
     """Return the line about a command, read from its module, which is not imported."""
-    file = Path(__file__).parent.joinpath(*VERBS[verb].module.split(".")[1:]).with_suffix(".py")
+    file = ROOT.joinpath(*command.module.split(".")).with_suffix(".py")
     text = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
     return text.partition("\n")[0].partition(": `")[0].rstrip(".")
 
 
-def usage(program: str) -> str:
+def usage(program: str, commands: Mapping[str, Command]) -> str:
     """Return the list of the commands."""
-    width = max(map(len, VERBS))
-    lines = [f"  {verb:<{width}}  {about(verb)}" for verb in VERBS]
-    head = f"usage: {program} VERB ...\n\nauv_gym {auv_gym.__version__}. {program} VERB --help says more of a verb.\n"
+    width = max(map(len, commands))
+    lines = [f"  {name:<{width}}  {about(command)}" for name, command in commands.items()]
+    head = (
+        f"usage: {program} COMMAND ...\n\nauv_gym {auv_gym.__version__}. {program} COMMAND --help says more of one.\n"
+    )
     return "\n".join((head, *lines))
 
 
-def main() -> int:
+def main(commands: Mapping[str, Command] = COMMANDS) -> int:
     """Run the command that this process's arguments name and return its exit status."""
     called = Path(sys.argv[0])
     program = f"python -m {called.parent.name}" if called.name == "__main__.py" else called.stem
-    verb, arguments = (sys.argv[1], sys.argv[2:]) if len(sys.argv) > 1 else ("", [])
-    if verb in ("-h", "--help"):
-        print(usage(program))
+    name, arguments = (sys.argv[1], sys.argv[2:]) if len(sys.argv) > 1 else ("", [])
+    if name in ("-h", "--help"):
+        print(usage(program, commands))
         return 0
-    if verb == "--version":
+    if name == "--version":
         print(auv_gym.__version__)
         return 0
-    if verb in VERBS:
-        return call(verb, arguments, f"{program} {verb}")
-    wrong = f"unknown verb {verb!r}" if verb else "no verb"
-    print(f"{program}: {wrong}; allowed are {', '.join(VERBS)}; see {program} --help", file=sys.stderr)
+    if name in commands:
+        return call(commands[name], arguments, f"{program} {name}")
+    wrong = f"unknown command {name!r}" if name else "no command"
+    near = get_close_matches(name, commands, 1)
+    hint = f" (did you mean {near[0]!r}?)" if near else ""
+    print(f"{program}: {wrong}{hint}; allowed are {', '.join(commands)}; see {program} --help", file=sys.stderr)
     return WRONG_USAGE
 
 

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from tyro.conf import arg
 
 from auv_gym.installation import install
-from auv_gym.policy import Policy, preview_of
-from auv_gym.scenario import Scenario
-from auv_gym.task import SIZE
-from baselines.episodes import EpisodeRecord, run_episodes
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.task.observation import SIZE
+from auv_gym.task.policy import Policy, preview_of
+from baselines.evaluation.episodes import EpisodeRecord, run_episodes
 from baselines.tools.command_line import DONE, UsageError, called, parse, run, typed
 
 PROGRAM = "python -m baselines.datasets"
@@ -173,7 +173,7 @@ def _specified(scenario: Scenario) -> Any:
     """Return the environment that Minari is to make again from the dataset, its scenario as text can hold it."""
     import gymnasium as gym
 
-    from auv_gym.presets import PRESETS
+    from auv_gym.scenarios.presets import PRESETS
     from baselines.evaluation.rollout import ENV_ID
 
     preset = PRESETS.get(scenario.name) == scenario

@@ -1,8 +1,8 @@
 """What is made for the paper's vehicle, for any other: it is shown everything in units in which that one is similar.
 
-Gains have units, so they fit one vehicle. In the units of `auv_gym.units` every vehicle has the mass, length and speed
-of the paper's, so a controller or an agent made there for its ratios, and shown what is observed in those units, has
-gains that are functions of the vehicle. Actions are shares of the limits and need no change.
+Gains have units, so they fit one vehicle. In the units of `auv_gym.physics.units` every vehicle has the mass, length
+and speed of the paper's, so a controller or an agent made there for its ratios, and shown what is observed in those
+units, has gains that are functions of the vehicle. Actions are shares of the limits and need no change.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.namespaces import FLOATS, Namespace, Number
-from auv_gym.policy import Law, Policy, preview_of, traceable
-from auv_gym.scenario import as_vehicle
-from auv_gym.task import SCALES, SIZE, TERMS
-from auv_gym.units import POWERS, Units, in_paper_units
-from auv_gym.vehicle import Vehicle
+from auv_gym.physics.namespaces import FLOATS, Namespace, Number
+from auv_gym.physics.units import POWERS, Units, in_paper_units
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.scenarios.vehicles import as_vehicle
+from auv_gym.task.observation import SCALES, SIZE, TERMS
+from auv_gym.task.policy import Law, Policy, preview_of, traceable
 from baselines.policy import U_R, V_R
 
 ALL = (0.0, math.inf)  # speeds [m/s] of a policy that is at home at every one

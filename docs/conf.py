@@ -15,7 +15,7 @@ from sphinx.application import Sphinx
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE / "_ext")]
 import auv_gym  # noqa: E402
-from auv_gym.records import tomllib  # noqa: E402
+from auv_gym.scenarios.records import tomllib  # noqa: E402
 
 project = "auv_gym"
 author = project_copyright = "auv_gym contributors"

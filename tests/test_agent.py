@@ -17,9 +17,9 @@ import baselines
 import evaluate
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.namespaces import ARRAYS
-from auv_gym.policy import corrected
-from auv_gym.task import SIZE, decoded_terms
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.task.observation import SIZE, decoded_terms
+from auv_gym.task.policy import corrected
 from baselines import list_policies, make_policy
 from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES, Inputs

@@ -12,16 +12,15 @@ from hypothesis import strategies as st
 from auv_gym.codegen.native import SWITCH, library
 from auv_gym.envs.torch_sim import TENSORS
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.namespaces import ARRAYS, FLOATS
-from auv_gym.presets import PRESETS
-from auv_gym.preview import preview_columns
-from auv_gym.simulation import PARAMETER_ROWS
-from auv_gym.task import TERMS, Observation
+from auv_gym.physics.namespaces import ARRAYS, FLOATS
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.task.observation import TERMS, Observation
+from auv_gym.task.preview import preview_columns
+from auv_gym.task.simulation import PARAMETER_ROWS
 from baselines import make_policy
 from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES, Inputs
 from baselines.agents.networks import Gru, Mlp
-from baselines.benchmarks.eager import AUTHORITY, LOSS, Setting
 from baselines.control.open_loop import Zero
 from baselines.training.apg.closed_loop import CURVE, NEAR, ClosedLoop, Loss, law_of
 from baselines.training.apg.crews import Crews
@@ -35,6 +34,7 @@ from baselines.training.apg.window import SMALLEST, evened
 from baselines.training.config import Config
 from baselines.training.run_folder import Run
 from baselines.training.validation import PRECISION
+from research.throughput.eager import AUTHORITY, LOSS, Setting
 
 SIZES = Gru(len(FEATURES), 8, 8, 8)
 INPUTS = [Inputs(), Inputs((3, 20)), Inputs((40,), integrals=False), Inputs((3,), fine=True, filters=True)]

@@ -11,8 +11,8 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import vector as wrappers
 
-from auv_gym.names import STEPS
-from auv_gym.presets import PRESETS
+from auv_gym.scenarios.names import STEPS
+from auv_gym.scenarios.presets import PRESETS
 from baselines import make_policy
 
 TASKS = ("auv_gym:UnderactuatedAUVTrack", "auv_gym:UnderactuatedAUVTrackResidual")
@@ -153,6 +153,8 @@ def test_fewer_steps_truncate_vectors_as_a_time_limit_does(backend):
 
 
 def test_ids_are_registered_once_and_import_no_scenario():
-    code = "import importlib, sys, auv_gym; importlib.reload(auv_gym); print('auv_gym.scenario' in sys.modules)"
+    code = (
+        "import importlib, sys, auv_gym; importlib.reload(auv_gym); print('auv_gym.scenarios.scenario' in sys.modules)"
+    )
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import baselines
-from auv_gym.dynamics import rates
-from auv_gym.namespaces import ARRAYS, FLOATS
-from auv_gym.task import BOUNDS, SIZE, Observation, decode_observation, encode_observation
-from auv_gym.vehicle import PAPER_VEHICLE as V
+from auv_gym.physics.dynamics import rates
+from auv_gym.physics.namespaces import ARRAYS, FLOATS
+from auv_gym.physics.vehicle import PAPER_VEHICLE as V
+from auv_gym.task.observation import BOUNDS, SIZE, Observation, decode_observation, encode_observation
 from baselines.control.backstepping import GAINS, Backstepping, Gains, StabilityWarning, lyapunov_terms, tracking_forces
 from baselines.policy import action_of, is_fast, reference_speed
 

@@ -14,26 +14,27 @@ import yaml
 from kept_pages import compare_between
 
 import train
-from auv_gym.fleet import craft
-from auv_gym.presets import PRESETS
-from auv_gym.scenario import Scenario
-from auv_gym.units import Units
-from auv_gym.vehicle import PAPER_VEHICLE
+from auv_gym.physics.units import Units
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.mixtures import MIXTURES
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.vehicles import craft
 from baselines import make_policy
 from baselines.agents.agent import Agent
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.tools.command_line import run
-from baselines.training import fine_tuning
 from baselines.training.apg.crews import Crews
 from baselines.training.apg.settings import Settings, check
 from baselines.training.apg.torch_network import weights_of
 from baselines.training.apg.trainer import Trainer
 from baselines.training.beginning import OF_AGENT, fitted, in_own_units
 from baselines.training.hyperparameters import ENV_ID, TUNING, load_hyperparameters, shipped
-from baselines.training.mixtures import MIXTURES
 from baselines.training.run_folder import Run, read_config, read_progress
-from baselines.training.trainings import SHIPPED
+from research.trainings import fine_tuning
+from research.trainings.trainings import SHIPPED
 
 torch.set_num_threads(1)
 SMALL = replace(PRESETS["cruise-current"], name="cruise-small", steps=15)
@@ -113,7 +114,7 @@ def test_what_it_validates_in_the_vehicles_units_is_what_the_agent_does_in_metre
     """The similarity from end to end: an evaluation in SI units knows nothing of how an agent was trained."""
     folder, config = FOUND, read_config(FOUND)
     here = config.scenarios[0][0]
-    there = replace(SMALL.changed("otter"), substeps=here.substeps)
+    there = replace(changed(SMALL, "otter"), substeps=here.substeps)
     length = Units.of(there.vehicle).length
     policies = make_policy(str(folder), there.vehicle), Agent.load(folder / "agent").policy(vehicle=config.vehicle)
     tails = [
@@ -295,7 +296,7 @@ def test_the_agent_whose_tuning_the_page_shows_is_the_one_that_ships():
     for vehicle, found in kept["vehicles"].items():
         for name in ("tuned", "alone"):
             assert found[name]["set"] == fine_tuning.recipe(name, kept["agent"], vehicle), name
-    assert kept["weights"] == fine_tuning.weights_of(kept["agent"]), "run python -m baselines.training.fine_tuning"
+    assert kept["weights"] == fine_tuning.weights_of(kept["agent"]), "run python -m research fine-tuning"
 
 
 def test_page_shows_what_fine_tuning_is_worth():

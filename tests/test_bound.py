@@ -5,14 +5,14 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from auv_gym.presets import PRESETS
+from auv_gym.scenarios.presets import PRESETS
 from baselines import make_policy
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
-from baselines.evaluation.suites import bound
-from baselines.evaluation.suites.bound import Count, counted, kept, main, nearer, together, told
 from baselines.tools.command_line import UsageError
 from baselines.tools.seeds import SWEEP
+from research.lower_bounds import bound
+from research.lower_bounds.bound import Count, counted, kept, main, nearer, together, told
 
 SHORT = tuple(replace(PRESETS[name], steps=60) for name in ("slow-storm", "cruise-actuator"))
 

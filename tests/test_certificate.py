@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from auv_gym.dynamics import state_rates
-from auv_gym.errors import to_body, tracking_errors
-from auv_gym.namespaces import FLOATS
-from auv_gym.paths import Sine
-from auv_gym.planner import plan
-from auv_gym.vehicle import PAPER_VEHICLE
+from auv_gym.physics.dynamics import state_rates
+from auv_gym.physics.errors import to_body, tracking_errors
+from auv_gym.physics.namespaces import FLOATS
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.planning.paths import Sine
+from auv_gym.planning.planner import plan
 from baselines import make_policy
 from baselines.control.backstepping import Backstepping
 from baselines.evaluation.stability.certificate import BOXES, COARSE, Box, certify, decay_rate, largest_rate, loops

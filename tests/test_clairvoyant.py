@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from auv_gym.namespaces import FLOATS
-from auv_gym.presets import CASES, PRESETS
-from auv_gym.rows import leaves
-from auv_gym.simulation import Parameters, start, step
+from auv_gym.physics.namespaces import FLOATS
+from auv_gym.physics.rows import leaves
+from auv_gym.scenarios.presets import CASES, PRESETS
+from auv_gym.task.simulation import Parameters, start, step
 from baselines import make_policy
 from baselines.control.clairvoyant.policy import arriving, oracle_actions
 from baselines.control.clairvoyant.problem import HEAD, PRICE, Problem

@@ -22,9 +22,9 @@ from auv_gym.codegen.elementary import sine_cosine
 from auv_gym.codegen.graph import EXACT, SYMBOLS, TRUTHS, Graph, single
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.codegen.printing import NUMPY, PYTHON
-from auv_gym.dynamics import rk4_step
-from auv_gym.namespaces import ARRAYS, FLOATS, tensors, wrap_angle
-from auv_gym.vehicle import PAPER_VEHICLE
+from auv_gym.physics.dynamics import rk4_step
+from auv_gym.physics.namespaces import ARRAYS, FLOATS, tensors, wrap_angle
+from auv_gym.physics.vehicle import PAPER_VEHICLE
 
 NUMBERS = st.floats(-50, 50, allow_subnormal=False)
 PROGRAMS = st.lists(

@@ -16,8 +16,8 @@ import pytest
 from built_pages import check_links, check_pages, check_search
 
 import evaluate
-from auv_gym.presets import PRESETS
-from baselines.agents.names import AGENTS
+from auv_gym.scenarios.presets import PRESETS
+from baselines.agents.names import agent_folder
 
 ROOT = Path(__file__).parents[1]
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
@@ -54,14 +54,15 @@ FROZEN = ("benchmark-v2", "benchmark-v1", "ood-v1", "unmodelled-v1", "vehicles-v
 ELSEWHERE = {
     r"make( .*)?": "the verbs, below",
     r"python -m auv_gym\.identify .*": "test_identify.py::test_the_command_writes_a_vehicle_that_scenarios_take",
-    r"auv-gym certify .*": "test_safety.py::test_certificate_counts_what_is_lost_and_goes_on",
-    r"auv-gym falsify .*": "test_safety.py::test_search_finds_a_sea_that_loses_the_policy_and_writes_it",
+    r"python -m research failure-rate .*": "test_safety.py::test_certificate_counts_what_is_lost_and_goes_on",
+    r"python -m research falsification .*": "test_safety.py::"
+    "test_search_finds_a_sea_that_loses_the_policy_and_writes_it",
     r"auv-gym --help": "test_package.py::test_the_command",
     r"auv-gym train .*": "test_training.py::test_documented_commands_run",
-    r"auv-gym knows .*": "test_knows.py::test_command_in_a_quick_form",
-    r"auv-gym suites check .*": "test_suites.py::test_episodes_generate_what_they_did",
-    r"auv-gym elsewhere .*": "test_elsewhere.py::test_the_command_compares_and_keeps",
-    r"auv-gym bench .*": "`make bench`, below",
+    r"python -m research probing .*": "test_knows.py::test_command_in_a_quick_form",
+    r"python -m research suites check .*": "test_suites.py::test_episodes_generate_what_they_did",
+    r"python -m research transfer .*": "test_elsewhere.py::test_the_command_compares_and_keeps",
+    r"python -m research throughput .*": "`make bench`, below",
     r"python -m venv .*": "the environment that runs the tests",
     r"pip install .*": "`make`'s stamps, and the extras exist, below",
     r"python train\.py .*--(from|vehicle) .*": "test_beginning.py::test_documented_commands_run",
@@ -97,15 +98,15 @@ def quick(line):
     if words[:2] == ["-m", "baselines.evaluation.suites"]:
         rest = QUICK["verify"] if words[2] == "verify" else "unmodelled-v1 --policy open-loop --episodes 1"
         return [*words[:3], *rest.split()]
-    if words[:2] == ["-m", "baselines.evaluation.fresh"]:
+    if words[:2] == ["-m", "research.results.fresh"]:
         policies = [] if "--policy" in words else ["--policy", "open-loop"]
         chosen = [word for word in words if word not in ("--suite", "benchmark-v2")]
         return [*chosen, *policies, *CALM]
-    if words[:2] == ["-m", "baselines.evaluation.floor"]:
+    if words[:2] == ["-m", "research.lower_bounds.floor"]:
         return [*words, "--episodes", "1", "--out", "floor.json"]
     if words[:2] == ["-m", "baselines.training.residual"] and "--help" not in words:
         return [*words, *(["residual-0.5-cruise"] if words[2:] == [] else []), *BRIEF]
-    if words[:2] == ["-m", "baselines.training.study.front"]:
+    if words[:2] == ["-m", "research.trainings.front"]:
         return [*words[:2], "lqi", "--case", "slow-calm", "--episodes", "1", "--out", "fronts"]
     if words[:2] == ["-m", "baselines.datasets"]:
         return [*words, "--episodes", "1"]
@@ -308,7 +309,7 @@ def folder(tmp_path_factory):
             if re.fullmatch(r"\w+\.(py|toml|yml)", name) and language in ("python", "toml", "yaml"):
                 (folder / name).write_text(text, encoding="utf-8")
     for run, agent in (("apg-cruise", "apg-cruise"), ("ppo-slow", "ppo-slow"), ("helm-any-vehicle", "helm-any")):
-        shutil.copytree(AGENTS / agent, folder / "runs" / "train" / run / "agent")
+        shutil.copytree(agent_folder(agent), folder / "runs" / "train" / run / "agent")
     shutil.copytree(ROOT / "docs" / "seas", folder / "docs" / "seas")
     (folder / "runs" / "ppo").mkdir()
     model = PPO("MlpPolicy", make_env(PRESETS["cruise-calm"]), n_steps=8, batch_size=8, device="cpu")

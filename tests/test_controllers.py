@@ -8,14 +8,14 @@ import pytest
 from scipy.linalg import expm
 
 import baselines
-from auv_gym.disturbances import RandomCurrent
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.errors import error_rates
-from auv_gym.paths import Circle, Line
-from auv_gym.presets import PRESETS
-from auv_gym.scenario import Start
-from auv_gym.task import BOUNDS, SCALES
-from auv_gym.vehicle import PAPER_VEHICLE as V
+from auv_gym.physics.disturbances import RandomCurrent
+from auv_gym.physics.errors import error_rates
+from auv_gym.physics.vehicle import PAPER_VEHICLE as V
+from auv_gym.planning.paths import Circle, Line
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import Start
+from auv_gym.task.observation import BOUNDS, SCALES
 from baselines.control.integral import NORMALISED_GAINS, PRINTED_GAINS
 from baselines.control.linearisation import error_dynamics
 from baselines.control.los_pid import PIDGains

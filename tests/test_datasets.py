@@ -6,8 +6,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from auv_gym.presets import PRESETS
-from auv_gym.task import SIZE
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.task.observation import SIZE
 from baselines import datasets as module
 from baselines import list_policies, make_policy, run_episode, run_episodes
 from baselines.datasets import main

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 import baselines
-from auv_gym.disturbances import RandomCurrent
-from auv_gym.dynamics import rk4_step
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.errors import to_body
-from auv_gym.namespaces import ARRAYS
-from auv_gym.paths import Circle, Line
-from auv_gym.presets import PRESETS
-from auv_gym.scenario import Scenario, Start
-from auv_gym.task import Observation, decode_observation
-from auv_gym.vehicle import PAPER_VEHICLE as V
+from auv_gym.physics.disturbances import RandomCurrent
+from auv_gym.physics.dynamics import rk4_step
+from auv_gym.physics.errors import to_body
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.vehicle import PAPER_VEHICLE as V
+from auv_gym.planning.paths import Circle, Line
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import Scenario, Start
+from auv_gym.task.observation import Observation, decode_observation
 from baselines.control.adaptive import AdaptiveMemory, current_of
 from baselines.control.ilos import IlosMemory
 from baselines.control.smc_dob import SmcMemory, loads

@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from auv_gym.disturbances import Current, RandomCurrent, RandomMismatch, RandomWaves
-from auv_gym.intervals import draw
-from auv_gym.paths import Line
-from auv_gym.planner import plan
-from auv_gym.presets import PRESETS
-from auv_gym.scenario import Scenario
-from auv_gym.sensors import Sensors
-from auv_gym.tape import Tape
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.disturbances import Current, RandomCurrent, RandomMismatch, RandomWaves
+from auv_gym.physics.intervals import draw
+from auv_gym.physics.sensors import Sensors
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.planning.paths import Line
+from auv_gym.planning.planner import plan
+from auv_gym.scenarios.exogenous import Tape
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import Scenario
 
 LANES, BLOCK, DT = 400, 64, 0.1
 NOISE, BIAS = (0.05, 0.05, 0.02, 0.01, 0.01, 0.004), (0.5, 0.5, -0.1, 0.2, 0.2, 0.03)

@@ -16,11 +16,11 @@ import pytest
 from kept_pages import compare_or_refresh
 
 import evaluate
-from auv_gym.paths import PATHS
-from auv_gym.presets import PRESETS
-from auv_gym.vehicle import VEHICLES
+from auv_gym.physics.vehicle import VEHICLES
+from auv_gym.planning.paths import PATHS
+from auv_gym.scenarios.presets import PRESETS
 from baselines import POLICIES, list_policies
-from baselines.agents.names import AGENTS
+from baselines.agents.names import agent_folder
 from baselines.evaluation.report import terminal
 from baselines.evaluation.report.columns import COLUMNS
 
@@ -166,7 +166,7 @@ def test_page_says_how_long_the_shipped_agents_took():
     said = re.findall(r"baselines\.training\.shipped ([\w-]+)` trains it in (\d+)\s", page.read_text(encoding="utf-8"))
     assert [name for name, _ in said] == ["helm", "helm-any"]
     for name, minutes in said:
-        card = (AGENTS / name / "card.md").read_text(encoding="utf-8")
+        card = (agent_folder(name) / "card.md").read_text(encoding="utf-8")
         taken = round(float(re.search(r"\| seconds \| `([\d.]+)` \|", card)[1]) / 60)
         compare_or_refresh(page, f"{name}` trains it in {minutes}", f"{name}` trains it in {taken}")
 

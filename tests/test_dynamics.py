@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from matrix_form import matrix_form
 from scipy.integrate import solve_ivp
 
-from auv_gym.dynamics import rates, rk4_step, state_rates
-from auv_gym.errors import to_body
-from auv_gym.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from auv_gym.physics.dynamics import rates, rk4_step, state_rates
+from auv_gym.physics.errors import to_body
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
 
 ROUGH = Vehicle(215.0, 265.0, 80.0, 70.0, 100.0, 50.0, X_uu=40.0, Y_vv=150.0, N_rr=60.0)
 FINNED = replace(ROUGH, Y_uv=60.0, Y_ur=40.0, N_uv=25.0, N_ur=30.0)  # 4 Y_uv N_ur > (Y_ur + N_uv)^2: takes energy

@@ -14,23 +14,23 @@ from matrix_forms import otter_acceleration, remus_acceleration
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from auv_gym.dynamics import rk4_step
-from auv_gym.errors import to_body
 from auv_gym.identify.log import Log
-from auv_gym.namespaces import ARRAYS, FLOATS
-from auv_gym.presets import as_scenario
-from auv_gym.vehicle import Coefficients
+from auv_gym.physics.dynamics import rk4_step
+from auv_gym.physics.errors import to_body
+from auv_gym.physics.namespaces import ARRAYS, FLOATS
+from auv_gym.physics.vehicle import Coefficients
+from auv_gym.scenarios.presets import as_scenario
 from baselines import make_policy
-from baselines.elsewhere import command, comparison, otter, page, remus100
-from baselines.elsewhere.bodies import bodies, deviation
-from baselines.elsewhere.comparison import concordance, pooled
-from baselines.elsewhere.installed import Installed
-from baselines.elsewhere.six_dof import AS_PUBLISHED, Deviation, Motion, Outside, coriolis, cross_flow, place_rates
-from baselines.elsewhere.trials import log
-from baselines.elsewhere.worlds import MODELS, Own
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.tools.command_line import run
+from research.transfer import command, comparison, otter, page, remus100
+from research.transfer.bodies import bodies, deviation
+from research.transfer.comparison import concordance, pooled
+from research.transfer.installed import Installed
+from research.transfer.six_dof import AS_PUBLISHED, Deviation, Motion, Outside, coriolis, cross_flow, place_rates
+from research.transfer.trials import log
+from research.transfer.worlds import MODELS, Own
 
 ROOT = Path(__file__).parents[1]
 NOWHERE = Outside(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

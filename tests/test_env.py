@@ -13,13 +13,13 @@ from scipy.integrate import solve_ivp
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import auv_gym
-from auv_gym.dynamics import state_rates
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.feasibility import InfeasibleReferenceError
-from auv_gym.paths import PATHS
-from auv_gym.presets import PRESETS
-from auv_gym.scenario import RandomPath, Scenario
-from auv_gym.task import SIZE, decode_observation
+from auv_gym.physics.dynamics import state_rates
+from auv_gym.planning.feasibility import InfeasibleReferenceError
+from auv_gym.planning.paths import PATHS
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import RandomPath, Scenario
+from auv_gym.task.observation import SIZE, decode_observation
 from baselines import make_policy
 
 TRACK = "auv_gym:UnderactuatedAUVTrack-v0"

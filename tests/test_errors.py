@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from matrix_form import matrix_form
 from scipy.integrate import solve_ivp
 
-from auv_gym.dynamics import state_rates
-from auv_gym.errors import error_rates, to_body, to_world, tracking_errors
-from auv_gym.namespaces import ARRAYS, tensors, wrap_angle
-from auv_gym.vehicle import PAPER_VEHICLE, Coefficients
+from auv_gym.physics.dynamics import state_rates
+from auv_gym.physics.errors import error_rates, to_body, to_world, tracking_errors
+from auv_gym.physics.namespaces import ARRAYS, tensors, wrap_angle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients
 
 angles = st.floats(-1e3, 1e3)
 lengths = st.floats(-1e3, 1e3)

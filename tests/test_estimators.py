@@ -5,20 +5,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from auv_gym.actuators import Response
 from auv_gym.codegen import native
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.disturbances import RandomCurrent
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.errors import to_body
-from auv_gym.namespaces import ARRAYS, FLOATS, wrap_angle
-from auv_gym.paths import Circle, FigureEight, Sine
-from auv_gym.planner import plan
-from auv_gym.presets import CASES, PRESETS
-from auv_gym.scenario import RandomPath, Scenario, Start
-from auv_gym.simulation import PARAMETER_ROWS, Parameters, Parts, start, step
-from auv_gym.task import Observation, action_of, decode_observation
-from auv_gym.vehicle import PAPER_VEHICLE, Coefficients
+from auv_gym.physics.actuators import Response
+from auv_gym.physics.disturbances import RandomCurrent
+from auv_gym.physics.errors import to_body
+from auv_gym.physics.namespaces import ARRAYS, FLOATS, wrap_angle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients
+from auv_gym.planning.paths import Circle, FigureEight, Sine
+from auv_gym.planning.planner import plan
+from auv_gym.scenarios.presets import CASES, PRESETS
+from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
+from auv_gym.task.observation import Observation, action_of, decode_observation
+from auv_gym.task.simulation import PARAMETER_ROWS, Parameters, Parts, start, step
 from baselines import make_policy
 from baselines.control.backstepping import Gains, tracking_forces
 from baselines.control.current_observer import sampled_gains

@@ -16,9 +16,10 @@ from rich.console import Console
 
 import baselines
 import evaluate
-from auv_gym.presets import PRESETS
-from auv_gym.scenario import Scenario
-from auv_gym.sensors import Sensors
+from auv_gym.physics.sensors import Sensors
+from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation import metrics, recorded
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.options import Options
@@ -133,7 +134,7 @@ def test_a_wrong_scenario_file_is_answered_in_one_line(call, capsys, tmp_path, t
 
 
 def test_two_scenarios_of_one_name_are_refused(call, capsys, tmp_path, small):
-    SMALL.changed(control_dt=0.2).save(tmp_path / "other.json")
+    changed(SMALL, control_dt=0.2).save(tmp_path / "other.json")
     assert call("--scenario", small, "other.json") == 2
     assert "'small'; rename" in capsys.readouterr().err
 

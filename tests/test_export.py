@@ -13,21 +13,23 @@ import pytest
 
 from auv_gym.codegen import native
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.presets import PRESETS, as_scenario
-from auv_gym.preview import Preview
-from auv_gym.task import SIZE, decode_observation
-from auv_gym.vehicle import PAPER_VEHICLE
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.presets import PRESETS, as_scenario
+from auv_gym.task.observation import SIZE, decode_observation
+from auv_gym.task.preview import Preview
 from baselines import make_policy
 from baselines.agents.names import shipped_agents
 from baselines.evaluation.rollout import Repeatable, beginning
 from baselines.evaluation.runner import drawn
-from baselines.export import command, emulator
+from baselines.export import command
 from baselines.export.c_header import c_header
 from baselines.export.onnx_model import onnx_model
-from baselines.export.page import page
 from baselines.export.parts import exported, network_program, quantised
-from baselines.export.players import HeaderPolicy, onnx_policy
 from baselines.tools.command_line import UsageError
+from research.deployment import emulator
+from research.deployment.page import page
+from research.deployment.players import HeaderPolicy, onnx_policy
 
 DOCS = Path(__file__).parents[1] / "docs"
 KINDS = ("apg-cruise", "apg-preview-slow", "apg-scratch-slow", "ppo-cruise", "sac-slow", "ppo-lstm-slow", "rma-cruise")
@@ -160,7 +162,7 @@ def test_headers_compile_without_a_warning(tmp_path, compiler, precision, weight
 def test_measurements_in_si_units_are_observed_as_the_environment_does(name, vehicle):
     """A supply ship looks farther ahead than an observation of the paper's vehicle could say."""
     compiled()
-    agent, scenario = exported(name, vehicle), as_scenario("cruise-storm").changed(vehicle)
+    agent, scenario = exported(name, vehicle), changed(as_scenario("cruise-storm"), vehicle)
     source = f"#define AUV_AGENT_IMPLEMENTATION\n{c_header(agent, 'float64')}"
     library = native.library(source)
     library.auv_agent_observe.restype = None

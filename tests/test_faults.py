@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 import baselines
-from auv_gym.actuators import LONGEST_DELAY, Actuators
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.namespaces import ARRAYS
-from auv_gym.paths import Circle
-from auv_gym.presets import PRESETS
-from auv_gym.scenario import Start
-from auv_gym.vehicle import PAPER_VEHICLE
+from auv_gym.physics.actuators import LONGEST_DELAY, Actuators
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.planning.paths import Circle
+from auv_gym.scenarios.mixtures import adverse
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import Start
 from baselines.control.nmpc.controller import PREVIEW, later
 from baselines.estimation.faults import FAULTS, NO_FAULTS, Faults, acting, arrived
 from baselines.estimation.filter_equations import Belief
@@ -20,7 +21,6 @@ from baselines.estimation.kalman import ODDS
 from baselines.estimation.sea_model import SIZE, Estimate
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
-from baselines.training.mixtures import adverse
 
 ACTIONS = [(0.1, -0.1), (0.2, -0.3), (0.4, 0.5), (0.8, 0.7)]
 

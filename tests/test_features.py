@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.namespaces import ARRAYS, tensors
-from auv_gym.task import SIZE, Observation, decoded_terms
+from auv_gym.physics.namespaces import ARRAYS, tensors
+from auv_gym.task.observation import SIZE, Observation, decoded_terms
 from baselines.agents.features import BOUND, FAST, FEATURES, INTEGRALS, SLOW, Inputs
 from baselines.control.backstepping import Backstepping
 

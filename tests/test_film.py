@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from auv_gym.presets import PRESETS
 from auv_gym.rendering.canvas import SEA
+from auv_gym.scenarios.presets import PRESETS
 from baselines import make_policy
 from baselines.evaluation.runner import drawn, run_all
 from baselines.film import command, make_film

@@ -5,14 +5,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from auv_gym.actuators import Response
 from auv_gym.codegen.derivatives import jacobian
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.codegen.matrices import symmetric, triangle
-from auv_gym.namespaces import ARRAYS, FLOATS
-from auv_gym.task import Observation
-from auv_gym.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from auv_gym.physics.actuators import Response
+from auv_gym.physics.namespaces import ARRAYS, FLOATS
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from auv_gym.task.observation import Observation
 from baselines.estimation.filter_equations import corrected, foreseen
 from baselines.estimation.sea_model import SIZE, Estimate, lag_response, measurement, transition, wave_transition
 

@@ -7,18 +7,19 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_are, solve_discrete_lyapunov
 
-from auv_gym.errors import to_world
-from auv_gym.fleet import craft, fleet
-from auv_gym.namespaces import ARRAYS
-from auv_gym.presets import PRESETS
-from auv_gym.task import Observation, decode_observation
-from auv_gym.vehicle import PAPER_VEHICLE
-from baselines.agents import filter_gains, filters
+from auv_gym.physics.errors import to_world
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.vehicles import craft, fleet
+from auv_gym.task.observation import Observation, decode_observation
+from baselines.agents import filters
 from baselines.agents.filters import ACROSS, ACROSS_MEASURED, ALONG, ALONG_MEASURED, KEPT, LAGS, ROWS, SHARED
 from baselines.control.backstepping import Backstepping
 from baselines.control.linearisation import error_dynamics
 from baselines.estimation.sea_model import AT, SIZE
 from baselines.evaluation.rollout import make_env
+from research.trainings import filter_gains
 
 KINDS = list(zip(filter_gains.TUNINGS, LAGS, strict=True))
 SPEEDS = (0.08, 0.12, 0.28, 0.6, 1.1, 1.7)

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.evaluation import fresh, recorded, suites
+from baselines.evaluation import recorded, suites
 from baselines.evaluation.metrics import most_lost
-from baselines.evaluation.results.findings import fresh_results
 from baselines.evaluation.runner import Task
 from baselines.tools.command_line import UsageError
 from baselines.tools.seeds import FRESH
+from research.results import fresh
+from research.results.findings import fresh_results
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "findings.md").read_text(encoding="utf-8")

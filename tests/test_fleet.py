@@ -15,21 +15,22 @@ from kept_pages import compare_between
 from matrix_form import matrix_form
 
 from auv_gym import PRESETS, Scenario, list_vehicles
-from auv_gym.actuators import LEAST_SHARE, Actuators
-from auv_gym.disturbances import RandomCurrent, RandomWaves
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.feasibility import InfeasibleReferenceError
-from auv_gym.fleet import FOLDER, PAPER, Craft, craft, fleet
-from auv_gym.fleet.scaling import POWERS, in_vehicle_units
-from auv_gym.navigation import RandomReckoning
-from auv_gym.paths import PATHS
-from auv_gym.planner import plan
-from auv_gym.presets import as_scenario
-from auv_gym.scenario import RandomPath, Start, as_vehicle
-from auv_gym.sensors import Sensors
-from auv_gym.task import decode_observation
-from auv_gym.units import Units
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.actuators import LEAST_SHARE, Actuators
+from auv_gym.physics.disturbances import RandomCurrent, RandomWaves
+from auv_gym.physics.navigation import RandomReckoning
+from auv_gym.physics.sensors import Sensors
+from auv_gym.physics.units import Units
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.planning.feasibility import InfeasibleReferenceError
+from auv_gym.planning.paths import PATHS
+from auv_gym.planning.planner import plan
+from auv_gym.scenarios.fitting import adapted, changed, in_vehicle_units
+from auv_gym.scenarios.presets import as_scenario
+from auv_gym.scenarios.scenario import RandomPath, Start
+from auv_gym.scenarios.vehicles import FOLDER, PAPER, Craft, as_vehicle, craft, fleet
+from auv_gym.scenarios.vehicles.scaling import POWERS
+from auv_gym.task.observation import decode_observation
 
 FLEET = pytest.mark.parametrize("name", fleet())
 
@@ -92,7 +93,7 @@ def test_its_storm_can_be_sailed_in_by_steps_that_are_short_enough(name):
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_for_the_papers_vehicle_a_scenario_stays_what_it_is(name):
-    assert PAPER.adapted(PRESETS[name]) == PRESETS[name]
+    assert adapted(PAPER, PRESETS[name]) == PRESETS[name]
 
 
 @pytest.mark.parametrize(
@@ -114,7 +115,7 @@ def test_the_papers_vehicle_in_other_units_does_the_same(sensors):
         lag=0.6,
     )
     storm = replace(PRESETS["cruise-storm"], sensors=replace(PRESETS["cruise-storm"].sensors, **sensors))
-    scenarios = storm, storm.changed(twin)
+    scenarios = storm, changed(storm, twin)
     assert scenarios[1].control_dt == pytest.approx(T * storm.control_dt)
     envs = [UnderactuatedAUVTrackEnv(s) for s in scenarios]
     for env in envs:
@@ -183,7 +184,7 @@ def test_vehicle_by_name_and_file(tmp_path):
     file.write_text(
         (FOLDER / "lauv.toml").read_text(encoding="utf-8").replace('name = "lauv"', 'name = "mine"'), encoding="utf-8"
     )
-    mine = PRESETS["cruise-storm"].changed(str(file))
+    mine = changed(PRESETS["cruise-storm"], str(file))
     assert mine == replace(as_scenario("cruise-storm@lauv"), name="cruise-storm@mine")
     assert Scenario.from_dict(mine.to_dict()) == mine
     assert Craft.load(Path(file)).vehicle == craft("lauv").vehicle
@@ -205,7 +206,7 @@ def test_what_there_is_not_is_refused(scenario, says):
 def test_wrong_file_is_refused(tmp_path):
     (tmp_path / "wrong.toml").write_text("slowest = 1.0\n", encoding="utf-8")
     with pytest.raises(ValueError, match=r"wrong.toml: vehicle file lacks the entry 'name'"):
-        PRESETS["cruise-calm"].changed(str(tmp_path / "wrong.toml"))
+        changed(PRESETS["cruise-calm"], str(tmp_path / "wrong.toml"))
 
 
 PAGE = Path(__file__).parents[1] / "docs/vehicles.md"
@@ -282,4 +283,4 @@ def test_a_scenario_of_the_papers_vehicle_is_in_its_own_units():
     for name in ("cruise-storm", "paper-circle"):
         assert in_vehicle_units(PRESETS[name]) is PRESETS[name]
     with pytest.raises(ValueError, match=r"'paper-circle@lauv' has one path of its own, .*; give it paths that are"):
-        in_vehicle_units(PRESETS["paper-circle"].changed("lauv"))
+        in_vehicle_units(changed(PRESETS["paper-circle"], "lauv"))

@@ -6,18 +6,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from auv_gym.namespaces import FLOATS
-from auv_gym.presets import PRESETS
-from auv_gym.rows import leaves
-from auv_gym.simulation import CURRENT, LOAD, Parameters, Plant, ground_state, moved
-from auv_gym.tape import GUSTS, WAVE_ROWS, Errors, Gust, current_gust, wave_components, wave_load, weather_of
+from auv_gym.physics.namespaces import FLOATS
+from auv_gym.physics.rows import leaves
+from auv_gym.scenarios.exogenous import (
+    GUSTS,
+    WAVE_ROWS,
+    Errors,
+    Gust,
+    current_gust,
+    wave_components,
+    wave_load,
+    weather_of,
+)
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.task.simulation import CURRENT, LOAD, Parameters, Plant, ground_state, moved
 from baselines.control.clairvoyant.policy import arriving, oracle_actions
 from baselines.control.clairvoyant.problem import TAIL, Problem
 from baselines.control.clairvoyant.solver import solved
 from baselines.control.truth import Truth
-from baselines.evaluation.floor.filter import located
-from baselines.evaluation.floor.model import Model, has_floor
 from baselines.evaluation.runner import drawn
+from research.lower_bounds.floor.filter import located
+from research.lower_bounds.floor.model import Model, has_floor
 
 
 @pytest.mark.parametrize("name", ["slow-noise", "cruise-storm"])

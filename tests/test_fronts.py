@@ -8,23 +8,23 @@ import numpy as np
 import pytest
 
 from baselines import make_policy
-from baselines.agents.names import AGENTS
-from baselines.evaluation import front_files
-from baselines.evaluation.front_files import SUITE, Front, Point, load_all, save
-from baselines.evaluation.results import fronts as page
-from baselines.evaluation.results.collection import collected
+from baselines.agents.names import agent_folder
 from baselines.evaluation.rollout import rollout
-from baselines.evaluation.study_files import load_all as load_studies
 from baselines.gains.loading import load_gains
 from baselines.tools.command_line import DONE, UsageError
-from baselines.training.study import front
-from baselines.training.study.command import cells_of
-from baselines.training.trainings import SHIPPED, request_of
 from baselines.tuning import command as tuning
-from baselines.tuning import priced
 from baselines.tuning.objective import Result
 from baselines.tuning.search import EPISODES
 from baselines.tuning.tunables import TUNABLES
+from research.results import front_files
+from research.results import fronts as page
+from research.results.collection import collected
+from research.results.front_files import SUITE, Front, Point, load_all, save
+from research.results.study_files import load_all as load_studies
+from research.trainings import front
+from research.trainings.study import cells_of
+from research.trainings.trainings import SHIPPED, request_of
+from research.vehicles import priced
 
 
 def test_every_priced_gain_has_the_same_budget_and_was_made_by_its_command():
@@ -98,7 +98,7 @@ def test_agents_are_trained_with_larger_weights_and_run(short, tmp_path, monkeyp
 
     def train(request):
         trained.append(request)
-        shutil.copytree(AGENTS / "apg-slow", request.folders[0] / front.AGENT)
+        shutil.copytree(agent_folder("apg-slow"), request.folders[0] / front.AGENT)
         return DONE
 
     monkeypatch.setattr(front, "train", train)

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from auv_gym.namespaces import ARRAYS
-from auv_gym.presets import REGIMES
-from auv_gym.task import SIZE, Observation
-from auv_gym.units import Units
-from auv_gym.vehicle import PAPER_VEHICLE
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.units import Units
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.presets import REGIMES
+from auv_gym.task.observation import SIZE, Observation
 from baselines import make_policy
 from baselines.control.backstepping import GAINS, LAW_GAINS, tracking_forces
 from baselines.control.nmpc.controller import PREVIEW

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from auv_gym.presets import PRESETS
+from auv_gym.scenarios.presets import PRESETS
 from baselines.tools.command_line import WorkerError
 from baselines.tools.workers import Elsewhere, Workers
 from baselines.training import hulls

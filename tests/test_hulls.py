@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from auv_gym import fleet
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.namespaces import ARRAYS, tensors
-from auv_gym.presets import PRESETS
-from auv_gym.simulation import PARAMETERS
-from auv_gym.units import Units
-from auv_gym.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from auv_gym.physics.namespaces import ARRAYS, tensors
+from auv_gym.physics.units import Units
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from auv_gym.scenarios import vehicles as fleet
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.task.simulation import PARAMETERS
 from baselines.agents.agent import Agent
 from baselines.agents.features import BOUND, HULL_FEATURES, Inputs
 from baselines.agents.networks import Gru

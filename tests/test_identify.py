@@ -10,7 +10,6 @@ import pytest
 from kept_pages import compare_between
 from scipy.integrate import solve_ivp
 
-from auv_gym.actuators import Actuators
 from auv_gym.identify import Log, identify
 from auv_gym.identify.figures import Approach, figures
 from auv_gym.identify.fit import IDENTIFIED, UNREACHED, ZERO
@@ -19,12 +18,15 @@ from auv_gym.identify.log import COLUMNS
 from auv_gym.identify.model import HULL, PARAMETERS, Model
 from auv_gym.identify.trials import CURRENT, Trial, example, recorded
 from auv_gym.identify.uncertainty import covariance
-from auv_gym.scenario import Scenario, as_vehicle
-from auv_gym.sensors import Sensors
-from auv_gym.vehicle import PAPER_VEHICLE
-from baselines.identification import command, coverage
+from auv_gym.physics.actuators import Actuators
+from auv_gym.physics.sensors import Sensors
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.vehicles import as_vehicle
+from baselines.identification import command
 from baselines.identification.command import PROGRAM, main
 from baselines.tools.command_line import run
+from research.vehicles import coverage
 
 ROOT = Path(__file__).parents[1]
 NOISE = Sensors(position=0.05, heading=0.015, velocity=0.02, yaw_rate=0.005)

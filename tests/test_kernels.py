@@ -17,11 +17,12 @@ from auv_gym.codegen import native
 from auv_gym.envs.lanes import Lanes
 from auv_gym.envs.residual import ResidualAction, VectorResidualAction
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.kernels import Vehicles, begun, start_kernel, step_kernel
-from auv_gym.namespaces import FLOATS
-from auv_gym.policy import Law, traceable
-from auv_gym.rows import filled, leaves
-from auv_gym.simulation import (
+from auv_gym.physics.namespaces import FLOATS
+from auv_gym.physics.rows import filled, leaves
+from auv_gym.task.kernels import Vehicles, begun, start_kernel, step_kernel
+from auv_gym.task.observation import SIZE, encode
+from auv_gym.task.policy import Law, traceable
+from auv_gym.task.simulation import (
     PARAMETER_ROWS,
     PARAMETERS,
     PLANT,
@@ -32,7 +33,6 @@ from auv_gym.simulation import (
     start,
     step,
 )
-from auv_gym.task import SIZE, encode
 from baselines import make_policy
 from baselines.control.backstepping import Backstepping, StabilityWarning
 from baselines.control.open_loop import OpenLoop, Zero

@@ -11,21 +11,21 @@ from kept_pages import compare_between
 from scipy.integrate import solve_ivp
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.presets import PRESETS
-from auv_gym.vehicle import PAPER_VEHICLE
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.presets import PRESETS
 from baselines.agents.networks import Gru
-from baselines.evaluation.knows import command, outside, probe, report, told
-from baselines.evaluation.knows.adaptation import EPISODES, back, course_of, followed, lengths_of, windows
-from baselines.evaluation.knows.changes import BEFORE, CHANGES, EVERYWHERE, LENGTHS, Trial
-from baselines.evaluation.knows.collect import agent_of, collected, episodes_of
-from baselines.evaluation.knows.probes import bent, lead, linear, read
-from baselines.evaluation.knows.ranges import RATIOS, ranged, ratios
-from baselines.evaluation.knows.report import load, pictures, ratio_of, sections
-from baselines.evaluation.knows.tap import HIDDEN, Beside, Tapped, acting, untrained
-from baselines.evaluation.knows.transplant import SWAPS, _twins
 from baselines.evaluation.rollout import beginning, play
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.tools.command_line import run
+from research.probing import command, outside, probe, report, told
+from research.probing.adaptation import EPISODES, back, course_of, followed, lengths_of, windows
+from research.probing.changes import BEFORE, CHANGES, EVERYWHERE, LENGTHS, Trial
+from research.probing.collect import agent_of, collected, episodes_of
+from research.probing.probes import bent, lead, linear, read
+from research.probing.ranges import RATIOS, ranged, ratios
+from research.probing.report import load, pictures, ratio_of, sections
+from research.probing.tap import HIDDEN, Beside, Tapped, acting, untrained
+from research.probing.transplant import SWAPS, _twins
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "knows.md"

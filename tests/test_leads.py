@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from baselines.evaluation.results.leads import KINDS, LEVEL, differences, holm, ratios
+from research.results.leads import KINDS, LEVEL, differences, holm, ratios
 
 CASES = ("slow-calm", "slow-noise", "slow-storm")
 

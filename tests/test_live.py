@@ -9,17 +9,17 @@ from browser import opened
 
 from auv_gym.codegen import native
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.presets import REGIMES
-from auv_gym.rows import leaves
-from auv_gym.simulation import SAMPLE_ROWS
-from auv_gym.tape import GUST_ROWS, GUSTS, MEASURED, NORMALS, SEA, Tape
+from auv_gym.physics.rows import leaves
+from auv_gym.scenarios.exogenous import GUST_ROWS, GUSTS, MEASURED, NORMALS, SEA, Tape
+from auv_gym.scenarios.presets import REGIMES
+from auv_gym.task.simulation import SAMPLE_ROWS
 from baselines import make_policy
 from baselines.export.parts import exported
-from baselines.export.players import HeaderPolicy
-from baselines.live import command
-from baselines.live import page as live_page
-from baselines.live.data import STEPS, episode_of, path_of, scenario_of
-from baselines.live.page import LARGEST, links, write
+from research.deployment.players import HeaderPolicy
+from research.site.live import command
+from research.site.live import page as live_page
+from research.site.live.data import STEPS, episode_of, path_of, scenario_of
+from research.site.live.page import LARGEST, links, write
 
 
 @pytest.fixture(scope="module")

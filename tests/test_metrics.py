@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from auv_gym.scenario import Scenario
+from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation import metrics
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.report import columns, html

@@ -12,25 +12,25 @@ import torch
 
 from auv_gym.envs.torch_sim import TorchSimulator, simulate
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.navigation import FixFilter, RandomReckoning, Reckoning, heading_errors
-from auv_gym.paths import Circle, Line
-from auv_gym.presets import PRESETS
-from auv_gym.scenario import Scenario
-from auv_gym.sensors import Sensors
-from auv_gym.simulation import NOISE, SAMPLE
-from auv_gym.task import decode_observation
+from auv_gym.physics.navigation import FixFilter, RandomReckoning, Reckoning, heading_errors
+from auv_gym.physics.sensors import Sensors
+from auv_gym.planning.paths import Circle, Line
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.task.observation import decode_observation
+from auv_gym.task.simulation import NOISE, SAMPLE
 from baselines import make_policy
 from baselines.agents.features import FEATURES
 from baselines.agents.networks import Gru
-from baselines.benchmarks.eager import Setting
 from baselines.control.truth import samples
 from baselines.evaluation import suites
-from baselines.evaluation.results.collection import Results
-from baselines.evaluation.results.page import page
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import Cell, Recorded, run_all
 from baselines.evaluation.score import BY_ORACLE, LARGEST_TAIL, regime_of, waters_of
-from baselines.evaluation.suites.deep import (
+from baselines.training.apg.torch_network import torch_network
+from research.results.collection import Results
+from research.results.page import page
+from research.suites.deep import (
     INSTRUMENTS,
     MISSION,
     OUTAGE_TIME,
@@ -39,7 +39,7 @@ from baselines.evaluation.suites.deep import (
     navigation_tails,
     worlds,
 )
-from baselines.training.apg.torch_network import torch_network
+from research.throughput.eager import Setting
 
 TRACK = "auv_gym:UnderactuatedAUVTrack-v0"
 DEEP = {scenario.name: scenario for scenario in worlds()}

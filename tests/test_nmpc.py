@@ -12,11 +12,11 @@ from scipy.optimize import lsq_linear
 import baselines
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.namespaces import ARRAYS
-from auv_gym.paths import Circle
-from auv_gym.scenario import Scenario, Start
-from auv_gym.task import SIZE, Observation, action_of, decode_observation
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.planning.paths import Circle
+from auv_gym.scenarios.scenario import Scenario, Start
+from auv_gym.task.observation import SIZE, Observation, action_of, decode_observation
 from baselines.control.nmpc.casadi_solver import CasadiSolver
 from baselines.control.nmpc.controller import NMPC_GAINS, PREVIEW, one_period_on
 from baselines.control.nmpc.gauss_newton import bounded_minimum, descent, improved, solved, stage_jacobian

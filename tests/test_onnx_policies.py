@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from auv_gym.presets import PRESETS
+from auv_gym.scenarios.presets import PRESETS
 from baselines import make_policy
 from baselines.agents import loading, onnx_models
 from baselines.evaluation.fingerprints import fingerprint

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from auv_gym.presets import CASES, PRESETS
+from auv_gym.scenarios.presets import CASES, PRESETS
 from baselines import make_policy
 from baselines.control.oracle import ASTRAY, fleet, regulators, rehearsed, settling_gains, true_plan
 from baselines.evaluation.rollout import rollout
@@ -46,8 +46,8 @@ def test_the_true_plan_is_followed_open_loop():
     scenario = PRESETS["slow-mismatch"]
     episodes = drawn(scenario, 8, 0).episodes
     plan = true_plan(scenario, episodes)
-    from auv_gym.dynamics import rk4_step
-    from auv_gym.namespaces import ARRAYS
+    from auv_gym.physics.dynamics import rk4_step
+    from auv_gym.physics.namespaces import ARRAYS
 
     state = tuple(plan.state[100])
     for k in range(100, 150):

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from auv_gym.vehicle import PAPER_VEHICLE
+from auv_gym.physics.vehicle import PAPER_VEHICLE
 from baselines.control.backstepping import GAINS
 from baselines.evaluation.stability.analysis import (
     closed_loop_eigenvalues,

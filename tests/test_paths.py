@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
-from auv_gym.paths import (
+from auv_gym.planning.paths import (
     PAPER_CIRCLE,
     PATHS,
     Circle,

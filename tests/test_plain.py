@@ -14,7 +14,7 @@ from auv_gym.codegen.elementary import hyperbolic_tangent
 from auv_gym.codegen.graph import SYMBOLS, Graph
 from auv_gym.codegen.plain import JAVASCRIPT_DIALECT, c_dialect, plain_function, tangent_function
 from auv_gym.codegen.vectors import Program, plain_program
-from auv_gym.namespaces import FLOATS
+from auv_gym.physics.namespaces import FLOATS
 
 
 def test_hyperbolic_tangent_is_within_a_rounding_error_of_one():

@@ -12,11 +12,22 @@ from matrix_form import matrix_form
 from scipy.integrate import solve_ivp
 from scipy.special import fresnel
 
-from auv_gym.feasibility import InfeasibleReferenceError
-from auv_gym.paths import PAPER_CIRCLE, Circle, Ellipse, FigureEight, Lawnmower, Line, Path, RandomSmooth, Sine, Spline
-from auv_gym.planner import MAX_SIDESLIP, Reference, plan, printed_surge_rate
-from auv_gym.sideslip import path_rates
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.planning.feasibility import InfeasibleReferenceError
+from auv_gym.planning.paths import (
+    PAPER_CIRCLE,
+    Circle,
+    Ellipse,
+    FigureEight,
+    Lawnmower,
+    Line,
+    Path,
+    RandomSmooth,
+    Sine,
+    Spline,
+)
+from auv_gym.planning.planner import MAX_SIDESLIP, Reference, plan, printed_surge_rate
+from auv_gym.planning.sideslip import path_rates
 
 ROUGH = Vehicle(215.0, 265.0, 80.0, 70.0, 100.0, 50.0, X_uu=40.0, Y_vv=150.0, N_rr=60.0)
 FINNED = replace(ROUGH, Y_uv=160.0, Y_ur=40.0, N_uv=25.0, N_ur=30.0)

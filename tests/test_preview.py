@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 import baselines
 from auv_gym import PRESETS, Scenario
 from auv_gym.envs.torch_sim import TorchSimulator
-from auv_gym.paths import Spline
-from auv_gym.preview import checked_preview
-from auv_gym.scenario import RandomPath, Start
-from auv_gym.sensors import Sensors
-from auv_gym.task import SIZE, decode_observation
+from auv_gym.physics.sensors import Sensors
+from auv_gym.planning.paths import Spline
+from auv_gym.scenarios.scenario import RandomPath, Start
+from auv_gym.task.observation import SIZE, decode_observation
+from auv_gym.task.preview import checked_preview
 
 PERIODS = (1, 5, 40)
 NOISY = Scenario(

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from auv_gym.presets import PRESETS
+from auv_gym.scenarios.presets import PRESETS
 from baselines.tools.command_line import THREADS, UsageError, run
 from baselines.training.config import Config
 from baselines.training.run_folder import LOCK, Run, TrainingError, locked

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 import evaluate
-from auv_gym.presets import PRESETS
-from auv_gym.task import TERMS
-from auv_gym.vehicle import Vehicle
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.task.observation import TERMS
 from baselines import make_policy
 from baselines.agents import programs
 from baselines.agents.names import agent_folder, is_path

@@ -5,7 +5,7 @@ import time
 
 from rich.console import Console
 
-from auv_gym.presets import PRESETS
+from auv_gym.scenarios.presets import PRESETS
 from baselines.evaluation import progress as module
 from baselines.evaluation.progress import INTERVAL, Board, Clock, progress
 from baselines.evaluation.runner import drawn, runs

@@ -48,7 +48,7 @@ import numpy as np
 from dataclasses import replace
 from auv_gym import PRESETS, decode_observation
 from auv_gym.envs import make_track_vector_env
-from auv_gym.sensors import Sensors
+from auv_gym.physics.sensors import Sensors
 from baselines import make_policy
 from baselines.evaluation.rollout import make_env
 
@@ -73,7 +73,7 @@ import numpy as np
 from dataclasses import replace
 from auv_gym import PRESETS
 from auv_gym.envs import make_track_vector_env
-from auv_gym.scenario import Scenario
+from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.rollout import make_env
 
 plain = PRESETS["slow-calm"]

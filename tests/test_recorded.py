@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import baselines
-from auv_gym.presets import PRESETS
+from auv_gym.scenarios.presets import PRESETS
 from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES
 from baselines.agents.networks import Gru
@@ -21,10 +21,10 @@ from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.rows import RowStore
 from baselines.evaluation.runner import drawn, run_all
 from baselines.evaluation.store import Stored, reading, write
-from baselines.evaluation.study_files import load_all
-from baselines.evaluation.suites import __main__ as command
-from baselines.evaluation.suites.verify import Verdict, cells_to_run, told
 from baselines.tools.command_line import DONE, FAILED
+from research.results.study_files import load_all
+from research.suites import command
+from research.suites.verify import Verdict, cells_to_run, told
 
 SAMPLE = {
     "benchmark-v1": "cruise-storm",

@@ -13,13 +13,13 @@ from browser import opened
 import evaluate
 from baselines import list_policies
 from baselines.evaluation.options import Options
-from baselines.evaluation.report import screenshots
 from baselines.evaluation.report.html import report_html
 from baselines.evaluation.report.numbers import compare, pool
 from baselines.evaluation.report.page_data import FEW
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import run_all
 from baselines.tools.figure_style import LOOKS
+from research.site import screenshots
 
 ROOT = Path(__file__).parents[1]
 LARGEST = 1_500_000  # bytes of a page

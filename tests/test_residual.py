@@ -8,23 +8,24 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from auv_gym.presets import CASES, PRESETS
+from auv_gym.scenarios.presets import CASES, PRESETS
 from baselines.agents.agent import Agent
-from baselines.agents.names import AGENTS
-from baselines.evaluation import residual_file, situations
-from baselines.evaluation.failures import FAILURES, LIMITS, Failing, Shuffled
+from baselines.agents.names import agent_folder
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import share_interval
-from baselines.evaluation.residual_file import RESIDUAL, SCRATCH, SHIPPED, STUCK, Group, load, save, whole
-from baselines.evaluation.results import residual as page
-from baselines.evaluation.results.residual_figure import residual_figure
 from baselines.evaluation.rollout import beginning, play, rollout
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import EXPERT
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.tools.command_line import UsageError
 from baselines.tools.figure_style import to_png
-from baselines.training.residual import command
+from research.results import residual as page
+from research.results import residual_file
+from research.results.residual_figure import residual_figure
+from research.results.residual_file import RESIDUAL, SCRATCH, SHIPPED, STUCK, Group, load, save, whole
+from research.robustness import situations
+from research.robustness.failures import FAILURES, LIMITS, Failing, Shuffled
+from research.trainings import residual as command
 
 AFTER = 8  # control steps
 
@@ -42,7 +43,7 @@ def steps(policy, cell, n=AFTER + 6):
 
 
 def failing(name, failure):
-    return Failing(Agent.load(AGENTS / name), failure, AFTER)
+    return Failing(Agent.load(agent_folder(name)), failure, AFTER)
 
 
 def law_of(agent):
@@ -52,7 +53,7 @@ def law_of(agent):
 @pytest.mark.parametrize("failure", FAILURES)
 def test_until_it_fails_it_is_the_agent_and_again_in_the_next_episode(cell, failure):
     policy = failing("apg-cruise", failure)
-    healthy = steps(Agent.load(AGENTS / "apg-cruise").policy(), cell)
+    healthy = steps(Agent.load(agent_folder("apg-cruise")).policy(), cell)
     for _ in range(2):
         observations, actions = steps(policy, cell)
         np.testing.assert_array_equal(observations[: AFTER + 1], healthy[0][: AFTER + 1])
@@ -61,7 +62,7 @@ def test_until_it_fails_it_is_the_agent_and_again_in_the_next_episode(cell, fail
 
 
 def test_a_dead_network_leaves_the_expert_bit_for_bit(cell):
-    agent = Agent.load(AGENTS / "apg-cruise")
+    agent = Agent.load(agent_folder("apg-cruise"))
     observations, actions = steps(failing("apg-cruise", "dead"), cell)
     for seen, action in zip(observations[AFTER:], actions[AFTER:], strict=True):
         np.testing.assert_array_equal(action.astype(np.float32), law_of(agent).predict(seen)[0])
@@ -72,7 +73,7 @@ def test_a_dead_network_leaves_the_expert_bit_for_bit(cell):
 @pytest.mark.parametrize("name", ["apg-cruise", "apg-scratch-cruise"])
 @pytest.mark.parametrize(("failure", "value"), [("held", None), ("stuck at +1", 1.0), ("stuck at -1", -1.0)])
 def test_an_output_is_held_or_stuck(cell, name, failure, value):
-    agent = Agent.load(AGENTS / name)
+    agent = Agent.load(agent_folder(name))
     observations, actions = steps(failing(name, failure), cell)
     base = np.array([law_of(agent).predict(seen)[0] for seen in observations])
     told = np.array([value, value])
@@ -87,7 +88,7 @@ def test_an_output_is_held_or_stuck(cell, name, failure, value):
 
 
 def test_shuffled_weights_are_the_same_numbers():
-    agent = Agent.load(AGENTS / "apg-cruise")
+    agent = Agent.load(agent_folder("apg-cruise"))
     mine, other = Shuffled(agent, "float64"), Shuffled(agent, "float64")
     x, hidden = np.ones((agent.network.inputs, 2)), np.zeros((agent.network.memory, 2))
     (first, _), (again, _) = (network.forward((), x, hidden) for network in (mine, other))
@@ -111,7 +112,7 @@ def test_unknown_failures_are_refused():
 
 
 def test_side_by_side_gives_what_each_scenario_gives_alone(cell):
-    other, policy = drawn(PRESETS["cruise-calm"], 2, 0), Agent.load(AGENTS / "apg-cruise").policy()
+    other, policy = drawn(PRESETS["cruise-calm"], 2, 0), Agent.load(agent_folder("apg-cruise")).policy()
     found = SideBySide([cell, other]).run(policy)
     for own, ended in zip((cell, other), found, strict=True):
         alone = rollout(policy, own.scenario, own.episodes).measures

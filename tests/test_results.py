@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from baselines import list_policies
-from baselines.agents.names import AGENTS
-from baselines.evaluation.floor.command import floor_of, kept
-from baselines.evaluation.results import collection
-from baselines.evaluation.results import command as results
-from baselines.evaluation.results.collection import ROUNDING, SUITES, TOLERANCE, Results, better_than, collected
-from baselines.evaluation.results.left import what_is_left
+from baselines.agents.names import agent_folder
+from research.lower_bounds.floor.command import floor_of, kept
+from research.results import collection
+from research.results import command as results
+from research.results.collection import ROUNDING, SUITES, TOLERANCE, Results, better_than, collected
+from research.results.left import what_is_left
 
 ROOT = Path(__file__).parents[1]
 ENDS = ("clairvoyant", "backstepping")
@@ -101,7 +101,7 @@ def test_the_first_sentence_of_the_readme(benchmark):
     figures = json.loads((ROOT / "docs" / "bench.json").read_text(encoding="utf-8"))["figures"]
     times = {f["case"]: f["value"] for f in figures}
     agent, rival = (f"{1e3 * times[f'decision of one vehicle: {name}']:.3g} ms" for name in (AGENT, "nmpc"))
-    card = (AGENTS / AGENT / "card.md").read_text(encoding="utf-8")
+    card = (agent_folder(AGENT) / "card.md").read_text(encoding="utf-8")
     minutes = round(float(re.search(r"\| seconds \| `([\d.]+)` \|", card)[1]) / 60)
     readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
     said = (
@@ -159,6 +159,6 @@ def test_a_suite_without_the_oracle_is_missing(monkeypatch):
 
 
 def test_as_a_process():
-    command = [sys.executable, "-m", "baselines.evaluation.results", "--help"]
+    command = [sys.executable, "-m", "research.results", "--help"]
     done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
     assert "results.md" in done.stdout

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from auv_gym.actuators import Response
-from auv_gym.presets import PRESETS
-from auv_gym.rows import filled
-from auv_gym.simulation import SAMPLE, Parameters, Parts
-from auv_gym.vehicle import LIFT, PAPER_VEHICLE
+from auv_gym.physics.actuators import Response
+from auv_gym.physics.rows import filled
+from auv_gym.physics.vehicle import LIFT, PAPER_VEHICLE
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.task.simulation import SAMPLE, Parameters, Parts
 from baselines.agents.features import FEATURES
 from baselines.agents.networks import ACTIONS, Rma
 from baselines.training.apg.fleet import Fleet

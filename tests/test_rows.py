@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from auv_gym.presets import PRESETS
-from auv_gym.rows import filled, leaves, numbered
-from auv_gym.simulation import (
+from auv_gym.physics.rows import filled, leaves, numbered
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.task.simulation import (
     CURRENT,
     LOAD,
     NOISE,

@@ -12,28 +12,28 @@ from kept_pages import compare_or_refresh
 from scipy import stats
 
 from auv_gym import PRESETS, Scenario
-from auv_gym.namespaces import ARRAYS
-from auv_gym.presets import REGIMES
-from auv_gym.task import Observation, encode_observation
-from auv_gym.vehicle import PAPER_VEHICLE
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.mixtures import adverse
+from auv_gym.scenarios.presets import REGIMES
+from auv_gym.task.observation import Observation, encode_observation
 from baselines import make_policy
 from baselines.agents import guard
 from baselines.agents.agent import Agent
 from baselines.agents.guard import ALARMS, LEFT, MEAN, SHARE, Guarded, Thresholds, bounded_law
-from baselines.agents.names import AGENTS, bare_name, guarded_name
+from baselines.agents.names import agent_folder, bare_name, guarded_name
 from baselines.control.backstepping import GAINS, lyapunov_terms
 from baselines.evaluation import recorded, suites
-from baselines.evaluation.failures import Failing
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import most_lost
-from baselines.evaluation.results import kept
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
-from baselines.evaluation.safety import certificate, falsification, page, saved, seas, thresholds
 from baselines.evaluation.score import is_lost
 from baselines.tools.command_line import run
 from baselines.tools.seeds import CERTIFICATE, FALSIFICATION
-from baselines.training.mixtures import adverse
+from research.results import kept
+from research.robustness import certificate, falsification, page, saved, seas, thresholds
+from research.robustness.failures import Failing
 
 ROOT = Path(__file__).parents[1]
 
@@ -227,7 +227,7 @@ def test_agent_with_a_guard_is_the_agent_where_nothing_is_wrong():
 def test_law_takes_over_from_a_network_that_is_stuck():
     """Without a guard the vehicle turns round and round until the end; with one it comes back."""
     scenario = PRESETS["cruise-calm"]
-    episodes, agent = drawn(scenario, 2, 7).episodes, Agent.load(AGENTS / "apg-preview-cruise")
+    episodes, agent = drawn(scenario, 2, 7).episodes, Agent.load(agent_folder("apg-preview-cruise"))
     bare, inner = (Failing(agent, "stuck at +1", scenario.steps // 3) for _ in range(2))
     gone, back = (rollout(who, scenario, episodes).errors[-1] for who in (bare, Guarded(inner, bounded_law())))
     assert (gone > 2.0).all()

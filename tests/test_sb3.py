@@ -6,7 +6,7 @@ import pytest
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
-from auv_gym.presets import PRESETS
+from auv_gym.scenarios.presets import PRESETS
 from baselines.training.sb3.vec_env import SB3VecEnv
 
 TRACK = "auv_gym:UnderactuatedAUVTrack-v0"

@@ -7,14 +7,16 @@ import os
 import numpy as np
 import pytest
 
-from auv_gym.actuators import Actuators
-from auv_gym.disturbances import RandomCurrent, RandomMismatch, RandomWaves
-from auv_gym.episode import checked_options
-from auv_gym.paths import PATHS, Circle, Spline
-from auv_gym.presets import CASES, PRESETS, as_scenario
-from auv_gym.scenario import RandomPath, Scenario, Start, as_vehicle
-from auv_gym.sensors import Sensors
-from auv_gym.vehicle import PAPER_VEHICLE
+from auv_gym.physics.actuators import Actuators
+from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch, RandomWaves
+from auv_gym.physics.sensors import Sensors
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.planning.paths import PATHS, Circle, Spline
+from auv_gym.scenarios.episode import checked_options
+from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.presets import CASES, PRESETS, as_scenario
+from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
+from auv_gym.scenarios.vehicles import as_vehicle
 
 EVERYTHING = Scenario(
     name="everything",
@@ -181,10 +183,10 @@ def test_unknown_names_are_refused_with_the_known_ones():
 
 
 def test_changed_keeps_the_duration():
-    scenario = PRESETS["cruise-calm"].changed(control_dt=0.05)
+    scenario = changed(PRESETS["cruise-calm"], control_dt=0.05)
     assert (scenario.steps, scenario.duration) == (1200, pytest.approx(60.0))
     with pytest.raises(ValueError, match="control_dt is -1"):
-        scenario.changed(control_dt=-1)
+        changed(scenario, control_dt=-1)
 
 
 @pytest.mark.parametrize(

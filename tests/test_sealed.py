@@ -4,12 +4,13 @@ from functools import partial
 
 import pytest
 
-from auv_gym.presets import REGIMES
+from auv_gym.scenarios.mixtures import MIXTURES
+from auv_gym.scenarios.presets import REGIMES
 from baselines.evaluation import suites
-from baselines.evaluation.suites import SuiteError, builder, sealed
-from baselines.evaluation.suites.__main__ import main
+from baselines.evaluation.suites import SuiteError
 from baselines.tools.command_line import DONE, UsageError
-from baselines.training.mixtures import MIXTURES
+from research.suites import builder, sealed
+from research.suites.command import main
 
 
 @pytest.fixture

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, lfilter
 
-from auv_gym.actuators import Actuators, Response, respond
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.namespaces import ARRAYS, FLOATS
-from auv_gym.presets import PAPER_SCENARIO
-from auv_gym.scenario import Scenario
-from auv_gym.sensors import Sensors, low_pass
+from auv_gym.physics.actuators import Actuators, Response, respond
+from auv_gym.physics.namespaces import ARRAYS, FLOATS
+from auv_gym.physics.sensors import Sensors, low_pass
+from auv_gym.scenarios.presets import PAPER_SCENARIO
+from auv_gym.scenarios.scenario import Scenario
 
 INF = math.inf
 forces = st.tuples(st.floats(-400, 400), st.floats(-200, 200))

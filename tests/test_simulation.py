@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from auv_gym.namespaces import ARRAYS, FLOATS
-from auv_gym.scenario import Scenario
-from auv_gym.simulation import Parts, Plant, Sample, Shear, start, step
-from auv_gym.task import ERRORS, Observation
-from auv_gym.vehicle import PAPER_VEHICLE
+from auv_gym.physics.namespaces import ARRAYS, FLOATS
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.task.observation import ERRORS, Observation
+from auv_gym.task.simulation import Parts, Plant, Sample, Shear, start, step
 
 AT_ONCE = (1.0, 1.0, math.inf, math.inf)
 CONSTANTS = (

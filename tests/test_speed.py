@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from baselines.benchmarks.figures import SCENARIO, Figure, faster, takes, written
-from baselines.benchmarks.page import page
+from research.throughput.figures import SCENARIO, Figure, faster, takes, written
+from research.throughput.page import page
 
 DOCS = Path(__file__).parents[1] / "docs"
 

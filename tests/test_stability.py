@@ -9,12 +9,12 @@ import pytest
 from scipy.linalg import expm
 
 import evaluate
-from auv_gym.dynamics import rates
 from auv_gym.installation import install
-from auv_gym.namespaces import ARRAYS
-from auv_gym.paths import Circle, Line
-from auv_gym.planner import plan
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.dynamics import rates
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.planning.paths import Circle, Line
+from auv_gym.planning.planner import plan
 from baselines import make_policy
 from baselines.control.backstepping import Backstepping, tracking_forces
 from baselines.control.linearisation import error_dynamics, linearise

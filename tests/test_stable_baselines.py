@@ -12,10 +12,10 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.errors import to_world
-from auv_gym.presets import PRESETS
-from auv_gym.scenario import Scenario
-from auv_gym.task import decode_observation
+from auv_gym.physics.errors import to_world
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.task.observation import decode_observation
 from baselines import make_policy
 from baselines.agents.features import FEATURES
 from baselines.evaluation.rollout import rollout

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from auv_gym.disturbances import RandomMismatch
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.presets import PRESETS
-from auv_gym.stiffness import MAX_STIFFNESS, fastest_rate
-from auv_gym.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from auv_gym.physics.disturbances import RandomMismatch
+from auv_gym.physics.stiffness import MAX_STIFFNESS, fastest_rate
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from auv_gym.scenarios.presets import PRESETS
 
 STIFF = Vehicle(m11=30.0, m22=60.0, m33=4.0, d11=20.0, d22=60.0, d33=60.0)
 CALM = PRESETS["slow-calm"]
@@ -59,7 +59,7 @@ def test_fast_start_and_foreign_vehicle_are_checked_before_anything_changes():
 @pytest.mark.slow
 def test_no_vehicle_within_the_bound_blows_up():
     """Random vehicles under full thrust to and fro: speeds stay within a few times those in reach."""
-    from auv_gym.dynamics import rk4_step
+    from auv_gym.physics.dynamics import rk4_step
 
     rng, n = np.random.default_rng(0), 20_000
     low = np.array([5, 5, 1, 1, 1, 1, 0.1, 0.1, 0.1, 5, 2, 0.02])

@@ -10,15 +10,15 @@ import pytest
 from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES
 from baselines.agents.networks import Gru
-from baselines.evaluation.results import studies as study_page
-from baselines.evaluation.results.collection import collected
 from baselines.evaluation.score import EXPERT, ORACLE, lead, score, seeds_score
-from baselines.evaluation.study_files import InSuite, Study, load_all, save
 from baselines.tools.command_line import parse, run
 from baselines.training.options import Options
 from baselines.training.run_folder import AGENT, PROGRESS
-from baselines.training.study import command as study
-from baselines.training.trainings import request_of, training
+from research.results import studies as study_page
+from research.results.collection import collected
+from research.results.study_files import InSuite, Study, load_all, save
+from research.trainings import study
+from research.trainings.trainings import request_of, training
 
 REGIME, SUITE = "cruise", "benchmark-v1"
 

@@ -20,17 +20,18 @@ from baselines.evaluation.runner import Cell, Recorded, run_all
 from baselines.evaluation.score import BY_BOUND, EXPERT
 from baselines.evaluation.store import Stored
 from baselines.evaluation.store import write as write_stored
-from baselines.evaluation.submission import board, command, files, making
+from baselines.evaluation.submission import files, making
 from baselines.evaluation.submission.about import About
-from baselines.evaluation.submission.board import boards, enter, stamp
 from baselines.evaluation.submission.files import LARGEST, MEASURED, read, save, submission_of
 from baselines.evaluation.submission.making import own_submission
-from baselines.evaluation.submission.page import NBSP, leaderboard_json, page, plain
 from baselines.evaluation.submission.reproduction import cells_of, chosen, mismatches, smallest_caught
-from baselines.evaluation.submission.scores import entries, yardsticks
 from baselines.evaluation.suites import Suite
 from baselines.tools.command_line import DONE, FAILED, UsageError
 from baselines.tools.files import versions
+from research.leaderboard import board, command
+from research.leaderboard.board import boards, enter, stamp
+from research.leaderboard.page import NBSP, leaderboard_json, page, plain
+from research.leaderboard.scores import entries, yardsticks
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "enter.md").read_text(encoding="utf-8")
@@ -399,7 +400,7 @@ def test_scores_need_rows_that_count(made, monkeypatch):
 
 
 def test_the_page_is_what_the_command_makes():
-    """If this fails after rows were recorded anew: `python -m baselines.evaluation.submission own`."""
+    """If this fails after rows were recorded anew: `python -m research leaderboard own`."""
     found = boards(ROOT / "leaderboard")
     assert (ROOT / "docs" / command.PAGE).read_text(encoding="utf-8") == page(found)
     assert (ROOT / "docs" / command.TABLE).read_text(encoding="utf-8") == leaderboard_json(found)

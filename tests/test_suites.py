@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from auv_gym.paths import PATHS
-from auv_gym.presets import CASES
+from auv_gym.planning.paths import PATHS
+from auv_gym.scenarios.presets import CASES
 from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES
 from baselines.agents.networks import Gru
@@ -21,12 +21,12 @@ from baselines.evaluation.report.numbers import compare, pool
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Cell, drawn, run_all
 from baselines.evaluation.score import BY_BOUND, BY_ORACLE
-from baselines.evaluation.suites import sealed
-from baselines.evaluation.suites.__main__ import main
-from baselines.evaluation.suites.builder import FAMILIES, OLDEST, SHARED, SUITES, anchors_of, build
 from baselines.evaluation.suites.yardsticks import FILE, keep, kept
 from baselines.tools.command_line import UsageError
 from baselines.tools.files import read_json, versions
+from research.suites import sealed
+from research.suites.builder import FAMILIES, OLDEST, SHARED, SUITES, anchors_of, build
+from research.suites.command import main
 
 NAMES = suites.list_suites()
 OWN = [name for name in NAMES if name not in SHARED]

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from auv_gym import task
-from auv_gym.namespaces import FLOATS
+from auv_gym.physics.namespaces import FLOATS
+from auv_gym.task import observation as task
 
 inside = st.tuples(*(st.floats(-t.scale * t.bound, t.scale * t.bound, allow_subnormal=False) for t in task.TERMS))
 
@@ -51,7 +51,7 @@ def test_the_environments_table_is_that_of_the_terms():
 
 def test_codec_of_floats_rows_and_tensors_is_one():
     torch = pytest.importorskip("torch")
-    from auv_gym.namespaces import ARRAYS, tensors
+    from auv_gym.physics.namespaces import ARRAYS, tensors
 
     terms = np.random.default_rng(0).normal(size=(task.SIZE, 5)) * np.repeat([100.0, 0.5], [6, task.SIZE - 6])[:, None]
     rows = task.encode(tuple(terms), ARRAYS, span=1)

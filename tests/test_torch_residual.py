@@ -7,7 +7,7 @@ import torch
 
 from auv_gym.envs.torch_residual import TorchResidualAction
 from auv_gym.envs.torch_sim import TorchSimulator
-from auv_gym.task import SIZE
+from auv_gym.task.observation import SIZE
 from baselines import make_policy
 
 RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"

@@ -11,14 +11,14 @@ import pytest
 import torch
 from gymnasium.error import ResetNeeded
 
-from auv_gym import simulation
 from auv_gym.envs.torch_sim import TorchSimulator, simulate, step_function
-from auv_gym.namespaces import ARRAYS, tensors
-from auv_gym.presets import PRESETS
-from auv_gym.rows import filled
-from auv_gym.simulation import PLANT, PLANT_ROWS, SAMPLE_ROWS, Parameters, Parts
-from auv_gym.task import SCALES, SIZE
-from auv_gym.vehicle import PAPER_VEHICLE
+from auv_gym.physics.namespaces import ARRAYS, tensors
+from auv_gym.physics.rows import filled
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.task import simulation
+from auv_gym.task.observation import SCALES, SIZE
+from auv_gym.task.simulation import PLANT, PLANT_ROWS, SAMPLE_ROWS, Parameters, Parts
 from baselines.control.backstepping import GAINS, tracking_forces
 
 TRACK = "auv_gym:UnderactuatedAUVTrack-v0"

@@ -22,22 +22,23 @@ from hypothesis import strategies as st
 
 import train
 from auv_gym.installation import install
-from auv_gym.presets import CASES, PRESETS, REGIMES
-from auv_gym.scenario import Scenario
+from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES
+from auv_gym.scenarios.scenario import Scenario
 from baselines.agents.agent import Agent
-from baselines.agents.names import AGENTS
+from baselines.agents.names import agent_folder
 from baselines.evaluation.runner import drawn
 from baselines.tools import command_line
 from baselines.tools.command_line import UsageError, parse, run
 from baselines.tools.seeds import TRAINING
-from baselines.training import command, request, shipped
+from baselines.training import command, request
 from baselines.training.config import ALGORITHMS, LARGEST_SEED, Config
 from baselines.training.hyperparameters import ENV_ID, changes_of, load_hyperparameters, words_of
 from baselines.training.hyperparameters import shipped as shipped_file
 from baselines.training.options import Options
 from baselines.training.run_folder import Run, locked, read_config, read_progress
-from baselines.training.trainings import SHIPPED, training
 from baselines.training.validation import Validation, Verdict
+from research.trainings import shipped
+from research.trainings.trainings import SHIPPED, training
 
 torch.set_num_threads(1)
 ROOT = Path(__file__).parents[1]
@@ -558,8 +559,8 @@ def test_shipped_agents_can_be_trained_again(name, call, monkeypatch, tmp_path):
         family, regime = name.rsplit("-", 1)
         assert family.startswith(config.algo.replace("_", "-"))
         assert {regime} == regimes
-    if (AGENTS / name / "agent.json").exists():  # the one in the package came from just this
-        record = json.loads((AGENTS / name / "agent.json").read_text(encoding="utf-8"))
+    if (agent_folder(name) / "agent.json").exists():  # the one in the package came from just this
+        record = json.loads((agent_folder(name) / "agent.json").read_text(encoding="utf-8"))
         theirs = Config.from_dict(record["training"]["config"])
         assert theirs == replace(config, timesteps=theirs.timesteps)
     monkeypatch.setattr(command, "train", lambda r: made.append(r) or 0)

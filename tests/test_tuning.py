@@ -12,8 +12,8 @@ from kept_pages import compare_or_refresh
 
 import baselines
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.presets import CASES, PRESETS, REGIMES
-from auv_gym.task import SIZE
+from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES
+from auv_gym.task.observation import SIZE
 from baselines.control.backstepping import GAINS, LAW_GAINS, SETS
 from baselines.control.integral import PRINTED_GAINS
 from baselines.gains import loading as gain_files

@@ -10,13 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from auv_gym import PRESETS
-from auv_gym.actuators import Actuators
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.fleet import PAPER, craft, fleet
-from auv_gym.policy import preview_of, traceable
-from auv_gym.task import SIZE, TERMS
-from auv_gym.units import DIMENSIONS, POWERS, Units, in_paper_units
-from auv_gym.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from auv_gym.physics.actuators import Actuators
+from auv_gym.physics.units import DIMENSIONS, POWERS, Units, in_paper_units
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.vehicles import PAPER, craft, fleet
+from auv_gym.task.observation import SIZE, TERMS
+from auv_gym.task.policy import preview_of, traceable
 from baselines import make_policy
 from baselines.control.backstepping import Backstepping
 from baselines.similar import Similar, SimilarLaw
@@ -96,7 +97,7 @@ UNITS = Units(2.0, 3.0, 5.0)
 )  # fmt: skip
 def test_similar_vehicles_are_steered_alike(name):
     storm = PRESETS["cruise-storm"]
-    other = storm.changed(twin(UNITS))
+    other = changed(storm, twin(UNITS))
     policy = make_policy(name, vehicle=other.vehicle)
     assert isinstance(policy, SimilarLaw if name == "backstepping" else Similar)
     np.testing.assert_allclose(run(policy, other), run(make_policy(name, vehicle=storm.vehicle), storm), atol=1e-5)
@@ -110,7 +111,7 @@ def known():
 @settings(max_examples=3, deadline=None)
 @given(st.floats(0.3, 3.0), st.floats(0.5, 2.0), FACTORS)
 def test_similar_vehicles_of_any_size_are_steered_alike(known, length, speed, mass):
-    other = PRESETS["cruise-storm"].changed(twin(Units(length, length / speed, mass)))
+    other = changed(PRESETS["cruise-storm"], twin(Units(length, length / speed, mass)))
     other = replace(other, control_dt=0.1 * length / speed)  # a scenario rounds it
     np.testing.assert_allclose(run(make_policy("los-pid", vehicle=other.vehicle), other, steps=20), known, atol=1e-5)
 
@@ -154,7 +155,7 @@ def test_what_looks_behind_the_observation_is_not_wrapped(name):
 def test_a_regimes_agent_warns_of_speeds_in_si_units():
     policy = make_policy("apg-preview-slow", vehicle="otter")
     with pytest.warns(UserWarning, match=r"trained at speeds that are 0 to 0.27 m/s for this vehicle") as caught:
-        run(policy, PRESETS["cruise-calm"].changed("otter"), steps=2)
+        run(policy, changed(PRESETS["cruise-calm"], "otter"), steps=2)
     assert len(caught) == 1
 
 

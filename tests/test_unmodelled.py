@@ -9,15 +9,15 @@ import pytest
 import torch
 from scipy.integrate import solve_ivp
 
-from auv_gym.actuators import LONGEST_DELAY, Actuators
-from auv_gym.disturbances import RandomCurrent
 from auv_gym.envs.torch_sim import TorchSimulator
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.paths import Line
-from auv_gym.presets import PRESETS
-from auv_gym.scenario import Scenario
-from auv_gym.sensors import Sensors
-from auv_gym.task import decode_observation
+from auv_gym.physics.actuators import LONGEST_DELAY, Actuators
+from auv_gym.physics.disturbances import RandomCurrent
+from auv_gym.physics.sensors import Sensors
+from auv_gym.planning.paths import Line
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.task.observation import decode_observation
 from baselines import make_policy
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 import evaluate
-from auv_gym.presets import PRESETS
-from auv_gym.units import in_paper_units
-from auv_gym.vehicle import Vehicle
+from auv_gym.physics.units import in_paper_units
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.presets import PRESETS
 from baselines import common_vehicle, make_policy, make_residual_vector_env
 from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES
@@ -279,7 +280,7 @@ def test_policies_are_told_the_vehicle_that_the_scenario_knows(tmp_path, monkeyp
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.py").write_text(BELIEVING)
     heavy = Vehicle(m11=600.0, m22=840.0, m33=300.0, d11=160.0, d22=320.0, d33=180.0, X_uu=40.0)
-    scenario = PRESETS["cruise-calm"].changed(vehicle=heavy)
+    scenario = changed(PRESETS["cruise-calm"], vehicle=heavy)
     agent_of(()).save("agent")
     cell = drawn(scenario, 2, 0)
     told = rollout(make_policy("backstepping", vehicle=heavy), scenario, cell.episodes, 1.0).measures.tail
@@ -301,7 +302,7 @@ def test_policies_are_told_the_vehicle_that_the_scenario_knows(tmp_path, monkeyp
 
 def test_an_expert_by_name_is_told_the_vehicle_that_all_know():
     heavy = Vehicle(m11=600.0, m22=840.0, m33=300.0, d11=160.0, d22=320.0, d33=180.0, X_uu=40.0)
-    one, other = PRESETS["cruise-calm"], PRESETS["cruise-calm"].changed(vehicle=heavy)
+    one, other = PRESETS["cruise-calm"], changed(PRESETS["cruise-calm"], vehicle=heavy)
     assert (common_vehicle([one, one]), common_vehicle([one, other])) == (one.vehicle, None)
     assert make_residual_vector_env(2, other).expert.policy.vehicle == in_paper_units(heavy)
     assert make_residual_vector_env(2, [one, other]).expert.vehicle == one.vehicle

@@ -12,9 +12,9 @@ from gymnasium.error import ResetNeeded
 from gymnasium.wrappers import vector as wrappers
 
 from auv_gym.envs.lanes import Lanes
-from auv_gym.presets import PRESETS
-from auv_gym.scenario import Scenario
-from auv_gym.tape import Tape
+from auv_gym.scenarios.exogenous import Tape
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import Scenario
 from baselines import make_policy
 from baselines.control.backstepping import Backstepping
 

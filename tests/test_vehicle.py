@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 
 import pytest
 
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 
 NAMES = [field.name for field in fields(Vehicle) if field.name != "speed"]
 

@@ -11,16 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kept_pages import compare_between, compare_or_refresh
 
-from auv_gym.fleet import PAPER, craft, fleet
-from auv_gym.units import POWERS, Units
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.units import POWERS, Units
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.scenarios.vehicles import PAPER, craft, fleet
 from baselines import make_policy
 from baselines.evaluation.stability.analysis import linearise_policy
 from baselines.tools.command_line import run
-from baselines.tuning import vehicles, vehicles_page
 from baselines.tuning.objective import Course, scenarios_of
 from baselines.tuning.search import TUNING_SEED
 from baselines.tuning.tunables import TUNABLES
+from research.vehicles import vehicles, vehicles_page
 
 ROOT = Path(__file__).parents[1]
 SLIP = 0.25  # [rad] largest sideslip of the turns in which random hulls are looked at

@@ -11,12 +11,12 @@ from test_units import twin
 from auv_gym import PRESETS
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.fleet import craft, fleet
-from auv_gym.fleet.scaling import in_vehicle_units
-from auv_gym.presets import CASES, as_scenario
-from auv_gym.task import SIZE
-from auv_gym.units import Units
-from auv_gym.vehicle import PAPER_VEHICLE
+from auv_gym.physics.units import Units
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.fitting import changed, in_vehicle_units
+from auv_gym.scenarios.presets import CASES, as_scenario
+from auv_gym.scenarios.vehicles import craft, fleet
+from auv_gym.task.observation import SIZE
 from baselines import make_policy
 from baselines.control.clairvoyant.policy import arriving, oracle_actions
 from baselines.control.clairvoyant.problem import Problem
@@ -27,15 +27,15 @@ from baselines.evaluation.metrics import Measures
 from baselines.evaluation.options import Options
 from baselines.evaluation.report.numbers import compare, pool
 from baselines.evaluation.request import Request
-from baselines.evaluation.results import vehicles, vehicles_figure
-from baselines.evaluation.results.collection import ROUNDING, Results, better_than
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import Cell, Recorded, Run, drawn, run_all
 from baselines.evaluation.score import BY_BOUND, cap_of, in_paper_units, relative_error, unit_of, vehicle_of
-from baselines.evaluation.study_files import Study, load_all
 from baselines.evaluation.suites import rounded
-from baselines.evaluation.suites.builder import SUITES, VEHICLE_EPISODES, _cell
 from baselines.similar import shown_factors
+from research.results import vehicles, vehicles_figure
+from research.results.collection import ROUNDING, Results, better_than
+from research.results.study_files import Study, load_all
+from research.suites.builder import SUITES, VEHICLE_EPISODES, _cell
 
 ROOT = Path(__file__).parents[1]
 OTHER = Units(length=16.0, time=4.0, mass=4096.0)  # of a copy of the paper's vehicle
@@ -80,7 +80,7 @@ def runs_of(scenario, by_policy):
 
 
 PAPER_CELL = PRESETS["cruise-storm"]
-FAR_CELL = replace(PAPER_CELL.changed(twin(OTHER)), name="cruise-storm@twin")
+FAR_CELL = replace(changed(PAPER_CELL, twin(OTHER)), name="cruise-storm@twin")
 TAILS = {"backstepping": [1.0, 5.0, 0.5], "nmpc": [0.3, 0.1, 0.2], "ekf": [0.4, 0.3, 0.1], "clairvoyant": [0.0] * 3}
 
 

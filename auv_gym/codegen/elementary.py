@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 
 from auv_gym.codegen.graph import SYMBOLS, Graph, Symbol
-from auv_gym.namespaces import Namespace, Number
+from auv_gym.physics.namespaces import Namespace, Number
 
 HALF_PI = {
     "float64": (1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624871116645580e-21),

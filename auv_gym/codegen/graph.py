@@ -1,8 +1,9 @@
 """A graph of arithmetic, recorded by running an equation on symbols.
 
-The project's equations take components and a namespace of elementary functions (`auv_gym.namespaces`). With symbols for
-numbers and `SYMBOLS` for the namespace they compute nothing: each operation adds a node to a graph, or finds the node
-that is there already, so common subexpressions are merged as they arise. Operations on constants are carried out.
+The project's equations take components and a namespace of elementary functions (`auv_gym.physics.namespaces`). With
+symbols for numbers and `SYMBOLS` for the namespace they compute nothing: each operation adds a node to a graph, or
+finds the node that is there already, so common subexpressions are merged as they arise. Operations on constants are
+carried out.
 
 Only what is exact in floating point is simplified (x * 1, x / 1, x - 0, -(-x)), and a sum keeps its order: a printed
 graph gives the numbers of the equation itself, bit for bit. `structural` allows more where a matrix is mostly zero.
@@ -17,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from auv_gym.namespaces import FLOATS, Constants, Namespace
+from auv_gym.physics.namespaces import FLOATS, Constants, Namespace
 
 Key = tuple[Any, ...]
 

@@ -17,7 +17,7 @@ from auv_gym.codegen.blocks import c_block_function
 from auv_gym.codegen.elementary import lowered
 from auv_gym.codegen.graph import Graph, Symbol
 from auv_gym.codegen.printing import NUMPY, PYTHON, Arrays, Language, Layout, c_function, python_function
-from auv_gym.namespaces import ARRAYS
+from auv_gym.physics.namespaces import ARRAYS
 
 Array: TypeAlias = NDArray[Any]
 Equation = Callable[..., Mapping[str, Sequence[Any]]]

@@ -11,8 +11,8 @@ from auv_gym.installation import install
 
 if TYPE_CHECKING:
     from auv_gym.envs.lanes import ScenarioLike
-    from auv_gym.fleet import Craft
-    from auv_gym.vehicle import Vehicle
+    from auv_gym.physics.vehicle import Vehicle
+    from auv_gym.scenarios.vehicles import Craft
 
 
 def make_track_vector_env(
@@ -39,7 +39,7 @@ def make_track_vector_env(
         backend: "numpy" for arrays of float64, or "torch" for tensors, see `TorchSimulator`.
         device: where the tensors live, "cpu" or "cuda"; with backend "torch" only.
         dtype: their type, "float32" or "float64"; with backend "torch" only.
-        preview: control periods ahead at which the reference is observed, see `auv_gym.preview.Preview`.
+        preview: control periods ahead at which the reference is observed, see `auv_gym.task.preview.Preview`.
         autoreset_mode: "SameStep", "NextStep" or "Disabled", see `UnderactuatedAUVTrackVectorEnv`.
         max_episode_steps: control steps after which episodes are truncated, if that is sooner than the scenario says.
 

@@ -9,11 +9,12 @@ import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from auv_gym.episode import checked_options
-from auv_gym.fleet import Craft
-from auv_gym.presets import as_scenario
-from auv_gym.scenario import Scenario
-from auv_gym.vehicle import Vehicle
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.scenarios.episode import checked_options
+from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.presets import as_scenario
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.vehicles import Craft
 
 
 def scenarios_of(
@@ -34,7 +35,7 @@ def scenarios_of(
     given = list(scenario) if several else [scenario]
     if several and len(given) != num_envs:
         raise ValueError(f"{len(given)} scenarios are given for {num_envs} sub-environments; give one, or one for each")
-    made = [as_scenario(s).changed(vehicle, control_dt) for s in given]
+    made = [changed(as_scenario(s), vehicle, control_dt) for s in given]
     if len({s.substeps for s in made}) > 1:
         raise ValueError("the scenarios differ in substeps; side by side they must have the same number")
     return made if several else made * num_envs

@@ -13,19 +13,19 @@ from numpy.typing import NDArray
 
 from auv_gym.envs.arguments import checked_reset, checked_steps, scenarios_of, seeded
 from auv_gym.envs.vector_api import AutoresetMode, Ends, checked_mode
-from auv_gym.episode import Episode, with_options
-from auv_gym.fleet import Craft
-from auv_gym.kernels import begun
-from auv_gym.namespaces import ARRAYS
-from auv_gym.planner import plan
-from auv_gym.policy import Forces
-from auv_gym.preview import Preview, encode_preview
-from auv_gym.rows import leaves
-from auv_gym.scenario import Scenario
-from auv_gym.simulation import PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts
-from auv_gym.tape import Tape
-from auv_gym.task import Observation, check_reference, decode
-from auv_gym.vehicle import Vehicle
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.rows import leaves
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.planning.planner import plan
+from auv_gym.scenarios.episode import Episode, with_options
+from auv_gym.scenarios.exogenous import Tape
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.vehicles import Craft
+from auv_gym.task.kernels import begun
+from auv_gym.task.observation import Observation, check_reference, decode
+from auv_gym.task.policy import Forces
+from auv_gym.task.preview import Preview, encode_preview
+from auv_gym.task.simulation import PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

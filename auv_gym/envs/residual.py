@@ -14,8 +14,8 @@ from auv_gym.envs.spaces import checked_action, checked_actions, with_action
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.envs.vector_api import AutoresetMode, VectorEnv, VectorWrapper
-from auv_gym.namespaces import ARRAYS, FLOATS
-from auv_gym.policy import Policy, checked_authority, corrected, traceable
+from auv_gym.physics.namespaces import ARRAYS, FLOATS
+from auv_gym.task.policy import Policy, checked_authority, corrected, traceable
 
 
 class ResidualAction(gym.Wrapper[NDArray[np.float64], NDArray[np.float32], NDArray[np.float64], NDArray[np.float32]]):

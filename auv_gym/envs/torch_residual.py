@@ -12,9 +12,9 @@ from torch import Tensor
 from auv_gym.envs.spaces import with_action
 from auv_gym.envs.torch_sim import TENSORS, TorchSimulator
 from auv_gym.envs.vector_api import VectorWrapper
-from auv_gym.namespaces import Namespace
-from auv_gym.policy import checked_authority, corrected
-from auv_gym.task import SIZE, Observation, action_of, decode
+from auv_gym.physics.namespaces import Namespace
+from auv_gym.task.observation import SIZE, Observation, action_of, decode
+from auv_gym.task.policy import checked_authority, corrected
 
 
 class TensorExpert(Protocol):

@@ -32,16 +32,16 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
-from auv_gym import simulation
 from auv_gym.envs.lanes import Beginning, Indices, Lanes, ScenarioLike
 from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
-from auv_gym.fleet import Craft
-from auv_gym.namespaces import tensors
-from auv_gym.preview import encode_preview, observation_bounds
-from auv_gym.rows import filled, leaves
-from auv_gym.simulation import PARAMETER_ROWS, PLANT, PLANT_ROWS, SAMPLE_ROWS, Parameters, Parts
-from auv_gym.task import Observation, encode
-from auv_gym.vehicle import Vehicle
+from auv_gym.physics.namespaces import tensors
+from auv_gym.physics.rows import filled, leaves
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.scenarios.vehicles import Craft
+from auv_gym.task import simulation
+from auv_gym.task.observation import Observation, encode
+from auv_gym.task.preview import encode_preview, observation_bounds
+from auv_gym.task.simulation import PARAMETER_ROWS, PLANT, PLANT_ROWS, SAMPLE_ROWS, Parameters, Parts
 
 logger = logging.getLogger(__name__)
 
@@ -139,7 +139,7 @@ class TorchSimulator(VectorEnv[Tensor, Tensor, Tensor]):
         device: a torch device, "cpu" or "cuda".
         dtype: "float32" or "float64", or the torch type.
         compiled: whether to compile the step.
-        preview: control periods ahead at which the reference is observed, see `auv_gym.preview.Preview`.
+        preview: control periods ahead at which the reference is observed, see `auv_gym.task.preview.Preview`.
         autoreset_mode: "SameStep", "NextStep" or "Disabled", see `UnderactuatedAUVTrackVectorEnv`.
         max_episode_steps: control steps after which episodes are truncated, if that is sooner than the scenario says.
 

@@ -14,19 +14,23 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from auv_gym.envs.spaces import ReferencePoint, checked_action, with_action
-from auv_gym.episode import checked_options, with_options
-from auv_gym.fleet import Craft
-from auv_gym.kernels import STATES, Vehicles, begun
-from auv_gym.namespaces import ARRAYS, FLOATS
-from auv_gym.paths import Path
-from auv_gym.planner import Reference, plan
-from auv_gym.policy import Law
-from auv_gym.presets import as_scenario
-from auv_gym.preview import Preview, encode_preview, observation_bounds
+from auv_gym.physics.namespaces import ARRAYS, FLOATS
+from auv_gym.physics.rows import filled, leaves
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.planning.paths import Path
+from auv_gym.planning.planner import Reference, plan
 from auv_gym.rendering import PICTURE, Renderer, View, checked_size
-from auv_gym.rows import filled, leaves
-from auv_gym.scenario import Scenario
-from auv_gym.simulation import (
+from auv_gym.scenarios.episode import checked_options, with_options
+from auv_gym.scenarios.exogenous import Tape
+from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.presets import as_scenario
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.vehicles import Craft
+from auv_gym.task.kernels import STATES, Vehicles, begun
+from auv_gym.task.observation import Observation, check_reference, decoded_terms
+from auv_gym.task.policy import Law
+from auv_gym.task.preview import Preview, encode_preview, observation_bounds
+from auv_gym.task.simulation import (
     CURRENT,
     PARAMETER_ROWS,
     PLANT,
@@ -37,9 +41,6 @@ from auv_gym.simulation import (
     current_at,
     ground_state,
 )
-from auv_gym.tape import Tape
-from auv_gym.task import Observation, check_reference, decoded_terms
-from auv_gym.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -141,7 +142,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         render_size: Sequence[int] = PICTURE,
     ) -> None:
         """See the class; raises ValueError for whatever it does not know or cannot plan."""
-        self.scenario = as_scenario(scenario).changed(vehicle, control_dt)
+        self.scenario = changed(as_scenario(scenario), vehicle, control_dt)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(
                 f"unknown render_mode {render_mode!r}; allowed are {self.metadata['render_modes']} and None"

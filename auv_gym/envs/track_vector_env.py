@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 from auv_gym.envs.lanes import Beginning, Lanes, ScenarioLike
 from auv_gym.envs.spaces import ReferencePoint, checked_actions, with_action
 from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
-from auv_gym.episode import Episode
-from auv_gym.errors import to_body
-from auv_gym.fleet import Craft
-from auv_gym.kernels import Bodies, MadeBodies, Vehicles
-from auv_gym.namespaces import ARRAYS
-from auv_gym.policy import Forces, Law
-from auv_gym.preview import observation_bounds
-from auv_gym.simulation import CURRENT, LOAD, PLANT, REFERENCE, current_at, ground_state
-from auv_gym.task import SIZE, decode
-from auv_gym.vehicle import Vehicle
+from auv_gym.physics.errors import to_body
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.scenarios.episode import Episode
+from auv_gym.scenarios.vehicles import Craft
+from auv_gym.task.kernels import Bodies, MadeBodies, Vehicles
+from auv_gym.task.observation import SIZE, decode
+from auv_gym.task.policy import Forces, Law
+from auv_gym.task.preview import observation_bounds
+from auv_gym.task.simulation import CURRENT, LOAD, PLANT, REFERENCE, current_at, ground_state
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -13,8 +13,8 @@ from auv_gym.identify.log import Array, Log
 from auv_gym.identify.model import CURRENT, HULL, LIMITS, PARAMETERS, Model
 from auv_gym.identify.start import WINDOWS, Start, start
 from auv_gym.identify.uncertainty import rough_noise
-from auv_gym.stiffness import fastest_rate
-from auv_gym.vehicle import Coefficients, Vehicle
+from auv_gym.physics.stiffness import fastest_rate
+from auv_gym.physics.vehicle import Coefficients, Vehicle
 
 NEEDED = tuple(f.name for f in fields(Vehicle) if f.name in HULL and f.default is MISSING)
 """Parameters of the hull that every vehicle has."""

@@ -27,7 +27,7 @@ from auv_gym.identify.log import Array, Log, unwrapped
 from auv_gym.identify.model import CURRENT, HULL, LIMITS, PARAMETERS, Model
 from auv_gym.identify.start import Start
 from auv_gym.identify.uncertainty import NORMAL, covariance, found_noise, rough_noise
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 
 IDENTIFIED = "identified"  # what a log says of a parameter, as are the next three: its interval is narrow enough
 ZERO = "not told from 0, taken as 0"  # its interval holds zero

@@ -16,21 +16,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.actuators import Response, respond
 from auv_gym.codegen.derivatives import directional
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.dynamics import rk4_step
-from auv_gym.errors import to_body
 from auv_gym.identify.log import Array, Log
-from auv_gym.vehicle import Coefficients
+from auv_gym.physics.actuators import Response, respond
+from auv_gym.physics.dynamics import rk4_step
+from auv_gym.physics.errors import to_body
+from auv_gym.physics.vehicle import Coefficients
 
 HULL = Coefficients._fields  # the parameters of the vehicle
 LIMITS = ("F_u_max", "F_r_max")  # [N], [N m] of the actuators
 CURRENT = ("V_x", "V_y")  # [m/s] in the world, constant
 PARAMETERS = (*HULL, *LIMITS, *CURRENT, "lag")
 """All that is fitted besides the states at which the segments begin. The current is that of the log, the lag is one for
-both actuators, as in `auv_gym.actuators.Actuators`."""
+both actuators, as in `auv_gym.physics.actuators.Actuators`."""
 STATES = 6  # of a `dynamics.State`
 PLANT = STATES + 2  # with the forces of the actuators
 LANES = STATES + len(PARAMETERS)

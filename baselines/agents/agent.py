@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.policy import Policy, checked_authority
-from auv_gym.records import from_record, to_record
-from auv_gym.task import TERMS
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.scenarios.records import from_record, to_record
+from auv_gym.task.observation import TERMS
+from auv_gym.task.policy import Policy, checked_authority
 from baselines.agents.features import ERRORS, STANDARD, Inputs
 from baselines.agents.model_card import CURVE, model_card
 from baselines.agents.names import FADING, agent_folder, is_path

@@ -11,11 +11,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from auv_gym.errors import to_body, to_world
-from auv_gym.namespaces import Namespace, Number, wrap_angle
-from auv_gym.preview import checked_preview
-from auv_gym.task import Observation
-from auv_gym.vehicle import PAPER_VEHICLE, Coefficients
+from auv_gym.physics.errors import to_body, to_world
+from auv_gym.physics.namespaces import Namespace, Number, wrap_angle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients
+from auv_gym.task.observation import Observation
+from auv_gym.task.preview import checked_preview
 from baselines.agents import filters
 from baselines.estimation.sea_model import measurement
 from baselines.policy import reference_speed
@@ -88,7 +88,7 @@ class Inputs:
     """Which features a network sees: `FEATURES`, and behind them those of a preview.
 
     Raises:
-        ValueError: see `auv_gym.preview.checked_preview`; or `integrals` is no bool.
+        ValueError: see `auv_gym.task.preview.checked_preview`; or `integrals` is no bool.
     """
 
     preview: tuple[int, ...] = ()  # control periods ahead
@@ -130,13 +130,13 @@ class Inputs:
         """Return the features, one row for each, and the integrals to hand in at the next control instant.
 
         Args:
-            o: the terms of an observation in SI units, see `auv_gym.task.TERMS`.
-            ahead: the columns of the preview [m], two for each of its times, see `auv_gym.preview.Preview`.
+            o: the terms of an observation in SI units, see `auv_gym.task.observation.TERMS`.
+            ahead: the columns of the preview [m], two for each of its times, see `auv_gym.task.preview.Preview`.
             base: the expert's action at this instant, surge and yaw.
             correction: the policy's own action before this instant, surge and yaw; zero at an episode's start.
             integrals: what is remembered, `memory` rows as the last call returned them; zero at an episode's start.
             ns: the namespace of the numbers.
-            hull: the known vehicle in the paper's units, see `auv_gym.units`; not looked at without `Inputs.hull`.
+            hull: the known vehicle in the paper's units (`auv_gym.physics.units`); not used without `Inputs.hull`.
         """
         u_R, v_R, r_R, F_uR, F_rR, c, s, F_u_max, F_r_max, a_u, a_r, dt = o[6:18]
         (x1, y1, x2, y2), rest = (kept := tuple(integrals))[:INTEGRALS], kept[INTEGRALS:]

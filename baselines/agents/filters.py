@@ -3,7 +3,7 @@
 The model is that of `baselines.estimation.sea_model`, corrected at each control instant by gains that depend on the
 reference's speed alone, so that the filters can be differentiated and compiled with the rest of a closed loop. The
 first one believes in a rough sea, the second in a calm one; a network that sees what both believe can choose. The
-gains are those of a steady Riccati equation, see `baselines.agents.filter_gains`, which makes their table. It is made
+gains are those of a steady Riccati equation, see `research.trainings.filter_gains`, which makes their table. It is made
 for the paper's vehicle and serves every hull in that one's units, whose own model predicts: on the published vehicles
 the errors of position and heading come out at most a third larger than with gains of their own.
 """
@@ -16,10 +16,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from auv_gym.errors import to_body, to_world
-from auv_gym.namespaces import Namespace, Number, wrap_angle
-from auv_gym.task import Observation
-from auv_gym.vehicle import PAPER_VEHICLE, Coefficients
+from auv_gym.physics.errors import to_body, to_world
+from auv_gym.physics.namespaces import Namespace, Number, wrap_angle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients
+from auv_gym.task.observation import Observation
 from baselines.estimation.sea_model import AT, SIZE, Estimate, measurement, transition
 from baselines.estimation.water_frame import reference_motion
 from baselines.policy import CRUISE_SPEED, is_fast

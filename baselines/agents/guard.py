@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.intervals import check_number
-from auv_gym.namespaces import ARRAYS
-from auv_gym.policy import Policy, preview_of
-from auv_gym.preview import shared_preview
-from auv_gym.scenario import as_vehicle
-from auv_gym.task import SIZE, Observation
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.intervals import check_number
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.scenarios.vehicles import as_vehicle
+from auv_gym.task.observation import SIZE, Observation
+from auv_gym.task.policy import Policy, preview_of
+from auv_gym.task.preview import shared_preview
 from baselines.agents.residual_policy import ResidualPolicy
 from baselines.control.backstepping import GAINS, Backstepping, Gains, backstepping_errors
 from baselines.policy import Array, Memory, batched, first_order, is_fast, reference_speed, renewed
@@ -64,7 +64,7 @@ class Thresholds:
 
 
 THRESHOLDS = Thresholds()
-"""Those of guards by name; `python -m baselines.evaluation.safety.thresholds` compares them with others."""
+"""Those of guards by name; `python -m research guard-thresholds` compares them with others."""
 MOST_GROWTH = 6.0  # alarms after which the time that the other policy keeps the command grows no more
 HORIZON = 1.0  # [s] in which the reference covers the largest position error that the law then sees
 AT_LIMIT = 0.999  # magnitude of a command that counts as being at its limit

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from auv_gym.installation import install
-from auv_gym.policy import Policy
-from auv_gym.scenario import as_vehicle
+from auv_gym.scenarios.vehicles import as_vehicle
+from auv_gym.task.policy import Policy
 from baselines.agents.agent import Agent
 from baselines.agents.names import COMMAND, agent_folder
 from baselines.agents.onnx_models import SUFFIX, OnnxModel

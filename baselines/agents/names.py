@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from auv_gym.installation import RECORD, found
+
 AGENTS = Path(__file__).parent / "shipped"
 """Where the agents are that ship with the package, a folder each."""
 FADING = ":fade"
@@ -17,8 +19,8 @@ COMMAND = "cmd:"
 
 
 def shipped_agents() -> list[str]:
-    """Return the names of the agents in `AGENTS`."""
-    return sorted(file.parent.name for file in AGENTS.glob("*/agent.json"))
+    """Return the names of the agents in `AGENTS`, and in a checkout of those in the record."""
+    return sorted(file.parent.name for folder in (AGENTS, RECORD / AGENTS.name) for file in folder.glob("*/agent.json"))
 
 
 def agent_of(study: str) -> str:
@@ -30,7 +32,7 @@ def agent_folder(name: str) -> Path | None:
     """Return the folder of an agent, by its name, its path or that of the run that trained it; None for no agent."""
     if name.startswith(COMMAND):
         return None
-    places = (AGENTS / name,) if name in shipped_agents() else (Path(name), Path(name, "agent"))
+    places = (found(AGENTS, name),) if name in shipped_agents() else (Path(name), Path(name, "agent"))
     return next((place for place in places if (place / "agent.json").is_file()), None)
 
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.preview import checked_preview
-from auv_gym.task import SIZE
+from auv_gym.task.observation import SIZE
+from auv_gym.task.preview import checked_preview
 from baselines.policy import Memory, renewed
 from baselines.tools.files import guarded, read_bytes
 

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.preview import checked_preview
-from auv_gym.records import to_record
-from auv_gym.task import SIZE, TERMS, Observation, encode_observation
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.scenarios.records import to_record
+from auv_gym.task.observation import SIZE, TERMS, Observation, encode_observation
+from auv_gym.task.preview import checked_preview
 from baselines.agents.names import COMMAND
 from baselines.policy import Memory
 from baselines.tools.files import checked_plain, guarded

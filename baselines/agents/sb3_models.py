@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.installation import install
-from auv_gym.policy import Policy, checked_authority
-from auv_gym.task import SIZE
+from auv_gym.task.observation import SIZE
+from auv_gym.task.policy import Policy, checked_authority
 from baselines.policy import Memory
 
 ALGORITHMS = {

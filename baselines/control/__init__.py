@@ -6,8 +6,8 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from auv_gym.policy import Policy
-from auv_gym.vehicle import Vehicle
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.task.policy import Policy
 from baselines.control.adaptive import make_adaptive
 from baselines.control.backstepping import Backstepping
 from baselines.control.backstepping_tuned import make_backstepping_tuned, make_normalised_tuned

@@ -20,10 +20,10 @@ from __future__ import annotations
 from functools import partial
 from typing import Any, NamedTuple, cast
 
-from auv_gym.errors import to_body, to_world
-from auv_gym.namespaces import Namespace, Number
-from auv_gym.task import Observation, V
-from auv_gym.vehicle import Coefficients, Vehicle
+from auv_gym.physics.errors import to_body, to_world
+from auv_gym.physics.namespaces import Namespace, Number
+from auv_gym.physics.vehicle import Coefficients, Vehicle
+from auv_gym.task.observation import Observation, V
 from baselines.control.backstepping import tracking_forces
 from baselines.control.ekf_law import undamped_symbols
 from baselines.control.traced import TracedController, TracedLaw, effective_periods, foreseen_velocities

@@ -14,11 +14,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
-from auv_gym.intervals import check_number
-from auv_gym.namespaces import FLOATS, Namespace, Number
-from auv_gym.policy import Law
-from auv_gym.scenario import as_vehicle
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.intervals import check_number
+from auv_gym.physics.namespaces import FLOATS, Namespace, Number
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.scenarios.vehicles import as_vehicle
+from auv_gym.task.policy import Law
 from baselines.gains.loading import FOLDER
 from baselines.policy import U_R, V_R, is_fast, reference_speed, squared_speed
 

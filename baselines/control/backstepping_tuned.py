@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-from auv_gym.presets import REGIMES
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.scenarios.presets import REGIMES
 from baselines.control.backstepping import LAW_GAINS, SCALED_GAINS, Backstepping, Gains
 from baselines.gains.loading import load_gains
 

@@ -21,11 +21,11 @@ import numpy as np
 
 from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.dynamics import rk4_step
-from auv_gym.errors import to_body, to_world
-from auv_gym.namespaces import Namespace, Number
-from auv_gym.task import Observation, V
-from auv_gym.vehicle import Coefficients, Vehicle
+from auv_gym.physics.dynamics import rk4_step
+from auv_gym.physics.errors import to_body, to_world
+from auv_gym.physics.namespaces import Namespace, Number
+from auv_gym.physics.vehicle import Coefficients, Vehicle
+from auv_gym.task.observation import Observation, V
 from baselines.control.backstepping import UNDAMPED_GAINS, Gains, tracking_forces
 from baselines.control.ekf_law import undamped_symbols
 from baselines.estimation.kalman import VEHICLE_ROWS, repeated

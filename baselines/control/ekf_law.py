@@ -15,10 +15,10 @@ import numpy as np
 
 from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.errors import to_body
-from auv_gym.namespaces import Namespace, Number
-from auv_gym.task import Observation
-from auv_gym.vehicle import Coefficients, Vehicle
+from auv_gym.physics.errors import to_body
+from auv_gym.physics.namespaces import Namespace, Number
+from auv_gym.physics.vehicle import Coefficients, Vehicle
+from auv_gym.task.observation import Observation
 from baselines.control.backstepping import GAINS, UNDAMPED_GAINS, Gains, bounded_error, tracking_forces, undamped
 from baselines.estimation.faults import arrived
 from baselines.estimation.kalman import (

@@ -21,10 +21,10 @@ from __future__ import annotations
 from functools import partial
 from typing import NamedTuple
 
-from auv_gym.errors import to_body, to_world
-from auv_gym.namespaces import Namespace, Number, wrap_angle
-from auv_gym.task import Observation, V
-from auv_gym.vehicle import Coefficients
+from auv_gym.physics.errors import to_body, to_world
+from auv_gym.physics.namespaces import Namespace, Number, wrap_angle
+from auv_gym.physics.vehicle import Coefficients
+from auv_gym.task.observation import Observation, V
 from baselines.control.traced import TracedController, TracedLaw
 from baselines.gains.loading import tuned_policy
 from baselines.policy import reference_speed

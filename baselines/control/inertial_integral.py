@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from auv_gym.errors import to_body, to_world
-from auv_gym.namespaces import ARRAYS
-from auv_gym.task import Observation
+from auv_gym.physics.errors import to_body, to_world
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.task.observation import Observation
 from baselines.control.backstepping import bounded_error
 from baselines.policy import Array, reference_speed
 

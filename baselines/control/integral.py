@@ -13,9 +13,9 @@ from functools import partial
 
 import numpy as np
 
-from auv_gym.namespaces import ARRAYS
-from auv_gym.task import Observation
-from auv_gym.vehicle import Vehicle
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.task.observation import Observation
 from baselines.control.backstepping import LAW_GAINS, Gains, bounded_error, tracking_forces
 from baselines.control.inertial_integral import integrated, seen_from_body
 from baselines.gains.loading import tuned_policy

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from auv_gym.dynamics import Force
-from auv_gym.paths import Circle, Line
-from auv_gym.planner import plan
-from auv_gym.vehicle import Vehicle
+from auv_gym.physics.dynamics import Force
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.planning.paths import Circle, Line
+from auv_gym.planning.planner import plan
 from baselines.policy import Array
 
 Feedback = Callable[[Sequence[Array]], Force]

@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from auv_gym.errors import to_world
-from auv_gym.namespaces import ARRAYS, wrap_angle
-from auv_gym.task import Observation
-from auv_gym.vehicle import Vehicle
+from auv_gym.physics.errors import to_world
+from auv_gym.physics.namespaces import ARRAYS, wrap_angle
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.task.observation import Observation
 from baselines.control.backstepping import bounded_error
 from baselines.control.inertial_integral import integrated, seen_from_body
 from baselines.gains.loading import tuned_policy

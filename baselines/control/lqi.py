@@ -17,9 +17,9 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.linalg import block_diag, expm, solve_discrete_are
 
-from auv_gym.namespaces import ARRAYS
-from auv_gym.task import Observation
-from auv_gym.vehicle import Vehicle
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.task.observation import Observation
 from baselines.control.backstepping import bounded_error
 from baselines.control.inertial_integral import integrated, seen_from_body
 from baselines.control.linearisation import error_dynamics

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from auv_gym.namespaces import FLOATS, Namespace, Number
-from auv_gym.policy import Law
-from auv_gym.task import Observation
+from auv_gym.physics.namespaces import FLOATS, Namespace, Number
+from auv_gym.task.observation import Observation
+from auv_gym.task.policy import Law
 
 NO_EXPERT = "none"
 """Name of `Zero` where an expert is named."""

@@ -7,7 +7,8 @@ the true vehicle. A command is such that the mean force over the period is the w
 comes late, it is made for the state foretold. The current of a shear is that on the path. Each episode is rehearsed
 before it is run, and one that goes astray under its regulator gets a softer one.
 
-Its numbers with units are those for the paper's vehicle; for another one they are the similar ones (`auv_gym.units`).
+Its numbers with units are those for the paper's vehicle; for another one they are the similar ones
+(`auv_gym.physics.units`).
 
 It is a reference, not a bound, which `baselines.control.clairvoyant` is: others may be better in single episodes.
 """
@@ -23,18 +24,18 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.actuators import LEAST_SHARE, fin_share
-from auv_gym.dynamics import State
-from auv_gym.episode import Episode
-from auv_gym.errors import to_body, tracking_errors
-from auv_gym.namespaces import ARRAYS
-from auv_gym.paths import evaluate
-from auv_gym.planner import assemble
-from auv_gym.scenario import Scenario
-from auv_gym.sideslip import PathRates, path_rates, sideslip_rest, sideslip_step, sideslip_terms, slow_sideslip
-from auv_gym.simulation import CURRENT, LOAD, start, step
-from auv_gym.units import POWERS, Units
-from auv_gym.vehicle import Coefficients, Vehicle
+from auv_gym.physics.actuators import LEAST_SHARE, fin_share
+from auv_gym.physics.dynamics import State
+from auv_gym.physics.errors import to_body, tracking_errors
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.units import POWERS, Units
+from auv_gym.physics.vehicle import Coefficients, Vehicle
+from auv_gym.planning.paths import evaluate
+from auv_gym.planning.planner import assemble
+from auv_gym.planning.sideslip import PathRates, path_rates, sideslip_rest, sideslip_step, sideslip_terms, slow_sideslip
+from auv_gym.scenarios.episode import Episode
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.task.simulation import CURRENT, LOAD, start, step
 from baselines.control.linearisation import error_dynamics
 from baselines.control.truth import Array, Truth, nothing_sent
 from baselines.estimation.water_frame import braked

@@ -19,10 +19,10 @@ from __future__ import annotations
 from functools import partial
 from typing import NamedTuple
 
-from auv_gym.errors import to_world
-from auv_gym.namespaces import Namespace, Number, wrap_angle
-from auv_gym.task import Observation
-from auv_gym.vehicle import Coefficients
+from auv_gym.physics.errors import to_world
+from auv_gym.physics.namespaces import Namespace, Number, wrap_angle
+from auv_gym.physics.vehicle import Coefficients
+from auv_gym.task.observation import Observation
 from baselines.control.traced import TracedController, TracedLaw, effective_periods, foreseen_velocities
 from baselines.gains.loading import tuned_policy
 from baselines.policy import reference_speed

@@ -11,10 +11,10 @@ import numpy as np
 
 from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.dynamics import rk4_step
-from auv_gym.namespaces import Namespace, Number
-from auv_gym.task import Observation
-from auv_gym.vehicle import Coefficients, Vehicle
+from auv_gym.physics.dynamics import rk4_step
+from auv_gym.physics.namespaces import Namespace, Number
+from auv_gym.physics.vehicle import Coefficients, Vehicle
+from auv_gym.task.observation import Observation
 from baselines.estimation.kalman import VEHICLE_ROWS, repeated
 from baselines.policy import Array, Memory
 

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.actuators import LONGEST_DELAY
-from auv_gym.dynamics import State
 from auv_gym.envs.lanes import plan_of, reference_tables
-from auv_gym.episode import Episode
-from auv_gym.namespaces import ARRAYS
-from auv_gym.rows import filled, leaves
-from auv_gym.scenario import Scenario
-from auv_gym.simulation import PLANT, Parameters, step
-from auv_gym.tape import Tape
+from auv_gym.physics.actuators import LONGEST_DELAY
+from auv_gym.physics.dynamics import State
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.rows import filled, leaves
+from auv_gym.scenarios.episode import Episode
+from auv_gym.scenarios.exogenous import Tape
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.task.simulation import PLANT, Parameters, step
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from auv_gym.actuators import LONGEST_DELAY
-from auv_gym.dynamics import Force
-from auv_gym.namespaces import Namespace, Number
-from auv_gym.vehicle import Coefficients
+from auv_gym.physics.actuators import LONGEST_DELAY
+from auv_gym.physics.dynamics import Force
+from auv_gym.physics.namespaces import Namespace, Number
+from auv_gym.physics.vehicle import Coefficients
 from baselines.estimation.sea_model import Estimate, transition
 
 

@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 from auv_gym.codegen.derivatives import jacobian
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.matrices import congruence, diagonal, dot, symmetric, triangle
-from auv_gym.errors import to_world
-from auv_gym.namespaces import Number, wrap_angle
-from auv_gym.task import Observation
-from auv_gym.vehicle import Coefficients
+from auv_gym.physics.errors import to_world
+from auv_gym.physics.namespaces import Number, wrap_angle
+from auv_gym.physics.vehicle import Coefficients
+from auv_gym.task.observation import Observation
 from baselines.estimation.faults import (
     DRIFT,
     FAULTS,

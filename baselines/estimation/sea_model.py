@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple, TypeAlias
 
-from auv_gym.actuators import Response, respond
-from auv_gym.dynamics import Current, Force, Load, rk4_step
-from auv_gym.errors import to_body
-from auv_gym.namespaces import Namespace, Number
-from auv_gym.vehicle import Coefficients
+from auv_gym.physics.actuators import Response, respond
+from auv_gym.physics.dynamics import Current, Force, Load, rk4_step
+from auv_gym.physics.errors import to_body
+from auv_gym.physics.namespaces import Namespace, Number
+from auv_gym.physics.vehicle import Coefficients
 
 WAVE_FREQUENCY = 0.8  # [rad/s] natural frequency of the wave oscillators
 WAVE_DAMPING = 0.1  # [1] relative damping of the wave oscillators

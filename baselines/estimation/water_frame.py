@@ -13,10 +13,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from auv_gym.dynamics import rates
-from auv_gym.errors import to_world
-from auv_gym.namespaces import ARRAYS, Namespace, Number, wrap_angle
-from auv_gym.sideslip import (
+from auv_gym.physics.dynamics import rates
+from auv_gym.physics.errors import to_world
+from auv_gym.physics.namespaces import ARRAYS, Namespace, Number, wrap_angle
+from auv_gym.physics.vehicle import Coefficients
+from auv_gym.planning.sideslip import (
     PathRates,
     in_sideslip,
     path_rates,
@@ -25,8 +26,7 @@ from auv_gym.sideslip import (
     sideslip_terms,
     steady_sideslip,
 )
-from auv_gym.task import Observation
-from auv_gym.vehicle import Coefficients
+from auv_gym.task.observation import Observation
 
 LARGEST_CURRENT = 0.85
 """Largest current that is planned for, as a share of the reference's speed: forward motion needs one below 1."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 
-from baselines.evaluation.paper.numbers import Reproduction, reproduce
 from baselines.evaluation.progress import Listener, progress
 from baselines.evaluation.report.files import results_csv, results_json
 from baselines.evaluation.report.html import report_html
@@ -16,6 +15,7 @@ from baselines.evaluation.runner import Run, runs
 from baselines.evaluation.submission.making import write_submission
 from baselines.tools.command_line import DONE, FAILED
 from baselines.tools.files import write_atomically
+from research.paper.numbers import Reproduction, reproduce
 
 ROWS = "rows"
 """Folder in DIR that keeps the finished runs."""
@@ -65,8 +65,8 @@ def _write(request: Request, results: list[Result], pooled: list[Entry], reprodu
     out, figures = request.options.out, evaluation_figures(results)
     files: dict[str, str | bytes] = {}
     if reproduction is not None:
-        from baselines.evaluation.paper.figures import paper_figures
-        from baselines.evaluation.paper.page import paper_html
+        from research.paper.figures import paper_figures
+        from research.paper.page import paper_html
 
         figures |= paper_figures(reproduction)
         files["paper.html"] = paper_html(reproduction, request.command)

@@ -103,7 +103,7 @@ class Unit(NamedTuple):
 
 
 def _closure(*modules: str) -> Iterator[Unit]:
-    """Yield modules and all that they import within `ROOMS`, in the order of their names; nothing for one outside."""
+    """Yield modules and all that they import within `ROOMS`, in the order of their digests; nothing for one outside."""
     units: dict[str, Unit] = {}
     waiting = set(modules)
     while waiting:
@@ -117,7 +117,7 @@ def _closure(*modules: str) -> Iterator[Unit]:
         if spec is not None and spec.origin is not None:
             units[name] = _unit(Path(spec.origin))
             waiting |= units[name].imports
-    return (units[name] for name in sorted(units))
+    return iter(sorted(units.values(), key=lambda unit: unit.digest))
 
 
 def _unit(file: Path) -> Unit:
@@ -140,12 +140,18 @@ def _parsed(file: Path, *_: int) -> Unit:
 
 
 def _plain(node: Any) -> Any:
-    """Return a syntax tree as lists, the same in every version of Python, without strings that stand alone."""
+    """Return a syntax tree as lists, the same in every version of Python.
+
+    Strings that stand alone are left out, and the names of modules that something is imported from: code that has moved
+    is the same code.
+    """
     if isinstance(node, list):
         return [_plain(item) for item in node if not _stands_alone(item)]
     if not isinstance(node, ast.AST):
         return repr(node)
-    entries = ((name, value) for name, value in ast.iter_fields(node) if value is not None and value != [])
+    entries = (
+        (name, value) for name, value in ast.iter_fields(node) if value is not None and value != [] and name != "module"
+    )
     return [type(node).__name__, *((name, _plain(value)) for name, value in entries)]
 
 

@@ -1,6 +1,6 @@
 """What policies did in the frozen suites when they were last run: rows to compare with, without waiting for slow ones.
 
-A file SUITE/POLICY.npz each, made by `python -m baselines.evaluation.suites record SUITE --policy POLICY ...`. It names
+A file SUITE/POLICY.npz each, made by `python -m research suites record SUITE --policy POLICY ...`. It names
 the suite's hash; `STAMPS` has, for each file, its own hash and the fingerprint of the policy that made it. Where one of
 the three is another now, the rows do not count, until they are recorded anew or `verify` finds that the policy still
 gives the same numbers. A slow policy may have run the first episodes of each cell only, an agent its regime's cells.
@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.installation import checkout, left_out
-from auv_gym.presets import REGIMES
+from auv_gym.installation import RECORD, checkout, found, left_out
+from auv_gym.scenarios.presets import REGIMES
 from baselines import list_policies
 from baselines.agents.agent import Agent
 from baselines.agents.names import agent_folder, bare_name
@@ -85,7 +85,8 @@ def missing(suite: str, folder: Path = FOLDER) -> str | None:
 
 def recorded_policies(suite: Suite, folder: Path = FOLDER) -> list[str]:
     """Return the names of the policies that rows are kept of, in the order of the registry."""
-    names, order = {file.stem for file in (folder / suite.source[0]).glob("*.npz")}, list(list_policies())
+    places, order = (folder, RECORD / folder.name), list(list_policies())
+    names = {file.stem for place in places for file in (place / suite.source[0]).glob("*.npz")}
     return sorted(names, key=lambda name: (order.index(name) if name in order else len(order), name))
 
 
@@ -97,7 +98,7 @@ def read(suite: Suite, policy: str, folder: Path = FOLDER) -> list[Run]:
         ValueError: it is damaged, of another suite or of another policy.
     """
     source, source_hash = suite.source
-    with reading(folder / source / f"{policy}.npz") as stored:
+    with reading(found(folder, f"{source}/{policy}.npz")) as stored:
         record, rows = stored.record, stored.arrays["measures"].astype(np.float64)
         bounds = np.cumsum([0, *record["episodes"]]).tolist()
         cells, when = cells_of(suite, record.get("regimes", REGIMES)), Recorded(record["date"], record["versions"])
@@ -132,7 +133,7 @@ def table(measures: Measures) -> NDArray[np.float32]:
 
 def _stamp(suite: Suite, policy: str, folder: Path) -> list[str]:
     """Return the hash of a file of rows, and the fingerprint of what would make them now."""
-    rows = (folder / suite.source[0] / f"{policy}.npz").read_bytes()
+    rows = found(folder, f"{suite.source[0]}/{policy}.npz").read_bytes()
     return [hashlib.sha256(rows).hexdigest(), fingerprint(policy)]
 
 
@@ -192,5 +193,5 @@ def save(
         "seconds": [run.seconds for run in ordered],
         "decision_seconds": [run.decision_seconds for run in ordered],
     }
-    write(folder / name / f"{policy}.npz", Stored(record, {"measures": table(Measures.joined(parts))}))
+    write(found(folder, f"{name}/{policy}.npz"), Stored(record, {"measures": table(Measures.joined(parts))}))
     stamp(suite, policy, folder)

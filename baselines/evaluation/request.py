@@ -13,9 +13,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
-from auv_gym.presets import PRESETS, as_scenario
-from auv_gym.scenario import Scenario
-from auv_gym.vehicle import PAPER_VEHICLE
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.presets import PRESETS, as_scenario
+from auv_gym.scenarios.scenario import Scenario
 from baselines import make_policy
 from baselines.agents.loading import caution
 from baselines.evaluation import recorded

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.envs.vector_api import AutoresetMode
-from auv_gym.episode import Episode
-from auv_gym.kernels import MadeBodies
-from auv_gym.paths import Line
-from auv_gym.policy import Policy, preview_of
-from auv_gym.scenario import Scenario
+from auv_gym.planning.paths import Line
+from auv_gym.scenarios.episode import Episode
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.task.kernels import MadeBodies
+from auv_gym.task.policy import Policy, preview_of
 from baselines.agents.programs import Program
 from baselines.evaluation.metrics import Array, Measures, Track, effort, rmse, settling_time, smoothness, tail_rmse
 from baselines.policy import Privileged
@@ -139,7 +139,7 @@ def beginning(
 
     Args:
         cells: scenarios of the same number of substeps, with episodes of each.
-        preview: what is observed of the reference ahead, see `auv_gym.preview`.
+        preview: what is observed of the reference ahead, see `auv_gym.task.preview`.
         autoreset_mode: with NEXT_STEP the environment shows the end of an episode for one step.
         bodies: makes the vehicles of another simulator, if it is to move them.
     """

@@ -9,7 +9,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from auv_gym.scenario import Scenario
+from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.metrics import Measures, Track
 from baselines.evaluation.runner import Run
 from baselines.evaluation.store import Stored, reading, write

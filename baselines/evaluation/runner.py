@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from auv_gym import __version__
 from auv_gym.envs.lanes import plan_of, reference_tables
-from auv_gym.episode import Episode
-from auv_gym.scenario import Scenario
-from auv_gym.vehicle import Vehicle
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.scenarios.episode import Episode
+from auv_gym.scenarios.scenario import Scenario
 from baselines import make_policy
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import Measures, Track

@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.presets import REGIMES
-from auv_gym.scenario import Scenario
-from auv_gym.units import Units
+from auv_gym.physics.units import Units
+from auv_gym.scenarios.presets import REGIMES
+from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.metrics import RESAMPLES, Array, Measures, resamplings, seed_shares
 
 EXPERT = "backstepping"  # the policy that scores 0

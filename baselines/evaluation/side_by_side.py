@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.policy import Policy
+from auv_gym.task.policy import Policy
 from baselines.evaluation.metrics import Array, tail_rmse
 from baselines.evaluation.rollout import Moment, Repeatable, beginning
 from baselines.evaluation.runner import Cell

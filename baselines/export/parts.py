@@ -18,16 +18,16 @@ import numpy as np
 from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.codegen.vectors import Program
-from auv_gym.fleet import Craft
-from auv_gym.policy import Law, traceable
-from auv_gym.presets import PRESETS
-from auv_gym.preview import preview_columns
-from auv_gym.records import to_record
-from auv_gym.scenario import as_vehicle
-from auv_gym.simulation import PARAMETER_ROWS, PARAMETERS, SAMPLE, SAMPLE_ROWS, Parameters, Parts, start
-from auv_gym.task import TERMS, Observation, decode, encode
-from auv_gym.units import Units, in_paper_units
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.units import Units, in_paper_units
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.records import to_record
+from auv_gym.scenarios.vehicles import Craft, as_vehicle
+from auv_gym.task.observation import TERMS, Observation, decode, encode
+from auv_gym.task.policy import Law, traceable
+from auv_gym.task.preview import preview_columns
+from auv_gym.task.simulation import PARAMETER_ROWS, PARAMETERS, SAMPLE, SAMPLE_ROWS, Parameters, Parts, start
 from baselines.agents.agent import RECORD, Agent, make_expert
 from baselines.agents.names import FADING, agent_folder, shipped_agents
 from baselines.agents.networks import ACTIONS
@@ -53,7 +53,7 @@ class Exported:
     network: Program  # from features and hidden to correction and next_hidden
     command: Kernel  # from base, authority and correction to the command
     vehicle: Vehicle = PAPER_VEHICLE  # that it steers
-    span: int = 1  # of its scenarios' observations, see `auv_gym.task.bounds`
+    span: int = 1  # of its scenarios' observations, see `auv_gym.task.observation.bounds`
 
     @property
     def preview(self) -> tuple[int, ...]:
@@ -126,11 +126,11 @@ def exported(name: str, vehicle: Vehicle | Craft | str = PAPER_VEHICLE) -> Expor
 
 
 def widest_span(vehicle: Vehicle | Craft | str) -> int:
-    """Return the widest span of the observations of a vehicle's presets, see `auv_gym.task.bounds`."""
+    """Return the widest span of the observations of a vehicle's presets, see `auv_gym.task.observation.bounds`."""
     spans = [1]
     for preset in PRESETS.values():
         with suppress(ValueError):  # a path too slow for its fins
-            spans.append(preset.changed(vehicle).span)
+            spans.append(changed(preset, vehicle).span)
     return max(spans)
 
 
@@ -156,7 +156,8 @@ def measurement_kernel(preview: tuple[int, ...], span: int) -> Kernel:
     """Return the kernel from measurements in SI units to an observation, by what the environment does.
 
     Its arguments: `MEASURED`; `REFERENCE`; ahead, displacements of the reference in the world from now to each time of
-    the preview, x, y, x, y, ... [m]; last, the previous command; `SETTING`. For the span see `auv_gym.task.bounds`.
+    the preview, x, y, x, y, ... [m]; last, the previous command; `SETTING`.
+    For the span see `auv_gym.task.observation.bounds`.
     """
 
     def equation(measured: Any, reference: Any, last: Any, setting: Any, ahead: Any = ()) -> Mapping[str, Any]:

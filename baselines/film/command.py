@@ -14,7 +14,7 @@ from gymnasium.error import DependencyNotInstalled
 from tyro.conf import arg
 
 from auv_gym.rendering.renderer import SIZES
-from auv_gym.scenario import Scenario
+from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.request import checked, checked_policies, checked_scenario
 from baselines.evaluation.rollout import PolicyError
 from baselines.evaluation.runner import drawn, run_all

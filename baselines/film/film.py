@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.presets import as_scenario
 from auv_gym.rendering.renderer import import_pygame
-from auv_gym.scenario import Scenario
+from auv_gym.scenarios.presets import as_scenario
+from auv_gym.scenarios.scenario import Scenario
 from baselines.agents.names import agent_folder
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import EXPERT, ORACLE

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.episode import Episode
-from auv_gym.policy import preview_of
-from auv_gym.scenario import Scenario
+from auv_gym.scenarios.episode import Episode
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.task.policy import preview_of
 from baselines import make_policy
 from baselines.evaluation.rollout import beginning, play
 from baselines.policy import Privileged

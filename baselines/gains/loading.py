@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from auv_gym.presets import REGIMES
-from auv_gym.scenario import as_vehicle
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.scenarios.presets import REGIMES
+from auv_gym.scenarios.vehicles import as_vehicle
 from baselines.policy import BySpeed, Controller, Remembering
 
 FOLDER = Path(__file__).parent

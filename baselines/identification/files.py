@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from auv_gym.actuators import Actuators
 from auv_gym.identify import Estimate, Identified
 from auv_gym.identify.fit import UNKNOWN
 from auv_gym.identify.model import CURRENT, HULL, LIMITS
-from auv_gym.scenario import RandomPath, Scenario
-from auv_gym.sensors import Sensors
-from auv_gym.stiffness import MAX_STIFFNESS, fastest_rate
-from auv_gym.vehicle import Vehicle
+from auv_gym.physics.actuators import Actuators
+from auv_gym.physics.sensors import Sensors
+from auv_gym.physics.stiffness import MAX_STIFFNESS, fastest_rate
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.scenarios.scenario import RandomPath, Scenario
 
 TURN = 0.3  # turn rate of a scenario's paths, as a share of the log's root mean square
 
@@ -51,7 +51,7 @@ def interval(estimate: Estimate) -> str:
 
 
 def vehicle_text(found: Identified, vehicle: Vehicle, log: str) -> str:
-    """Return vehicle.toml, a file of `auv_gym.fleet.Craft`, with intervals as comments.
+    """Return vehicle.toml, a file of `auv_gym.scenarios.vehicles.Craft`, with intervals as comments.
 
     Args:
         found: the fit.

@@ -1,7 +1,7 @@
 """Who draws episodes from which seeds: one table, so that nobody is judged on what he was made on.
 
 Episodes of the same scenario from different seeds have nothing in common. The frozen suites draw theirs from keys of
-their own (`baselines.evaluation.suites.builder`), which no range here meets.
+their own (`research.suites.builder`), which no range here meets.
 """
 
 from __future__ import annotations
@@ -32,39 +32,33 @@ VALIDATION = Seeds(
     30_000_000, 40_000_000, "baselines.training.validation", "agents are chosen on these, where the suite has none"
 )
 """Those that agents are validated on."""
-GUARD = Seeds(
-    40_000_000, 45_000_000, "baselines.evaluation.safety.thresholds", "the guard's thresholds are chosen on these"
-)
+GUARD = Seeds(40_000_000, 45_000_000, "research.robustness.thresholds", "the guard's thresholds are chosen on these")
 """Those that the guard's thresholds are chosen on."""
-CERTIFICATE = Seeds(
-    45_000_000, 55_000_000, "baselines.evaluation.safety.certificate", "lost episodes are counted on these"
-)
+CERTIFICATE = Seeds(45_000_000, 55_000_000, "research.robustness.certificate", "lost episodes are counted on these")
 """Those of the episodes that are counted for a certificate."""
 FALSIFICATION = Seeds(
     55_000_000,
     60_000_000,
-    "baselines.evaluation.safety.falsification",
+    "research.robustness.falsification",
     "seas that lose a policy are looked for in these",
 )
 """Those of the episodes in which seas are looked for that lose a policy."""
 FRESH = Seeds(
-    70_000_000, 80_000_000, "baselines.evaluation.fresh", "policies are compared on these; nothing is chosen on them"
+    70_000_000, 80_000_000, "research.results.fresh", "policies are compared on these; nothing is chosen on them"
 )
 """Those of fresh episodes."""
-KNOWLEDGE = Seeds(
-    80_000_000, 90_000_000, "baselines.evaluation.knows.collect", "what agents know is looked for on these"
-)
+KNOWLEDGE = Seeds(80_000_000, 90_000_000, "research.probing.collect", "what agents know is looked for on these")
 """Those of the episodes in which memories are read and vehicles change."""
 SWEEP = Seeds(
-    90_000_000, 100_000_000, "baselines.evaluation.suites.bound", "the bound is tried on these: does it lose a vehicle?"
+    90_000_000, 100_000_000, "research.lower_bounds.bound", "the bound is tried on these: does it lose a vehicle?"
 )
 """Those of the episodes on which the bound is tried."""
-ELSEWHERE = Seeds(120_000_000, 130_000_000, "baselines.elsewhere.comparison", "two simulators are compared on these")
+ELSEWHERE = Seeds(120_000_000, 130_000_000, "research.transfer.comparison", "two simulators are compared on these")
 """Those of the episodes that run in two simulators."""
 FINE_TUNING = Seeds(
     130_000_000,
     140_000_000,
-    "baselines.training.fine_tuning",
+    "research.trainings.fine_tuning",
     "agents that were tuned to a vehicle are compared on these",
 )
 """Those that agents are compared on that were tuned to a vehicle."""

@@ -1,7 +1,7 @@
 """Where a training begins: with an agent, and for a vehicle.
 
-An agent sees everything in the units of the vehicle that it steers (`auv_gym.units`), so a training for a vehicle takes
-place in those units: scenarios are made to fit the vehicle, and then seen in its own units.
+An agent sees everything in the units of the vehicle that it steers (`auv_gym.physics.units`), so a training for a
+vehicle takes place in those units: scenarios are made to fit the vehicle, and then seen in its own units.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from auv_gym.fleet import Craft, as_craft
-from auv_gym.fleet.scaling import in_vehicle_units
-from auv_gym.scenario import Scenario, as_vehicle
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.scenarios.fitting import changed, in_vehicle_units
+from auv_gym.scenarios.mixtures import Mixture
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.vehicles import Craft, as_craft, as_vehicle
 from baselines.agents.agent import WEIGHTS, Agent
 from baselines.agents.names import agent_folder, shipped_agents
 from baselines.tools.files import read_bytes
 from baselines.training.config import Config, Origin
-from baselines.training.mixtures import Mixture
 
 ALGO = "apg"  # the algorithm that goes on with an agent
 OF_AGENT = ("hidden_size", "memory", "preview", "integrals", "fine", "filters")
@@ -117,7 +117,7 @@ def fitted(mixture: Mixture, craft: Craft) -> tuple[Mixture, tuple[str, ...]]:
                 "out --vehicle, or name scenarios of the paper's vehicle"
             )
         try:
-            found.append((scenario.changed(craft), weight))
+            found.append((changed(scenario, craft), weight))
         except ValueError as error:
             reasons.append(str(error))
     if not found:
@@ -131,7 +131,7 @@ def in_own_units(mixture: Mixture) -> tuple[Mixture, Vehicle | None]:
     That is None for the paper's vehicle, or where there are several. Without other vehicles nothing is changed.
 
     Raises:
-        ValueError: see `auv_gym.fleet.scaling.in_vehicle_units`.
+        ValueError: see `auv_gym.scenarios.fitting.in_vehicle_units`.
     """
     own = tuple((in_vehicle_units(scenario), weight) for scenario, weight in mixture)
     if all(new is old for (new, _), (old, _) in zip(own, mixture, strict=True)):

@@ -9,10 +9,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from auv_gym.policy import Policy, checked_authority
-from auv_gym.records import from_record
-from auv_gym.scenario import Scenario
-from auv_gym.vehicle import Vehicle
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.scenarios.records import from_record
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.task.policy import Policy, checked_authority
 from baselines import common_vehicle
 from baselines.agents.agent import make_expert
 from baselines.evaluation.score import EXPERT

@@ -1,8 +1,9 @@
 """Hulls to train on: random vehicles in the units of the paper's, each with limits and a lag, and what they are told.
 
 By dimensional analysis a vehicle is one of the paper's mass, length and speed with ratios of its own, see
-`auv_gym.units`; so those three are never drawn. The ranges of the rest hold the published vehicles of `auv_gym.fleet`,
-none of which is trained on. A hull that cannot do what its scenario asks for is not taken.
+`auv_gym.physics.units`; so those three are never drawn. The ranges of the rest hold the published vehicles of
+`auv_gym.scenarios.vehicles`, none of which is trained on. A hull that cannot do what its scenario asks for is not
+taken.
 """
 
 from __future__ import annotations
@@ -14,12 +15,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from auv_gym.actuators import Actuators
-from auv_gym.disturbances import RandomMismatch
 from auv_gym.envs.lanes import plan_of, reference_tables
-from auv_gym.fleet import Craft
-from auv_gym.scenario import Scenario
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.actuators import Actuators
+from auv_gym.physics.disturbances import RandomMismatch
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.scenarios.fitting import adapted
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.vehicles import Craft
 
 SUBSTEPS = 2
 """Integration steps in a control period, for all vehicles side by side; a hull that needs more is not taken."""
@@ -76,7 +78,7 @@ def fitted(scenario: Scenario, rng: np.random.Generator) -> Scenario:
     """Return a scenario of the paper's vehicle as one of a drawn hull that can do it."""
     while True:
         with suppress(ValueError):  # a hull, a scenario for it or a plan that there cannot be
-            other = drawn(rng).adapted(scenario)
+            other = adapted(drawn(rng), scenario)
             if other.substeps == scenario.substeps and _followed(other, rng):
                 return other
 

@@ -11,8 +11,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from auv_gym.scenario import Scenario
-from auv_gym.vehicle import Vehicle
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.scenarios.mixtures import MIXTURES, Mixture
+from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.request import checked, checked_folder, checked_scenario
 from baselines.evaluation.score import EXPERT
 from baselines.tools.command_line import UsageError
@@ -20,7 +21,6 @@ from baselines.tools.workers import Workers
 from baselines.training.beginning import ALGO, Beginning, checked_craft, fitted, in_own_units
 from baselines.training.config import ALGORITHMS, Config
 from baselines.training.hyperparameters import ENV_ID, TUNING, changes_of, load_hyperparameters, shipped
-from baselines.training.mixtures import MIXTURES, Mixture
 from baselines.training.options import Options
 from baselines.training.run_folder import AGENT, LOCK, read_config
 

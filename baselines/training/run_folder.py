@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock, Timeout
 
-from auv_gym.policy import Policy
+from auv_gym.task.policy import Policy
 from baselines.tools.command_line import UsageError
 from baselines.tools.files import guarded, json_text, read_csv, read_json, write_atomically
 from baselines.training.checkpoint import UNREADABLE, packed, unpacked

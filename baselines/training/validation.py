@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from auv_gym import __version__
-from auv_gym.namespaces import ARRAYS
-from auv_gym.policy import Policy
-from auv_gym.scenario import Scenario
-from auv_gym.task import decode_observation
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.task.observation import decode_observation
+from auv_gym.task.policy import Policy
 from baselines.agents.features import ERRORS, scaled_errors
 from baselines.evaluation.metrics import Array
 from baselines.evaluation.rollout import Moment

@@ -2,7 +2,7 @@
 
 The objective is the error that the score is made of: the mean over the cases of a regime of the tail RMSE, that of an
 episode at most the distance from which it counts as lost. With a price it is that error times the mean squared change
-of the command to the power of the price, and the gains are those of a point on a front, see `baselines.tuning.priced`.
+of the command to the power of the price, and the gains are those of a point on a front, see `research.vehicles.priced`.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from auv_gym.fleet import PAPER, Craft, as_craft, list_vehicles
+from auv_gym.scenarios.vehicles import PAPER, Craft, as_craft, list_vehicles
 from baselines import make_policy
 from baselines.gains.loading import gain_file, load_gains
 from baselines.tools.command_line import DONE, UsageError, parse, typed
 from baselines.tuning.objective import Course, compared, course, scenarios_of
-from baselines.tuning.priced import before, priced_file, priced_gains
 from baselines.tuning.search import EPISODES, EVALUATIONS, VALIDATION_EPISODES, VALIDATION_SEED, Budget, GainSet, tune
 from baselines.tuning.tunables import TUNABLES, Tunable
+from research.vehicles.priced import before, priced_file, priced_gains
 
 PROGRAM = "python -m baselines.tuning"
 

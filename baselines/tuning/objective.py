@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.fleet import PAPER, Craft
-from auv_gym.policy import Policy
-from auv_gym.presets import CASES, PRESETS
-from auv_gym.scenario import Scenario
+from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.mixtures import adverse
+from auv_gym.scenarios.presets import CASES, PRESETS
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.vehicles import PAPER, Craft
+from auv_gym.task.policy import Policy
 from baselines.evaluation.metrics import Array, effort, smoothness, tail_rmse
 from baselines.evaluation.rollout import Begun, Repeatable
 from baselines.evaluation.score import LARGEST_TAIL, cut, is_lost
-from baselines.training.mixtures import adverse
 
 WORLDS = ("plain", "adverse")
 """What controllers are tuned for: a regime's eight cases alone, or those and, as often, the adverse storm."""
@@ -49,7 +50,7 @@ def scenarios_of(regime: str, world: str, craft: Craft = PAPER) -> tuple[Scenari
     every = cases if world == "plain" else (*cases, *(adverse(regime),) * len(cases))
     if craft == PAPER:
         return every
-    own = [replace(s.changed(craft.in_paper_units), name=s.name) for s in every]
+    own = [replace(changed(s, craft.in_paper_units), name=s.name) for s in every]
     return tuple(replace(s, substeps=max(other.substeps for other in own)) for s in own)
 
 

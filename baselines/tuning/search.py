@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from auv_gym.installation import install
-from auv_gym.policy import Policy
+from auv_gym.task.policy import Policy
 from baselines.policy import Array
 from baselines.tools.seeds import TUNING, TUNING_CHECK
 from baselines.tuning.objective import Course, Result

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from auv_gym.policy import Policy
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.task.policy import Policy
 from baselines.control import ekf_law
 from baselines.control.adaptive import AdaptiveGains, make_adaptive
 from baselines.control.backstepping import LAW_GAINS, SCALED_GAINS, Backstepping, Gains

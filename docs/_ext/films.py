@@ -13,8 +13,8 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from auv_gym.presets import PRESETS
-from auv_gym.scenario import Scenario
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.score import regime_of
 
 FOLDER = "films"

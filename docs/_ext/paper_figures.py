@@ -8,8 +8,8 @@ from films import FOLDER, figure
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from baselines.evaluation.paper.figures import paper_figures
-from baselines.evaluation.paper.numbers import reproduce
+from research.paper.figures import paper_figures
+from research.paper.numbers import reproduce
 
 
 @functools.cache

@@ -12,14 +12,14 @@ from module_pages import replace_folder
 from sphinx.application import Sphinx
 from sphinx.pycode import ModuleAnalyzer
 
-from auv_gym.presets import PRESETS
-from auv_gym.scenario import Scenario
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.recorded import load as load_recorded
 from baselines.evaluation.report.columns import COLUMNS, ranked
 from baselines.evaluation.report.numbers import Entry, compare
-from baselines.evaluation.results.page import table
 from baselines.evaluation.score import regime_of
 from baselines.evaluation.suites import load as load_suite
+from research.results.page import table
 
 SHOWN = ("tail [m]", "p95 [m]", "score", "lost", "settled [s]", "effort")
 """Columns of the evaluation that a page has."""

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.episode import Episode
-from auv_gym.errors import to_body
-from auv_gym.scenario import Scenario
+from auv_gym.physics.errors import to_body
+from auv_gym.scenarios.episode import Episode
+from auv_gym.scenarios.scenario import Scenario
 from baselines.control.clairvoyant.problem import ACTIONS, STATES, Array, Problem
 from baselines.control.clairvoyant.receding import WINDOWS, foreseeing
 from baselines.control.clairvoyant.solver import DAMPING, solved

@@ -7,7 +7,7 @@ Commands a_1 ... a_K of the K control periods are sought that make
 least, with p the position that the simulation itself gives for them, p_R that of the reference, and commands within
 the limits at which the actuators really saturate. The weights w_k add up to one over the tail of the episode, whose
 root mean square is what is scored; those before it are small, so that the way there is not arbitrary. Positions count
-in the paper's units (`auv_gym.units`), so that one price and one tolerance serve a torpedo and a ship.
+in the paper's units (`auv_gym.physics.units`), so that one price and one tolerance serve a torpedo and a ship.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from auv_gym.codegen.derivatives import jacobian
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.codegen.matrices import congruence, dot, symmetric, triangle
-from auv_gym.episode import Episode
-from auv_gym.rows import leaves
-from auv_gym.scenario import Scenario
-from auv_gym.simulation import PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts, Sample, moved
-from auv_gym.units import Units
+from auv_gym.physics.rows import leaves
+from auv_gym.physics.units import Units
+from auv_gym.scenarios.episode import Episode
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.task.simulation import PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts, Sample, moved
 from baselines.control.nmpc.gauss_newton import feedback_law
 from baselines.control.truth import Truth
 

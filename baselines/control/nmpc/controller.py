@@ -17,10 +17,10 @@ from scipy.interpolate import CubicSpline
 
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.errors import to_world
-from auv_gym.namespaces import ARRAYS, Namespace, Number
-from auv_gym.task import Observation
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.errors import to_world
+from auv_gym.physics.namespaces import ARRAYS, Namespace, Number
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.task.observation import Observation
 from baselines.control.backstepping import GAINS, tracking_forces
 from baselines.control.nmpc.gauss_newton import solved
 from baselines.control.nmpc.problem import (

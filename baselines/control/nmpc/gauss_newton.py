@@ -19,8 +19,8 @@ from auv_gym.codegen.derivatives import gradient, jacobian
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.codegen.matrices import Matrix, congruence, dot, product, symmetric, triangle
-from auv_gym.namespaces import Namespace, Number
-from auv_gym.vehicle import Coefficients
+from auv_gym.physics.namespaces import Namespace, Number
+from auv_gym.physics.vehicle import Coefficients
 from baselines.control.nmpc.problem import (
     COMMANDS,
     CONSTANTS,

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from baselines.evaluation.paper.numbers import Reproduction
 from baselines.evaluation.report.columns import line, record
 from baselines.evaluation.report.numbers import Entry, Result
 from baselines.evaluation.request import Request
 from baselines.tools.files import finite, json_text, versions
+from research.paper.numbers import Reproduction
 
 FORMULA = ("=", "+", "-", "@")
 """What a spreadsheet takes for the beginning of a formula."""

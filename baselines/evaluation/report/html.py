@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from auv_gym.presets import REGIMES
+from auv_gym.scenarios.presets import REGIMES
 from baselines.evaluation.report.columns import Column, definitions, lost_text, ranked, used
 from baselines.evaluation.report.numbers import Entry, Result, recordings
 from baselines.evaluation.report.page import mixed, render

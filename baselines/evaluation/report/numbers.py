@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from auv_gym.presets import REGIMES
+from auv_gym.scenarios.presets import REGIMES
 from baselines.evaluation.metrics import Array, Measures, Summary, ratio, summarise
 from baselines.evaluation.runner import Run
 from baselines.evaluation.score import (

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from auv_gym.scenario import Scenario
+from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.metrics import Array, Track
 from baselines.evaluation.report.charts import charts
 from baselines.evaluation.report.columns import digits, ends, lost_text, ranked

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from auv_gym.scenario import Scenario
+from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.metrics import Track
 from baselines.evaluation.report.numbers import Result
 from baselines.evaluation.score import regime_of

@@ -12,10 +12,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from baselines.evaluation.paper.numbers import Reproduction, Row
 from baselines.evaluation.report.columns import Column, ranked, used
 from baselines.evaluation.report.numbers import Entry, Result, recordings
 from baselines.evaluation.score import FORESIGHTED, SCALE
+from research.paper.numbers import Reproduction, Row
 
 WIDTH = 200  # characters in a line of a table that does not go to a terminal
 LOOK: dict[str, Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False}  # of every table

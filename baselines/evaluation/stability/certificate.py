@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_lyapunov
 
 from auv_gym.installation import install
-from auv_gym.policy import Policy
-from auv_gym.vehicle import Vehicle
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.task.policy import Policy
 from baselines.control.linearisation import linearise_about
 from baselines.evaluation.stability.analysis import feedback_of
 from baselines.policy import Array

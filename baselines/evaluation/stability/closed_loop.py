@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from auv_gym.dynamics import Force, State, state_rates
-from auv_gym.errors import to_body, tracking_errors
-from auv_gym.namespaces import ARRAYS
-from auv_gym.paths import Circle
-from auv_gym.planner import plan
-from auv_gym.vehicle import Vehicle
+from auv_gym.physics.dynamics import Force, State, state_rates
+from auv_gym.physics.errors import to_body, tracking_errors
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.planning.paths import Circle
+from auv_gym.planning.planner import plan
 from baselines.control.backstepping import Gains, tracking_forces
 
 Array = NDArray[np.float64]

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from auv_gym.actuators import Actuators
-from auv_gym.policy import Policy, preview_of
-from auv_gym.presets import PAPER_SCENARIO
-from auv_gym.scenario import Start
-from auv_gym.vehicle import PAPER_VEHICLE
+from auv_gym.physics.actuators import Actuators
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.presets import PAPER_SCENARIO
+from auv_gym.scenarios.scenario import Start
+from auv_gym.task.policy import Policy, preview_of
 from baselines import make_policy
 from baselines.evaluation.report.terminal import console
 from baselines.evaluation.rollout import PolicyError, rollout

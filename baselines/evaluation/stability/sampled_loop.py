@@ -18,17 +18,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.errors import to_body, to_world
-from auv_gym.namespaces import ARRAYS
-from auv_gym.paths import Circle, Line
-from auv_gym.planner import plan
-from auv_gym.policy import Policy, preview_of
-from auv_gym.presets import PRESETS
-from auv_gym.preview import encode_preview
-from auv_gym.scenario import Scenario, Start
-from auv_gym.simulation import SAMPLE, SAMPLE_ROWS, start, step
-from auv_gym.task import Observation, encode
-from auv_gym.vehicle import Vehicle
+from auv_gym.physics.errors import to_body, to_world
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.planning.paths import Circle, Line
+from auv_gym.planning.planner import plan
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import Scenario, Start
+from auv_gym.task.observation import Observation, encode
+from auv_gym.task.policy import Policy, preview_of
+from auv_gym.task.preview import encode_preview
+from auv_gym.task.simulation import SAMPLE, SAMPLE_ROWS, start, step
 from baselines.policy import CRUISE_SPEED, Array, Memory, Privileged
 
 VEHICLE = 8

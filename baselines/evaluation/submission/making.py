@@ -71,7 +71,7 @@ def write_submission(request: Request, found: Sequence[Run]) -> int:
         print(f"no submission: {error}", file=sys.stderr)
         return FAILED
     print(f"Wrote {file}, {size / 1000:.0f} kB: {made.episodes} episodes of {suite.name}")
-    print(f"Look at it with `python -m baselines.evaluation.submission verify {file} {policy!r}`")
+    print(f"Look at it with `python -m research leaderboard verify {file} {policy!r}`")
     return DONE
 
 
@@ -89,7 +89,7 @@ def own_submission(suite_name: str, policy: str) -> Submission:
         raise ValueError(f"the recorded rows of {policy} in {suite_name} do not count: {reason}")
     record = rows[0].recorded
     assert record is not None
-    command = f"python -m baselines.evaluation.suites record {suite_name} --policy {policy}"
+    command = f"python -m research suites record {suite_name} --policy {policy}"
     return submission_of(suite, rows, policy, _about(policy), record.versions, command)
 
 

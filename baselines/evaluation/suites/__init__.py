@@ -23,13 +23,13 @@ from typing import Any
 
 import numpy as np
 
-from auv_gym.disturbances import Current, Waves
-from auv_gym.episode import Episode
-from auv_gym.installation import checkout, left_out
-from auv_gym.paths import PATHS
-from auv_gym.records import from_record, to_record
-from auv_gym.scenario import Scenario
-from auv_gym.vehicle import Vehicle
+from auv_gym.installation import checkout, found, left_out
+from auv_gym.physics.disturbances import Current, Waves
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.planning.paths import PATHS
+from auv_gym.scenarios.episode import Episode
+from auv_gym.scenarios.records import from_record, to_record
+from auv_gym.scenarios.scenario import Scenario
 from baselines.control.truth import Array, samples
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import BY_ORACLE, Anchors
@@ -88,7 +88,7 @@ def _loaded(name: str, folder: Path) -> Suite:
     sums = _sums(folder)
     if name not in sums:
         raise SuiteError(f"unknown suite {name!r}; allowed are {', '.join(sorted(sums))}")
-    file = folder / f"{name}.json.bz2"
+    file = found(folder, f"{name}.json.bz2")
     if not file.exists() and checkout() is None:
         raise SuiteError(left_out(f"the episodes of {name} are"))
     try:

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple, cast
 
-from auv_gym import simulation
-from auv_gym.namespaces import Namespace, Number
-from auv_gym.policy import Forces, Law, Policy, corrected, traceable
-from auv_gym.preview import preview_columns
-from auv_gym.rows import filled, leaves
-from auv_gym.simulation import PLANT, Parameters, Parts
-from auv_gym.task import Observation, action_of, decode, encode
-from auv_gym.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from auv_gym.physics.namespaces import Namespace, Number
+from auv_gym.physics.rows import filled, leaves
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from auv_gym.task import simulation
+from auv_gym.task.observation import Observation, action_of, decode, encode
+from auv_gym.task.policy import Forces, Law, Policy, corrected, traceable
+from auv_gym.task.preview import preview_columns
+from auv_gym.task.simulation import PLANT, Parameters, Parts
 from baselines.agents.features import STANDARD, Inputs
 from baselines.control.backstepping import Backstepping, tracking_forces
 from baselines.control.ekf_law import EkfLaw

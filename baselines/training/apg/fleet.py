@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.envs.lanes import Lanes, Planned
-from auv_gym.scenario import Scenario
-from auv_gym.simulation import SAMPLE_ROWS, Parts
-from auv_gym.vehicle import Coefficients, Vehicle
+from auv_gym.physics.vehicle import Coefficients, Vehicle
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.task.simulation import SAMPLE_ROWS, Parts
 from baselines.agents.features import STANDARD
 from baselines.agents.networks import ACTIONS
 from baselines.training.apg.window import Array, Carried

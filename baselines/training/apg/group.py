@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.namespaces import ARRAYS
-from auv_gym.policy import preview_of
-from auv_gym.preview import encode_preview, shared_preview
-from auv_gym.scenario import Scenario
-from auv_gym.task import decode_observation
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.task.observation import decode_observation
+from auv_gym.task.policy import preview_of
+from auv_gym.task.preview import encode_preview, shared_preview
 from baselines.control.backstepping import Backstepping
 from baselines.policy import Memory
 from baselines.training.apg.closed_loop import ClosedLoop, law_of

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 from auv_gym.codegen.derivatives import gradient
 from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Equation, Kernel
-from auv_gym.namespaces import Number
-from auv_gym.simulation import PARAMETER_ROWS, PLANT_ROWS, SAMPLE_ROWS
-from auv_gym.task import ERRORS, SIZE, Observation
-from auv_gym.vehicle import PAPER_VEHICLE, Coefficients
+from auv_gym.physics.namespaces import Number
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients
+from auv_gym.task.observation import ERRORS, SIZE, Observation
+from auv_gym.task.simulation import PARAMETER_ROWS, PLANT_ROWS, SAMPLE_ROWS
 from baselines.agents.networks import ACTIONS
 from baselines.training.apg.closed_loop import ClosedLoop, Loss, Moved
 

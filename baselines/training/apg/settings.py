@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from torch import nn
 
-from auv_gym.intervals import check_number
-from auv_gym.records import from_record
-from auv_gym.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.physics.intervals import check_number
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.scenarios.records import from_record
 from baselines.agents.features import Inputs
 from baselines.agents.networks import Gru, Mlp
 from baselines.control.backstepping import Backstepping

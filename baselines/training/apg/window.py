@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from auv_gym.namespaces import ARRAYS
-from auv_gym.simulation import PARAMETERS, PLANT, PLANT_ROWS
-from auv_gym.task import SIZE
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.task.observation import SIZE
+from auv_gym.task.simulation import PARAMETERS, PLANT, PLANT_ROWS
 from baselines.agents.networks import ACTIONS, Network
 from baselines.training.apg.closed_loop import Loss
 from baselines.training.apg.kernels import KNOWN_ROWS, MOVED, Chosen, LoopKernels

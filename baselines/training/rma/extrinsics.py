@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.errors import to_body
-from auv_gym.namespaces import ARRAYS
-from auv_gym.rows import filled
-from auv_gym.simulation import SAMPLE, Parameters, Parts
-from auv_gym.vehicle import LIFT, Coefficients, Vehicle
+from auv_gym.physics.errors import to_body
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.rows import filled
+from auv_gym.physics.vehicle import LIFT, Coefficients, Vehicle
+from auv_gym.task.simulation import SAMPLE, Parameters, Parts
 from baselines.agents.features import BOUND
 from baselines.policy import reference_speed
 

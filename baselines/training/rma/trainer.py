@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from auv_gym.intervals import check_number
-from auv_gym.vehicle import PAPER_VEHICLE
+from auv_gym.physics.intervals import check_number
+from auv_gym.physics.vehicle import PAPER_VEHICLE
 from baselines.agents.agent import Agent
 from baselines.agents.networks import LARGEST, Rma
 from baselines.training.apg.closed_loop import ClosedLoop, law_of

@@ -21,7 +21,7 @@ from stable_baselines3.common.vec_env import VecMonitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvWrapper
 
 from auv_gym.envs.residual import VectorResidualAction
-from auv_gym.policy import preview_of
+from auv_gym.task.policy import preview_of
 from baselines.agents.agent import Agent
 from baselines.tools.files import guarded
 from baselines.training.config import Config

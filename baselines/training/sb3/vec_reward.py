@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn, VecEnvWrapper
 
-from auv_gym.namespaces import ARRAYS
-from auv_gym.task import decode_observation
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.task.observation import decode_observation
 from baselines.policy import SPEED_FLOOR, reference_speed
 
 Array = NDArray[np.float64]

@@ -1,0 +1,101 @@
+"""Thruster and rudder: limits, first-order lag, rate limit, delay and loss of the surge force and the yaw torque."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from auv_gym.physics.dynamics import Force
+from auv_gym.physics.intervals import Interval, check_interval, check_number
+from auv_gym.physics.namespaces import Namespace, Number
+
+LONGEST_DELAY = 3
+"""Most control periods that a command may be late."""
+LARGEST_FORCE = 1e9
+"""Largest limit of an actuator, in its SI unit."""
+LEAST_SHARE = 1 / 64
+"""Least share of the yaw torque that fins are taken to have where what they have is told: at rest they have none."""
+
+
+@dataclass(frozen=True)
+class Actuators:
+    """Limits and speed of the two actuators; an action of +-1 commands the limit."""
+
+    F_u_max: float = 400.0  # [N]
+    F_r_max: float = 200.0  # [N m]
+    lag: Interval = 0.0  # [s] time constant of the first-order response of both
+    F_u_rate: float = math.inf  # [N/s]
+    F_r_rate: float = math.inf  # [N m/s]
+    effectiveness: Interval = 1.0  # share of the commanded force that acts, drawn for each of the two; nobody is told
+    reach: Interval = 1.0  # action at which an actuator really saturates, drawn for each of the two; nobody is told
+    delay: Interval = 0.0  # control periods until a command acts, drawn and rounded; nobody is told
+    fin: float = 0.0  # [kg] yaw torque of full fins per squared speed through water, up to F_r_max; 0: no fins, F_r_max
+    astern: float = 1.0  # share of F_u_max that the thruster gives astern
+
+    def __post_init__(self) -> None:
+        check_number("actuators F_u_max", self.F_u_max, 1e-3, LARGEST_FORCE)
+        check_number("actuators F_r_max", self.F_r_max, 1e-3, LARGEST_FORCE)
+        check_interval("actuators lag", self.lag, 0, 1e3)
+        check_number("actuators F_u_rate", self.F_u_rate, 1e-3)
+        check_number("actuators F_r_rate", self.F_r_rate, 1e-3)
+        check_interval("actuators effectiveness", self.effectiveness, 1e-3, 1)
+        check_interval("actuators reach", self.reach, 1e-3, 1)
+        check_interval("actuators delay", self.delay, 0, LONGEST_DELAY)
+        check_number("actuators fin", self.fin, 0, LARGEST_FORCE)
+        check_number("actuators astern", self.astern, 0, 1)
+
+
+def fin_share(u: Number, fin: Number, F_r_max: Number, ns: Namespace) -> Number:
+    """Return which share of F_r_max [N m] full fins give at a surge speed u [m/s] through water; without fins 1."""
+    share = fin * u * u / F_r_max
+    return ns.where((fin > 0.0) & (share < 1.0), share, 1.0)
+
+
+def told_torque(u: Number, fin: Number, F_r_max: Number, ns: Namespace) -> Number:
+    """Return the yaw torque [N m] that full fins are taken to give at a measured surge speed u [m/s], over ground."""
+    share = fin_share(u, fin, F_r_max, ns)
+    return F_r_max * ns.where(share < LEAST_SHARE, LEAST_SHARE, share)
+
+
+def ordered(command: Force, u: Number, p: Any, ns: Namespace) -> Force:
+    """Return the force [N] and torque [N m] that reach the actuators, before their lag.
+
+    Args:
+        command: as fractions of what action 1 gives.
+        u: surge speed [m/s] through water, which fins need.
+        p: the episode's constants, `simulation.Parameters`.
+        ns: the namespace of the numbers.
+    """
+    a_u = ns.clip(command[0], -p.astern, 1.0) if p.parts.astern else command[0]
+    thrust_r = p.thrust_r * fin_share(u, p.fin, p.F_r_max, ns) if p.parts.finned else p.thrust_r
+    return a_u * p.thrust_u, command[1] * thrust_r
+
+
+class Response(NamedTuple):
+    """One control step of the actuators: floats, or rows of shape (N,)."""
+
+    gain: Number  # share of the way to the command made in one step, 1 - exp(-dt/lag)
+    mean: Number  # mean of the change over the step, as a share of the change at its end
+    slew_u: Number  # [N] largest change in one step
+    slew_r: Number  # [N m]
+
+    @staticmethod
+    def of(lag: float, F_u_rate: float, F_r_rate: float, dt: float) -> Response:
+        """Return the exact discrete response for a command held over dt [s]; without lag a step acts at once."""
+        if lag == 0:
+            return Response(1.0, 1.0, F_u_rate * dt, F_r_rate * dt)
+        gain = -math.expm1(-dt / lag)
+        return Response(gain, (1 - lag / dt * gain) / gain, F_u_rate * dt, F_r_rate * dt)
+
+
+def respond(force: Force, command: Force, response: Response, ns: Namespace) -> tuple[Force, Force]:
+    """Return the mean force over one control step and the force at its end.
+
+    The mean keeps the impulse of the exponential response exact although the integrator holds the force.
+    """
+    F_u, F_r = force
+    gain, mean, slew_u, slew_r = response
+    change_u = ns.clip(gain * (command[0] - F_u), -slew_u, slew_u)
+    change_r = ns.clip(gain * (command[1] - F_r), -slew_r, slew_r)
+    return (F_u + mean * change_u, F_r + mean * change_r), (F_u + change_u, F_r + change_r)

@@ -1,0 +1,220 @@
+"""What the sea and a wrong model do: ocean current, waves as body forces, vehicle mismatch.
+
+Each disturbance has a `Random...` class, the distribution that a scenario names, whose `draw` gives the plain object
+that one episode meets.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from auv_gym.physics.intervals import Interval, Uniform, check_interval, check_number, draw
+from auv_gym.physics.vehicle import LARGEST, MIN_MASS_RATIO, Coefficients, Vehicle
+
+
+@dataclass(frozen=True)
+class Current:
+    """A current: a mean that may turn, a first-order Gauss-Markov gust on each axis, and a shear in space.
+
+    The gust is an Ornstein-Uhlenbeck process smoothed by a first-order filter, as Fossen (2021, section 10.3) models
+    slowly varying currents. The shear is a parallel flow whose speed is a sine across it, so that it is free of
+    divergence; a vehicle is small beside its wave length and feels the current at its centre. That the water's
+    velocity changes as the vehicle moves through the shear is left out of its inertia, see `dynamics`.
+    """
+
+    V_x: float = 0.0  # [m/s] mean, in the world
+    V_y: float = 0.0  # [m/s]
+    gust: float = 0.0  # [m/s] standard deviation of the process on each axis, before smoothing
+    gust_time: float = 20.0  # [s] its correlation time
+    smoothing: float = 2.0  # [s] time constant of the filter behind it
+    cap: float = math.inf  # largest speed of mean plus gust, as a fraction of the path's slowest speed
+    turn: float = 0.0  # [rad/s] how fast the mean turns
+    shear: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)  # see `simulation.Shear`
+
+
+@dataclass(frozen=True)
+class RandomCurrent:
+    """Distribution of the current; speeds are fractions of the path's nominal speed, or [m/s] if not `relative`."""
+
+    speed: Interval = 0.0  # mean speed
+    direction: Interval = (-math.pi, math.pi)  # [rad] where the mean flows to
+    gust: float = 0.0  # standard deviation of the gust on each axis
+    gust_time: float = 20.0  # [s]
+    smoothing: float = 2.0  # [s]
+    cap: float = math.inf  # largest speed of mean plus gust, always as a fraction of the path's slowest speed
+    relative: bool = True
+    turn: Interval = 0.0  # [rad/s] how fast the mean turns
+    shear: Interval = 0.0  # amplitude of a flow that varies like a sine across itself, of any direction
+    wavelength: Interval = 40.0  # [m] of it
+
+    def __post_init__(self) -> None:
+        check_interval("current speed", self.speed, 0, 1e3)
+        check_interval("current turn", self.turn, -10, 10)
+        check_interval("current shear", self.shear, 0, 1e3)
+        check_interval("current wavelength", self.wavelength, 1.0, 1e6)
+        check_interval("current direction", self.direction, -1e3, 1e3)
+        check_number("current gust", self.gust, 0, 1e3)
+        check_number("current gust_time", self.gust_time, 1e-3, 1e6)
+        check_number("current smoothing", self.smoothing, 0, 1e6)
+        check_number("current cap", self.cap, 0)
+        if not isinstance(self.relative, bool):
+            raise ValueError(f"current relative is {self.relative!r}; it must be true or false")
+
+    def draw(self, uniform: Uniform, speed: float) -> Current:
+        """Return one current for a path of this nominal speed [m/s]."""
+        unit = speed if self.relative else 1.0
+        V, direction = draw(self.speed, uniform) * unit, draw(self.direction, uniform)
+        drawn: dict[str, Any] = {}
+        if self.turn != 0:
+            drawn["turn"] = draw(self.turn, uniform)
+        if self.shear != 0:
+            amplitude, across = draw(self.shear, uniform) * unit, 2 * math.pi * uniform()
+            k, phase = 2 * math.pi / draw(self.wavelength, uniform), 2 * math.pi * uniform()
+            c, s = math.cos(across), math.sin(across)
+            drawn["shear"] = (-amplitude * s, amplitude * c, k * c, k * s, phase)
+        return Current(
+            V * math.cos(direction),
+            V * math.sin(direction),
+            self.gust * unit,
+            self.gust_time,
+            self.smoothing,
+            self.cap,
+            **drawn,
+        )
+
+
+@dataclass(frozen=True)
+class Waves:
+    """First-order wave forces on the hull: a sum of sines of equal amplitude on each axis."""
+
+    surge: float  # [N] root mean square
+    sway: float  # [N]
+    yaw: float  # [N m]
+    frequencies: tuple[float, ...]  # [rad/s]
+    phases: tuple[tuple[float, ...], ...]  # [rad], shape (3, number of frequencies)
+
+
+@dataclass(frozen=True)
+class RandomWaves:
+    """Distribution of the waves. The RMS forces are fractions of d11 U, d22 U and d33 U / (1 m) at path speed U."""
+
+    surge: float = 0.0
+    sway: float = 0.0
+    yaw: float = 0.0
+    band: tuple[float, float] = (0.5, 1.1)  # [rad/s]; one frequency is drawn in each of `components` equal parts
+    components: int = 6
+
+    def __post_init__(self) -> None:
+        for name in ("surge", "sway", "yaw"):
+            check_number(f"waves {name}", getattr(self, name), 0, 1e3)
+        if not isinstance(self.band, tuple):
+            raise ValueError(f"waves band is {self.band!r}; it must be a pair (low, high)")
+        check_interval("waves band", self.band, 1e-3, 1e2)
+        if isinstance(self.components, bool) or not isinstance(self.components, int) or not 1 <= self.components <= 12:
+            raise ValueError(f"waves components is {self.components!r}; it must be an integer in [1, 12]")
+
+    def draw(self, uniform: Uniform, speed: float, vehicle: Vehicle) -> Waves:
+        """Return one sea state for a path of this nominal speed [m/s] and the vehicle whose drag scales it."""
+        low, high = self.band
+        n = self.components
+        frequencies = tuple(low + (high - low) * (j + uniform()) / n for j in range(n))
+        phases = tuple(tuple(2 * math.pi * uniform() for _ in range(n)) for _ in range(3))
+        return Waves(
+            self.surge * vehicle.d11 * speed,
+            self.sway * vehicle.d22 * speed,
+            self.yaw * vehicle.d33 * speed,
+            frequencies,
+            phases,
+        )
+
+
+@dataclass(frozen=True)
+class RandomMismatch:
+    """Distribution of the true vehicle about the known one, as factors; m22 stays above m11.
+
+    The factor of a drag is that of its linear and quadratic part, and of the lift that grows with the surge velocity.
+    """
+
+    mass: Interval = 1.0  # on m11 and m22 together
+    ratio: Interval = 1.0  # on m22/m11
+    m33: Interval = 1.0
+    d11: Interval = 1.0
+    d22: Interval = 1.0
+    d33: Interval = 1.0
+    quadratic: Interval = 0.0  # adds this multiple of `quadratic_drag`
+    quadratic_drag: tuple[float, float, float] = (100.0, 200.0, 100.0)  # [kg/m], [kg/m], [kg m^2]
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "ratio", "m33", "d11", "d22", "d33"):
+            check_interval(f"mismatch {name}", getattr(self, name), 1e-3, 1e3)
+        check_interval("mismatch quadratic", self.quadratic, 0, 1e6)
+        if len(self.quadratic_drag) != 3:
+            raise ValueError(f"mismatch quadratic_drag is {self.quadratic_drag!r}; it must be three numbers")
+        for value in self.quadratic_drag:
+            check_number("mismatch quadratic_drag", value, 0, LARGEST)
+
+    def check(self, vehicle: Vehicle) -> None:
+        """Raise ValueError if some draw about this vehicle would have m22 too close to m11."""
+        lowest = self.ratio[0] if isinstance(self.ratio, tuple) else self.ratio
+        least = MIN_MASS_RATIO * (1 + 1e-9) * vehicle.m11 / vehicle.m22
+        if lowest < least:
+            raise ValueError(
+                f"mismatch ratio may fall to {lowest:g}; for m22 > {MIN_MASS_RATIO} m11 it must be at least {least:.4g}"
+            )
+
+    def draw(self, uniform: Uniform, vehicle: Vehicle) -> Vehicle:
+        """Return one true vehicle."""
+        mass, ratio, m33, d11, d22, d33, q = (
+            draw(x, uniform) for x in (self.mass, self.ratio, self.m33, self.d11, self.d22, self.d33, self.quadratic)
+        )
+        X_uu, Y_vv, N_rr = self.quadratic_drag
+        return Vehicle(
+            vehicle.m11 * mass,
+            vehicle.m22 * mass * ratio,
+            vehicle.m33 * m33,
+            vehicle.d11 * d11,
+            vehicle.d22 * d22,
+            vehicle.d33 * d33,
+            vehicle.X_uu * d11 + q * X_uu,
+            vehicle.Y_vv * d22 + q * Y_vv,
+            vehicle.N_rr * d33 + q * N_rr,
+            vehicle.Y_uv * d22,
+            vehicle.Y_ur,
+            vehicle.N_uv,
+            vehicle.N_ur * d33,
+        )
+
+    def extremes(self, vehicle: Vehicle) -> Coefficients:
+        """Return the stiffest vehicles that may be drawn about this one: light ones, with drag of all kinds; rows.
+
+        More quadratic drag is a faster decay, less lets a vehicle become faster.
+        """
+        (mass, _), (m33, _) = (_ends(x) for x in (self.mass, self.m33))
+        corners = itertools.product(*(_ends(x) for x in (self.ratio, self.d11, self.d22, self.d33, self.quadratic)))
+        ratio, d11, d22, d33, q = np.array([*corners]).T
+        X_uu, Y_vv, N_rr = self.quadratic_drag
+        one = np.ones_like(ratio)
+        return Coefficients(
+            vehicle.m11 * mass * one,
+            vehicle.m22 * mass * ratio,
+            vehicle.m33 * m33 * one,
+            vehicle.d11 * d11,
+            vehicle.d22 * d22,
+            vehicle.d33 * d33,
+            vehicle.X_uu * d11 + q * X_uu,
+            vehicle.Y_vv * d22 + q * Y_vv,
+            vehicle.N_rr * d33 + q * N_rr,
+            vehicle.Y_uv * d22,
+            vehicle.Y_ur * one,
+            vehicle.N_uv * one,
+            vehicle.N_ur * d33,
+        )
+
+
+def _ends(interval: Interval) -> tuple[float, float]:
+    return interval if isinstance(interval, tuple) else (interval, interval)

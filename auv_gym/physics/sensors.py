@@ -1,0 +1,92 @@
+"""Measurements: white noise, constant bias, position fixes, and a first-order low-pass on the tracking errors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from auv_gym.physics.dynamics import State
+from auv_gym.physics.intervals import Interval, Uniform, check_interval, check_number, draw, mean_square
+from auv_gym.physics.namespaces import Namespace, Number, wrap_angle
+from auv_gym.physics.navigation import FixFilter, RandomReckoning, Reckoning
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Errors of the six measurements x, y, psi, u, v, r, the velocities over ground.
+
+    Noise is white from control step to control step. A bias is drawn once an episode for each measurement. While the
+    position fix fails, x and y keep their last measured values. With `reckoning` there is a fix now and then only: its
+    errors are those of x and y here, in between the position is reckoned from measured heading and velocities, and a
+    fix that fails is left out.
+    """
+
+    position: float = 0.0  # [m] standard deviation of the noise on x and on y
+    heading: float = 0.0  # [rad] on psi
+    velocity: float = 0.0  # [m/s] on u and on v
+    yaw_rate: float = 0.0  # [rad/s] on r
+    position_bias: Interval = 0.0  # [m]
+    heading_bias: Interval = 0.0  # [rad]
+    velocity_bias: Interval = 0.0  # [m/s]
+    yaw_rate_bias: Interval = 0.0  # [rad/s]
+    outages: float = 0.0  # [1/min] how often the position fix fails, on average
+    outage_time: Interval = (2.0, 10.0)  # [s] for how long
+    reckoning: RandomReckoning | None = None  # between rare position fixes; None: a fix in each control step
+    low_pass: float | None = None  # [Hz] cut-off of the filter on the measured tracking errors; None: no filter
+
+    def __post_init__(self) -> None:
+        for name in ("position", "heading", "velocity", "yaw_rate"):
+            check_number(f"sensors {name}", getattr(self, name), 0, 1e3)
+            check_interval(f"sensors {name}_bias", getattr(self, f"{name}_bias"), -1e3, 1e3)
+        check_number("sensors outages", self.outages, 0, 60)
+        check_interval("sensors outage_time", self.outage_time, 0, 1e4)
+        if not isinstance(self.reckoning, RandomReckoning | None):
+            raise ValueError(f"sensors reckoning is {self.reckoning!r}; it must be a RandomReckoning or None")
+        if self.low_pass is not None:
+            check_number("sensors low_pass", self.low_pass, 1e-6, 1e6)
+
+    @property
+    def noise(self) -> State:
+        """Standard deviations of the six measurements."""
+        return (self.position, self.position, self.heading, self.velocity, self.velocity, self.yaw_rate)
+
+    def draw_bias(self, uniform: Uniform) -> State:
+        """Return one bias for each of the six measurements."""
+        p, v = self.position_bias, self.velocity_bias
+        x, y, psi, u, v_, r = (draw(b, uniform) for b in (p, p, self.heading_bias, v, v, self.yaw_rate_bias))
+        return x, y, psi, u, v_, r
+
+    def draw_outages(self, rng: np.random.Generator, duration: float) -> tuple[tuple[float, float], ...]:
+        """Return begin and end [s] of the outages in an episode, in their order; they may overlap."""
+        count = int(rng.poisson(self.outages * duration / 60))
+        begins = np.sort(rng.uniform(0.0, duration, count)).tolist()
+        return tuple((begin, begin + draw(self.outage_time, rng.random)) for begin in begins)
+
+    def draw_reckoning(self, rng: np.random.Generator, duration: float) -> Reckoning | None:
+        """Return the dead reckoning of an episode, None where there is a position fix in each control step."""
+        return self.reckoning.draw(rng, duration) if self.reckoning else None
+
+    def fix_filter(self, dt: float, duration: float) -> FixFilter:
+        """Return the filter of the position fixes, for control periods of dt [s] and an episode's duration [s]."""
+        drift = self.reckoning.mean_square_drift(self.heading_bias, duration) if self.reckoning else 0.0
+        return FixFilter(self.position, drift, mean_square(self.velocity_bias), self.velocity**2 * dt)
+
+    def filter_gain(self, dt: float) -> float:
+        """Return the share of a new measurement that the low-pass takes on in one control step of dt [s]."""
+        return 1.0 if self.low_pass is None else -math.expm1(-2 * math.pi * self.low_pass * dt)
+
+
+def low_pass(filtered: State, measured: State, gain: Number, ns: Namespace) -> State:
+    """Return the filtered tracking errors after one control step; the heading takes the short way round."""
+    x, y, psi, u, v, r = filtered
+    x_m, y_m, psi_m, u_m, v_m, r_m = measured
+    return (
+        x + gain * (x_m - x),
+        y + gain * (y_m - y),
+        wrap_angle(psi + gain * wrap_angle(psi_m - psi, ns), ns),
+        u + gain * (u_m - u),
+        v + gain * (v_m - v),
+        r + gain * (r_m - r),
+    )

@@ -1,0 +1,1 @@
+"""Reference planning: path families, sideslip, feasibility and the table of the reference."""

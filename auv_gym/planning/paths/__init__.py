@@ -1,0 +1,85 @@
+"""Planar paths x(t), y(t), three times continuously differentiable in time, with exact derivatives.
+
+Every family but `Spline` is elementwise: its fields may be arrays of shape (N,), made by `stack`, and then times of
+shape (T, 1) give N paths at once. Angles are counter-clockwise from the x axis, as is a positive turn rate.
+
+A new family is a frozen dataclass with the members of `Path`, an entry in `PATHS` and a test.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from auv_gym.planning.paths.base import Array, Path
+from auv_gym.planning.paths.closed import PAPER_CIRCLE, Circle, Ellipse, FigureEight, Line, Sine
+from auv_gym.planning.paths.spline import Spline
+from auv_gym.planning.paths.turning import Lawnmower, RandomSmooth
+
+__all__ = [
+    "PAPER_CIRCLE",
+    "PATHS",
+    "Circle",
+    "Ellipse",
+    "FigureEight",
+    "Lawnmower",
+    "Line",
+    "Path",
+    "RandomSmooth",
+    "Sine",
+    "Spline",
+    "evaluate",
+    "stack",
+]
+
+PATHS: dict[str, type] = {
+    "line": Line,
+    "circle": Circle,
+    "sine": Sine,
+    "ellipse": Ellipse,
+    "figure_eight": FigureEight,
+    "lawnmower": Lawnmower,
+    "random_smooth": RandomSmooth,
+    "spline": Spline,
+}
+"""Every family by its name in a scenario."""
+
+_ELEMENTWISE = frozenset(PATHS.values()) - {Spline}
+
+
+def stack(paths: Sequence[Path]) -> Path:
+    """Return one path of N paths of one family, its fields arrays of shape (N,), for times of shape (T, 1).
+
+    Raises:
+        ValueError: no path, more than one family, or a family that is not elementwise.
+    """
+    families = {type(path) for path in paths}
+    if len(families) != 1 or not families <= _ELEMENTWISE:
+        allowed = ", ".join(sorted(family.__name__ for family in _ELEMENTWISE))
+        got = ", ".join(sorted(family.__name__ for family in families)) or "none"
+        raise ValueError(f"stack takes paths of one family out of {allowed}, got {got}")
+    family: Any = families.pop()
+    stacked: Path = object.__new__(family)  # without a second look at what each path has been checked for
+    for field in fields(family):
+        object.__setattr__(stacked, field.name, np.array([getattr(path, field.name) for path in paths]).T)
+    return stacked
+
+
+def evaluate(paths: Sequence[Path], t: Array) -> Array:
+    """Return position and three derivatives of N paths of any families at times t [s], shape (T,): (4, 2, T, N)."""
+    t = np.asarray(t, dtype=np.float64)
+    members: dict[type, list[int]] = {}
+    for column, path in enumerate(paths):
+        members.setdefault(type(path), []).append(column)
+    out = np.empty((4, 2, len(t), len(paths)))
+    for family, columns in members.items():
+        side_by_side = slice(columns[0], columns[-1] + 1) if columns[-1] - columns[0] < len(columns) else columns
+        if family in _ELEMENTWISE:
+            out[..., side_by_side] = stack([paths[k] for k in columns]).derivatives(t[:, None])
+        else:
+            for k in columns:
+                out[..., k] = paths[k].derivatives(t)
+    return out

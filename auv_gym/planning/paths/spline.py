@@ -1,0 +1,187 @@
+"""The path through a user's waypoints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+
+from auv_gym.planning.paths.base import Array, is_number
+from auv_gym.planning.paths.turning import _NODES, _WEIGHTS
+
+_DOMAIN_ROUNDING = 1e-9  # [s] by which a time may leave a spline's domain
+
+
+@dataclass(frozen=True)
+class Spline:
+    """A smooth path through waypoints, passed at given speeds, from t = 0 to t = `end`.
+
+    The curve p(q) interpolates the waypoints by a quintic spline over the chord length q, straight at both ends
+    (p'' = p'''' = 0) or periodic. The speed V(q) is a cubic spline through the speeds at the waypoints, natural or
+    periodic. The time law q' = V / |p_q| is inverted to 1e-13 of the duration, then differentiated exactly.
+    """
+
+    waypoints: tuple[tuple[float, float], ...]  # [m] (x, y), two or more, three or more if closed
+    speed: float  # [m/s] nominal speed, held everywhere unless `speeds` are given
+    speeds: tuple[float, ...] = ()  # [m/s] one for each waypoint
+    closed: bool = False  # whether to return to the first waypoint, which is not repeated
+
+    start: ClassVar[float] = 0.0
+
+    def __post_init__(self) -> None:
+        points = _points(self.waypoints, self.closed)
+        _validate_speeds(self.speed, self.speeds, len(points))
+        object.__setattr__(self, "waypoints", tuple((float(x), float(y)) for x, y in points))
+        object.__setattr__(self, "speeds", tuple(float(speed) for speed in self.speeds))
+        _ = self._law  # refuses a path that cannot be travelled
+
+    @property
+    def end(self) -> float:
+        """Duration [s]."""
+        return float(self._law.t[-1])
+
+    @property
+    def arrivals(self) -> Array:
+        """Times at the waypoints [s], and at the return to the first one if closed."""
+        return self._law.t[:: self._law.panels]
+
+    @cached_property
+    def _law(self) -> _TimeLaw:
+        return _TimeLaw.of(self)
+
+    def derivatives(self, t: Array) -> Array:
+        """See `Path.derivatives`.
+
+        Raises:
+            ValueError: a time is outside 0 ... `end`.
+        """
+        t = np.asarray(t, dtype=np.float64)
+        if not np.all((t >= -_DOMAIN_ROUNDING) & (t <= self.end + _DOMAIN_ROUNDING)):
+            raise ValueError(f"Spline: times must be in 0 ... {self.end:.9g} s, got {t.min():.9g} ... {t.max():.9g} s")
+        q = self._law.chord(t)
+        p, p1, p2, p3 = (np.moveaxis(self._law.curve(q, nu), -1, 0) for nu in range(4))  # by q
+        V, V1, V2 = (self._law.pace(q, nu) for nu in range(3))
+        g = np.hypot(*p1)
+        g1 = (p1 * p2).sum(axis=0) / g
+        g2 = ((p2 * p2 + p1 * p3).sum(axis=0) - g1 * g1) / g
+        Q = V / g  # q' as a function of q, and its derivatives by q
+        Q1 = (V1 - Q * g1) / g
+        Q2 = (V2 - 2 * Q1 * g1 - Q * g2) / g
+        q1, q2, q3 = Q, Q * Q1, Q * (Q1 * Q1 + Q * Q2)  # by t
+        return np.stack((p, p1 * q1, p2 * q1**2 + p1 * q2, p3 * q1**3 + 3 * p2 * q1 * q2 + p1 * q3))
+
+
+@dataclass(frozen=True)
+class _TimeLaw:
+    """The curve p(q) and the speed V(q) of a `Spline`, and a table of t(q) = int |p_q| / V dq."""
+
+    curve: Any  # scipy BSpline, chord length [m] -> (x, y) [m]
+    pace: Any  # scipy CubicSpline, chord length [m] -> speed [m/s]
+    q: Array  # [m]
+    t: Array  # [s]
+    panels: int  # of the table between two waypoints
+
+    @classmethod
+    def of(cls, path: Spline) -> _TimeLaw:
+        """Fit the splines and refine the table until two successive ones agree to 1e-14 of the duration."""
+        from scipy.interpolate import CubicSpline, make_interp_spline
+
+        points, speeds = np.array(path.waypoints), np.array(path.speeds or (path.speed,) * len(path.waypoints))
+        if path.closed:
+            points, speeds = np.vstack((points, points[:1])), np.append(speeds, speeds[0])
+        chords = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
+        ends = [(2, np.zeros(2)), (4, np.zeros(2))]
+        curve = make_interp_spline(chords, points, k=5, bc_type="periodic" if path.closed else (ends, ends))
+        pace = CubicSpline(chords, speeds, bc_type="periodic" if path.closed else "natural")
+        _check_pace(pace, chords)
+
+        marks = np.arange(len(chords))
+        coarse = np.full(2 * (len(chords) - 1), np.inf)
+        for panels in (4, 8, 16, 32, 64, 128, 256, 512):
+            q = np.interp(np.arange(panels * marks[-1] + 1) / panels, marks, chords)
+            stretch = np.hypot(*curve(q, 1).T)
+            if stretch.min() < 1e-2:
+                break
+            spent = _travel_time(curve, pace, q[:-1], q[1:])
+            if np.abs(spent.reshape(-1, 2).sum(axis=1) - coarse).max() <= 1e-14 * spent.sum():
+                return cls(curve, pace, q, np.concatenate(([0.0], np.cumsum(spent))), panels)
+            coarse = spent
+        near = int(np.abs(chords - q[stretch.argmin()]).argmin()) % len(path.waypoints)
+        raise ValueError(
+            f"Spline: the curve turns back on itself near waypoint {near}, {path.waypoints[near]}; "
+            "round the reversal with further waypoints"
+        )
+
+    def chord(self, t: Array) -> Array:
+        """Return q(t) [m] by Newton's method on t(q), from a cubic Hermite interpolant of the table."""
+        k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2)
+        q = self.guess(t)
+        for _ in range(2):
+            p1 = self.curve(q, 1)
+            late = self.t[k] + _travel_time(self.curve, self.pace, self.q[k], q) - t
+            q = q - late * self.pace(q) / np.hypot(p1[..., 0], p1[..., 1])
+        return np.asarray(q)
+
+    @cached_property
+    def guess(self) -> Any:
+        """The interpolant of q(t): scipy CubicHermiteSpline."""
+        from scipy.interpolate import CubicHermiteSpline
+
+        return CubicHermiteSpline(self.t, self.q, self.pace(self.q) / np.hypot(*self.curve(self.q, 1).T))
+
+
+def _travel_time(curve: Any, pace: Any, a: Array, b: Array) -> Array:
+    """Return the time [s] from chord length a to b [m], elementwise, by Gauss-Legendre quadrature."""
+    nodes = a[..., None] + (b - a)[..., None] * _NODES
+    p1 = curve(nodes, 1)
+    times: Array = (b - a) * ((np.hypot(p1[..., 0], p1[..., 1]) / pace(nodes)) @ _WEIGHTS)
+    return times
+
+
+def _points(waypoints: Any, closed: bool) -> Array:
+    """Return the waypoints as an array (n, 2), or raise the ValueError that says what is wrong with them."""
+    try:
+        points = np.asarray(waypoints, dtype=np.float64)
+    except (TypeError, ValueError):
+        points = np.empty(0)
+    least = 3 if closed else 2
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < least:
+        raise ValueError(f"Spline: waypoints must be {least} or more pairs (x, y), got {waypoints!r}")
+    if not np.isfinite(points).all():
+        bad = int(np.argmin(np.isfinite(points).all(axis=1)))
+        raise ValueError(f"Spline: waypoints must be finite, got {points[bad].tolist()} at waypoint {bad}")
+    following = np.roll(points, -1, axis=0) if closed else points[1:]
+    repeated = (following == points[: len(following)]).all(axis=1)
+    if repeated.any():
+        bad = int(repeated.argmax())
+        raise ValueError(
+            f"Spline: successive waypoints must differ, got {points[bad].tolist()} "
+            f"at waypoints {bad} and {(bad + 1) % len(points)}"
+        )
+    return points
+
+
+def _validate_speeds(speed: Any, speeds: Any, count: int) -> None:
+    if not is_number(speed, "positive"):
+        raise ValueError(f"Spline: speed must be finite and positive, got {speed!r}")
+    if not isinstance(speeds, Sequence) or len(speeds) not in (0, count):
+        raise ValueError(f"Spline: speeds must be none or one for each of {count} waypoints, got {speeds!r}")
+    for k, value in enumerate(speeds):
+        if not is_number(value, "positive"):
+            raise ValueError(f"Spline: speeds must be finite and positive, got {value!r} at waypoint {k}")
+
+
+def _check_pace(pace: Any, chords: Array) -> None:
+    """Raise ValueError where the speed's spline, positive at the waypoints, dips to zero between them."""
+    turning = pace.derivative().roots(extrapolate=False)
+    turning = turning[np.isfinite(turning)]
+    if turning.size and pace(turning).min() <= 0:
+        q = turning[pace(turning).argmin()]
+        k = int(np.searchsorted(chords, q)) - 1
+        raise ValueError(
+            f"Spline: the speed must stay positive, got {pace(q):.4g} m/s between waypoints {k} and {k + 1}; "
+            "let the speeds change less, or over more waypoints"
+        )

@@ -1,0 +1,231 @@
+"""What a path asks of a vehicle without a side thruster: rates along it, and the sideslip that they bring about.
+
+With w = sin(gamma) = v_R / v_p, the paper's (8)-(15) become one scalar equation without the singularity that (15) has
+at v_R = 0,
+
+    w' = -(d22/Dm) w - [(m22 v_p'/v_p + Y_vv v_p |w|) w + (m omega + Y_uv v_p w) sqrt(1 - w^2)] / Dm,
+
+with m = m11 and Dm = m22 - m, or m = m11 - Y_ur for a hull with lift: ahead, u = v_p sqrt(1 - w^2), lift changes the
+sway force of a turn and adds Y_uv u to the sway drag. The first term fades within Dm/d22 (0.5 s for the paper's
+vehicle). It is integrated exactly, the smooth rest by an Adams-Bashforth formula: exponential time differencing
+(S. M. Cox and P. C. Matthews, J. Comput. Phys. 176:430-455, 2002).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from functools import cache, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+from numpy.typing import NDArray
+
+from auv_gym.codegen.graph import SYMBOLS
+from auv_gym.codegen.kernel import Kernel
+from auv_gym.physics.dynamics import rates
+from auv_gym.physics.namespaces import ARRAYS, Namespace, Number
+from auv_gym.physics.vehicle import Coefficients, Vehicle
+
+Array = NDArray[np.float64]
+
+ORDER = 4  # samples in each integration formula
+TERMS = 4  # of the equation, see `sideslip_terms`
+FIXED_POINT = 12  # iterations for the first samples, which settle within fewer
+_POINTS, _GAUSS = leggauss(24)  # of an integral over [-1, 1]
+
+
+@dataclass(frozen=True, eq=False)
+class PathRates:
+    """Speed, direction and their rates along a path, arrays of one shape or other numbers."""
+
+    v_p: Number  # [m/s] (3)
+    beta: Number  # [rad] (4), by atan2
+    omega: Number  # [rad/s] (5)
+    v_p_dot: Number  # [m/s^2] (6)
+    omega_dot: Number  # [rad/s^2]
+    v_p_ddot: Number  # [m/s^3]
+
+
+RATES = tuple(field.name for field in fields(PathRates))  # the names of what `PathRates` holds
+
+
+def path_rates(derivatives: Any, ns: Namespace = ARRAYS) -> PathRates:
+    """Return speed, direction and their rates from position and three time derivatives, shape (4, 2, ...)."""
+    (x1, y1), (x2, y2), (x3, y3) = derivatives[1:]
+    v_p = ns.hypot(x1, y1)
+    with np.errstate(divide="ignore", invalid="ignore"):  # a standstill is reported by `plan`, with its place
+        omega = (x1 * y2 - y1 * x2) / v_p**2
+        v_p_dot = (x1 * x2 + y1 * y2) / v_p
+        omega_dot = (x1 * y3 - y1 * x3) / v_p**2 - 2 * omega * v_p_dot / v_p
+        v_p_ddot = (x1 * x3 + y1 * y3) / v_p + v_p * omega**2
+    return PathRates(v_p, ns.arctan2(y1, x1), omega, v_p_dot, omega_dot, v_p_ddot)
+
+
+def rates_along(derivatives: Array) -> PathRates:
+    """Return `path_rates` of arrays of shape (4, 2, T) or (4, 2, T, N), by compiled code."""
+    rows = _along_kernel()(derivatives=derivatives.reshape(2 * len(derivatives), -1))["along"]
+    return PathRates(*rows.reshape(-1, *derivatives.shape[2:]))
+
+
+@cache
+def _along_kernel() -> Kernel:
+    """Return `path_rates` as a kernel."""
+
+    def equation(derivatives: Any) -> dict[str, Any]:
+        pairs = list(zip(derivatives[::2], derivatives[1::2], strict=True))
+        along = path_rates(pairs, SYMBOLS)
+        return {"along": [getattr(along, name) for name in RATES]}
+
+    return Kernel.traced(equation, {"derivatives": 8})
+
+
+def sine_of_sideslip(along: PathRates, vehicle: Vehicle, h: float) -> Array:
+    """Integrate the equation of the module's docstring for w over samples h [s] apart, along axis 0.
+
+    In the symbols of Cox and Matthews it is u' = c u + F(u, t) with u = w and c = -d22/Dm, and `F` below is h F:
+    u_(n+1) = e^(c h) u_n + g_0 F_n + g_1 F_(n-1) + g_2 F_(n-2) + g_3 F_(n-3). Where it passes 90 degrees it may give
+    what is no number, which the caller refuses.
+    """
+    Dm = vehicle.coefficients.slip_mass
+    z = vehicle.d22 / Dm * h  # -c h
+    terms = np.stack([h / Dm * term for term in sideslip_terms(along, vehicle)], axis=1)
+    inputs = np.ascontiguousarray(terms.reshape(*terms.shape[:2], -1))
+    lanes = np.ones(inputs.shape[2])
+    start = np.tile(slow_sideslip(along, vehicle).ravel(), (ORDER, 1))
+    weights = [math.exp(-k * z) for k in range(1, ORDER)] + [g for k in range(1, ORDER) for g in _weights(z, 0, k)]
+    opening = _opening()(
+        FIXED_POINT, u=start, inputs=inputs[:ORDER].reshape(-1, len(lanes)), weights=np.outer(weights, lanes)
+    )
+    rates = np.outer((math.exp(-z), *_weights(z, 1 - ORDER, 1)), lanes)
+    u = np.empty((len(inputs), 1, len(lanes)))
+    u[:ORDER, 0] = opening["u"]
+    history = np.concatenate((opening["u"][-1:], opening["rest"][-2::-1]))
+    step = _recursion().bound(history=history, weights=rates, inputs=inputs, u=u[1:])  # from n it gives u_(n+1)
+    step(ORDER - 1, len(inputs) - ORDER)
+    return u.reshape(along.v_p.shape)
+
+
+@cache
+def _opening() -> Kernel:
+    """Return one iteration for the first `ORDER` samples jointly: a fixed point of the integral over their interpolant.
+
+    `inputs` are the terms of each sample; `weights` the decays to all but the first, then the weights of each.
+    """
+
+    def equation(u: Any, inputs: Any, weights: Any) -> dict[str, Any]:
+        terms = (inputs[j : j + TERMS] for j in range(0, TERMS * ORDER, TERMS))
+        F = [sideslip_rest(parts, w, SYMBOLS.sqrt) for parts, w in zip(terms, u, strict=True)]
+        decays, rows = weights[: ORDER - 1], [weights[j : j + ORDER] for j in range(ORDER - 1, len(weights), ORDER)]
+        after = [_plus(decay * u[0], row, F) for decay, row in zip(decays, rows, strict=True)]
+        return {"u": (u[0], *after), "rest": F}
+
+    return Kernel.traced(equation, {"u": ORDER, "inputs": TERMS * ORDER, "weights": (ORDER - 1) * (ORDER + 1)})
+
+
+@cache
+def _recursion() -> Kernel:
+    """Return one step of the formula; `history` is u_n, F_(n-1), F_(n-2), F_(n-3), `weights` decay and g_3 ... g_0."""
+
+    def equation(history: Any, weights: Any, inputs: Any) -> dict[str, Any]:
+        u_n, *past = history
+        F = [sideslip_rest(inputs, u_n, SYMBOLS.sqrt), *past]
+        decay, *g = weights
+        u = _plus(decay * u_n, g[::-1], F)
+        return {"history": (u, *F[:-1]), "u": (u,)}
+
+    return Kernel.traced(equation, {"history": ORDER, "weights": ORDER + 1, "inputs": TERMS}, ["inputs", "u"])
+
+
+def _plus(total: Any, weights: Sequence[Any], F: Sequence[Any]) -> Any:
+    for g, rest in zip(weights, F, strict=True):
+        total = total + g * rest
+    return total
+
+
+def sideslip_terms(along: PathRates, c: Vehicle | Coefficients) -> tuple[Number, Number, Number, Number]:
+    """Return what multiplies w, |w| w, sqrt(1 - w^2) and w sqrt(1 - w^2) in the bracket of the module's docstring."""
+    v_p = along.v_p
+    return c.m22 * along.v_p_dot / v_p, c.Y_vv * v_p, (c.m11 - c.Y_ur) * along.omega, c.Y_uv * v_p
+
+
+def sideslip_rest(terms: Sequence[Number], w: Number, sqrt: Callable[[Number], Number]) -> Number:
+    """Return minus the bracket for its `sideslip_terms`, all of them scaled by the same factor."""
+    slope, square, turn, lift = terms
+    return -(slope + square * abs(w)) * w - (turn + lift * w) * sqrt(abs(1 - w * w))  # abs: past 90 degrees
+
+
+def slow_sideslip(along: PathRates, vehicle: Vehicle) -> Any:
+    """Return the `steady_sideslip` of the first sample."""
+    first = PathRates(*(getattr(along, name)[0] for name in RATES))
+    return np.asarray(steady_sideslip(first, vehicle, ARRAYS))
+
+
+def steady_sideslip(along: PathRates, vehicle: Vehicle | Coefficients, ns: Namespace) -> Number:
+    """Return w free of the fast transient: two passes of m omega + D tan(gamma) = -Dm gamma'."""
+    a, m = along.v_p_dot / along.v_p, vehicle.m11 - vehicle.Y_ur
+    linear, turn = vehicle.d22 + vehicle.m22 * a + vehicle.Y_uv * along.v_p, m * along.omega
+    slope = ns.sqrt(linear**2 + 4 * vehicle.Y_vv * along.v_p * abs(turn))  # of D tan(gamma) by tan(gamma)
+    tan = -2 * turn / (linear + slope)
+    D_dot = vehicle.m22 * (along.v_p_ddot / along.v_p - a * a) + vehicle.Y_uv * along.v_p_dot
+    gamma_dot = -(m * along.omega_dot + D_dot * tan) / (slope * (1 + tan * tan))
+    tan = tan - (vehicle.m22 - m) * gamma_dot / slope
+    return tan / ns.sqrt(1 + tan * tan)
+
+
+def sideslip_step(
+    w: Number, rest: Number, rest_at: Callable[[Number], Number], z: Number, largest: float, ns: Namespace = ARRAYS
+) -> tuple[Number, Number]:
+    """Return w, cut off at +-`largest`, and the rest of its equation one step of z memories later.
+
+    By the exponential Runge-Kutta formula of second order (Cox and Matthews 2002, eq. 22): less exact than `plan`, but
+    it needs no history, so that it can follow a sea that is only known as time goes by.
+
+    Args:
+        w: sine of the sideslip before the step.
+        rest: the rest of the equation there, times the step.
+        rest_at: the same as a function of w behind the step.
+        z: the step in memories Dm/d22.
+        largest: cut-off of w.
+        ns: the namespace of the numbers.
+    """
+    decay = ns.exp(-z)
+    guess = decay * w + (1 - decay) / z * rest
+    correction = rest_at(ns.clip(guess, -largest, largest)) - rest
+    new = ns.clip(guess + (z - 1 + decay) / (z * z) * correction, -largest, largest)
+    return new, rest_at(new)
+
+
+@lru_cache(2**12)  # a training plans for hundreds of hulls again and again
+def _weights(z: float, first: int, end: int) -> tuple[float, ...]:
+    """Return c with  integral_0^end exp(-z (end - s)) n(s) ds = sum_j c_j n(first + j)  for cubic n."""
+    nodes = range(first, first + ORDER)
+    s = 0.5 * end * (_POINTS + 1)
+    kernel = 0.5 * end * _GAUSS * np.exp(-z * (end - s))
+    return tuple(float(kernel @ np.prod([(s - m) / (j - m) for m in nodes if m != j], axis=0)) for j in nodes)
+
+
+def in_sideslip(
+    along: PathRates, w: Number, coefficients: Coefficients, sway_load: tuple[Number, Number], ns: Namespace
+) -> tuple[Number, ...]:
+    """Return psi [rad], u, v [m/s], r [rad/s], F_u [N], F_r [N m] and gamma of motion along a path, see `assemble`."""
+    m11, m22, m33, _, d22, _, _, Y_vv, _, Y_uv, *_ = coefficients
+    m, Dm = m11 - coefficients.Y_ur, coefficients.slip_mass
+    v_p, beta, om, v_p_dot, om_dot, v_p_ddot = (getattr(along, name) for name in RATES)
+    c = ns.sqrt(1 - w * w)
+    tan, gamma, a = w / c, ns.arcsin(w), v_p_dot / v_p
+    u, v = v_p * c, v_p * w  # (7), (8)
+    D = d22 + Y_uv * u + Y_vv * abs(v) + m22 * a
+    push = sway_load[0] / u
+    gamma_dot = -(m * om + D * tan - push) / Dm
+    u_dot, v_dot = v_p_dot * c - v * gamma_dot, v_p_dot * w + u * gamma_dot  # (12)
+    side = ns.where(v < 0, -1.0, ns.where(v > 0, 1.0, 0.0))
+    D_dot = Y_vv * side * v_dot + m22 * (v_p_ddot / v_p - a * a) + Y_uv * u_dot
+    push_dot = sway_load[1] / u + push * (tan * gamma_dot - a)
+    gamma_ddot = -(m * om_dot + D_dot * tan + D * gamma_dot / c**2 - push_dot) / Dm
+    psi = beta - gamma  # (10) with the signed sideslip
+    r, r_dot = om - gamma_dot, om_dot - gamma_ddot  # (14)
+    _, _, u_free, _, r_free = rates(psi, u, v, r, (0.0, 0.0, 0.0), coefficients, ns)
+    return psi, u, v, r, m11 * (u_dot - u_free), m33 * (r_dot - r_free), gamma  # (16)

@@ -1,0 +1,1 @@
+"""Scenarios as distributions of episodes: presets, mixtures, vehicle files, exogenous inputs."""

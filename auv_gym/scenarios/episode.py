@@ -1,0 +1,82 @@
+"""Episode: one drawn member of a scenario, and what a caller of `reset` may choose about it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from auv_gym.physics.disturbances import Current, Waves
+from auv_gym.physics.dynamics import State
+from auv_gym.physics.navigation import Reckoning
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.planning.paths import Path
+
+
+@dataclass(frozen=True)
+class Episode:
+    """Everything that is random in one run of a scenario, and the seed of its noise."""
+
+    path: Path
+    vehicle: Vehicle  # the true one
+    current: Current
+    waves: Waves | None
+    bias: State  # of the measurements x, y, psi, u, v, r
+    lag: float  # [s] of the actuators
+    initial_error: tuple[float, float, float]  # x_e, y_e [m] in the world, psi_e [rad]
+    surge: float  # initial surge velocity as a fraction of the reference's
+    noise_seed: int
+    initial_velocity: tuple[float, float, float] | None = None  # u, v [m/s], r [rad/s]; overrides `surge`
+    effectiveness: tuple[float, float] = (1.0, 1.0)  # share of the commanded surge force and yaw torque that acts
+    reach: tuple[float, float] = (1.0, 1.0)  # actions at which the actuators really saturate
+    delay: int = 0  # control periods until a command acts
+    outages: tuple[tuple[float, float], ...] = ()  # [s] begin and end of the times without a position fix
+    reckoning: Reckoning | None = None  # None: there is a position fix in each control step
+
+    def initial_state(self, reference: Sequence[float]) -> State:
+        """Return the first state, velocities relative to the water, for the reference's x, y, psi, u, ... there."""
+        x_R, y_R, psi_R, u_R = reference[:4]
+        x_e, y_e, psi_e = self.initial_error
+        u, v, r = self.initial_velocity or (self.surge * u_R, 0.0, 0.0)
+        return x_R + x_e, y_R + y_e, psi_R + psi_e, u, v, r
+
+
+RESET_OPTIONS = {
+    "episode": "an Episode to run instead of drawing one",
+    "initial_error": "x_e [m], y_e [m] in the world, psi_e [rad]",
+    "initial_velocity": "u [m/s], v [m/s] relative to the water, r [rad/s]",
+}
+"""What `reset(options=...)` takes."""
+
+
+def checked_options(options: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return the options of `reset` with vectors as tuples of floats.
+
+    Raises:
+        ValueError: an unknown key, or a value that is not what `RESET_OPTIONS` says.
+    """
+    checked: dict[str, Any] = {}
+    for key, value in (options or {}).items():
+        if key not in RESET_OPTIONS:
+            raise ValueError(f"unknown reset option {key!r}; allowed are {', '.join(RESET_OPTIONS)}")
+        if key == "episode":
+            if not isinstance(value, Episode):
+                raise ValueError(f"reset option episode is {value!r}; it must be an Episode, as Scenario.draw returns")
+            checked[key] = value
+            continue
+        try:
+            vector = np.asarray(value, dtype=np.float64)
+        except (TypeError, ValueError):
+            vector = np.array(math.nan)
+        if vector.shape != (3,) or not np.isfinite(vector).all():
+            raise ValueError(f"reset option {key} is {value!r}; it must be three finite numbers: {RESET_OPTIONS[key]}")
+        checked[key] = tuple(vector.tolist())
+    return checked
+
+
+def with_options(episode: Episode, options: Mapping[str, Any]) -> Episode:
+    """Return the episode with the vectors of `checked_options` in place of its own."""
+    return replace(episode, **{key: value for key, value in options.items() if key != "episode"})

@@ -1,0 +1,120 @@
+"""The scenarios that ship with the package, by name: the paper's own, and eight cases in two regimes of speed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from auv_gym.physics.actuators import Actuators
+from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch, RandomWaves
+from auv_gym.physics.intervals import Interval
+from auv_gym.physics.sensors import Sensors
+from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.names import CASES, REGIMES, STEPS
+from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
+
+__all__ = ["CASES", "PAPER_SCENARIO", "PRESETS", "REGIMES", "as_scenario", "list_scenarios"]
+
+
+@dataclass(frozen=True)
+class _Regime:
+    """What distinguishes the paper's slow speeds from an AUV's cruise."""
+
+    path: RandomPath
+    control_dt: float
+    limits: tuple[float, float]  # [N], [N m]
+    tight_limits: tuple[float, float]
+    start: float  # [m] position offset on each axis
+    noise: Sensors
+    yaw_waves: float
+    quadratic: float
+    error_scale: float
+    lost_distance: float
+
+
+_REGIMES = {
+    "slow": _Regime(
+        RandomPath(speed=(0.1, 0.3), turn_rate=0.04), 0.2, (100.0, 50.0), (40.0, 20.0), 0.3,
+        Sensors(position=0.03, heading=0.015, velocity=0.01, yaw_rate=0.004), 0.04, 1.0, 0.2, 10.0,
+    ),
+    "cruise": _Regime(
+        RandomPath(speed=(0.5, 1.5), turn_rate=0.12), 0.1, (400.0, 200.0), (250.0, 100.0), 1.0,
+        Sensors(position=0.05, heading=0.015, velocity=0.02, yaw_rate=0.005), 0.12, 0.4, 0.5, 30.0,
+    ),
+}  # fmt: skip
+
+
+def _preset(regime: str, case: str) -> Scenario:
+    g = _REGIMES[regime]
+    limits = g.limits
+    lag: Interval = 0.0
+    changes: dict[str, Any] = {}
+    if case in ("noise", "storm"):
+        changes["sensors"] = g.noise
+    if case == "current":
+        changes["current"] = RandomCurrent(speed=(0.15, 0.4))
+    if case in ("gauss-markov", "storm"):
+        changes["current"] = RandomCurrent(speed=(0.105, 0.28), gust=0.12, cap=0.75)
+    if case in ("waves", "storm"):
+        share = 0.6 if case == "storm" else 1.0
+        changes["waves"] = RandomWaves(surge=0.35 * share, sway=0.2 * share, yaw=g.yaw_waves * share)
+    if case in ("mismatch", "storm"):
+        changes["mismatch"] = RandomMismatch(
+            (0.8, 1.2), (0.94, 1.06), (0.8, 1.2), (0.8, 1.2), (0.8, 1.2), (0.8, 1.2), (0.0, g.quadratic)
+        )
+    if case == "actuator":
+        limits, lag = g.tight_limits, (0.2, 0.6)
+    if case == "storm":
+        lag = (0.12, 0.36)
+    s = (-g.start, g.start)
+    name = f"{regime}-{case}"
+    return Scenario(
+        name=name,
+        path=g.path,
+        actuators=Actuators(*limits, lag=lag),
+        start=Start(x_e=s, y_e=s, psi_e=(-0.35, 0.35), surge=(0.3, 1.0)),
+        control_dt=g.control_dt,
+        steps=STEPS[name],
+        error_scale=g.error_scale,
+        lost_distance=g.lost_distance,
+        **changes,
+    )
+
+
+PAPER_SCENARIO = Scenario(
+    name="paper-circle",
+    steps=STEPS["paper-circle"],
+    start=Start(x_e=0.5, y_e=1.0, psi_e=math.radians(20.0), surge=0.0, random_signs=True),
+    error_scale=0.2,
+    lost_distance=10.0,
+)
+"""Section V: the 10 m circle at 0.1 m/s, from rest and 0.5 m, 1 m, 20 deg off, in any of the eight signs."""
+
+PRESETS = {s.name: s for s in (PAPER_SCENARIO, *(_preset(regime, case) for regime in REGIMES for case in CASES))}
+"""Scenarios by name: add an entry here to use it as `gym.make(..., scenario=NAME)`."""
+
+
+def list_scenarios() -> list[str]:
+    """Return the names of the presets."""
+    return list(PRESETS)
+
+
+def as_scenario(scenario: Scenario | str | Mapping[str, Any]) -> Scenario:
+    """Return a scenario given as an object, by a preset's name, or as a dict.
+
+    PRESET@VEHICLE is a preset made for another vehicle, see `fitting.changed`.
+    """
+    if isinstance(scenario, Scenario):
+        return scenario
+    if isinstance(scenario, Mapping):
+        return Scenario.from_dict(scenario)
+    if isinstance(scenario, str):
+        name, at, vehicle = scenario.partition("@")
+        if name in PRESETS:
+            return changed(PRESETS[name], vehicle if at else None)
+    allowed = (
+        f"a Scenario, a dict, or one of {', '.join(PRESETS)}, with a vehicle such as cruise-storm@lauv if you like"
+    )
+    raise ValueError(f"unknown scenario {scenario!r}; allowed are {allowed}")

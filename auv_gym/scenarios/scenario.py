@@ -1,0 +1,317 @@
+"""Scenario: a task as a distribution of episodes, composed of small frozen objects; JSON and TOML files."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path as FilePath
+from typing import Any, TypeVar
+
+import numpy as np
+
+from auv_gym.physics.actuators import Actuators, Response
+from auv_gym.physics.disturbances import Current, RandomCurrent, RandomMismatch, RandomWaves
+from auv_gym.physics.dynamics import Load
+from auv_gym.physics.intervals import Interval, check_interval, check_number, draw
+from auv_gym.physics.sensors import Sensors
+from auv_gym.physics.stiffness import AT_REST, check_step
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from auv_gym.planning.paths import PAPER_CIRCLE, PATHS, Path
+from auv_gym.scenarios.episode import Episode
+from auv_gym.scenarios.records import checked_suffix, from_record, read_table, to_record
+from auv_gym.scenarios.vehicles import as_vehicle
+from auv_gym.task.observation import TERMS
+from auv_gym.task.simulation import Parameters, Parts, Shear, log_of
+
+T = TypeVar("T")
+DRAWS = 96
+"""Uniform numbers reserved for one episode's parameters."""
+USUAL = {term.name: term.bound * term.scale for term in TERMS}
+"""The largest that an observation usually shows of each term, in SI units, see `task.bounds`."""
+ATTEMPTS = 20
+"""How many episodes are drawn at most until one can be followed."""
+
+
+@dataclass(frozen=True)
+class RandomPath:
+    """Distribution of the path: a family, a nominal speed, and a member that turns as fast as `turn_rate` at most.
+
+    The lobes of a figure-eight alone turn faster, 1.2 to 1.75 times that.
+    """
+
+    speed: Interval  # [m/s]
+    turn_rate: float  # [rad/s]
+    families: tuple[str, ...] = ("line", "circle", "sine", "figure_eight", "random_smooth")
+
+    def __post_init__(self) -> None:
+        check_interval("path speed", self.speed, 1e-2)
+        check_number("path turn_rate", self.turn_rate, 1e-6, 1e2)
+        allowed = [name for name, cls in PATHS.items() if hasattr(cls, "drawn")]
+        for name in self.families:
+            if name not in allowed:
+                raise ValueError(f"unknown path family {name!r}; random members exist of {', '.join(allowed)}")
+        if not self.families:
+            raise ValueError(f"path families is empty; name at least one of {', '.join(allowed)}")
+
+
+@dataclass(frozen=True)
+class Start:
+    """Distribution of the initial state about the reference; errors take random signs if `random_signs`."""
+
+    x_e: Interval = 0.0  # [m] in the world
+    y_e: Interval = 0.0  # [m]
+    psi_e: Interval = 0.0  # [rad]
+    surge: Interval = 1.0  # surge velocity relative to the water, as a fraction of u_R; sway and yaw rate start at 0
+    random_signs: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("x_e", "y_e"):
+            check_interval(f"start {name}", getattr(self, name), -1e3, 1e3)
+        check_interval("start psi_e", self.psi_e, -math.pi, math.pi)
+        check_interval("start surge", self.surge, -10, 10)
+        if not isinstance(self.random_signs, bool):
+            raise ValueError(f"start random_signs is {self.random_signs!r}; it must be true or false")
+
+
+_PARTS: dict[str, tuple[type, ...]] = {
+    "path": (RandomPath, Path),
+    "vehicle": (Vehicle,),
+    "mismatch": (RandomMismatch, type(None)),
+    "current": (RandomCurrent, type(None)),
+    "waves": (RandomWaves, type(None)),
+    "sensors": (Sensors,),
+    "actuators": (Actuators,),
+    "start": (Start,),
+}
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A task: path, vehicle, sea, sensors, actuators, start, clock and reward; intervals are drawn from."""
+
+    name: str = "custom"
+    path: Path | RandomPath = PAPER_CIRCLE
+    vehicle: Vehicle = PAPER_VEHICLE  # the known one, which the plan is made for
+    mismatch: RandomMismatch | None = None  # None: the true vehicle is the known one
+    current: RandomCurrent | None = None
+    waves: RandomWaves | None = None
+    sensors: Sensors = field(default_factory=Sensors)
+    actuators: Actuators = field(default_factory=Actuators)
+    start: Start = field(default_factory=Start)
+    control_dt: float = 0.1  # [s] control period
+    steps: int = 1000  # control steps until truncation
+    substeps: int = 1  # Runge-Kutta steps in a control period
+    error_scale: float = 0.5  # [m] position error at which the reward has fallen to 0.71
+    rate_weight: float = 0.05  # reward lost per squared change of the action
+    lost_distance: float = 30.0  # [m] position error that terminates
+
+    def __post_init__(self) -> None:
+        if not self.name or not isinstance(self.name, str) or not self.name.isprintable():
+            raise ValueError(f"scenario name is {self.name!r}; it must be a string of printable characters, not empty")
+        for name, kinds in _PARTS.items():
+            if not isinstance(getattr(self, name), kinds):
+                allowed = " or ".join("None" if kind is type(None) else kind.__name__ for kind in kinds)
+                raise ValueError(f"scenario {name} is {getattr(self, name)!r}; it must be a {allowed}")
+        for name, high in (("steps", 10**6), ("substeps", 1000)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= high:
+                raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")
+        check_number("control_dt", self.control_dt, 1e-3, 10)
+        check_number("error_scale", self.error_scale, 1e-6, 1e6)
+        check_number("rate_weight", self.rate_weight, 0, 1e6)
+        check_number("lost_distance", self.lost_distance, 1e-3, 1e5)
+        if self.mismatch is not None:
+            self.mismatch.check(self.vehicle)
+        self._check_step(self.mismatch.extremes(self.vehicle) if self.mismatch else self.vehicle.coefficients)
+        if isinstance(self.path, Path) and not self.path.start <= 0 < self.duration <= self.path.end:
+            raise ValueError(
+                f"the path runs from {self.path.start:.6g} to {self.path.end:.6g} s, the episode from 0 to "
+                f"{self.duration:.6g} s; lower steps or control_dt, or make the path longer"
+            )
+
+    def _check_step(self, coefficients: Coefficients, speeds: Load = AT_REST) -> None:
+        """Raise ValueError if the integration step is too long for a true vehicle, or for several in rows."""
+        surge, sway, yaw = self.actuators.F_u_max, 0.0, self.actuators.F_r_max
+        if self.waves is not None:
+            speed = self.path.speed[1] if isinstance(self.path.speed, tuple) else self.path.speed
+            waves = self.waves.draw(lambda: 0.0, speed, self.vehicle)
+            surge, sway, yaw = surge + waves.surge, waves.sway, yaw + waves.yaw
+        check_step(self.control_dt / self.substeps, coefficients, (surge, sway, yaw), speeds)
+
+    @property
+    def duration(self) -> float:
+        """Length of an episode [s]."""
+        return self.steps * self.control_dt
+
+    def draw(self, rng: np.random.Generator) -> Episode:
+        """Return one episode; the generator advances by the same amount for every episode."""
+        uniform = iter(rng.random(DRAWS).tolist()).__next__
+        noise_seed = int(rng.integers(2**63))
+        path = self.path
+        if isinstance(path, RandomPath):
+            family = PATHS[path.families[int(uniform() * len(path.families))]]
+            path = family.drawn(draw(path.speed, uniform), path.turn_rate, uniform)  # type: ignore[attr-defined]
+        vehicle = self.mismatch.draw(uniform, self.vehicle) if self.mismatch else self.vehicle
+        start = self.start
+        error = [draw(x, uniform) for x in (start.x_e, start.y_e, start.psi_e)]
+        if start.random_signs:
+            error = [e if uniform() < 0.5 else -e for e in error]
+        act = self.actuators
+        return Episode(
+            path=path,
+            vehicle=vehicle,
+            current=self.current.draw(uniform, path.speed) if self.current else Current(),
+            waves=self.waves.draw(uniform, path.speed, self.vehicle) if self.waves else None,
+            bias=self.sensors.draw_bias(uniform),
+            lag=draw(act.lag, uniform),
+            initial_error=(error[0], error[1], error[2]),
+            surge=draw(start.surge, uniform),
+            noise_seed=noise_seed,
+            effectiveness=(draw(act.effectiveness, uniform), draw(act.effectiveness, uniform)),
+            reach=(draw(act.reach, uniform), draw(act.reach, uniform)),
+            delay=round(draw(act.delay, uniform)),
+            outages=self.sensors.draw_outages(np.random.default_rng([noise_seed, 1]), self.duration),
+            reckoning=self.sensors.draw_reckoning(np.random.default_rng([noise_seed, 2]), self.duration),
+        )
+
+    def drawn(self, rng: np.random.Generator, plan: Callable[[Episode], T]) -> tuple[Episode, T]:
+        """Return one episode and what `plan` makes of it; an episode that it refuses is drawn anew.
+
+        Raises:
+            ValueError: the path is not drawn, or `ATTEMPTS` episodes in a row are refused; the generator is as it was.
+        """
+        state = rng.bit_generator.state
+        for left in reversed(range(ATTEMPTS if isinstance(self.path, RandomPath) else 1)):
+            episode = self.draw(rng)
+            try:
+                return episode, plan(episode)
+            except ValueError:
+                if not left:
+                    rng.bit_generator.state = state
+                    raise
+        raise AssertionError("unreachable")
+
+    @property
+    def parts(self) -> Parts:
+        """What the simulation of its episodes needs."""
+        return Parts(
+            self.substeps,
+            filtered=self.sensors.low_pass is not None,
+            outages=self.sensors.outages > 0,
+            delayed=self.actuators.delay != 0,
+            weak=self.actuators.reach != 1,
+            sheared=self.current is not None and self.current.shear != 0,
+            reckoned=self.sensors.reckoning is not None,
+            lifting=self.vehicle.has_lift,
+            finned=self.actuators.fin > 0,
+            astern=self.actuators.astern < 1,
+            span=self.span,
+        )
+
+    @property
+    def span(self) -> int:
+        """How much wider than usual the bounds of its observations are, a power of two, see `task.bounds`."""
+        act = self.actuators
+        needed = act.F_u_max / USUAL["F_u_max"], act.F_r_max / USUAL["F_r_max"], self.lost_distance / USUAL["e_x"]
+        return int(2 ** max(0, math.ceil(math.log2(max(needed)))))
+
+    def parameters(self, episode: Episode) -> Parameters:
+        """Return the constants of an episode.
+
+        Raises:
+            ValueError: the episode has what this scenario's episodes cannot have, or the integration step is too long.
+        """
+        act, parts = self.actuators, self.parts
+        for part, there, what in (
+            (parts.outages, episode.outages, "outages of the position fix"),
+            (parts.delayed, episode.delay, "a delay"),
+            (parts.weak, episode.reach != (1.0, 1.0), "actuators that saturate early"),
+            (parts.sheared, any(episode.current.shear[:2]), "a sheared current"),
+            (parts.reckoned, episode.reckoning is not None, "a dead reckoning"),
+            (parts.lifting, episode.vehicle.has_lift, "a vehicle with lift"),
+        ):
+            if there and not part:
+                raise ValueError(f"the episode has {what}, which scenario {self.name!r} has not: give it one that has")
+        if episode.initial_velocity is not None or (self.mismatch is None and episode.vehicle is not self.vehicle):
+            self._check_step(episode.vehicle.coefficients, episode.initial_velocity or AT_REST)
+        return Parameters(
+            h=self.control_dt / self.substeps,
+            coefficients=episode.vehicle.coefficients,
+            F_u_max=act.F_u_max,
+            F_r_max=act.F_r_max,
+            response=Response.of(episode.lag, act.F_u_rate, act.F_r_rate, self.control_dt),
+            filter_gain=self.sensors.filter_gain(self.control_dt),
+            error_scale=self.error_scale,
+            rate_weight=self.rate_weight,
+            lost_distance=self.lost_distance,
+            thrust_u=act.F_u_max * episode.effectiveness[0],
+            thrust_r=act.F_r_max * episode.effectiveness[1],
+            reach_u=episode.reach[0],
+            reach_r=episode.reach[1],
+            delay=float(episode.delay),
+            fin=act.fin,
+            astern=act.astern,
+            shear=Shear(*episode.current.shear),
+            log=log_of(episode.reckoning),
+            parts=parts,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the scenario as plain dicts, lists, numbers and strings; fields at their default are left out."""
+        record = to_record(self)
+        if not isinstance(self.path, RandomPath):
+            family = next((name for name, cls in PATHS.items() if type(self.path) is cls), None)
+            if family is None:
+                raise ValueError(
+                    f"{type(self.path).__name__} is not in auv_gym.planning.paths.PATHS, so it cannot be written"
+                )
+            record["path"] = {"family": family, **to_record(self.path)}
+        return {"name": self.name, **record}
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any]) -> Scenario:
+        """Return the scenario of a dict as `to_dict` gives it; `vehicle` may also be a name.
+
+        Raises:
+            ValueError: an unknown or wrong entry, named together with what is allowed.
+        """
+        return from_record(cls, record, "scenario", {"path": _path_of, "vehicle": as_vehicle})
+
+    def save(self, file: str | FilePath) -> None:
+        """Write the scenario to a .json or .toml file."""
+        file = FilePath(file)
+        if checked_suffix(file) == ".json":
+            text = json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
+        else:
+            import tomli_w
+
+            text = tomli_w.dumps(self.to_dict())
+        file.write_text(text, encoding="utf-8")
+
+    @classmethod
+    def load(cls, file: str | FilePath) -> Scenario:
+        """Return the scenario of a .json or .toml file.
+
+        Raises:
+            ValueError: the file is of another kind or too large, is not valid JSON or TOML, or has a wrong entry.
+            OSError: the file cannot be read.
+        """
+        record = read_table(FilePath(file))
+        try:
+            return cls.from_dict(record)
+        except (ValueError, RecursionError) as error:
+            raise ValueError(f"{file}: {error}") from error
+
+
+def _path_of(record: Any) -> Path | RandomPath:
+    if not isinstance(record, Mapping):
+        raise ValueError(f"scenario path is {record!r}; it must be a table with a family, or with speed and turn_rate")
+    if "family" not in record:
+        return from_record(RandomPath, record, "path")
+    rest = dict(record)
+    family = rest.pop("family")
+    if not isinstance(family, str) or family not in PATHS:
+        raise ValueError(f"unknown path family {family!r}; allowed are {', '.join(PATHS)}")
+    return from_record(PATHS[family], rest, f"path {family}")

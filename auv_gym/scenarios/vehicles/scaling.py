@@ -1,0 +1,60 @@
+"""The dimensions of the entries of a scenario, and its parts in other units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from auv_gym.physics.actuators import Actuators
+from auv_gym.physics.intervals import Interval
+from auv_gym.physics.units import POWERS as UNITS
+from auv_gym.physics.units import Units
+from auv_gym.planning.paths import Path
+
+POWERS: Mapping[str, Mapping[str, tuple[float, float]]] = {
+    "path": {"speed": (1, -1)},
+    "start": {"x_e": (1, 0), "y_e": (1, 0)},
+    "sensors": {
+        "position": (1, 0), "velocity": (1, -1), "yaw_rate": (0, -1), "position_bias": (1, 0),
+        "velocity_bias": (1, -1), "yaw_rate_bias": (0, -1), "outages": (0, -1), "outage_time": (0, 1),
+        "low_pass": (0, -1),
+    },
+    "reckoning": {"interval": (0, 1), "drift": (0, -1), "walk": (0, -0.5)},
+    "current": {"gust_time": (0, 1), "smoothing": (0, 1), "turn": (0, -1), "wavelength": (1, 0)},
+    "waves": {"band": (0, -1)},
+}  # fmt: skip
+"""Powers of length and time in the dimensions of a scenario's entries; those that have none, or a rule of their own,
+are left out."""
+LIMITS = {"F_u_max": "N", "F_r_max": "N m", "F_u_rate": "N/s", "F_r_rate": "N m/s", "fin": "kg"}
+"""SI units of what bounds an actuator."""
+
+
+def scaled(value: Interval, factor: float) -> Interval:
+    """Return a number, or both ends of an interval, times a factor."""
+    return (value[0] * factor, value[1] * factor) if isinstance(value, tuple) else value * factor
+
+
+def scaled_part(name: str, part: Any, units: Units) -> Any:
+    """Return a part of a scenario with its entries multiplied by the units, by the powers in their dimensions.
+
+    Args:
+        name: of the part, a key of `POWERS`.
+        part: the part; None, or a path that is not drawn, stays what it is.
+        units: the factors of length, time and mass.
+    """
+    if part is None or isinstance(part, Path):
+        return part
+    powers = dict(POWERS[name])
+    if name == "sensors":
+        part = replace(part, reckoning=scaled_part("reckoning", part.reckoning, units))
+    if name == "current" and not part.relative:
+        powers |= dict.fromkeys(("speed", "gust", "shear"), (1, -1))
+    given = {entry: getattr(part, entry) for entry in powers}
+    return replace(part, **{e: scaled(x, units.factor(*powers[e])) for e, x in given.items() if x is not None})
+
+
+def actuators_in(units: Units, actuators: Actuators) -> Actuators:
+    """Return actuators in the paper's units: limits and lag over the factors of these units."""
+    limits = {name: getattr(actuators, name) / units.factor(*UNITS[unit]) for name, unit in LIMITS.items()}
+    return replace(actuators, **limits, lag=scaled(actuators.lag, 1 / units.time))

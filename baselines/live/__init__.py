@@ -1,4 +1,0 @@
-"""The live page: simulator, sea, laws, filter and agents in any browser, printed from the package's equations.
-
-It is made by `page.write`, or from the command line by `python -m baselines.live`.
-"""

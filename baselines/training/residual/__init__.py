@@ -1,1 +1,0 @@
-"""What a residual is for: agents that correct and agents that command alone, when something fails."""

@@ -1,0 +1,8 @@
+"""Measurements of this project and the pages that they are written to. Not part of the installed package."""
+
+from pathlib import Path
+
+DATA = Path(__file__).parent / "data"
+"""Folder of what was measured."""
+DOCS = Path(__file__).parents[1] / "docs"
+"""Folder of the documentation, whose pages and figures are written from `DATA`."""

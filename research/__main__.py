@@ -1,0 +1,38 @@
+"""Run a study, or write what it measured to its page: `python -m research NAME`, and `--help` behind either."""
+
+from __future__ import annotations
+
+import sys
+
+from baselines.__main__ import Command, main
+
+COMMANDS = {
+    "bound": Command("research.lower_bounds.bound", "eval"),
+    "deployment": Command("research.deployment.measure", "export"),
+    "estimation-bound": Command("research.lower_bounds.floor.command", "eval"),
+    "failure-rate": Command("research.robustness.certificate", "eval"),
+    "falsification": Command("research.robustness.falsification", "tuning"),
+    "filter-gains": Command("research.trainings.filter_gains", "eval"),
+    "fine-tuning": Command("research.trainings.fine_tuning", "train"),
+    "front": Command("research.trainings.front", "train,tuning"),
+    "guard-thresholds": Command("research.robustness.thresholds", "eval"),
+    "guards": Command("research.robustness.saved", "eval"),
+    "held-out": Command("research.results.fresh", "eval"),
+    "identification-coverage": Command("research.vehicles.coverage", "eval"),
+    "leaderboard": Command("research.leaderboard.command", "eval"),
+    "probing": Command("research.probing.command", "eval"),
+    "residual": Command("research.trainings.residual", "train"),
+    "results": Command("research.results.command", "eval"),
+    "screenshots": Command("research.site.screenshots", "dev"),
+    "study": Command("research.trainings.study", "train"),
+    "suites": Command("research.suites.command", "eval"),
+    "throughput": Command("research.throughput.command", "train"),
+    "train-all": Command("research.trainings.shipped", "train"),
+    "transfer": Command("research.transfer.command", "eval"),
+    "vehicle-gains": Command("research.vehicles.vehicles", "tuning"),
+    "web-demo": Command("research.site.live.command", "eval"),
+}
+"""The commands by name."""
+
+if __name__ == "__main__":
+    sys.exit(main(COMMANDS))

@@ -1,0 +1,207 @@
+"""Measure what export costs and whether it is exact: `python -m research deployment --help`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from tyro.conf import Positional, arg
+
+from auv_gym.installation import install
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.task.policy import Policy
+from baselines.agents.names import shipped_agents
+from baselines.evaluation import recorded, suites
+from baselines.evaluation.metrics import Measures
+from baselines.evaluation.rollout import Moment, Repeatable, beginning, rollout
+from baselines.evaluation.runner import drawn
+from baselines.evaluation.score import Score, capped, fixed, fixed_ends, lead, regime_of
+from baselines.export.c_header import c_header
+from baselines.export.onnx_model import onnx_model
+from baselines.export.parts import Exported, exported
+from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.files import json_text, write_atomically
+from research import DOCS
+from research.deployment.emulator import emulated
+from research.deployment.page import page
+from research.deployment.players import HeaderPolicy, onnx_policy
+
+PROGRAM = "python -m research deployment"
+SUITE = "benchmark-v1"  # whose score it is
+CASE = "storm"  # of the episodes in which commands are compared: every disturbance at once
+SEED = 5  # of those episodes
+SITUATIONS = 200  # that the emulated processor decides in
+
+
+@dataclass(frozen=True)
+class Options:
+    """Measure exported agents: equality with the agent over whole episodes, speed, size, and the score that is lost.
+
+    Exit status: 0 done, 1 a program is missing, 2 wrong usage.
+    """
+
+    name: Annotated[Positional[tuple[str, ...]], arg(metavar="[AGENT ...]")] = ()
+    """Which of the agents that ship with the package; without any, all."""
+    episodes: int = 64
+    """Episodes of each cell of the suite that the score is of."""
+    out: Path = Path("runs/export")
+    """Folder of export.json and export.md."""
+    record: bool = False
+    """Write them into docs/ as well."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What was measured of an agent."""
+
+    name: str
+    onnx64: float  # largest difference of a command over whole episodes, each in its own loop
+    onnx32: float
+    c64: float
+    c32: float
+    numpy_us: float  # processor time of a decision
+    onnx_us: float
+    c_us: float
+    header: int  # [bytes]
+    model: int  # [bytes]
+    score: float  # of the agent, on the episodes that the others run
+    lost32: tuple[float, float, float]  # score that the header loses, mean and interval
+    lost8: tuple[float, float, float]  # with weights of int8
+    m4: float  # largest difference of a command on the emulated processor
+    instructions: float  # of a decision there
+    code: int  # [bytes] of code and constants there
+    code8: int  # with weights of int8
+    memory: int  # [bytes]
+    stack: int  # [bytes]
+
+
+def measured(name: str, episodes: int) -> Measured:
+    """Return what is measured of an agent.
+
+    Raises:
+        ImportError: onnx or onnxruntime is not installed.
+        OSError: a compiler or the emulator is missing.
+    """
+    agent = exported(name)
+    policy = agent.agent.policy()
+    header, header8, model = HeaderPolicy(agent), HeaderPolicy(agent, weights="int8"), onnx_policy(agent, "float32")
+    moments = {
+        key: _moments(agent, each)
+        for key, each in (
+            ("numpy", policy),
+            ("onnx64", onnx_policy(agent)),
+            ("onnx32", model),
+            ("c64", HeaderPolicy(agent, "float64")),
+            ("c32", header),
+        )
+    }
+    commands = {key: np.array([m.command for m in own]) for key, own in moments.items()}
+    differences = {key: float(np.abs(own - commands["numpy"]).max()) for key, own in commands.items()}
+    observations = np.array([m.observation[0] for m in moments["numpy"]])
+    scores = _scores(name, {"float32": header, "int8": header8}, episodes)
+    return Measured(
+        name=name,
+        onnx64=differences["onnx64"],
+        onnx32=differences["onnx32"],
+        c64=differences["c64"],
+        c32=differences["c32"],
+        numpy_us=1e6 * _seconds(policy, observations),
+        onnx_us=1e6 * _seconds(model, observations),
+        c_us=1e6 * header.seconds(observations[-1]),
+        header=len(c_header(agent)),
+        model=len(onnx_model(agent, "float32").SerializeToString()),
+        score=scores["numpy"][0],
+        lost32=scores["float32"],
+        lost8=scores["int8"],
+        **_on_m4(agent, header, observations[:SITUATIONS]),
+    )
+
+
+def _moments(agent: Exported, policy: Policy) -> list[Moment]:
+    """Return what a policy does in the episodes for comparison."""
+    scenario = PRESETS[f"{regime_of(agent.agent.scenarios[0])}-{CASE}"]
+    cell = scenario, drawn(scenario, 4, SEED).episodes
+    return list(Repeatable(lambda preview: beginning([cell], preview)).play(policy, scenario.steps))
+
+
+def _seconds(policy: Policy, observations: NDArray[Any]) -> float:
+    """Return the processor time [s] of a decision of one vehicle."""
+    memory, begin = None, time.process_time()
+    for observation in observations:
+        _, memory = policy.predict(observation, memory)
+    return (time.process_time() - begin) / len(observations)
+
+
+def _on_m4(agent: Exported, header: HeaderPolicy, observations: NDArray[Any]) -> Mapping[str, Any]:
+    """Return what an emulated processor does in situations that the header meets, decision by decision."""
+    memory, commands, memories = None, [], []
+    for observation in observations:
+        memories.append(np.zeros(header.numbers) if memory is None else memory[0][0])
+        command, memory = header.predict(observation, memory)
+        commands.append(command)
+    there = emulated(agent, observations, np.array(memories))
+    small = emulated(agent, observations[:1], np.array(memories[:1]), "int8")
+    return {
+        "m4": float(np.abs(there.commands - np.array(commands)).max()),
+        "instructions": there.instructions,
+        "code": there.code,
+        "code8": small.code,
+        "memory": there.memory,
+        "stack": there.stack,
+    }
+
+
+def _scores(name: str, policies: Mapping[str, Policy], episodes: int) -> dict[str, tuple[float, float, float]]:
+    """Return the recorded score of an agent as "numpy", and what the policies lose of it, with intervals."""
+    suite = suites.load(SUITE)
+    kept = [{r.scenario.name: r.measures for r in recorded.read(suite, p)} for p in (*suite.anchors, name)]
+    cells = [cell for cell in suite.cells if cell.scenario.name in kept[-1]]
+
+    def tails(rows: Mapping[str, Measures | None]) -> list[NDArray[np.float64]]:
+        found = ((c.scenario.name, rows[c.scenario.name]) for c in cells)
+        return [capped(m[:episodes], regime_of(cell)) for cell, m in found if m is not None]
+
+    expert, oracle, own = (tails(rows) for rows in kept)
+    result = {"numpy": _triple(lead(expert, expert, [t[None] for t in own], oracle))}
+    for key, policy in policies.items():
+        runs = [rollout(policy, c.scenario, c.episodes[:episodes]).measures for c in cells]
+        theirs = [capped(m, regime_of(c.scenario.name)) for c, m in zip(cells, runs, strict=True)]
+        result[key] = _triple(lead(expert, theirs, [t[None] for t in own], oracle))
+    return result
+
+
+def _triple(score: Score) -> tuple[float, float, float]:
+    return score.mean, *score.ci95
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Measure as the arguments say and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense, or a library is missing.
+        OSError: a compiler or the emulator is missing.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    if unknown := [name for name in options.name if name not in shipped_agents()]:
+        raise UsageError(f"no agent {unknown[0]!r} ships with the package; allowed are {', '.join(shipped_agents())}")
+    found = []
+    for name in options.name or shipped_agents():
+        try:
+            found.append(measured(name, options.episodes))
+        except ImportError:
+            raise UsageError(f"what is measured needs the libraries: {install('export')}") from None
+        last = found[-1]
+        lost = f"{fixed(last.lost32[0], 6)} ({fixed_ends(last.lost32[1:], 6)})"
+        print(f"{name}: {last.c_us:.1f} us, {last.instructions:,.0f} instructions, score lost {lost}", flush=True)
+    record = {"episodes": options.episodes, "agents": [asdict(m) for m in found]}
+    files = {"export.json": json_text(record), "export.md": page(record)}
+    for folder in (options.out, DOCS) if options.record else (options.out,):
+        folder.mkdir(parents=True, exist_ok=True)
+        for file, content in files.items():
+            write_atomically(folder / file, content)
+    return DONE

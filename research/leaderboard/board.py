@@ -1,0 +1,130 @@
+"""The leaderboard: a folder of submissions, SUITE/NAME.npz, and which of them the project has run again."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from baselines.evaluation.report.numbers import Entry
+from baselines.evaluation.submission.files import LARGEST, Submission, read, save
+from baselines.evaluation.suites import Suite, list_suites
+from baselines.tools.command_line import printable
+from baselines.tools.files import json_text, read_bytes, read_json, write_atomically
+from research.leaderboard.scores import entries, yardsticks
+
+STAMPS = "verified.json"
+"""File in the folder that says which submissions were run again: with their own hash, when, and how many episodes."""
+
+
+@dataclass(frozen=True)
+class Board:
+    """The submissions of one suite."""
+
+    suite: Suite
+    submissions: tuple[Submission, ...]
+    entries: tuple[Entry, ...]  # the best first, regime by regime
+    verified: Mapping[str, Mapping[str, Any]]  # what `STAMPS` says of those that were run again, by name
+
+
+def place_of(submission: Submission, folder: Path) -> Path:
+    """Return the file of a submission in the folder of a leaderboard."""
+    return folder / submission.suite.name / f"{submission.name}.npz"
+
+
+def enter(submission: Submission, folder: Path, replace: bool = False) -> Path:
+    """Write a submission into the folder of a leaderboard and return its file.
+
+    Raises:
+        FileExistsError: there is one of that name, and it is not to be replaced.
+        OSError: it cannot be written.
+    """
+    file = place_of(submission, folder)
+    if file.exists() and not replace:
+        raise FileExistsError(f"{file} is there already; choose another name, or --replace it")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    save(submission, file)
+    return file
+
+
+def boards(folder: Path) -> list[Board]:
+    """Return the leaderboard of each suite that has submissions.
+
+    Raises:
+        OSError: a file cannot be read.
+        ValueError: one is no submission or lies under another name, or scores cannot be computed.
+    """
+    found, stamps = [], _stamps(folder)
+    if stray := [path for path in folder.glob("*/*.npz") if path.parent.name not in list_suites()]:
+        raise ValueError(f"{stray[0]} lies in the folder of no suite; there are {', '.join(list_suites())}")
+    for name in list_suites():
+        files = sorted((folder / name).glob("*.npz"))
+        if not files:
+            continue
+        submissions = tuple(_placed(file) for file in files)
+        suite = submissions[0].suite
+        own = {file.stem: stamp for file in files if (stamp := stamps.get(_key(file))) and _counts(file, stamp)}
+        found.append(Board(suite, submissions, tuple(entries(submissions, yardsticks(suite))), own))
+    return found
+
+
+def _placed(file: Path) -> Submission:
+    submission = read(file)
+    if (submission.suite.name, submission.name) != (file.parent.name, file.stem):
+        raise ValueError(f"{file} holds {submission.name} in {submission.suite.name}: its name must be the same")
+    return submission
+
+
+def stamp(file: Path, folder: Path, episodes: int, of: int, seed: int) -> None:
+    """Write down that a submission of a leaderboard was reproduced.
+
+    Args:
+        file: the submission.
+        folder: of the leaderboard.
+        episodes: how many of them ran again.
+        of: how many it has.
+        seed: that chose them.
+
+    Raises:
+        OSError: it cannot be written.
+        ValueError: the file is not in the folder.
+    """
+    if file.resolve().parent.parent != folder.resolve():
+        raise ValueError(f"{file} is not in the leaderboard {folder}; enter it first")
+    when = datetime.now(timezone.utc).date().isoformat()
+    record = {"sha256": _digest(file), "date": when, "episodes": episodes, "of": of, "seed": seed}
+    stamps = _stamps(folder) | {_key(file): record}
+    kept = {key: stamps[key] for key in sorted(stamps) if (folder / f"{key}.npz").exists()}
+    write_atomically(folder / STAMPS, json_text(kept))
+
+
+def _key(file: Path) -> str:
+    return f"{file.resolve().parent.name}/{file.stem}"
+
+
+def _digest(file: Path) -> str:
+    return hashlib.sha256(read_bytes(file, LARGEST)).hexdigest()
+
+
+def _stamps(folder: Path) -> dict[str, Any]:
+    """Return what was written down of reproductions, nothing where nothing was."""
+    file = folder / STAMPS
+    record = read_json(file) if file.exists() else {}
+    if not isinstance(record, dict) or not all(_is_stamp(entry) for entry in record.values()):
+        raise ValueError(f"{file} does not hold what verify writes")
+    return record
+
+
+def _is_stamp(entry: Any) -> bool:
+    types = {"sha256": str, "date": str, "episodes": int, "of": int, "seed": int}
+    if not isinstance(entry, dict) or set(entry) != set(types):
+        return False
+    plain = all(isinstance(entry[key], kind) for key, kind in types.items())
+    return plain and entry["date"] == printable(entry["date"]) and len(entry["date"]) == 10
+
+
+def _counts(file: Path, stamp: Mapping[str, Any]) -> bool:
+    return bool(stamp["sha256"] == _digest(file))

@@ -1,0 +1,131 @@
+"""The leaderboard as a page, and as a table of JSON."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from baselines.evaluation.report.columns import COLUMNS, record
+from baselines.evaluation.report.numbers import Entry
+from baselines.evaluation.submission.files import Submission
+from baselines.tools.files import json_text
+from research.leaderboard.board import Board
+
+PROGRAM = "python -m research leaderboard"
+TEXT = f"""# Leaderboard
+
+<!-- Made by `{PROGRAM} page`; do not edit. -->
+
+What anybody has entered, suite by suite and regime by regime, the best first. The score is 0 for the expert and 1 for
+the policy that is named with each suite, with its 95 % interval over paired episodes; *lost* are episodes that ended
+too far off or whose tail is the cap and more, with the largest share that this can mean; *effort* and *rate* of the
+command are relative to the expert's; *ms* is the time per decision on the submitter's machine, with many vehicles side
+by side; *training* is what the submitter says that it cost. *Verified* entries were run again by the project, as many
+of their episodes as are named, drawn at random behind the submitter's back; of the others only the file was checked.
+[Evaluation](metrics.md) has the definitions, [leaderboard.json](leaderboard.json) the same as a table, and
+[Enter](enter.md) says how to get here.
+"""
+NONE = "-"  # where nothing is said
+NBSP = "\N{NO-BREAK SPACE}"  # within a line of a cell
+BREAK = "<br>"  # between the lines of a cell
+HEADINGS = ["", "entry<br>by", "score<br>95 %", "tail [m]", "lost", "effort<br>rate", "ms", "training", "verified"]
+"""Of the page's tables."""
+
+
+def page(boards: Sequence[Board]) -> str:
+    """Return the page, Markdown."""
+    parts = [TEXT]
+    for board in boards:
+        suite = board.suite
+        count = sum(len(cell.episodes) for cell in suite.cells)
+        setting = f"{len(suite.cells)} cases, {count} episodes, SHA-256 `{suite.hash}`; 1 is `{suite.anchors.one}`."
+        parts.append(f"## {suite.name}\n\n{setting}\n")
+        by_name = {s.name: s for s in board.submissions}
+        for place in dict.fromkeys(entry.place for entry in board.entries):
+            own = [entry for entry in board.entries if entry.place == place]
+            parts.append(f"### {place}\n\n{_table(board, own)}\n")
+        parts.append("### What they are\n")
+        parts.append("\n".join(_told(by_name[name]) for name in sorted(by_name)) + "\n")
+    return "\n".join(parts)
+
+
+def _table(board: Board, entries: Sequence[Entry]) -> str:
+    """Return a table of one regime; its cells have two lines, so that it is narrow enough for a page."""
+    by_name, rows = {s.name: s for s in board.submissions}, []
+    for rank, entry in enumerate(entries, start=1):
+        s, text = by_name[entry.policy], {column.key: column.text(entry) for column in COLUMNS}
+        figures = (
+            [text["score.mean"], text["score.ci95"]],
+            [text["tail_rmse_m.mean"]],
+            text["lost"].partition(" (")[::2],
+            [text["effort_ratio"], text["smoothness_ratio"]],
+            [text["decision_ms"]],
+            costs(s),
+            verification(board, s.name),
+        )
+        cells = [BREAK.join(line.strip(")").replace(" ", NBSP) for line in lines if line) for lines in figures]
+        rows.append([str(rank), f"`{s.name}`{BREAK}{plain(s.about.author) or NONE}", *cells])
+    lines = [HEADINGS, ["--:", "---", *("--:" for _ in HEADINGS[2:])], *rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def _told(s: Submission) -> str:
+    """Return a line of the list of entries."""
+    more = f" [Link]({s.about.link})." if s.about.link else ""
+    words = plain(s.about.description).rstrip(".") or "nothing is said of it"
+    return (
+        f"- `{s.name}`: {words}.{more} Policy `{s.fingerprint[:12]}`, run on {s.date} with auv_gym "
+        f"{plain(str(s.versions.get('auv_gym', NONE)))}."
+    )
+
+
+def verification(board: Board, name: str) -> list[str]:
+    """Return what is known of a reproduction of an entry, in lines."""
+    found = board.verified.get(name)
+    return [f"{found['episodes']} of {found['of']}", found["date"]] if found else ["no"]
+
+
+def costs(s: Submission) -> list[str]:
+    """Return what a training cost, as its submitter says, in lines."""
+    steps, seconds = s.about.training_steps, s.about.training_seconds
+    lines = [] if steps is None else [f"{_short(steps)} steps"]
+    return [*lines, *([] if seconds is None else [_time(seconds)])] or [NONE]
+
+
+def _time(seconds: float) -> str:
+    """Return a time with its unit."""
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.3g} h"
+
+
+def _short(count: float) -> str:
+    for size, letter in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if count >= size:
+            return f"{count / size:.3g} {letter}"
+    return f"{count:.0f}"
+
+
+def plain(text: str) -> str:
+    """Return a submitter's words so that Markdown and HTML show them as they are: no markup, no table, no link."""
+    return re.sub(r"([!-/:-@\[-`{-~])", r"\\\1", text)
+
+
+def leaderboard_json(boards: Sequence[Board]) -> str:
+    """Return the leaderboard as strict JSON, null for what is not a number."""
+    suites = {}
+    for board in boards:
+        by_name = {s.name: s for s in board.submissions}
+        suites[board.suite.name] = {
+            "hash": board.suite.hash,
+            "entries": [_record(board, entry, by_name[entry.policy]) for entry in board.entries],
+        }
+    return json_text({"suites": suites})
+
+
+def _record(board: Board, entry: Entry, s: Submission) -> dict[str, Any]:
+    own = {"name": s.name, "regime": entry.place, **record(entry), **asdict(s.about)}
+    own |= {"policy": s.policy, "fingerprint": s.fingerprint, "date": s.date, "versions": dict(s.versions)}
+    return own | {"verified": board.verified.get(s.name)}

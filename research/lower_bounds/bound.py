@@ -1,0 +1,180 @@
+"""Try whether the bound loses a vehicle, in many episodes: `python -m research bound`.
+
+The score's 1 is `clairvoyant`, so an episode that it lost would lift everybody's score. It runs through episodes of all
+cases, drawn from seeds of their own, and what it does is counted in `research/data/bound.json`. A later run
+goes on where an earlier one has stopped, whatever the numbers of episodes; where the policy has changed since, it
+begins anew. Where its tail is not small, the expert and the oracle run too: an episode that one of them keeps better
+shows a fault of the solver.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from auv_gym.installation import checkout
+from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES
+from auv_gym.scenarios.scenario import Scenario
+from baselines import make_policy
+from baselines.control.clairvoyant.solver import GOOD
+from baselines.evaluation.fingerprints import fingerprint
+from baselines.evaluation.metrics import most_lost
+from baselines.evaluation.rollout import rollout
+from baselines.evaluation.runner import Cell, drawn
+from baselines.evaluation.score import BOUND, EXPERT, ORACLE, is_lost, largest_tail, regime_of
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
+from baselines.tools.files import json_text, read_json, write_atomically
+from baselines.tools.seeds import SWEEP
+from research import DATA
+
+PROGRAM = "python -m research bound"
+FILE = DATA / "bound.json"  # what was counted
+EPISODES = 10_000  # of all cases together
+AT_ONCE = 125  # episodes of a case that are solved together
+SCENARIOS = tuple(PRESETS[f"{regime}-{case}"] for regime in REGIMES for case in CASES)
+"""The cases, of both regimes."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Run the bound through many episodes of all cases and count those that it does not keep on their path.
+
+    Exit status: 0 done, 1 it lost an episode, or another policy was nearer by more than a millimetre, 2 wrong usage.
+    """
+
+    episodes: int = EPISODES
+    """Of all cases together; those that were run before count."""
+    out: Path = FILE if checkout() else Path("runs/bound.json")
+    """File for the counts, to which episodes are added."""
+
+
+@dataclass(frozen=True)
+class Count:
+    """What the bound did in some episodes of a case, those of the first seeds of `SWEEP`."""
+
+    episodes: int = 0
+    lost: int = 0  # see `score.is_lost`
+    tails_m: float = 0.0  # the sum of the tail errors
+    largest_tail_m: float = 0.0
+    largest_error_m: float = 0.0  # at any instant of a tail: a vehicle that spins is metres away
+    astray: tuple[Mapping[str, Any], ...] = field(default=())
+    """Episodes whose tail is not below `GOOD`: seed, tail, and those of oracle and expert [m]."""
+
+    def with_more(self, more: Count) -> Count:
+        """Return the count of these episodes and of others."""
+        return Count(
+            self.episodes + more.episodes,
+            self.lost + more.lost,
+            self.tails_m + more.tails_m,
+            max(self.largest_tail_m, more.largest_tail_m),
+            max(self.largest_error_m, more.largest_error_m),
+            (*self.astray, *more.astray),
+        )
+
+
+def counted(scenario: Scenario, first: int, episodes: int) -> Count:
+    """Return what the bound does in episodes of a scenario, `first` and the following ones of `SWEEP`."""
+    seed = SWEEP.first + first
+    cell = drawn(scenario, episodes, seed)
+    found = rollout(make_policy(BOUND, scenario.vehicle), scenario, cell.episodes)
+    tail, cap = found.measures.tail, largest_tail(regime_of(scenario.name))
+    far = np.flatnonzero(~(tail < GOOD)).tolist()
+    rivals = {policy: _tails(policy, cell, far) for policy in (ORACLE, EXPERT)} if far else {}
+    astray = tuple(
+        {"seed": seed + i, f"{BOUND}_m": float(tail[i]), **{f"{p}_m": rivals[p][j] for p in rivals}}
+        for j, i in enumerate(far)
+    )
+    errors = found.errors[scenario.steps // 3 :]
+    lost = int(is_lost(tail, found.measures.lost, cap).sum())
+    return Count(episodes, lost, float(tail.sum()), float(tail.max()), float(errors.max()), astray)
+
+
+def _tails(policy: str, cell: Cell, few: Sequence[int]) -> list[float]:
+    """Return a policy's tail errors [m] in a few of a cell's episodes."""
+    own = [cell.episodes[i] for i in few]
+    tails: list[float] = rollout(make_policy(policy, cell.scenario.vehicle), cell.scenario, own).measures.tail.tolist()
+    return tails
+
+
+def kept(file: Path = FILE) -> dict[str, Count]:
+    """Return what was counted, by case; nothing where the bound has changed since, or nothing was counted.
+
+    Raises:
+        ValueError: the file is damaged.
+    """
+    if not file.exists():
+        return {}
+    record = read_json(file)
+    try:
+        found = {name: Count(**{**of, "astray": tuple(of["astray"])}) for name, of in record["cases"].items()}
+        return found if record["fingerprint"] == fingerprint(BOUND) else {}
+    except (TypeError, KeyError, AttributeError) as error:
+        raise ValueError(
+            f"{file} does not hold what {PROGRAM} writes; delete it, or name another with --out"
+        ) from error
+
+
+def together(counts: Mapping[str, Count]) -> Count:
+    """Return the count of all cases."""
+    every = Count()
+    for count in counts.values():
+        every = every.with_more(count)
+    return every
+
+
+def told(counts: Mapping[str, Count]) -> str:
+    """Return what was counted, in words."""
+    every = together(counts)
+    at_most = 100 * most_lost(every.lost, every.episodes)
+    return (
+        f"{every.lost} of {every.episodes} episodes lost (at most {at_most:.2g} %, one-sided, 95 %); mean tail "
+        f"{1e3 * every.tails_m / every.episodes:.3f} mm, the largest {1e3 * every.largest_tail_m:.3f} mm, the largest "
+        f"distance at any instant of a tail {1e3 * every.largest_error_m:.3f} mm; {len(every.astray)} with a tail of "
+        f"{1e3 * GOOD:g} mm and more"
+    )
+
+
+def nearer(counts: Mapping[str, Count]) -> list[str]:
+    """Return the episodes in which oracle or expert is nearer than the bound by more than a millimetre, in words."""
+    found = []
+    for name, count in counts.items():
+        for own in count.astray:
+            best = min((ORACLE, EXPERT), key=lambda policy: own[f"{policy}_m"])
+            if own[f"{best}_m"] < own[f"{BOUND}_m"] - 1e-3:
+                found.append(f"{name}, seed {own['seed']}: {own[f'{BOUND}_m']:.4f} m, {best} {own[f'{best}_m']:.4f} m")
+    return found
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Count as the arguments say and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    share = -(-options.episodes // len(SCENARIOS))  # of each case, rounded up
+    if not (options.episodes >= 1 and SWEEP.holds(SWEEP.first, share)):
+        most = len(SCENARIOS) * (SWEEP.end - SWEEP.first)
+        raise UsageError(f"--episodes is {options.episodes}; it must be in [1, {most}]")
+    try:
+        counts = {scenario.name: Count() for scenario in SCENARIOS} | kept(options.out)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    for scenario in SCENARIOS:
+        for first in range(counts[scenario.name].episodes, share, AT_ONCE):
+            more = counted(scenario, first, min(AT_ONCE, share - first))
+            counts[scenario.name] = counts[scenario.name].with_more(more)
+            record = {"fingerprint": fingerprint(BOUND), "cases": {name: asdict(c) for name, c in counts.items()}}
+            write_atomically(options.out, json_text(record))
+        print(f"{scenario.name}: {told({scenario.name: counts[scenario.name]})}", flush=True)
+    print(told(counts))
+    worse = nearer(counts)
+    for line in worse:
+        print(f"{called(PROGRAM)}: another policy is nearer: {line}", file=sys.stderr)
+    return FAILED if worse or together(counts).lost else DONE

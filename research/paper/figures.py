@@ -1,0 +1,163 @@
+"""The paper's figures 3-6, recomputed, with its own panels; and a figure of its noise study."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.planning.paths import PAPER_CIRCLE
+from auv_gym.planning.planner import plan
+from baselines.evaluation.stability.closed_loop import Response
+from baselines.tools.figure_style import COLOURS, REFERENCE, panels, styled, to_png
+from research.paper.noise_study import POSITION_NOISE, TRANSIENT, NoiseRun, noise_scenario
+from research.paper.numbers import CHOSEN, SIGNS, Reproduction
+
+Array = NDArray[np.float64]
+
+EARLY = 40.0
+"""End of the panels that show the transient [s]."""
+NOISE_SPAN = 60.0
+"""Length of the noisy commands that are drawn [s]."""
+
+
+def paper_figures(reproduction: Reproduction) -> dict[str, bytes]:
+    """Return the figures as PNG, by name."""
+    response = reproduction.response
+    with styled():
+        return {
+            "fig3_trajectory": to_png(trajectory(response)),
+            "fig4_forces": to_png(forces(response)),
+            "fig5_velocity_errors": to_png(velocity_errors(response)),
+            "fig6_tracking_errors": to_png(tracking_errors(response)),
+            "noise_study": to_png(noise(reproduction.noise)),
+        }
+
+
+def _start_text() -> str:
+    x_e, y_e, psi_e = SIGNS[CHOSEN]
+    return f"start x_e = {0.5 * x_e:+g} m, y_e = {y_e:+g} m, psi_e = {20 * psi_e:+d} deg, at rest"
+
+
+def _letter(axes: Sequence[Sequence[Axes]], titles: Sequence[str]) -> None:
+    for ax, letter, title in zip((ax for row in axes for ax in row), "abcdef", titles, strict=False):
+        ax.set_title(f"({letter}) {title}", loc="left")
+
+
+def trajectory(response: Response) -> Figure:
+    """Return figure 3: the circle and the way of the centre of mass, whole and near the start."""
+    figure, [[wide, near]] = panels(1, 2, (9.0, 5.1))
+    circle = PAPER_CIRCLE.derivatives(np.linspace(0.0, 200 * np.pi, 721))[0]
+    for ax in (wide, near):
+        for i, (x, y) in enumerate(zip(response.state[0], response.state[1], strict=True)):
+            if i != CHOSEN:
+                ax.plot(x, y, color=COLOURS[5], linewidth=0.8, label="the other seven signs" if i == 0 else None)
+        x, y = response.state[:2, CHOSEN]
+        ax.plot(x, y, color=COLOURS[0], linewidth=2.0, label="vehicle")
+        ax.plot(x[0], y[0], "o", color=COLOURS[0], markersize=5)
+        ax.plot(*circle, **REFERENCE, label="reference", zorder=3)
+        ax.set(xlabel="X [m]", ylabel="Y [m]")
+        ax.set_aspect("equal", adjustable="box")
+    wide.set(xlim=(-12.0, 12.0), ylim=(-12.0, 12.0))
+    near.set(xlim=(-1.0, 3.4), ylim=(7.8, 12.2))
+    wide.legend(loc="center")
+    _letter([[wide, near]], ["trajectory, 100 s", "the start"])
+    near.text(
+        0.04, 0.03, "The paper prints moduli of the errors only;\nthis start needs the least surge force of the eight.",
+        transform=near.transAxes, fontsize=8,
+    )  # fmt: skip
+    figure.suptitle(f"Fig. 3: {_start_text()}", fontsize=10)
+    return figure
+
+
+def forces(response: Response) -> Figure:
+    """Return figure 4: control force and torque near time zero and converging to the plan's."""
+    figure, axes = panels(2, 2, (9.0, 5.4))
+    planned = plan(PAPER_CIRCLE, PAPER_VEHICLE, np.array([0.0, 1.0])).table[0, 6:].tolist()
+    names = (("F_u", "N", "force"), ("F_r", "N m", "torque"))
+    for row, force, level, (name, unit, _) in zip(axes, response.force[:, CHOSEN], planned, names, strict=True):
+        for ax in row:
+            ax.axhline(level, **REFERENCE, label=f"open loop: {level:.4g} {unit}")
+            ax.plot(response.t, force, color=COLOURS[0])
+            ax.set(xlabel="time [s]", ylabel=f"{name} [{unit}]")
+        row[0].set_xlim(0, 15)
+        row[1].set_xlim(15, 60)
+        late = force[(response.t >= 15) & (response.t <= 60)]
+        margin = 0.08 * float(np.ptp(late))
+        row[1].set_ylim(late.min() - margin, late.max() + margin)
+        row[0].legend(loc="best")
+    titles = [f"control {kind}, {part}" for *_, kind in names for part in ("near time zero", "convergence")]
+    _letter(axes, titles)
+    figure.suptitle(f"Fig. 4: {_start_text()}", fontsize=10)
+    return figure
+
+
+def _error_figure(response: Response, first: int, names: Sequence[tuple[str, str, float]], title: str) -> Figure:
+    """Return six panels: three errors from row `first` on, over the transient and in magnitude to the end.
+
+    `names` gives each error's name, unit, and the factor into that unit.
+    """
+    figure, axes = panels(3, 2, (9.0, 7.0))
+    for k, ((early, late), (name, unit, factor)) in enumerate(zip(axes, names, strict=True)):
+        error = factor * response.errors[first + k, CHOSEN]
+        early.axhline(0.0, **REFERENCE)
+        early.plot(response.t, error, color=COLOURS[0])
+        early.set(xlim=(0, EARLY), ylabel=f"{name} [{unit}]")
+        late.semilogy(response.t, np.abs(error), color=COLOURS[0], linewidth=1.0)
+        late.axhline(1e-5, color=COLOURS[1], linewidth=1.0, label="the paper's floor, 1e-5")
+        late.set(xlim=(0, response.t[-1]), ylabel=f"|{name}| [{unit}]")
+    for ax in axes[-1]:
+        ax.set_xlabel("time [s]")
+    axes[0][1].legend(loc="upper right")
+    _letter(axes, [text for name, *_ in names for text in (name, f"{name}, magnitude")])
+    figure.suptitle(f"{title}: {_start_text()}", fontsize=10)
+    return figure
+
+
+def velocity_errors(response: Response) -> Figure:
+    """Return figure 5: the velocity errors."""
+    return _error_figure(response, 3, (("u_e", "m/s", 1.0), ("v_e", "m/s", 1.0), ("r_e", "rad/s", 1.0)), "Fig. 5")
+
+
+def tracking_errors(response: Response) -> Figure:
+    """Return figure 6: the errors of position and orientation."""
+    return _error_figure(response, 0, (("x_e", "m", 1.0), ("y_e", "m", 1.0), ("psi_e", "deg", 180 / np.pi)), "Fig. 6")
+
+
+def noise(study: Sequence[NoiseRun]) -> Figure:
+    """Return the noise study: commands, position error, and what a low-pass trades between them."""
+    figure, [[surge, yaw], [distance, trade]] = panels(2, 2, (9.0, 5.8))
+    dt = noise_scenario(None).control_dt
+    count = round(NOISE_SPAN / dt)
+    t = dt * (TRANSIENT + 1 + np.arange(count))
+    for run, colour in ((study[0], COLOURS[5]), (study[-1], COLOURS[0])):
+        label = f"low-pass at {run.cut_off:g} Hz" if run.cut_off else "no filter"
+        for ax, force in zip((surge, yaw), run.force[0, :count].T, strict=True):
+            ax.step(t, force, color=colour, linewidth=0.9, where="pre", label=label)
+        distance.plot(t, 100 * run.error[0, :count], color=colour, label=label)
+    distance.axhline(100 * POSITION_NOISE, color=COLOURS[1], linewidth=1.0, label="noise on x and on y (std)")
+    surge.set(ylabel="F_u [N]", xlabel="time [s]")
+    yaw.set(ylabel="F_r [N m]", xlabel="time [s]")
+    distance.set(ylabel="position error [cm]", xlabel="time [s]", ylim=(0, 130 * POSITION_NOISE))
+    for ax in (surge, distance):
+        ax.legend(loc="upper right", ncols=2, fontsize=7)
+    _trade(trade, study)
+    _letter([[surge, yaw], [distance, trade]], ["surge force", "yaw torque", "true position error", "filter's trade"])
+    figure.suptitle(
+        "Noise study: white noise of 10 cm, 1 deg, 1 cm/s, 1 deg/s at 10 Hz on the paper's circle", fontsize=10
+    )
+    return figure
+
+
+def _trade(ax: Axes, study: Sequence[NoiseRun]) -> None:
+    """Draw the error over the activity of the force, a point for each low-pass."""
+    x, y = [run.force_std[0] for run in study], [100 * run.position_rms for run in study]
+    ax.plot(x, y, "o-", color=COLOURS[0])
+    for run, x_i, y_i in zip(study, x, y, strict=True):
+        label = f"{run.cut_off:g} Hz" if run.cut_off else "no filter"
+        ax.annotate(label, (x_i, y_i), textcoords="offset points", xytext=(4, 6), fontsize=8)
+    ax.set(xlabel="std of F_u [N]", ylabel="rms position error [cm]", xlim=(0, 1.15 * max(x)), ylim=(0, 1.3 * max(y)))

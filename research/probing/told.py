@@ -1,0 +1,161 @@
+"""What it costs to be told a wrong hull: the score on frozen episodes, whose vehicles and plans are what they were.
+
+Every parameter of the known hull is wrong by a share of its own. Mass and inertia are also units, in which a policy
+sees everything (`auv_gym.physics.units`): they are wrong in one of the two ways only.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from baselines.control.backstepping import StabilityWarning
+from baselines.evaluation import recorded
+from baselines.evaluation.runner import Cell
+from baselines.evaluation.score import LARGEST_TAIL, RIVAL, Score, capped, cut, is_lost, lead, regime_of, seeds_score
+from baselines.evaluation.side_by_side import SideBySide
+from baselines.evaluation.suites import load
+from baselines.policy import Array
+from research.probing.collect import HULL, SEED
+from research.probing.tap import acting
+
+SUITE = "benchmark-v1"
+"""Whose episodes run, and whose anchors the score has."""
+SIZES = (0.2, 0.4, 0.6)
+"""How wrong a parameter is told at most, as a share of it; any error up to that is as likely as another."""
+HULLS = 12
+"""Wrong hulls of each size, the same ones for all policies."""
+EPISODES = 12
+"""Episodes of each case, the first ones of the suite."""
+LESS: Mapping[str, tuple[int, int]] = {RIVAL: (4, 6)}
+"""Hulls and episodes of a policy that takes its time, the first ones too; and the largest size alone."""
+KEPT = 3
+"""Episodes of each case whose errors are kept one by one, with the true hull and the first wrong one."""
+
+
+class Way(NamedTuple):
+    """A way in which a hull is told wrong."""
+
+    names: tuple[str, ...]  # the parameters that are wrong
+    says: str
+
+
+WAYS: Mapping[str, Way] = {
+    "ratios": Way(("m22", "d11", "d22", "d33"), "m22, drag"),
+    "all": Way(HULL, "m22, drag, m11, m33"),
+}
+"""The ways, by name."""
+
+
+def mistakes(hull: int) -> dict[str, float]:
+    """Return how wrong each parameter of a hull is, by its number: shares of the largest size, in -1 ... 1.
+
+    They are drawn together, until there is such a hull in every way.
+    """
+    rng = np.random.default_rng([SEED + hull, 5])
+    while True:
+        drawn = {name: float(rng.uniform(-1.0, 1.0)) for name in HULL}
+        with suppress(ValueError):  # it would be no slender hull
+            for way in WAYS.values():
+                wrong(PAPER_VEHICLE, drawn, SIZES[-1], way)
+            return drawn
+
+
+def wrong(vehicle: Vehicle, mistaken: Mapping[str, float], size: float, way: Way) -> Vehicle:
+    """Return what is told in place of a vehicle.
+
+    Args:
+        vehicle: the true one.
+        mistaken: see `mistakes`.
+        size: how wrong a parameter is at most.
+        way: which of them are wrong.
+
+    Raises:
+        ValueError: there is no such vehicle.
+    """
+    return replace(vehicle, **{name: (1 + size * mistaken[name]) * getattr(vehicle, name) for name in way.names})
+
+
+def cells_of(regime: str, episodes: int) -> list[Cell]:
+    """Return the first episodes of each cell of a regime in the suite."""
+    own = (cell for cell in load(SUITE).cells if regime_of(cell.scenario.name) == regime)
+    return [Cell(cell.scenario, cell.episodes[:episodes]) for cell in own]
+
+
+def misled(name: str, regime: str, episodes: int | None = None) -> dict[str, Any]:
+    """Return what a policy's capped score loses where it is told wrong hulls, as plain numbers.
+
+    Args:
+        name: of the policy; none that looks behind the observation.
+        regime: "slow" or "cruise".
+        episodes: of each case. None: `EPISODES`, or fewer of one that takes its time.
+
+    Raises:
+        ValueError: there is no such policy.
+        PolicyError: its actions are not finite.
+    """
+    hulls, usual = LESS.get(name, (HULLS, EPISODES))
+    sizes, cells = SIZES[-1:] if name in LESS else SIZES, cells_of(regime, episodes or usual)
+    known, true = cells[0].scenario.vehicle, SideBySide(cells)
+    zero, one = (_recorded(policy, regime, cells) for policy in load(SUITE).anchors)
+    right, lost = _tails(name, known, true, regime)
+
+    def told(way: Way, size: float) -> dict[str, Any]:
+        each, gone = [], []
+        for vehicle in (wrong(known, mistakes(k), size, way) for k in range(hulls)):
+            tails, own = _tails(name, vehicle, true, regime)
+            each.append(tails)
+            gone.append(own)
+        rows = [np.array(own) for own in zip(*each, strict=True)]
+        return {"size": size, "lost": gone, **_compared(zero, right, rows, one)}
+
+    return {
+        "episodes": len(cells[0].episodes),
+        "cases": [cell.scenario.name.removeprefix(f"{regime}-") for cell in cells],
+        "right": {
+            "score": _ends(seeds_score(zero, [row[None] for row in right], one)),
+            "lost": lost,
+            "error_m": [round(float(row.mean()), 6) for row in right],
+            "first_m": [np.round(row[:KEPT], 6).tolist() for row in right],
+        },
+        "wrong": {key: [told(way, size) for size in sizes] for key, way in WAYS.items()},
+    }
+
+
+def _recorded(policy: str, regime: str, cells: Sequence[Cell]) -> list[Array]:
+    """Return the capped tails [m] that are recorded of a policy in episodes of the suite, cell by cell."""
+    runs = {run.scenario.name: run.measures for run in recorded.read(load(SUITE), policy)}
+    rows = ((runs[cell.scenario.name], len(cell.episodes)) for cell in cells)
+    return [capped(row[:count], regime) for row, count in rows if row is not None]
+
+
+def _tails(name: str, told: Vehicle, there: SideBySide, regime: str) -> tuple[list[Array], int]:
+    """Return the capped tails [m] of a policy that is told a vehicle, cell by cell, and how many episodes it lost."""
+    cap = LARGEST_TAIL[regime]
+    with warnings.catch_warnings():  # that its law may be unstable for such a hull is a part of the price
+        warnings.simplefilter("ignore", StabilityWarning)
+        ended = there.run(acting(name, told))
+    return [cut(e.tail, e.lost, cap) for e in ended], sum(int(is_lost(e.tail, e.lost, cap).sum()) for e in ended)
+
+
+def _compared(zero: Sequence[Array], right: Sequence[Array], each: Sequence[Array], one: Sequence[Array]) -> Any:
+    """Return what the tails of hulls, shape (hulls, M) in each cell, are beside those of the true one."""
+    above = partial(lead, zero, right, one=one)
+    return {
+        "score": _ends(seeds_score(zero, each, one)),
+        "above": _ends(above(each)),
+        "hulls": [round(above([rows[[k]] for rows in each]).mean, 5) for k in range(len(each[0]))],
+        "error_m": [round(float(rows.mean()), 6) for rows in each],
+        "first_m": [np.round(rows[0, :KEPT], 6).tolist() for rows in each],
+    }
+
+
+def _ends(value: Score) -> list[float]:
+    return [round(float(x), 5) for x in (value.mean, *value.ci95)]

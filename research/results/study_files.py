@@ -1,0 +1,161 @@
+"""What is kept of a study: tail errors of every episode and seed, learning curves, and how it was made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.evaluation import suites
+from baselines.evaluation.metrics import Array, Measures
+from baselines.evaluation.runner import Run
+from baselines.evaluation.score import cut, in_paper_units, is_lost, largest_tail, waters_of
+from baselines.evaluation.store import Stored, reading, write
+from baselines.tools.files import versions
+from research import DATA
+
+FOLDER = DATA / "studies"
+CURVE = ("timesteps", "seconds", "score")
+"""Columns of a learning curve."""
+
+
+@dataclass(frozen=True)
+class InSuite:
+    """What S agents do in the M episodes of a suite's cells."""
+
+    hash: str  # of the suite
+    cells: tuple[str, ...]  # names of their scenarios
+    tails: tuple[Array, ...]  # tail RMSE [m of the paper's vehicle], shape (S, M) for each cell
+    lost: tuple[NDArray[np.bool_], ...]  # ended beyond the lost distance, shape (S, M) for each cell
+    effort: Array  # mean over all episodes, shape (S,); see `metrics`
+    smoothness: Array  # mean over all episodes, shape (S,); see `metrics`
+    decision_seconds: float  # of an agent for one vehicle and control step
+
+    @classmethod
+    def of(cls, suite: str, runs: Sequence[Sequence[Run]]) -> InSuite:
+        """Return what the runs of each agent in each cell tell.
+
+        Raises:
+            ValueError: one failed.
+        """
+        if failed := [run for own in runs for run in own if run.measures is None]:
+            raise ValueError(f"{failed[0].policy} failed in {failed[0].scenario.name}: {failed[0].error}")
+        measures = [[in_paper_units(r.measures, r.scenario) for r in own if r.measures is not None] for own in runs]
+        whole = [Measures.joined(own) for own in measures]
+        by_cell = list(zip(*measures, strict=True))
+        return cls(
+            suites.load(suite).hash,
+            tuple(run.scenario.name for run in runs[0]),
+            tuple(np.stack([m.tail for m in cell]) for cell in by_cell),
+            tuple(np.stack([m.lost for m in cell]) for cell in by_cell),
+            np.array([m.effort.mean() for m in whole]),
+            np.array([m.smoothness.mean() for m in whole]),
+            float(np.mean([run.decision_seconds for own in runs for run in own])),
+        )
+
+    def capped(self) -> tuple[Array, ...]:
+        """Return the tails with that of an episode that was lost cut at `score.LARGEST_TAIL`."""
+        return tuple(cut(*own) for own in zip(self.tails, self.lost, self._caps, strict=True))
+
+    def losses(self) -> int:
+        """Return how many episodes of all seeds are lost, see `score.is_lost`."""
+        return sum(int(is_lost(*own).sum()) for own in zip(self.tails, self.lost, self._caps, strict=True))
+
+    @property
+    def _caps(self) -> list[float]:
+        return [largest_tail(waters_of(cell)) for cell in self.cells]
+
+
+@dataclass(frozen=True)
+class Study:
+    """Agents that differ in the training seed alone."""
+
+    about: str
+    regime: str
+    command: str
+    date: str  # ISO 8601
+    versions: Mapping[str, str]
+    suites: Mapping[str, InSuite]
+    curves: tuple[Array, ...]  # of each seed, columns `CURVE`
+
+    @classmethod
+    def of(
+        cls,
+        about: str,
+        regime: str,
+        command: str,
+        runs: Mapping[str, Sequence[Sequence[Run]]],
+        curves: Sequence[Sequence[Mapping[str, float]]],
+    ) -> Study:
+        """Return the study of what agents did, suite by suite, and of their learning curves.
+
+        Raises:
+            ValueError: an agent failed somewhere.
+        """
+        return cls(
+            about,
+            regime,
+            command,
+            datetime.now(timezone.utc).date().isoformat(),
+            versions(),
+            {name: InSuite.of(name, own) for name, own in runs.items()},
+            tuple(np.array([[row[key] for key in CURVE] for row in rows]) for rows in curves),
+        )
+
+
+def save(name: str, study: Study, folder: Path = FOLDER) -> None:
+    """Write a study to its file."""
+    arrays: dict[str, Any] = {f"curve/{i}": curve for i, curve in enumerate(study.curves)}
+    record: dict[str, Any] = {key: getattr(study, key) for key in ("about", "regime", "command", "date")}
+    record |= {"versions": dict(study.versions), "suites": {}}
+    for suite, found in study.suites.items():
+        record["suites"][suite], own = packed(suite, found)
+        arrays |= own
+    write(folder / f"{name}.npz", Stored(record, arrays))
+
+
+def packed(suite: str, found: InSuite) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return what agents do in a suite as plain JSON and arrays by name, see `unpacked`."""
+    entry = asdict(found)
+    arrays: dict[str, NDArray[Any]] = {}
+    for key in ("tails", "lost"):
+        kind = np.float32 if key == "tails" else np.bool_
+        arrays[f"{suite}/{key}"] = np.concatenate(entry.pop(key), axis=1).astype(kind)
+    lengths = [tail.shape[1] for tail in found.tails]
+    entry |= {"effort": found.effort.tolist(), "smoothness": found.smoothness.tolist(), "lengths": lengths}
+    return entry, arrays
+
+
+def unpacked(suite: str, packed_entry: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> InSuite | None:
+    """Return what agents do in a suite from plain JSON and arrays; None if the suite is another one since."""
+    entry = dict(packed_entry)
+    if entry["hash"] != suites.load(suite).hash:
+        return None
+    bounds = np.cumsum(entry.pop("lengths"))[:-1]
+    tails, lost = (tuple(np.split(arrays[f"{suite}/{key}"], bounds, axis=1)) for key in ("tails", "lost"))
+    values: dict[str, Any] = {key: np.array(entry.pop(key)) for key in ("effort", "smoothness")}
+    entry["cells"] = tuple(entry["cells"])
+    return InSuite(tails=tuple(t.astype(np.float64) for t in tails), lost=lost, **entry, **values)
+
+
+def load_all(folder: Path = FOLDER) -> dict[str, Study]:
+    """Return the studies that are kept, by name; what they say of a suite that has changed since is left out.
+
+    Raises:
+        ValueError: a file is damaged.
+    """
+    return {file.stem: _load(file) for file in sorted(folder.glob("*.npz"))}
+
+
+def _load(file: Path) -> Study:
+    with reading(file) as stored:
+        record, arrays = dict(stored.record), stored.arrays
+        all_of = {suite: unpacked(suite, entry, arrays) for suite, entry in record.pop("suites").items()}
+        found = {suite: own for suite, own in all_of.items() if own is not None}
+        curves = [arrays[f"curve/{i}"] for i in range(sum(name.startswith("curve/") for name in arrays))]
+        return Study(**record, suites=found, curves=tuple(curves))

@@ -1,0 +1,153 @@
+"""What a guard saves, in the frozen suites and where a network fails: `python -m research guards`.
+
+In the suites policies run with a guard; what they do without one, and what the expert does, is recorded. Networks fail
+after a third of each episode, see `research.robustness.failures`; the guard is not told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from tyro.conf import arg
+
+from auv_gym.installation import checkout
+from auv_gym.scenarios.presets import REGIMES
+from baselines import make_policy
+from baselines.agents.agent import Agent
+from baselines.agents.guard import Guarded, bounded_law
+from baselines.agents.names import GUARD, agent_folder
+from baselines.evaluation import recorded, suites
+from baselines.evaluation.fingerprints import fingerprint
+from baselines.evaluation.request import checked_policies
+from baselines.evaluation.runner import Cell
+from baselines.evaluation.score import EXPERT, capped, is_lost, largest_tail, waters_of
+from baselines.evaluation.side_by_side import SideBySide
+from baselines.policy import Array
+from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.files import json_text, read_json, write_atomically
+from research.robustness.failures import FAILURES, Failing
+from research.robustness.situations import NORMAL, episodes_of
+from research.robustness.thresholds import FILE
+
+PROGRAM = "python -m research guards"
+SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1", "sealed-v1")
+"""Suites in which somebody is lost."""
+AT_ONCE = 520  # episodes side by side
+PER_CASE = 6  # episodes of each case in which networks fail
+
+
+@dataclass(frozen=True)
+class Options:
+    """Run agents with a guard in frozen suites, and with networks that fail; keep what each does.
+
+    Exit status: 0 done, 2 wrong usage.
+    """
+
+    policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ("helm",)
+    """Agents by name."""
+    suite: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = SUITES
+    """Frozen suites; none but `failures` for those alone."""
+    failures: bool = False
+    """Let networks fail, too."""
+    episodes: int = 10_000
+    """Most episodes of each cell of a suite, the first ones."""
+    out: Path = FILE if checkout() else Path("runs/guards.json")
+    """File to which what they do is added."""
+
+
+def in_suite(policy: str, suite: suites.Suite, most: int) -> dict[str, Any]:
+    """Return what a policy does in a suite with a guard and without, and which of the expert's episodes it loses."""
+    by_policy = {name: {r.scenario.name: r for r in recorded.read(suite, name)} for name in (EXPERT, policy)}
+    cells = [cell for cell in suite.cells if cell.scenario.name in by_policy[policy]]
+    counts = dict.fromkeys(("episodes", "lost", "guarded_lost", "expert_keeps", "guarded_expert_keeps"), 0)
+    tails: dict[str, list[Array]] = {"tail_mm": [], "guarded_tail_mm": []}
+    for cell in cells:
+        few, name = cell.episodes[:most], cell.scenario.name
+        cap = largest_tail(waters_of(name))
+        measured = [by_policy[who][name].measures for who in (EXPERT, policy)]
+        expert, bare = (m[: len(few)] for m in measured if m is not None)
+        gone = [is_lost(m.tail, m.lost, cap) for m in (expert, bare)]
+        tail, lost = _with_guard(policy, Cell(cell.scenario, few), cap)
+        counts["episodes"] += len(few)
+        for key, mine in (("", gone[1]), ("guarded_", lost)):
+            counts[f"{key}lost"] += int(mine.sum())
+            counts[f"{key}expert_keeps"] += int((mine & ~gone[0]).sum())
+        tails["tail_mm"].append(capped(bare, waters_of(name)))
+        tails["guarded_tail_mm"].append(tail)
+    return {**counts, **{key: 1e3 * float(np.concatenate(own).mean()) for key, own in tails.items()}}
+
+
+def _with_guard(policy: str, cell: Cell, cap: float) -> tuple[Array, Any]:
+    """Return capped tails [m] of a policy with a guard in a cell, and which episodes it loses."""
+    tails, lost = [], []
+    for first in range(0, len(cell.episodes), AT_ONCE):
+        part = Cell(cell.scenario, cell.episodes[first : first + AT_ONCE])
+        (ended,) = SideBySide([part]).run(make_policy(f"{policy}{GUARD}", cell.scenario.vehicle))
+        lost.append(is_lost(ended.tail, ended.lost, cap))
+        tails.append(np.where(lost[-1], cap, ended.tail))
+    return np.concatenate(tails), np.concatenate(lost)
+
+
+def failing(policy: str, regime: str) -> dict[str, dict[str, int]]:
+    """Return how many episodes an agent loses whose network fails, with a guard and without, by failure.
+
+    Raises:
+        ValueError: it is no agent.
+    """
+    if (folder := agent_folder(policy)) is None:
+        raise ValueError(f"{policy!r} is no agent, so no network of it can fail")
+    agent, place, cap = Agent.load(folder), episodes_of(regime, NORMAL, PER_CASE), largest_tail(regime)
+    third, found = place.steps // 3, {}
+    for failure in FAILURES:
+        bare, inner = (Failing(agent, failure, third) for _ in range(2))
+        lost = [
+            sum(int(is_lost(e.tail, e.lost, cap).sum()) for e in place.run(who))
+            for who in (bare, Guarded(inner, bounded_law()))
+        ]
+        found[failure] = {"episodes": len(place.of), "lost": lost[0], "guarded_lost": lost[1]}
+    return found
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run as the arguments say and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    if unknown := [name for name in options.suite if name not in SUITES]:
+        raise UsageError(f"--suite is {unknown[0]!r}; allowed are {', '.join(SUITES)}")
+    if options.episodes < 1:
+        raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more")
+    policies = checked_policies(options.policy)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    for policy in policies:
+        for name in options.suite:
+            suite = suites.load(name)
+            if policy not in recorded.recorded_policies(suite):
+                raise UsageError(f"nothing is recorded of {policy} in {name}; record it first")
+            row = in_suite(policy, suite, options.episodes)
+            _add(options.out, "suites", policy, {name: row})
+            print(f"{policy}, {name}: {row}", flush=True)
+        for regime in (own for own in REGIMES if options.failures and own in recorded.regimes_of(policy)):
+            try:
+                rows = failing(policy, regime)
+            except ValueError as error:
+                raise UsageError(str(error)) from error
+            _add(options.out, "failures", f"{policy}, {regime}", rows)
+            print(f"{policy}, {regime}: {rows}", flush=True)
+    return DONE
+
+
+def _add(file: Path, part: str, policy: str, rows: Mapping[str, Any]) -> None:
+    """Add rows of a policy to a file; those of another fingerprint go."""
+    record = read_json(file) if file.exists() else {}
+    own = record.setdefault(part, {}).get(policy, {})
+    digest = fingerprint(f"{policy.partition(',')[0]}{GUARD}")
+    rest = own if own.get("fingerprint") == digest else {}
+    record[part][policy] = {**rest, "fingerprint": digest, **rows}
+    write_atomically(file, json_text(record))

@@ -1,0 +1,188 @@
+"""Seas as points: what a storm draws as coordinates, and the scenario at a point, the same for every run of it.
+
+A coordinate is where in its range a quantity lies: 0 is calm water and the known vehicle, +-1 are the ends of the range
+that the presets' storm, or the adverse storm of training, draws from. The severity of a sea is its largest coordinate,
+so all seas of severity s lie in the ranges of the storm, each stretched s times about calm water. Gusts, phases of the
+waves and noise are no coordinates: they are drawn anew for each episode of a sea.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch, RandomWaves
+from auv_gym.physics.intervals import Interval
+from auv_gym.planning.paths import PATHS
+from auv_gym.scenarios.mixtures import SLEW_TIMES, adverse
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
+from baselines.policy import Array
+
+KINDS = ("storm", "adverse")
+"""What ranges are stretched: those of a regime's storm, on slewing thrusters; or those of its adverse storm too."""
+TOP_SPEED = 2.0  # [m/s] no vehicle is asked to be faster, however severe the sea
+LEAST = 0.2  # [1] smallest factor of a mass, drag or share
+
+
+@dataclass(frozen=True)
+class Range:
+    """A quantity: its value in calm water, and at the two ends of its range."""
+
+    calm: float
+    low: float  # value at -1
+    high: float  # value at +1
+    least: float = -math.inf  # what no severity goes below
+    most: float = math.inf  # or above
+
+    def at(self, x: float) -> float:
+        """Return the value at a coordinate; where the range has one end, its sign says nothing."""
+        if self.low == self.calm:
+            x = abs(x)
+        end = self.high if x >= 0 else self.low
+        return min(max(self.calm + abs(x) * (end - self.calm), self.least), self.most)
+
+
+def _symmetric(interval: Interval, least: float = -math.inf, most: float = math.inf) -> Range:
+    """Return the range about the middle of an interval."""
+    low, high = interval if isinstance(interval, tuple) else (interval, interval)
+    return Range(0.5 * (low + high), low, high, least, most)
+
+
+def _upwards(interval: Interval, most: float = math.inf) -> Range:
+    """Return the range from 0 to the upper end of an interval."""
+    high = interval[1] if isinstance(interval, tuple) else interval
+    return Range(0.0, 0.0, high, 0.0, most)
+
+
+def ranges(regime: str, kind: str) -> dict[str, Range]:
+    """Return the ranges of a kind of sea, by name; they are read from the storm's and the adverse storm's scenarios.
+
+    Raises:
+        ValueError: there is no such kind.
+    """
+    if kind not in KINDS:
+        raise ValueError(f"unknown kind of sea {kind!r}; allowed are {', '.join(KINDS)}")
+    storm = PRESETS[f"{regime}-storm"] if kind == "storm" else adverse(regime)
+    current, waves, mismatch, path, start = storm.current, storm.waves, storm.mismatch, storm.path, storm.start
+    assert isinstance(current, RandomCurrent)
+    assert isinstance(waves, RandomWaves)
+    assert isinstance(mismatch, RandomMismatch)
+    assert isinstance(path, RandomPath)
+    masses = {name: _symmetric(getattr(mismatch, name), LEAST) for name in ("mass", "m33", "d11", "d22", "d33")}
+    lowest = 1.01 * storm.vehicle.m11 / storm.vehicle.m22  # the sway mass stays above the surge mass
+    found = {
+        "speed": _symmetric(path.speed, 0.05, TOP_SPEED),
+        "turn_rate": Range(0.0, -path.turn_rate, path.turn_rate),
+        "current": _upwards(current.speed),
+        "gust": _upwards(current.gust),
+        **{f"waves_{axis}": _upwards(getattr(waves, axis)) for axis in ("surge", "sway", "yaw")},
+        **masses,
+        "ratio": _symmetric(mismatch.ratio, lowest),
+        "quadratic": _upwards(mismatch.quadratic),
+        "noise": Range(0.0, 0.0, 1.0),
+        "lag": _upwards(storm.actuators.lag),
+        "slew": Range(0.0, 0.0, max(SLEW_TIMES), 0.0),
+        "start_x": _symmetric(start.x_e),
+        "start_y": _symmetric(start.y_e),
+        "start_psi": _symmetric(start.psi_e, -math.pi, math.pi),
+        "start_surge": Range(1.0, 1.0, float(np.min(start.surge)), 0.0),
+    }
+    return found if kind == "storm" else {**found, **_wrong(storm)}
+
+
+def _wrong(storm: Scenario) -> dict[str, Range]:
+    """Return the ranges of what is not as told in an adverse storm."""
+    s, act, current, waves = storm.sensors, storm.actuators, storm.current, storm.waves
+    assert isinstance(current, RandomCurrent)
+    assert isinstance(waves, RandomWaves)
+    usual = PRESETS[storm.name.replace("adverse", "storm")].waves
+    assert isinstance(usual, RandomWaves)
+    return {
+        "wave_band": Range(usual.band[0], usual.band[0], waves.band[0], 0.02),
+        "shear": _upwards(current.shear),
+        "heading_bias": _symmetric(s.heading_bias),
+        "velocity_bias": _symmetric(s.velocity_bias),
+        "yaw_rate_bias": _symmetric(s.yaw_rate_bias),
+        "outages": _upwards(s.outages, 60.0),
+        "effectiveness": Range(1.0, 1.0, float(np.min(act.effectiveness)), LEAST),
+        "reach": Range(1.0, 1.0, float(np.min(act.reach)), LEAST),
+        "delay": _upwards(act.delay, 10.0),
+    }
+
+
+DIRECTION = "direction"
+"""The coordinate of the current's direction: half turns, whatever the severity."""
+
+
+def names(regime: str, kind: str) -> tuple[str, ...]:
+    """Return the names of a sea's coordinates; the last one is the current's direction."""
+    return (*ranges(regime, kind), DIRECTION)
+
+
+def sea(regime: str, kind: str, name: str, severity: float, towards: Sequence[float] | Array) -> Scenario:
+    """Return the scenario of a sea.
+
+    Args:
+        regime: "slow" or "cruise".
+        kind: one of `KINDS`.
+        name: of the scenario.
+        severity: how far it lies from calm water, in units of the storm's ranges.
+        towards: where it lies, a coordinate in [-1, 1] for each of `names`.
+
+    Raises:
+        ValueError: there is no such sea: the vehicle could not be integrated, for example.
+    """
+    known = ranges(regime, kind)
+    *place, direction = map(float, towards)
+    v = {key: r.at(severity * x) for (key, r), x in zip(known.items(), place, strict=True)}
+    storm = PRESETS[f"{regime}-storm"] if kind == "storm" else adverse(regime)
+    mismatch: dict[str, Any] = {key: v[key] for key in ("mass", "ratio", "m33", "d11", "d22", "d33", "quadratic")}
+    turn = v["turn_rate"]
+    path = PATHS["line"](v["speed"]) if abs(turn) < 1e-4 else PATHS["circle"](v["speed"], turn)
+    changes: dict[str, Any] = {
+        "path": path,
+        "mismatch": RandomMismatch(**mismatch),
+        "current": _current(storm, v, math.pi * direction),
+        "waves": _waves(storm, v),
+        "sensors": _sensors(storm, v),
+        "actuators": _actuators(storm, v),
+        "start": Start(v["start_x"], v["start_y"], v["start_psi"], v["start_surge"]),
+    }
+    return replace(storm, name=name, **changes)
+
+
+def _current(storm: Scenario, v: Mapping[str, float], direction: float) -> RandomCurrent:
+    """Return the current; it may be as fast as its severity says."""
+    own = storm.current
+    assert isinstance(own, RandomCurrent)
+    return replace(own, speed=v["current"], direction=direction, gust=v["gust"], shear=v.get("shear", 0.0))
+
+
+def _waves(storm: Scenario, v: Mapping[str, float]) -> RandomWaves:
+    own = storm.waves
+    assert isinstance(own, RandomWaves)
+    axes: dict[str, Any] = {axis: v[f"waves_{axis}"] for axis in ("surge", "sway", "yaw")}
+    return replace(own, **axes, band=(v.get("wave_band", own.band[0]), own.band[1]))
+
+
+def _sensors(storm: Scenario, v: Mapping[str, float]) -> Any:
+    own = storm.sensors
+    changes: dict[str, Any] = {
+        name: v["noise"] * getattr(own, name) for name in ("position", "heading", "velocity", "yaw_rate")
+    }
+    wrong = "heading_bias", "velocity_bias", "yaw_rate_bias", "outages"
+    changes |= {name: v[name] for name in wrong if name in v}
+    return replace(own, **changes)
+
+
+def _actuators(storm: Scenario, v: Mapping[str, float]) -> Any:
+    own = storm.actuators
+    slew = max(v["slew"], 1e-2)  # [s] from zero to full force
+    wrong: dict[str, Any] = {name: v[name] for name in ("effectiveness", "reach", "delay") if name in v}
+    rates = {"F_u_rate": own.F_u_max / slew, "F_r_rate": own.F_r_max / slew}
+    return replace(own, lag=v["lag"], **rates, **wrong)

@@ -1,0 +1,222 @@
+"""What the live page knows: references, episodes' constants, gains and weights, computed here, written as a script."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from auv_gym.envs.lanes import plan_of, reference_tables
+from auv_gym.physics.intervals import Interval
+from auv_gym.physics.rows import leaves
+from auv_gym.planning.paths import PATHS, Path
+from auv_gym.scenarios.episode import Episode
+from auv_gym.scenarios.exogenous import (
+    GUST_ROWS,
+    MEASURED,
+    NORMALS,
+    WAVE_ROWS,
+    WEATHER,
+    Errors,
+    wave_components,
+    weather_of,
+)
+from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.task.kernels import OUTCOMES, STATES
+from auv_gym.task.observation import SIZE
+from auv_gym.task.preview import Preview
+from auv_gym.task.simulation import PARAMETERS, PLANT, PLANT_ROWS, SAMPLE, SAMPLE_ROWS
+from baselines.control.ekf_law import EKF_GAINS, LAW_GAINS
+from baselines.estimation.kalman import ExtendedKalmanFilter, tuning_of
+from baselines.estimation.sea_model import AT
+from baselines.export.parts import Exported
+from baselines.gains.loading import load_gains
+from research.site.live.equations import COMPONENTS, shape_of
+
+SPEEDS = {"slow": 0.2, "cruise": 1.0}
+"""Speed [m/s] of the page's paths, by regime."""
+FAMILIES = {"figure_eight": 3, "random_smooth": 8, "circle": 4, "sine": 2, "line": 1}
+"""Families of the page's paths, with the seed of the member."""
+TITLES = {
+    "figure_eight": "Figure eight",
+    "random_smooth": "Wandering",
+    "circle": "Circle",
+    "sine": "Sine",
+    "line": "Straight",
+}
+"""Names of the families on the page."""
+SEEDS = 8
+"""Episodes of each regime: starts, true vehicles, waves and a direction of the current."""
+STEPS = 600
+"""Control steps of an episode."""
+VEHICLES = {"plain": "calm", "mismatch": "mismatch", "actuator": "actuator", "both": "storm"}
+"""Cases whose vehicles the page offers: as known, a wrong model, slow actuators, and both."""
+
+
+def data(agents: Mapping[str, Exported]) -> str:
+    """Return the script that defines the page's object `DATA`.
+
+    Args:
+        agents: by what they are called on the page and their regime, as "apg cruise".
+    """
+    ahead = max((max(agent.preview, default=0) for agent in agents.values()), default=0)
+    record = {
+        "steps": STEPS,
+        "sizes": {
+            "plant": PLANT_ROWS,
+            "seen": SIZE,
+            "sample": SAMPLE_ROWS,
+            "outcome": OUTCOMES,
+            "state": STATES,
+            "gust": GUST_ROWS,
+            "normals": NORMALS,
+            "waveRows": WAVE_ROWS,
+        },
+        "at": {"plant": places(PLANT), "sample": places(SAMPLE), "weather": places(WEATHER), "estimate": places(AT)},
+        "limits": [PARAMETERS.F_u_max, PARAMETERS.F_r_max],
+        "measured": [MEASURED.start, MEASURED.stop],
+        "regimes": {regime: regime_record(regime, ahead) for regime in REGIMES},
+        "agents": {name: agent_record(agent) for name, agent in agents.items()},
+    }
+    return f'"use strict";\nconst DATA = {json.dumps(record, separators=(",", ":"), allow_nan=False)};\n'
+
+
+def places(row: Any) -> dict[str, int]:
+    """Return where the numbers of a row stand, by the names of its fields; nested ones by their first number."""
+    return {name: place if isinstance(place, int) else leaves(place)[0] for name, place in row._asdict().items()}
+
+
+def scenario_of(regime: str, case: str, path: Path) -> Scenario:
+    """Return a preset on one of the page's paths."""
+    return replace(PRESETS[f"{regime}-{case}"], path=path)
+
+
+def path_of(regime: str, family: str) -> Path:
+    """Return a path of the page."""
+    drawn = PRESETS[f"{regime}-calm"].path
+    rng, cls = np.random.default_rng(FAMILIES[family]), PATHS[family]
+    path: Path = cls.drawn(SPEEDS[regime], drawn.turn_rate, rng.random)  # type: ignore[union-attr, attr-defined]
+    return path
+
+
+def episode_of(regime: str, case: str, path: Path, seed: int) -> Episode:
+    """Return an episode of a preset on a path."""
+    return scenario_of(regime, case, path).draw(np.random.default_rng([seed, 1]))
+
+
+def regime_record(regime: str, ahead: int) -> dict[str, Any]:
+    """Return what the page knows of a regime, with the references up to `ahead` control periods beyond the end."""
+    calm = PRESETS[f"{regime}-calm"]
+    paths = {family: path_of(regime, family) for family in FAMILIES}
+    line = paths["line"]
+    return {
+        "dt": calm.control_dt,
+        "speed": SPEEDS[regime],
+        "errorScale": calm.error_scale,
+        "lost": calm.lost_distance,
+        "cases": {case: case_record(regime, case) for case in CASES},
+        "seeds": [seed_record(regime, line, seed) for seed in range(SEEDS)],
+        "paths": {
+            family: {"title": TITLES[family], **path_record(regime, path, ahead)} for family, path in paths.items()
+        },
+        "ekf": ekf_record(regime),
+    }
+
+
+def _table(regime: str, path: Path) -> Any:
+    scenario = scenario_of(regime, "actuator", path)  # whose limits are the tightest
+    episode = episode_of(regime, "actuator", path, 0)
+    return reference_tables([episode], *plan_of(replace(scenario, steps=STEPS)))[0]
+
+
+def path_record(regime: str, path: Path, ahead: int) -> dict[str, Any]:
+    """Return a path's reference table and where it goes behind the end, as numbers of double precision in base64."""
+    table = _table(regime, path)
+    preview = Preview(1, tuple(range(1, ahead + 1)), STEPS)
+    preview.load((0,), (path,), (PRESETS[f"{regime}-calm"].control_dt,))
+    beyond = table[-1, :2] + preview.ahead((0,), STEPS)[:, :, 0]
+    storm = PRESETS[f"{regime}-storm"]
+    current = episode_of(regime, "storm", path, 0).current
+    weather = weather_of(current, storm.control_dt, table, Errors(*storm.sensors.noise), Errors(*[0.0] * 6))
+    return {
+        "table": encoded(table, np.float64),
+        "beyond": encoded(beyond, np.float64),
+        "weather": leaves(weather),  # all of it at its worst, from which the page's controls take their share
+    }
+
+
+def case_record(regime: str, case: str) -> dict[str, Any]:
+    """Return how the controls of the page stand for a case: middles of its intervals, relative to the path's speed."""
+    scenario, mean = PRESETS[f"{regime}-{case}"], PRESETS[f"{regime}-waves"].waves
+    current, waves = scenario.current, scenario.waves
+    assert mean is not None
+    return {
+        "current": _middle(current.speed) if current else 0.0,
+        "gust": current.gust if current else 0.0,
+        "waves": waves.surge / mean.surge if waves else 0.0,
+        "noise": 1.0 if any(scenario.sensors.noise) else 0.0,
+        "mismatch": scenario.mismatch is not None,
+        "actuator": scenario.actuators.lag != 0,
+    }
+
+
+def _middle(interval: Interval) -> float:
+    return sum(interval) / 2 if isinstance(interval, tuple) else float(interval)
+
+
+def seed_record(regime: str, path: Path, seed: int) -> dict[str, Any]:
+    """Return what an episode of a regime is made of: its vehicles, the waves at their full height, and its start."""
+    waves = episode_of(regime, "waves", path, seed).waves
+    calm = episode_of(regime, "calm", path, seed)
+    components = wave_components(waves, PRESETS[f"{regime}-waves"].control_dt)
+    assert len(components) == COMPONENTS * WAVE_ROWS
+    return {
+        "vehicles": {name: _constants(regime, case, path, seed) for name, case in VEHICLES.items()},
+        "waves": components.tolist(),
+        "start": [*calm.initial_error, calm.surge],
+        "direction": float(np.random.default_rng([seed, 2]).uniform(0, 2 * np.pi)),
+    }
+
+
+def _constants(regime: str, case: str, path: Path, seed: int) -> list[float]:
+    """Return the numbers of an episode's parameters, infinite ones as the largest number."""
+    scenario = scenario_of(regime, case, path)
+    numbers = np.array(leaves(scenario.parameters(episode_of(regime, case, path, seed))))
+    finite: list[float] = np.nan_to_num(numbers, posinf=np.finfo(float).max).tolist()
+    return finite
+
+
+def ekf_record(regime: str) -> dict[str, Any]:
+    """Return what the law on the filter knows, and the filter's memory at an episode's start."""
+    vehicle, gains = PRESETS[f"{regime}-calm"].vehicle, load_gains("ekf", regime, EKF_GAINS)
+    kalman = ExtendedKalmanFilter(vehicle, tuning_of(gains))
+    return {
+        "filters": [known[:, 0].tolist() for known in kalman.known],  # for a rough sea, for a calm one
+        "law": [*vehicle.coefficients, *(gains[name] for name in LAW_GAINS)],
+        "memory": kalman.start(1)[0][0].tolist(),  # of each of them
+        "plan": 7,
+    }
+
+
+def agent_record(agent: Exported) -> dict[str, Any]:
+    """Return an agent's weights, which are of single precision, and what its equations need besides."""
+    weights = agent.network.constants
+    return {
+        "shape": shape_of(agent),
+        "authority": list(agent.agent.authority),
+        "preview": list(agent.preview),
+        "features": agent.agent.network.inputs,
+        "hidden": agent.agent.network.memory,
+        "integrals": agent.memory["integrals"],
+        "weights": {name: encoded(array, np.float32) for name, array in weights.items()},
+    }
+
+
+def encoded(array: Any, kind: Any) -> str:
+    """Return an array's numbers in base64."""
+    return base64.b64encode(np.ascontiguousarray(array, kind).tobytes()).decode()

@@ -1,0 +1,124 @@
+"""The live page's equations: simulator, sea, laws, filter and agents in JavaScript, printed from the kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from auv_gym.codegen.graph import SYMBOLS, Symbol, single
+from auv_gym.codegen.kernel import Kernel
+from auv_gym.codegen.plain import JAVASCRIPT_DIALECT, plain_function, tangent_function
+from auv_gym.codegen.vectors import plain_program
+from auv_gym.scenarios.exogenous import sea_kernel
+from auv_gym.task.kernels import start_kernel, step_kernel
+from auv_gym.task.observation import SIZE, Observation, action_of, decode
+from auv_gym.task.policy import Law
+from auv_gym.task.preview import preview_columns
+from auv_gym.task.simulation import Parts
+from baselines.control.backstepping import Backstepping
+from baselines.control.ekf_law import law_kernel
+from baselines.control.open_loop import OpenLoop
+from baselines.estimation.filter_equations import Belief
+from baselines.estimation.kalman import averaged, filter_kernel
+from baselines.export.parts import Exported, network_program
+
+COMPONENTS = 6
+"""Sines that the waves are made of."""
+PARTS = Parts()
+"""What the page's simulation uses: what the presets do, one integration step and no further trouble."""
+LAWS: Mapping[str, Law] = {"backstepping": Backstepping(), "openLoop": OpenLoop()}
+"""Laws without memory by the names of their functions on the page."""
+FILTER = sum(Belief.sizes())  # how many numbers a filter remembers
+TANGENT = "tangent"
+"""Name of the hyperbolic tangent's function."""
+
+
+def equations(agents: Sequence[Exported]) -> str:
+    """Return the script that defines the page's object `EQUATIONS`, a function for each equation.
+
+    Args:
+        agents: whose features, networks and previews it holds; those with the same equations share them.
+    """
+    functions = {name: printed(name, kernel) for name, kernel in kernels().items()}
+    functions["command"] = printed("command", agents[0].command)
+    functions |= agent_functions(agents)
+    body = "\n".join(functions.values())
+    names = ", ".join(functions)
+    tangent = tangent_function(TANGENT, JAVASCRIPT_DIALECT)
+    return f'"use strict";\nconst EQUATIONS = (() => {{\n{tangent}\n{body}\nreturn {{ {names} }};\n}})();\n'
+
+
+def printed(name: str, kernel: Kernel, results: Mapping[str, Sequence[Symbol]] | None = None) -> str:
+    """Return a kernel, or some of its results, as a function in JavaScript."""
+    return plain_function(name, kernel.graph, kernel.arguments, results or kernel.results, JAVASCRIPT_DIALECT)
+
+
+def kernels() -> dict[str, Kernel]:
+    """Return the kernels of what every vehicle needs, by the names of their functions."""
+    return {
+        "start": start_kernel(PARTS),
+        "step": step_kernel(PARTS),
+        "sea": sea_kernel(COMPONENTS),
+        "decoded": Kernel.traced(lambda seen: {"terms": decode(seen, SYMBOLS)}, {"seen": SIZE}),
+        "forcesToAction": Kernel.traced(_action, {"terms": SIZE, "force": 2}),
+        "filter": filter_kernel(),
+        "believed": Kernel.traced(_believed, {"rough": FILTER, "calm": FILTER}),
+        "ekfLaw": law_kernel(),
+        **{name: _law_kernel(law) for name, law in LAWS.items()},
+    }
+
+
+def _believed(rough: Any, calm: Any) -> dict[str, Any]:
+    """Return the state that the filters for a rough and a calm sea believe in together."""
+    beliefs = Belief.of(rough), Belief.of(calm)
+    return {"state": averaged([b.fit[0] for b in beliefs], [b.state for b in beliefs], SYMBOLS)}
+
+
+def _action(terms: Any, force: Any) -> dict[str, Any]:
+    """Return the action of forces in single precision, as policies give it."""
+    return {"action": [single(a) for a in action_of(tuple(force), terms, SYMBOLS)]}
+
+
+def _law_kernel(law: Law) -> Kernel:
+    """Return the kernel from an observation to a law's action."""
+
+    def equation(seen: Any) -> dict[str, Any]:
+        o = decode(seen, SYMBOLS)
+        return _action(o, law.forces(o, SYMBOLS))
+
+    return Kernel.traced(equation, {"seen": SIZE})
+
+
+def preview_kernel(columns: int) -> Kernel:
+    """Return the kernel from the reference's ways in the world to a preview's columns."""
+
+    def equation(seen: Any, ways: Any) -> dict[str, Any]:
+        return {"ahead": preview_columns(ways, Observation._make(decode(seen, SYMBOLS)), SYMBOLS, span=1)}
+
+    return Kernel.traced(equation, {"seen": SIZE, "ways": columns})
+
+
+def agent_functions(agents: Sequence[Exported]) -> dict[str, str]:
+    """Return the functions of agents by name; `shape_of` says which are an agent's.
+
+    A network's function is made from its weights: `NETWORK(weights)(features, hidden, correction, next_hidden)`.
+    """
+    functions: dict[str, str] = {}
+    for agent in agents:
+        shape = shape_of(agent)
+        functions[f"see_{shape}"] = printed(f"see_{shape}", agent.see, agent.seen)
+        program = network_program(agent.agent, "weights.")
+        inside = plain_program("run", program, TANGENT, JAVASCRIPT_DIALECT, {})
+        functions[f"network_{shape}"] = f"function network_{shape}(weights)\n{{\n{inside}return run;\n}}\n"
+        if agent.preview:
+            functions[f"preview_{shape}"] = printed(f"preview_{shape}", preview_kernel(2 * len(agent.preview)))
+    return functions
+
+
+def shape_of(agent: Exported) -> str:
+    """Return what tells agents with different equations apart, as a part of a name."""
+    network = agent.agent.network
+    sizes = [entry for name, shape in network.shapes.items() if name.endswith("weight") for entry in shape]
+    inputs = agent.agent.inputs
+    seen = [f"p{n}" for n in agent.preview] + [f for f in ("integrals", "fine", "filters") if getattr(inputs, f)]
+    return "_".join((network.kind, agent.agent.expert, *map(str, sizes), *seen)).replace("-", "_")

@@ -1,0 +1,56 @@
+"""The files of the live page: what is printed from the equations, what is computed beforehand, and what is written."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+from pathlib import Path
+
+from auv_gym.scenarios.presets import REGIMES
+from baselines.export.parts import Exported, exported
+from baselines.tools.files import write_atomically
+from research.site.live.data import data
+from research.site.live.equations import equations
+
+FOLDER = Path(__file__).parent / "static"
+AGENTS = ("apg", "apg-preview")
+"""Shipped agents of the page, one for each regime."""
+LINKED = {"Homepage": "Source", "Documentation": "Documentation"}
+"""Addresses of the package that the page shows, and what it calls them."""
+LARGEST = 3_000_000
+"""Bytes that all files together may have."""
+
+
+def page_agents() -> dict[str, Exported]:
+    """Return the page's agents by name and regime, as "apg cruise"."""
+    return {f"{name} {regime}": exported(f"{name}-{regime}") for name in AGENTS for regime in REGIMES}
+
+
+def files() -> dict[str, str]:
+    """Return the page's files by name: text that a browser opens from anywhere, a disk too, without a network."""
+    agents = page_agents()
+    written = {file.name: file.read_text(encoding="utf-8") for file in sorted(FOLDER.iterdir())}
+    printed = {"equations.js": equations([*agents.values()]), "data.js": data(agents) + links()}
+    return {**written, **printed}
+
+
+def links() -> str:
+    """Return the script that tells the page where project and documentation are, as far as the package says so."""
+    try:
+        entries = importlib.metadata.metadata("auv-gym").get_all("Project-URL") or []
+    except importlib.metadata.PackageNotFoundError:
+        entries = []
+    known = dict(entry.split(", ", 1) for entry in entries)
+    shown = {text: known[name] for name, text in LINKED.items() if name in known}
+    return f"window.LINKS = {json.dumps(shown)};\n"
+
+
+def write(folder: Path) -> None:
+    """Write the page into a folder, which is made if it is not there; `index.html` is what a browser opens.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in files().items():
+        write_atomically(folder / name, text)

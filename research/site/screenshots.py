@@ -1,0 +1,116 @@
+"""Pictures of the report for the documentation: `python -m research screenshots`.
+
+It evaluates a few policies, opens the pages in a browser without a window and photographs them.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from baselines.tools.command_line import DONE, FAILED, UsageError, parse
+from baselines.tools.files import write_atomically
+from research import DOCS
+
+PROGRAM = "python -m research screenshots"
+IMAGES = DOCS / "images"  # folder of the pictures
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+"""Programs that can take the pictures."""
+POLICIES = ("ekf", "apg-cruise", "lqi")
+"""What runs besides the expert."""
+READY = "document.documentElement.dataset.ready === 'charts'"  # in the browser, once everything is drawn
+PATIENCE = 120_000  # milliseconds that a page may take
+
+
+@dataclass(frozen=True)
+class Options:
+    """Write the pictures of the report in docs/images. It needs the extra dev, and Chromium or Chrome.
+
+    Exit status: 0 done, 1 nothing could be written, 2 wrong usage.
+    """
+
+    out: Path = IMAGES
+    """Folder for the pictures."""
+    pages: Path | None = None
+    """Folder with the pages of an earlier call, in place of evaluating again; made where it is missing."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Take the pictures and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense, or there is no browser.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    program = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if program is None:
+        raise UsageError(f"no browser is installed; it needs one of {', '.join(BROWSERS)}")
+    with tempfile.TemporaryDirectory() as temporary:
+        pages = options.pages or Path(temporary)
+        _evaluated(pages)
+        try:
+            options.out.mkdir(parents=True, exist_ok=True)
+            for name, png in _pictures(program, pages).items():
+                write_atomically(options.out / f"report-{name}.png", png)
+        except OSError as error:
+            print(f"{PROGRAM}: cannot write to {options.out}: {error.strerror}", file=sys.stderr)
+            return FAILED
+    print(f"Wrote report-*.png to {options.out}")
+    return DONE
+
+
+def _evaluated(pages: Path) -> None:
+    """Make the pages that are missing."""
+    import evaluate
+
+    wanted = {
+        "suite": ("--suite", "benchmark-v2", "--episodes", "40", "--policy", *POLICIES),
+        "paper": ("--suite", "paper"),
+        "stability": ("--stability", "--policy", "backstepping-paper", "lqi"),
+    }
+    for name, words in wanted.items():
+        page = "report" if name == "suite" else name
+        if not (pages / name / f"{page}.html").exists():
+            evaluate.main([*words, "--out", str(pages / name)])
+
+
+def _pictures(program: str, pages: Path) -> dict[str, bytes]:
+    """Return the pictures as PNG, by name."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=program, chromium_sandbox=False, args=["--disable-gpu"])
+        page = _opened(browser, pages / "suite" / "report.html")
+        found = {"leaderboard": page.screenshot(), "cases": page.locator("#cases").screenshot()}
+        page.select_option("#scenarios", label="cruise-storm")
+        _at(page, 0.6)
+        found["scenario"] = page.locator("#scenario .pair").first.screenshot()
+        found["player"] = page.locator("#player").screenshot()
+        phone = _opened(browser, pages / "suite" / "report.html", 390)
+        phone.select_option("#scenarios", label="cruise-storm")
+        _at(phone, 0.6)
+        phone.locator("#player").scroll_into_view_if_needed()
+        found["telephone"] = phone.screenshot()
+        found["stability"] = _opened(browser, pages / "stability" / "stability.html").screenshot()
+        found["paper"] = _opened(browser, pages / "paper" / "paper.html").screenshot()
+        browser.close()
+    return found
+
+
+def _opened(browser: Any, file: Path, width: int = 1100) -> Any:
+    page = browser.new_page(viewport={"width": width, "height": 860})
+    page.goto(file.resolve().as_uri())
+    page.wait_for_function(READY, timeout=PATIENCE)
+    return page
+
+
+def _at(page: Any, share: float) -> None:
+    """Put the player to a share of the episode."""
+    move = "(slider, share) => { slider.value = share * slider.max; slider.dispatchEvent(new Event('input')); }"
+    page.locator("#time").evaluate(move, share)
+    page.wait_for_timeout(500)

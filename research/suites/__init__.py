@@ -1,0 +1,1 @@
+"""How the frozen suites are made, recorded and verified."""

@@ -1,0 +1,260 @@
+"""What the frozen suites are made of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch, RandomWaves
+from auv_gym.physics.intervals import Interval
+from auv_gym.planning.feasibility import InfeasibleReferenceError
+from auv_gym.planning.paths import Path, Spline
+from auv_gym.planning.planner import plan
+from auv_gym.planning.sideslip import path_rates
+from auv_gym.scenarios.episode import Episode
+from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES, as_scenario
+from auv_gym.scenarios.scenario import RandomPath, Scenario
+from auv_gym.scenarios.vehicles import craft, fleet
+from baselines.evaluation.runner import Cell
+from baselines.evaluation.score import BY_BOUND, BY_ORACLE, Anchors
+from baselines.evaluation.suites import rounded
+from research.suites import deep, sealed
+
+FAMILIES = ("line", "circle", "sine", "figure_eight", "random_smooth")
+"""Path families that agents train on; each has the same number of episodes in a cell."""
+GENTLE = ("line", "circle", "sine", "random_smooth")
+"""Those that every published vehicle can follow: the lobes of a figure-eight turn faster than a rudder or the little
+sway drag of a ship allows."""
+EPISODES = 52  # of a path family in a cell of benchmark-v1 and ood-v1
+VALIDATION_EPISODES = 10  # of a path family in a cell of benchmark-v1-validation
+UNMODELLED_EPISODES = 30  # of a path family in a cell of unmodelled-v1
+SEALED_EPISODES = 64  # in a cell of a sealed suite
+DEEP_EPISODES = 60  # in a cell of deep-v1
+VEHICLE_EPISODES = {"cruise": 32, "slow": 8}  # in a cell of vehicles-v1
+STRONGER = 1.5  # factor out of distribution on current and waves
+FARTHER = 1.3  # factor out of distribution on the range of the mismatch about 1
+
+SWELL = (0.15, 0.45)  # [rad/s] frequencies of waves below the usual band
+LOSS = (0.6, 0.9)  # share of the commanded force that is left
+SLUGGISH = (0.4, 0.7)  # [s] time constants of the actuators
+RAMP = 0.5  # [s] in which sluggish actuators go from zero to the limit
+DELAY = (1.0, 3.0)  # control periods until a command acts
+SHORT = (0.45, 0.75)  # share of the told limits at which the actuators saturate
+OUTAGES = 4.0  # [1/min] how often the position fix fails
+OUTAGE_TIME = {"slow": (0.5, 2.5), "cruise": (0.3, 1.5)}  # [s] how long an outage of the position fix lasts
+SHEAR = (0.1, 0.25)  # amplitude of a sheared current as a share of the path's speed
+WAVELENGTHS = {"slow": (5.0, 15.0), "cruise": (20.0, 60.0)}  # [m] of a sheared current
+TURN = {"slow": (-0.02, 0.02), "cruise": (-0.05, 0.05)}  # [rad/s] how fast a turning current turns
+
+PathOf = Callable[[np.random.Generator, RandomPath, float], Path | None]
+"""Returns a path for a duration [s], or None to let the scenario draw one."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """One cell: a scenario, the path families that take turns, and the number of episodes."""
+
+    scenario: Scenario
+    families: tuple[str, ...] = FAMILIES
+    episodes: int = EPISODES * len(FAMILIES)
+    path: PathOf = lambda *_: None
+
+
+def _benchmark(per_family: int) -> list[Recipe]:
+    scenarios = [PRESETS[f"{regime}-{case}"] for regime in REGIMES for case in CASES]
+    return [Recipe(scenario, episodes=per_family * len(FAMILIES)) for scenario in scenarios]
+
+
+def _out_of_distribution() -> list[Recipe]:
+    recipes = []
+    for regime in REGIMES:
+        current, storm = PRESETS[f"{regime}-current"], PRESETS[f"{regime}-storm"]
+        assert current.current is not None
+        stronger = replace(current.current, speed=_scaled(current.current.speed, STRONGER))
+        turning = replace(current.current, turn=TURN[regime])
+        recipes += [
+            Recipe(replace(current, name=f"{regime}-current-x1.5", current=stronger)),
+            Recipe(_worse(storm)),
+            Recipe(replace(storm, name=f"{regime}-lawnmower"), families=("lawnmower",)),
+            Recipe(replace(storm, name=f"{regime}-waypoints"), path=waypoints),
+            Recipe(replace(current, name=f"{regime}-current-sheared", current=_sheared(current, regime))),
+            Recipe(replace(current, name=f"{regime}-current-turning", current=turning)),
+        ]
+    return recipes
+
+
+def _unmodelled() -> list[Recipe]:
+    """Return storms in which something is wrong that no model-based controller has been told of."""
+    recipes = []
+    for regime in REGIMES:
+        storm = PRESETS[f"{regime}-storm"]
+        act, waves, velocity = storm.actuators, storm.waves, storm.sensors.velocity
+        assert isinstance(waves, RandomWaves)
+        biased = replace(
+            storm.sensors,
+            heading_bias=(-0.05, 0.05),
+            velocity_bias=(-2.5 * velocity, 2.5 * velocity),
+            yaw_rate_bias=(-0.005, 0.005),
+        )
+        swell = replace(waves, band=SWELL)
+        weak = replace(act, effectiveness=LOSS)
+        slow = replace(act, lag=SLUGGISH, F_u_rate=act.F_u_max / RAMP, F_r_rate=act.F_r_max / RAMP)
+        patchy = replace(storm.sensors, outages=OUTAGES, outage_time=OUTAGE_TIME[regime])
+        sheared = _sheared(storm, regime)
+        broken = replace(act, effectiveness=LOSS, delay=DELAY)
+        changes: dict[str, dict[str, Any]] = {
+            "bias": {"sensors": biased},
+            "swell": {"waves": swell},
+            "thruster-loss": {"actuators": weak},
+            "sluggish": {"actuators": slow},
+            "dropout": {"sensors": patchy},
+            "delay": {"actuators": replace(act, delay=DELAY)},
+            "short-limits": {"actuators": replace(act, reach=SHORT)},
+            "shear": {"current": sheared},
+            "everything": {"sensors": biased, "waves": swell, "actuators": broken, "current": sheared},
+        }
+        count = UNMODELLED_EPISODES * len(FAMILIES)
+        recipes += [Recipe(replace(storm, name=f"{regime}-{n}", **c), episodes=count) for n, c in changes.items()]
+    return recipes
+
+
+def _sealed(**changes: Any) -> list[Recipe]:
+    """Return the worlds of a sealed suite: missions follow waypoints, the others take turns among the families."""
+    return [
+        Recipe(scenario, (*FAMILIES, "lawnmower"), SEALED_EPISODES, waypoints if roams else Recipe.path)
+        for scenario, roams in sealed.worlds(**changes)
+    ]
+
+
+def _deep() -> list[Recipe]:
+    return [Recipe(scenario, (*FAMILIES, "lawnmower"), DEEP_EPISODES) for scenario in deep.worlds()]
+
+
+def _vehicles() -> list[Recipe]:
+    """Return every case with each published vehicle, at its own speeds; in slow motion those that need no fins."""
+    return [
+        Recipe(as_scenario(f"{regime}-{case}@{vehicle}"), GENTLE, episodes)
+        for regime, episodes in VEHICLE_EPISODES.items()
+        for vehicle in fleet()
+        if regime == "cruise" or not craft(vehicle).actuators.fin
+        for case in CASES
+    ]
+
+
+def _sheared(scenario: Scenario, regime: str) -> RandomCurrent:
+    """Return the scenario's current with a shear."""
+    assert isinstance(scenario.current, RandomCurrent)
+    return replace(scenario.current, shear=SHEAR, wavelength=WAVELENGTHS[regime])
+
+
+def _worse(storm: Scenario) -> Scenario:
+    """Return a storm with more current and waves and a wider mismatch."""
+    current, waves, mismatch = storm.current, storm.waves, storm.mismatch
+    assert isinstance(current, RandomCurrent)
+    assert isinstance(waves, RandomWaves)
+    assert isinstance(mismatch, RandomMismatch)
+    factors = ("mass", "ratio", "m33", "d11", "d22", "d33")
+    wider: dict[str, Any] = {name: _widened(getattr(mismatch, name)) for name in factors}
+    return replace(
+        storm,
+        name=storm.name.replace("storm", "all-x1.5"),
+        current=replace(current, speed=_scaled(current.speed, STRONGER), gust=STRONGER * current.gust),
+        waves=replace(waves, surge=STRONGER * waves.surge, sway=STRONGER * waves.sway, yaw=STRONGER * waves.yaw),
+        mismatch=replace(mismatch, **wider, quadratic=_scaled(mismatch.quadratic, FARTHER)),
+    )
+
+
+def _scaled(interval: Interval, factor: float) -> Interval:
+    return tuple(factor * end for end in interval) if isinstance(interval, tuple) else factor * interval  # type: ignore[return-value]
+
+
+def _widened(interval: Interval) -> Interval:
+    assert isinstance(interval, tuple)
+    return 1 + FARTHER * (interval[0] - 1), 1 + FARTHER * (interval[1] - 1)
+
+
+def waypoints(rng: np.random.Generator, path: RandomPath, duration: float) -> Path:
+    """Return a spline through random waypoints that turns no faster than a figure-eight: 1.75 `turn_rate`.
+
+    From leg to leg it turns by at most half a radian and changes speed by at most a fifth.
+    """
+    assert isinstance(path.speed, tuple)
+    speed, leg_time = rng.uniform(*path.speed), 0.8 / path.turn_rate
+    legs = math.ceil(1.3 * duration / leg_time) + 2
+    while True:
+        headings = np.cumsum(rng.uniform(-0.5, 0.5, legs)) + rng.uniform(-math.pi, math.pi)
+        lengths = speed * leg_time * rng.uniform(0.8, 1.2, legs)
+        steps = lengths[:, None] * np.stack((np.cos(headings), np.sin(headings)), axis=1)
+        points = np.vstack((np.zeros(2), np.cumsum(steps, axis=0)))
+        speeds = speed * rng.uniform(0.9, 1.1, legs + 1)
+        spline = Spline(tuple(map(tuple, points.tolist())), float(speed), tuple(speeds.tolist()))
+        if spline.end < duration:
+            continue
+        turn_rates = path_rates(spline.derivatives(np.linspace(0.0, duration, 600))).omega
+        if np.abs(turn_rates).max() <= 1.75 * path.turn_rate:
+            return spline
+
+
+SUITES: dict[str, tuple[int | None, Callable[[], list[Recipe]]]] = {
+    "benchmark-v1": (1_000_001, lambda: _benchmark(EPISODES)),
+    "benchmark-v1-validation": (1_000_002, lambda: _benchmark(VALIDATION_EPISODES)),
+    "ood-v1": (1_000_003, _out_of_distribution),
+    "unmodelled-v1": (1_000_004, _unmodelled),
+    "deep-v1": (1_000_005, _deep),
+    "vehicles-v1": (1_000_006, _vehicles),
+    "sealed-v1": (None, lambda: _sealed(**sealed.FIRST)),
+    "sealed-v2": (None, _sealed),
+}
+"""Suites by name: the seed, None for that of a secret, and what makes its recipes. Training selects on the validation
+split, never on a test."""
+SHARED = {"benchmark-v2": "benchmark-v1"}
+"""Suites that have the episodes of another one, and anchors of their own."""
+OLDEST = ("benchmark-v1", "benchmark-v1-validation", "ood-v1", "unmodelled-v1")
+"""Suites whose 1 is the oracle's; that of the others is the bound's."""
+
+
+def anchors_of(name: str) -> Anchors:
+    """Return the anchors of a suite that is to be made."""
+    return BY_ORACLE if name in OLDEST else BY_BOUND
+
+
+def build(name: str) -> list[Cell]:
+    """Return the cells of a suite, drawn anew: the same wherever the random streams are.
+
+    Raises:
+        SuiteError: it is sealed.
+    """
+    known, recipes = SUITES[name]
+    seed = sealed.seed(name) if known is None else known
+    return [rounded(_cell(recipe, seed, i)) for i, recipe in enumerate(recipes())]
+
+
+def _cell(recipe: Recipe, seed: int, index: int) -> Cell:
+    families = recipe.families[index % len(recipe.families) :] + recipe.families[: index % len(recipe.families)]
+    turned = replace(recipe, families=families)  # so that the first episodes of the cells differ in their paths
+    episodes = [_episode(turned, i, np.random.default_rng([seed, index, i])) for i in range(recipe.episodes)]
+    return Cell(recipe.scenario, tuple(episodes))
+
+
+def _episode(recipe: Recipe, i: int, rng: np.random.Generator) -> Episode:
+    """Return episode i, drawn again where the path cannot be followed."""
+    scenario, act = recipe.scenario, recipe.scenario.actuators
+    assert isinstance(scenario.path, RandomPath)
+    family = recipe.families[i % len(recipe.families)]
+    times = scenario.control_dt * np.arange(scenario.steps + 1, dtype=np.float64)
+    while True:
+        given = recipe.path(rng, scenario.path, scenario.duration)
+        distribution = replace(scenario.path, families=(family,))
+        if given is not None:
+            distribution = replace(distribution, speed=given.speed)
+        episode = replace(scenario, path=distribution).draw(rng)
+        episode = replace(episode, path=given or episode.path, noise_seed=episode.noise_seed % 2**32)
+        try:
+            plan(episode.path, scenario.vehicle, times, (act.F_u_max, act.F_r_max), act.fin)
+        except InfeasibleReferenceError:
+            continue
+        return episode

@@ -1,0 +1,195 @@
+"""Build, check, seal, open, measure, record and verify the frozen suites: `python -m research suites --help`."""
+
+from __future__ import annotations
+
+import secrets
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from baselines import list_policies
+from baselines.evaluation import recorded, suites
+from baselines.evaluation.progress import progress
+from baselines.evaluation.runner import STEP_LIMIT, Cell, Run, runs
+from baselines.evaluation.score import regime_of
+from baselines.evaluation.suites.yardsticks import keep
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
+from baselines.tools.files import versions
+from baselines.tools.workers import Workers
+from research.suites import sealed
+from research.suites.builder import SHARED, SUITES, anchors_of, build
+from research.suites.verify import Verdict, cells_to_run, told
+
+PROGRAM = "python -m research suites"
+
+
+@dataclass(frozen=True)
+class Options:
+    """Build frozen suites, check their episodes, record what policies do in them, or verify that they still do it.
+
+    Exit status: 0 done, 1 a suite is damaged, episodes or rows differ, or a policy failed, 2 wrong usage.
+    """
+
+    action: Annotated[
+        Positional[Literal["build", "check", "seal", "open", "yardsticks", "record", "verify"]], arg(metavar="ACTION")
+    ]
+    """build: replace a suite's file and its hash. check: compare every episode with what it generated. seal: draw a
+    secret that a suite's episodes will be drawn from, keep its hash and print it, once. open: check a secret against
+    the hash that was kept, publish it and build the suite; when everything that will run in it is frozen. yardsticks:
+    measure what the anchors do, for the scores of validations. record: keep the policies' results. verify: run
+    what is recorded again and compare every number with the recorded one, to the last bit that is kept."""
+    name: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME ...]")] = ()
+    """The suites; check and verify take all without any."""
+    policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
+    """Policies to record or verify; without any, all that have a name, or that are recorded."""
+    episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
+    """Record the first episodes of each cell only, for a policy that is too slow for all."""
+    cells: Annotated[tuple[str, ...], arg(metavar="C [C ...]", help_behavior_hint="")] = ()
+    """Verify in the cells of these scenarios only. Whole cells: a few of the episodes give other last bits."""
+    secret: Annotated[str | None, arg(metavar="WORDS", help_behavior_hint="")] = None
+    """The secret to open a suite with."""
+    stamp: bool = False
+    """Write down for the policies whose rows are equal that these are what they give now, so that they count again."""
+    step_limit: float = STEP_LIMIT
+    """Seconds that a policy may take for a decision, on average; a slower one fails."""
+    jobs: int = 1
+    """Worker processes. With one the time per decision is that of an idle processor."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Do as the arguments say and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    if unknown := [name for name in options.name if name not in (*SUITES, *SHARED)]:
+        raise UsageError(f"unknown suite {unknown[0]!r}; allowed are {', '.join((*SUITES, *SHARED))}")
+    if not options.name and options.action in ("build", "seal", "open", "yardsticks", "record"):
+        raise UsageError(f"name the suite to {options.action}: {', '.join((*SUITES, *SHARED))}")
+    if unknown := [policy for policy in options.policy if policy not in list_policies()]:
+        raise UsageError(f"{unknown[0]!r} is not the name of a policy; allowed are {', '.join(list_policies())}")
+    if options.episodes is not None and (options.episodes < 1 or options.action != "record"):
+        raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more, and is for record")
+    if (options.secret is None) == (options.action == "open"):
+        raise UsageError("open needs --secret WORDS, what seal has printed; no other action takes it")
+    actions = {
+        "build": _build,
+        "check": _check,
+        "seal": _seal,
+        "open": _open,
+        "yardsticks": _measure,
+        "record": _record,
+        "verify": _verify,
+    }
+    action = actions[options.action]
+    try:
+        return max([action(name, options) for name in options.name or _all()])
+    except suites.SuiteError as error:
+        print(f"{called(PROGRAM)}: {error}", file=sys.stderr)
+        return FAILED
+
+
+def _all() -> list[str]:
+    """Return the suites that are meant where none is named; episodes that two have are looked at once."""
+    return [name for name in suites.list_suites() if name not in SHARED]
+
+
+def _build(name: str, _: Options) -> int:
+    anchors = anchors_of(name)
+    if name in SHARED:
+        made = suites.save_shared(name, SHARED[name], anchors)
+    else:
+        made = suites.save(name, build(name), anchors=anchors)
+    print(f"{made}  {name}")
+    return DONE
+
+
+def _seal(name: str, _: Options) -> int:
+    _check_sealed(name)
+    secret = secrets.token_urlsafe(24)
+    sealed.keep(name, sealed.Seal(sealed.sha256(secret)))
+    print(f"the secret of {name}, which is kept nowhere: {secret}")
+    return DONE
+
+
+def _open(name: str, options: Options) -> int:
+    _check_sealed(name)
+    if name not in (kept := sealed.seals()):
+        raise UsageError(f"{name} has no seal; make one with: {PROGRAM} seal {name}")
+    sealed.keep(name, kept[name].opened(options.secret or ""))
+    return _build(name, options)
+
+
+def _check_sealed(name: str) -> None:
+    """Raise UsageError if a suite is none that is sealed."""
+    if name in SHARED or SUITES[name][0] is not None:
+        raise UsageError(f"{name} is not a suite that is sealed")
+
+
+def _check(name: str, _: Options) -> int:
+    suite = suites.load(name)
+    for cell, digests in zip(suite.cells, suite.digests, strict=True):
+        suites.check_cell(cell, digests)
+    episodes = sum(len(cell.episodes) for cell in suite.cells)
+    print(f"{suite.hash}  {suite.name}: {len(suite.cells)} cells, {episodes} episodes, all as they were")
+    return DONE
+
+
+def _measure(name: str, _: Options) -> int:
+    keep(suites.load(name))
+    return DONE
+
+
+def _record(name: str, options: Options) -> int:
+    """Record policy by policy, so that an interruption costs one of them."""
+    suite, status = suites.load(name), DONE
+    for policy in options.policy or tuple(list_policies()):
+        regimes = recorded.regimes_of(policy)
+        own = [cell for cell in suite.cells if regime_of(cell.scenario.name) in regimes]
+        found = _run(policy, [Cell(cell.scenario, cell.episodes[: options.episodes]) for cell in own], options)
+        try:
+            recorded.save(suite, found, versions(), regimes=regimes)
+        except ValueError as error:
+            reasons = dict.fromkeys(run.error for run in found if run.error)
+            print(f"{called(PROGRAM)}: {error}: {'; '.join(map(str, reasons))}", file=sys.stderr)
+            status = FAILED
+    return status
+
+
+def _verify(name: str, options: Options) -> int:
+    """Verify policy by policy, and say of each whether its rows are the same."""
+    suite, status = suites.load(name), DONE
+    if note := recorded.missing(name):
+        print(f"note: {note}", flush=True)
+    for policy in [p for p in recorded.recorded_policies(suite) if p in (options.policy or (p,))]:
+        try:
+            old = {run.scenario.name: run for run in recorded.read(suite, policy)}
+            cells = cells_to_run(suite, list(old.values()), options.cells)
+            again = _run(policy, cells, options) if cells else []
+            verdicts = [Verdict.of(old[run.scenario.name], run) for run in again]
+        except (OSError, ValueError) as error:
+            print(f"FAILED     {policy} in {name}: {error}", flush=True)
+            status = FAILED
+            continue
+        if verdicts:
+            print(told(f"{policy} in {name}", verdicts), flush=True)
+        if any(verdict.differing for verdict in verdicts):
+            status = FAILED
+        elif verdicts and options.stamp:
+            recorded.stamp(suite, policy)
+    return status
+
+
+def _run(policy: str, cells: Sequence[Cell], options: Options) -> list[Run]:
+    """Return a policy's runs, telling how far they are."""
+    found = []
+    with progress(len(cells), sum(len(cell.episodes) * cell.scenario.steps for cell in cells)) as report:
+        pairs = [(policy, cell) for cell in cells]
+        for result in runs(pairs, Workers(options.jobs), options.step_limit, report.board.note):
+            report.run(result)
+            found.append(result)
+    return found

@@ -1,0 +1,85 @@
+"""Deep worlds: sensors as under water, where no controller knows its position better than its navigation does.
+
+A fix comes every 10 to 30 s and is wrong by metres; between fixes the position is reckoned from a Doppler log and a
+gyro. One set of instruments serves both regimes, so the slow one has the same errors in a second and larger ones in a
+metre.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.navigation import RandomReckoning
+from auv_gym.physics.sensors import Sensors
+from auv_gym.scenarios.episode import Episode
+from auv_gym.scenarios.presets import PRESETS, REGIMES
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.task.simulation import SAMPLE, estimated_position
+from baselines.control.truth import Array, Truth
+from baselines.evaluation.metrics import tail_rmse
+from baselines.evaluation.runner import Cell
+
+CASES = {"deep": "calm", "deep-current": "current", "deep-storm": "storm"}
+"""What the worlds are called, and the case of the presets that each is."""
+MISSION = {"slow": 300.0, "cruise": 240.0}  # [s] with 15 and 12 fixes on average
+INSTRUMENTS = Sensors(
+    position=1.5,  # [m] of a fix
+    heading=0.002,  # [rad]
+    velocity=0.01,  # [m/s]
+    yaw_rate=0.001,  # [rad/s]
+    heading_bias=(-0.02, 0.02),  # [rad] a gyro aligned to 1.1 deg
+    velocity_bias=(-0.005, 0.005),  # [m/s]
+    reckoning=RandomReckoning(),
+)
+"""The Doppler log and the gyro are those of `RandomReckoning`'s sources, bias and alignment included."""
+OUTAGES = 0.5  # [1/min] how often the fixes fail in a storm
+OUTAGE_TIME = (20.0, 60.0)  # [s] for how long
+
+
+def worlds() -> list[Scenario]:
+    """Return the scenarios of a deep suite: calm water, a current, and storms in which fixes fail."""
+    found = []
+    for regime in REGIMES:
+        for name, case in CASES.items():
+            preset = PRESETS[f"{regime}-{case}"]
+            failing = replace(INSTRUMENTS, outages=OUTAGES, outage_time=OUTAGE_TIME)
+            found.append(
+                replace(
+                    preset,
+                    name=f"{regime}-{name}",
+                    sensors=failing if case == "storm" else INSTRUMENTS,
+                    steps=round(MISSION[regime] / preset.control_dt),
+                    error_scale=INSTRUMENTS.position,
+                )
+            )
+    return found
+
+
+def navigation_errors(scenario: Scenario, episodes: Sequence[Episode]) -> Array:
+    """Return how far estimated and true position are apart [m] on the reference, shape (K + 1, N).
+
+    It is the error of a controller without an error of its own, which keeps the estimated position on the reference;
+    for a scenario with a dead reckoning.
+
+    Raises:
+        InfeasibleReferenceError: an episode's path cannot be followed.
+    """
+    truth = Truth.of(scenario, episodes)
+    errors = np.empty((len(truth.samples), len(episodes)))
+    before = last = (truth.samples[0, SAMPLE.x_R], truth.samples[0, SAMPLE.y_R])
+    for k, sample in enumerate(truth.samples):
+        position = (sample[SAMPLE.x_R], sample[SAMPLE.y_R])
+        psi_m = sample[SAMPLE.psi_R] + sample[SAMPLE.n_psi]
+        last = estimated_position(position, before, psi_m, last, tuple(sample), truth.parameters, ARRAYS)
+        before = position
+        errors[k] = np.hypot(last[0] - position[0], last[1] - position[1])
+    return errors
+
+
+def navigation_tails(cell: Cell) -> Array:
+    """Return the tail RMSE [m] of such a controller in the episodes of a cell, shape (M,)."""
+    return tail_rmse(navigation_errors(cell.scenario, cell.episodes)[1:])

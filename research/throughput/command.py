@@ -1,0 +1,140 @@
+"""Measure how fast environments, policies and training are: `python -m research throughput --help`."""
+
+from __future__ import annotations
+
+import logging
+import os
+import platform
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from matplotlib.figure import Figure as Drawing
+
+from auv_gym.codegen import native
+from auv_gym.installation import checkout, sources
+from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.figure_style import panels, to_png
+from baselines.tools.files import json_text, write_atomically
+from research.throughput import environments, learning, policies, tracing
+from research.throughput.figures import SCENARIO, Case
+from research.throughput.page import page
+from research.throughput.timing import Run, interleaved, typical
+
+PROGRAM = "python -m research throughput"
+CASES: tuple[Case, ...] = (
+    environments.first_cases,
+    environments.scalar_cases,
+    environments.vector_cases,
+    environments.scaling_cases,
+    environments.drawing_cases,
+    tracing.tracing_cases,
+    policies.decision_cases,
+    policies.evaluation_cases,
+    policies.command_cases,
+    learning.torch_cases,
+    learning.gradient_cases,
+    learning.sb3_cases,
+    learning.window_cases,
+    learning.group_cases,
+    learning.training_cases,
+)
+"""What `make bench` runs, in this order."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Measure how fast environments, policies and training are; print a table, write bench.json, bench.png, speed.md.
+
+    Exit status: 0 done, 2 wrong usage.
+    """
+
+    quick: bool = False
+    """Fewer, shorter and smaller rounds: whether all of it still runs, not how fast."""
+    only: str = ""
+    """Only the groups of cases whose name holds this, such as scalar, vector, decision or training."""
+    out: Path = Path("runs/bench")
+    """Folder of the files."""
+    record: bool = False
+    """Write the page and its figures into docs/ as well."""
+
+
+def curves(quick: bool) -> dict[str, list[tuple[int, float]]]:
+    """Return vehicle steps per second against N, by what is stepped; tapes and resets are left out."""
+    sizes = (1, 16, 64) if quick else (1, 4, 16, 64, 256, 1024, 4096, 16384)
+    runs: dict[str, tuple[int, Callable[[int, int], Run]]] = {
+        "auv_gym": (sizes[-1], environments.track),
+        "auv_gym, torch": (sizes[-1], lambda n, k: learning.on_torch(n, k, compiled=not quick)),
+        "Pendulum-v1, SyncVectorEnv": (1024, lambda n, k: environments.peer("Pendulum-v1", n, "sync", k)),
+        "CartPole-v1, native": (sizes[-1], lambda n, k: environments.peer("CartPole-v1", n, environments.NATIVE, k)),
+    }
+    return {
+        label: [(n, 1 / typical(interleaved(3, run(n, max(4, min(64, 8192 // n))))[0])) for n in sizes if n <= largest]
+        for label, (largest, run) in runs.items()
+    }
+
+
+def drawn(points: Mapping[str, Sequence[tuple[int, float]]]) -> Drawing:
+    """Return the figure of vehicle steps per second against N."""
+    figure, [[axes]] = panels(1, 1, (7.0, 4.5))
+    for label, own in points.items():
+        axes.loglog(*zip(*own, strict=True), marker="o", label=label)
+    axes.set(xlabel="vehicles side by side", ylabel="vehicle steps per second")
+    axes.legend()
+    return figure
+
+
+def machine() -> str:
+    """Return what it is measured on."""
+    compiler = native.compiler() if native.wanted() else None
+    code = compiler[1].splitlines()[0] if compiler else "no compiler"
+    processor = platform.processor() or platform.machine()
+    return f"{processor}, {os.cpu_count()} cores, Python {platform.python_version()}, {code}"
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run every case as the arguments say and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense.
+    """
+    options, figures = parse(Options, arguments, PROGRAM), []
+    docs = _docs() if options.record else None
+    logging.basicConfig(format="%(message)s")
+    logging.getLogger("auv_gym").setLevel(logging.INFO)
+    warnings.filterwarnings("ignore", module="gymnasium")
+    torch.set_num_threads(1)
+    print(f"{machine()}; processor time on one thread; scenario {SCENARIO}\n")
+    for case in CASES:
+        for figure in case(options.quick) if options.only in case.__name__ else ():
+            figures.append(figure)
+            goal = f"goal {figure.goal_text}: {'met' if figure.met else 'missed'}" if figure.goal is not None else ""
+            print(f"{figure.case:<76} {figure.text:>10}  {goal}", flush=True)
+    points = {} if options.only else curves(options.quick)
+    record: dict[str, Any] = {"machine": machine(), "quick": options.quick, "figures": [asdict(f) for f in figures]}
+    files: dict[str, bytes | str] = {"bench.json": json_text({**record, "steps_per_second": points})}
+    files["speed.md"] = page(figures, record["machine"], SCENARIO)
+    if points:
+        files["bench.png"] = to_png(drawn(points))
+    write(options.out, files)
+    if docs and points:
+        write(docs, {"images/bench.png": files.pop("bench.png"), **files})
+    print(f"\nwritten: {', '.join(str(options.out / name) for name in files)}")
+    return DONE
+
+
+def _docs() -> Path:
+    """Return the folder where the documentation keeps page and picture."""
+    if (folder := checkout()) is None:
+        raise UsageError(f"--record writes into the documentation, which is in the sources only: {sources()}")
+    return folder / "docs"
+
+
+def write(folder: Path, files: Mapping[str, bytes | str]) -> None:
+    """Write files into a folder, which is made if it is not there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        write_atomically(folder / name, content)

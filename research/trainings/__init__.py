@@ -1,0 +1,1 @@
+"""Trainings of the shipped agents and studies of what makes agents better."""

@@ -1,0 +1,124 @@
+"""The gains of `baselines.agents.filters`, from a Riccati equation: `python -m research filter-gains`.
+
+About straight motion at a speed U, in the axes of the body, a step of the model is z' = A z + w, and y = H z + n is
+what is measured; w and n have the covariances Q and R. The covariance P of the prediction's error becomes steady:
+P = A P A^T + Q - A P H^T (H P H^T + R)^-1 H P A^T, and the gain is K = P H^T (H P H^T + R)^-1. Each entry of K, found
+at `SPEEDS`, is kept as a polynomial in `filters.speed_share`, one for each regime: sensors and period are others there.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from auv_gym.physics.namespaces import FLOATS
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.scenarios.presets import PRESETS, REGIMES
+from auv_gym.scenarios.scenario import Scenario
+from baselines.agents.filters import (
+    ACROSS,
+    ACROSS_MEASURED,
+    ALONG,
+    ALONG_MEASURED,
+    LAGS,
+    TABLE,
+    speed_share,
+)
+from baselines.estimation.filter_equations import Units, excitation
+from baselines.estimation.kalman import Tuning
+from baselines.estimation.sea_model import AT, SIZE, Estimate, measurement, transition
+from baselines.policy import CRUISE_SPEED, Array
+from baselines.tools.files import write_atomically
+
+SPEEDS = {"slow": (0.06, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4), "cruise": (0.41, 0.5, 0.65, 0.8, 1.0, 1.25, 1.5, 2.0)}
+"""Speeds [m/s] at which the Riccati equation is solved, by the regime whose sensors and period count."""
+DEGREE = 3  # of the polynomials
+TUNINGS = (
+    Tuning(0.0045, 0.004, 0.014, 0.2, 0.1, 0.4, 0.23, 0.45, 0.15, 1.0),
+    Tuning(0.00005, 0.00006, 0.00008, 0.0008, 0.0005, 0.0015, 0.00015, 0.00015, 0.00015, 1.0),
+)
+"""What is believed to change, in a rough and a calm sea; of the size that searches for `nmpc`'s filter have found."""
+FORCE_NOISE = 0.02
+"""Drift of the actuators' forces after one second, as a share of their limits: nobody is told their lag."""
+STEP = 1e-6  # half width of the central differences of the model, SI units
+
+
+def model(speed: float, lag: float, vehicle: Vehicle = PAPER_VEHICLE) -> tuple[Array, Array, float]:
+    """Return A (22, 22), H (6, 22) about straight motion at a speed [m/s], and the control period [s] there."""
+    dt = storm_at(speed).control_dt
+    level = np.zeros(SIZE)
+    level[AT.u], level[AT.lag] = speed, lag
+    F_u = (vehicle.d11 + vehicle.X_uu * speed) * speed
+    level[AT.F_u] = F_u
+
+    def after(z: Array) -> Any:
+        return transition(Estimate(*z.tolist()), (F_u, 0.0), (0.0, 0.0), dt, vehicle.coefficients, FLOATS)
+
+    def shown(z: Array) -> Any:
+        return measurement(Estimate(*z.tolist()), FLOATS)
+
+    moves = STEP * np.eye(SIZE)
+    A, H = (np.array([np.subtract(f(level + d), f(level - d)) / (2 * STEP) for d in moves]).T for f in (after, shown))
+    return A, H, dt
+
+
+def storm_at(speed: float) -> Scenario:
+    """Return the storm of the regime that a speed [m/s] belongs to."""
+    return PRESETS["cruise-storm" if speed > CRUISE_SPEED else "slow-storm"]
+
+
+def problem(
+    speed: float, lag: float, tuning: Tuning, vehicle: Vehicle = PAPER_VEHICLE
+) -> tuple[Array, Array, Array, Array]:
+    """Return A, Q (21, 21), H (6, 21) and R (6, 6) of the Riccati equation at a speed [m/s], without the lag's row."""
+    A, H, dt = model(speed, lag, vehicle)
+    storm = storm_at(speed)
+    act, kept = storm.actuators, [i for i in range(SIZE) if i != AT.lag]
+    c = vehicle.coefficients
+    units = Units(speed, [d * speed for d in (c.d11, c.d22, c.d33)], (act.F_u_max, act.F_r_max))
+    Q = np.array(excitation(dt, units, tuning), dtype=float)
+    for i, limit in ((AT.F_u, act.F_u_max), (AT.F_r, act.F_r_max)):
+        Q[i, i] = (FORCE_NOISE * tuning.acceleration / TUNINGS[0].acceleration * limit * speed) ** 2 * dt
+    R = np.diag(np.square(storm.sensors.noise))
+    return A[np.ix_(kept, kept)], H[:, kept], Q[np.ix_(kept, kept)], R
+
+
+def gain(speed: float, lag: float, tuning: Tuning, vehicle: Vehicle = PAPER_VEHICLE) -> Array:
+    """Return the gain K (22, 6) of the steady filter at a speed [m/s], in SI units; the lag's row is zero."""
+    A, H, Q, R = problem(speed, lag, tuning, vehicle)
+    P = solve_discrete_are(A.T, H.T, Q, R)
+    return np.insert(np.linalg.solve(H @ P @ H.T + R, H @ P).T, AT.lag, 0.0, axis=0)
+
+
+def table(regime: str, tuning: Tuning, lag: float) -> dict[str, Any]:
+    """Return the polynomials of a filter's gains in a regime, as `filters.gains` reads them."""
+    speeds = SPEEDS[regime]
+    K = np.array([gain(speed, lag, tuning) for speed in speeds])
+    powers = np.vander([speed_share(U) for U in speeds], DEGREE + 1, increasing=True)
+    fit = np.linalg.lstsq(powers, K.reshape(len(speeds), -1), rcond=None)[0].reshape(DEGREE + 1, *K.shape[1:])
+    return {
+        name: [[[float(f"{c:.6g}") for c in fit[:, at(a), at(b)]] for b in measured] for a in entries]
+        for name, entries, measured in (("along", ALONG, ALONG_MEASURED), ("across", ACROSS, ACROSS_MEASURED))
+    }
+
+
+def at(name: str) -> int:
+    """Return where an entry of an `Estimate` stands; the measured six stand in the same places."""
+    return Estimate._fields.index(name)
+
+
+def text() -> str:
+    """Return the table of all filters as its file has it."""
+    known = list(zip(TUNINGS, LAGS, strict=True))
+    record = {regime: [table(regime, *own) for own in known] for regime in REGIMES}
+    return json.dumps(record) + "\n"
+
+
+def main(_: Sequence[str]) -> int:
+    """Write the table and return the exit status."""
+    write_atomically(TABLE, text().encode())
+    return 0

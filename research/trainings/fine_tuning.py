@@ -1,0 +1,316 @@
+"""What fine-tuning to a vehicle is worth: `python -m research fine-tuning --help`.
+
+For each vehicle an agent is tuned as `train.py --from AGENT --vehicle VEHICLE` does it, one is trained for the vehicle
+alone, and both are run through fresh episodes of the cruise cases, beside the agent as it is, the expert and predictive
+control, all of them told the vehicle. docs/training.md shows what comes out.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from tyro.conf import arg
+
+from auv_gym.installation import checkout
+from auv_gym.physics.units import Units
+from auv_gym.scenarios.presets import CASES
+from auv_gym.scenarios.presets import as_scenario as preset
+from auv_gym.scenarios.vehicles import fleet
+from baselines import make_policy
+from baselines.agents.names import agent_folder
+from baselines.evaluation.metrics import Array, resamplings
+from baselines.evaluation.rollout import rollout
+from baselines.evaluation.runner import drawn
+from baselines.evaluation.score import EXPERT, LARGEST_TAIL, RIVAL, cut, is_lost, relative_error
+from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.files import json_text, read_json, write_atomically
+from baselines.tools.seeds import FINE_TUNING
+from baselines.tools.workers import DEFAULT_JOBS
+from baselines.training.beginning import ALGO, digest
+from baselines.training.command import train
+from baselines.training.hyperparameters import TUNING, changes_of, load_hyperparameters, shipped, words_of
+from baselines.training.options import Options as Training
+from baselines.training.run_folder import AGENT
+from research.trainings.trainings import SHIPPED, request_of
+
+PROGRAM = "python -m research fine-tuning"
+GOAL = 1.05
+"""What the error of a tuned agent may be at most, over that of one trained alone."""
+VEHICLES = ("lauv", "otter", "remus100", "cybership2", "nps-auv2")
+"""Whom it is measured for."""
+TUNED = "tuned"  # the agent that begins with another one and is trained for a vehicle
+ALONE = "alone"  # the one that begins with nothing
+FILE = "fine-tuning.json"  # of what was measured, in docs/
+BEGIN = "<!-- fine-tuning -->"  # before the table in the page
+END = "<!-- end of fine-tuning -->"  # behind it
+SHARED = ("hull",)
+"""Hyper-parameters of an agent that began with another one which are of no less use from nothing: not its rates."""
+LENGTH = 12_000_000
+"""Control steps of the training for a vehicle alone."""
+PIECES = 6
+"""How often it is validated: it goes on from there when it is interrupted."""
+SAYS = {
+    EXPERT: "the expert",
+    RIVAL: "predictive control",
+    "": "the agent as it is",
+    TUNED: "tuned to the vehicle",
+    ALONE: "trained for it alone",
+}
+"""What the table calls them."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Tune an agent to vehicles, train one for each alone, and compare them on fresh episodes.
+
+    What is in the file already is not measured again, but for the agent and what was tuned from it once its weights are
+    others; trainings go on where they were interrupted.
+
+    Exit status: 0 done, 1 a training failed, 2 wrong usage.
+    """
+
+    vehicle: Annotated[tuple[str, ...], arg(metavar="V [V ...]", help_behavior_hint="")] = VEHICLES
+    """Published vehicles by name."""
+    agent: str = "helm-any"
+    """The agent that is tuned, one that ships with the package."""
+    policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
+    """Who is measured: "tuned", "alone", or policies by name. Default: these two, the agent, the expert and nmpc."""
+    episodes: int = 32
+    """Episodes of each case."""
+    timesteps: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
+    """Control steps of each training, to try it out."""
+    runs: Path = Path("runs/fine-tuning")
+    """Folder for the trainings."""
+    out: Path = Path("docs" if checkout() else "runs") / FILE
+    """File for what is measured."""
+
+
+def trainings(agent: str, vehicle: str, timesteps: int | None = None) -> dict[str, Training]:
+    """Return the two trainings for a vehicle: what begins with the agent, and one from nothing.
+
+    That is the agent's own, or that of the agent which it began with, with `SHARED` of the agent's own, `LENGTH` and
+    `PIECES`, in one group.
+
+    Args:
+        agent: one of `trainings.SHIPPED`.
+        vehicle: its name.
+        timesteps: of both, None: what `train.py --from` takes, and `LENGTH`.
+    """
+    own = SHIPPED[agent]
+    first = SHIPPED.get(own.from_ or "", own)  # an agent that began with another has its rates for going on
+    shared = {name: value for name, value in changes_of(own.set).items() if own.from_ and name in SHARED}
+    words = words_of({**changes_of(first.set), **shared, "groups": 1, "validations": PIECES})
+    return {
+        TUNED: replace(Training(), from_=agent, vehicle=vehicle, timesteps=timesteps),
+        ALONE: replace(first, set=tuple(words), vehicle=vehicle, timesteps=timesteps or LENGTH),
+    }
+
+
+def recipe(name: str, agent: str, vehicle: str, timesteps: int | None = None) -> list[str]:
+    """Return what makes one of the two `trainings` what it is, as words NAME=VALUE."""
+    if name == ALONE:
+        own = trainings(agent, vehicle, timesteps)[ALONE]
+        return [*own.set, *words_of({"timesteps": own.timesteps})]
+    table = load_hyperparameters(shipped(ALGO), TUNING)
+    return words_of({"timesteps": timesteps or table.timesteps, **table.values})
+
+
+def errors(policy: str, vehicle: str, episodes: int) -> dict[str, Any]:
+    """Return what a policy does in the cruise cases of a vehicle.
+
+    Returns:
+        tails, the tail errors in lengths of the paper's vehicle [m], of lost episodes the cap; and which were lost.
+    """
+    tails, lost = [], []
+    for case in CASES:
+        scenario = preset(f"cruise-{case}@{vehicle}")
+        found = drawn(scenario, episodes, FINE_TUNING.first)
+        measures = rollout(make_policy(policy, scenario.vehicle), scenario, found.episodes).measures
+        own = measures.tail / Units.of(scenario.vehicle).length
+        cap = LARGEST_TAIL["cruise"]
+        tails.append([float(f"{x:.4g}") for x in cut(own, measures.lost, cap)])
+        lost.append(int(is_lost(own, measures.lost, cap).sum()))
+    return {"tails": tails, "lost": lost}
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Train and measure as the arguments say and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    if unknown := [name for name in options.vehicle if name not in fleet()]:
+        raise UsageError(f"{unknown[0]!r} is no published vehicle; allowed are {', '.join(fleet())}")
+    if options.agent not in SHIPPED:
+        raise UsageError(f"--agent {options.agent} does not ship; allowed are {', '.join(SHIPPED)}")
+    if options.episodes < 2:
+        raise UsageError(f"--episodes is {options.episodes}; it must be 2 or more")
+    names = options.policy or compared(options.agent)
+    record = begun(options, weights_of(options.agent))
+    status = DONE
+    for vehicle in options.vehicle:
+        kept = record["vehicles"].setdefault(vehicle, {})
+        for name in names:
+            if name not in kept:
+                found = _measured(name, vehicle, options, record["weights"])
+                if failed := found.pop("status", DONE):
+                    status = max(status, failed)
+                    continue
+                kept[name] = found
+                options.out.parent.mkdir(parents=True, exist_ok=True)
+                write_atomically(options.out, json_text(record))
+                print(f"{vehicle}: {name}", flush=True)
+    return status
+
+
+def weights_of(agent: str) -> str:
+    """Return the SHA-256 of the weights of an agent that ships.
+
+    Raises:
+        OSError: they cannot be read.
+        UsageError: it is not here.
+    """
+    if (folder := agent_folder(agent)) is None:
+        raise UsageError(f"--agent {agent} is not here: python -m research train-all {agent} --install trains it")
+    return digest(folder)
+
+
+def begun(options: Options, weights: str) -> dict[str, Any]:
+    """Return the record of a file with what still counts in it.
+
+    That is nothing of another agent or of other episodes; of an agent with other weights all but the rows of the agent
+    itself and of what was tuned from it; and nothing that was trained by another `recipe`.
+    """
+    record = read_json(options.out) if options.out.exists() else {}
+    if record.get("agent") != options.agent or record.get("episodes") != options.episodes:
+        return {"agent": options.agent, "weights": weights, "episodes": options.episodes, "vehicles": {}}
+    stale = (options.agent, TUNED) if record.get("weights") != weights else ()
+    for vehicle, found in record["vehicles"].items():
+        own = {name: recipe(name, options.agent, vehicle, options.timesteps) for name in (TUNED, ALONE)}
+        record["vehicles"][vehicle] = {
+            name: row
+            for name, row in found.items()
+            if name not in stale and ("set" not in row or row["set"] == own[name])
+        }
+    return {**record, "weights": weights}
+
+
+def compared(agent: str) -> tuple[str, ...]:
+    """Return who is compared where an agent is tuned, in the order of the table."""
+    return EXPERT, RIVAL, agent, TUNED, ALONE
+
+
+def _measured(name: str, vehicle: str, options: Options, weights: str) -> dict[str, Any]:
+    """Return what one of them does, once it is trained; only a status where that has failed."""
+    if name not in (TUNED, ALONE):
+        return errors(name, vehicle, options.episodes)
+    of = f"{name}-{weights[:8]}" if name == TUNED else name  # no run is gone on with that began with other weights
+    folder, begin = options.runs / f"{vehicle}-{of}", time.monotonic()
+    there = folder.exists()
+    training = trainings(options.agent, vehicle, options.timesteps)[name]
+    request = request_of(training, folder, DEFAULT_JOBS)
+    if status := train(request):
+        return {"status": status}
+    from baselines.training.apg.settings import check  # here: it takes seconds to load, and --help needs none of it
+
+    processors = min(DEFAULT_JOBS, check(request.configs[0]).groups)
+    took = {} if there else {"seconds": round(time.monotonic() - begin, 1), "processors": processors}
+    own = {"set": recipe(name, options.agent, vehicle, options.timesteps)}
+    return errors(str(folder / AGENT), vehicle, options.episodes) | took | own
+
+
+def ratio(policy: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[float, float, float]:
+    """Return the geometric mean over paired episodes of one's tail error over another's, with its 95 % interval."""
+    logs = [np.log(np.array(a) / np.array(b)) for a, b in zip(policy["tails"], other["tails"], strict=True)]
+    drawn_again = resamplings(tuple(map(len, logs)))
+    sums: Array = sum((w @ own / len(own) for w, own in zip(drawn_again, logs, strict=True)), np.zeros(1))
+    values = np.exp(sums / len(logs))
+    low, high = np.quantile(values[1:], (0.025, 0.975)).tolist()
+    return float(values[0]), low, high
+
+
+def section(record: Mapping[str, Any]) -> str:
+    """Return what the page says about what was measured."""
+    asked, vehicles = compared(record["agent"]), record["vehicles"].items()
+    gaps = [f"{name} for {vehicle}" for vehicle, found in vehicles for name in asked if name not in found]
+    missing = f" Not measured yet: {', '.join(gaps)}." if gaps else ""
+    return (
+        f"What that is worth for `{record['agent']}`, in the cruise cases of published vehicles, {record['episodes']} "
+        "fresh episodes each; everybody is told the vehicle. The typical error is the geometric mean of tails, those "
+        "of lost episodes cut at the cap; *typical over alone* is the geometric mean of ratios over paired episodes, "
+        "*mean over alone* that over cases of the ratio of mean tails, which large errors decide. Intervals (95 %) are "
+        f"over episodes. One training seed.{missing}\n\n{table(record)}{worth(record)}{verdict(record)}"
+    )
+
+
+def table(record: Mapping[str, Any]) -> str:
+    """Return what was measured as a table in Markdown."""
+    count = record["episodes"] * len(CASES)
+    lines = [
+        f"| vehicle | policy | typical error [cm] | typical over alone | mean over alone | lost of {count} |",
+        "|---|---|---|---|---|---|",
+    ]
+    asked = compared(record["agent"])
+    for vehicle, found in record["vehicles"].items():
+        length = Units.of(preset(f"cruise-calm@{vehicle}").vehicle).length
+        for name in sorted(found, key=lambda name: asked.index(name) if name in asked else -1):
+            own = found[name]
+            typical = 100 * length * math.exp(float(np.mean(np.log(own["tails"]))))
+            says = f"`{name}`, {SAYS[name]}" if name in (EXPERT, RIVAL) else SAYS.get(name, f"`{name}`, {SAYS['']}")
+            shares = [_share(ends) for ends in _over_alone(own, found)] if name != ALONE else ["1", "1"]
+            lines.append(
+                f"| `{vehicle}` | {says}{_took(own)} | {typical:.2f} | {' | '.join(shares)} | {sum(own['lost'])} |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def _took(own: Mapping[str, Any]) -> str:
+    if "seconds" not in own:
+        return ""
+    return f", {own['seconds']:.0f} s on {own['processors']} processor{'s' if own['processors'] > 1 else ''}"
+
+
+def _over_alone(own: Mapping[str, Any], found: Mapping[str, Any]) -> list[tuple[float, float, float] | None]:
+    """Return the typical and the mean error over that of the agent trained alone, with intervals; None without one."""
+    if ALONE not in found:
+        return [None, None]
+    mean = relative_error(*([np.array(case) for case in of["tails"]] for of in (found[ALONE], own)))
+    return [ratio(own, found[ALONE]), (mean.mean, *mean.ci95)]
+
+
+def _share(ends: tuple[float, float, float] | None) -> str:
+    return "-" if ends is None else "{:.2f} ({:.2f} ... {:.2f})".format(*ends)
+
+
+def worth(record: Mapping[str, Any]) -> str:
+    """Return what tuning makes of the agent's error, and of that of its rival; nothing where that is not measured."""
+    asked = {record["agent"]: "the agent as it is", RIVAL: f"`{RIVAL}`"}
+    lines = []
+    for vehicle, found in record["vehicles"].items():
+        if TUNED in found and asked.keys() <= found.keys():
+            shares = [f"{_share(ratio(found[TUNED], found[name]))} times that of {of}" for name, of in asked.items()]
+            lines.append(f"for `{vehicle}` {' and '.join(shares)}")
+    return f"\nThe typical error of the tuned agent is {'; '.join(lines)}.\n" if lines else ""
+
+
+def verdict(record: Mapping[str, Any]) -> str:
+    """Return whether tuned agents are as near as those trained alone, vehicle by vehicle; nothing where none was."""
+    lines = []
+    for vehicle, found in record["vehicles"].items():
+        if TUNED in found and ALONE in found:
+            shares = [ends for ends in _over_alone(found[TUNED], found) if ends is not None]
+            words = ["within" if high <= GOAL else "beyond" if low > GOAL else "undecided" for _, low, high in shares]
+            lines.append(f"`{vehicle}` {words[0]} by the typical error, {words[1]} by the mean one")
+    if not lines:
+        return ""
+    return (
+        f"\nIs a tuned agent within {GOAL:g} times the error of one trained alone? {'; '.join(lines)}. *Within* and "
+        "*beyond* are said where the whole interval lies there.\n"
+    )

@@ -1,0 +1,64 @@
+"""Train the agents that ship with the package: `python -m research train-all --help`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from auv_gym.installation import found
+from baselines.agents.agent import Agent
+from baselines.agents.model_card import CURVE
+from baselines.agents.names import AGENTS
+from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.workers import DEFAULT_JOBS
+from baselines.training.command import train
+from baselines.training.run_folder import AGENT
+from research.trainings.trainings import SHIPPED, request_of
+
+PROGRAM = "python -m research train-all"
+
+
+@dataclass(frozen=True)
+class Options:
+    """Train the agents that ship with the package, one after the other, each in a folder DIR/NAME.
+
+    A second call goes on where the first was interrupted. Exit status: 0 done, 1 a training failed, 2 wrong usage.
+    """
+
+    name: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME ...]")] = ()
+    """Which of them; without any, all."""
+    out: Path = Path("runs/shipped")
+    """Folder of the runs."""
+    timesteps: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
+    """Control steps of each, to try it out. Default: as many as the shipped ones had."""
+    install: bool = False
+    """Put the trained agents into baselines/agents/shipped, in place of those that are there."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Train as the arguments say and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    if unknown := [name for name in options.name if name not in SHIPPED]:
+        raise UsageError(f"no agent {unknown[0]!r} ships with the package; allowed are {', '.join(SHIPPED)}")
+    for name in options.name or SHIPPED:
+        print(f"{name}:", flush=True)
+        training = replace(SHIPPED[name], timesteps=options.timesteps or SHIPPED[name].timesteps)
+        request = request_of(training, options.out / name, DEFAULT_JOBS)
+        if (status := train(request)) != DONE:
+            return status
+        if options.install:
+            install(name, request.out)
+    return DONE
+
+
+def install(name: str, run_folder: Path) -> None:
+    """Put the trained agent of a run into baselines/agents/shipped, in place of what is there."""
+    Agent.load(run_folder / AGENT).save(found(AGENTS, name), (run_folder / CURVE).read_bytes())

@@ -1,0 +1,180 @@
+"""Train agents with several seeds, with and without one thing or another: `python -m research study --help`.
+
+Every agent of `VARIANTS` is trained with several seeds and run on the frozen suites; the tail errors of every episode
+are kept in `research/data/studies/`, or in DIR where there is no checkout, for the page of results.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+from tyro.conf import Positional, arg
+
+from auv_gym.installation import checkout
+from auv_gym.scenarios.presets import REGIMES
+from baselines.control.open_loop import NO_EXPERT
+from baselines.evaluation import suites
+from baselines.evaluation.progress import progress
+from baselines.evaluation.recorded import SUITES
+from baselines.evaluation.runner import Cell, Run, runs
+from baselines.evaluation.score import regime_of
+from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.workers import Workers
+from baselines.training.command import train
+from baselines.training.options import Options as TrainOptions
+from baselines.training.request import Request
+from baselines.training.run_folder import AGENT, read_progress
+from research.results.study_files import FOLDER, Study, save
+from research.trainings.shipped import install
+from research.trainings.trainings import EXACT, PPO_AUTHORITY, SHIPPED, SPINS, request_of, training, weighted
+
+PROGRAM = "python -m research study"
+
+
+OF_ALL_VEHICLES = "helm-any"
+"""The agent that is run on other vehicles too."""
+OF_THE_PAPER = tuple(name for name in SUITES if name != "vehicles-v1")  # suites of the vehicle that the others know
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Agents that differ in the seed alone."""
+
+    about: str  # one line for the results page
+    regime: str  # in which they are run
+    training: TrainOptions  # the number of seeds included
+    suites: tuple[str, ...] = OF_THE_PAPER
+    runs: str = ""  # folder of the runs, where it is not that of the variant's name
+
+
+SEEDS = 5  # of each agent that ships with the package
+SHORT = 3_000_000  # control steps of the trainings that differ from `short-cruise` in one thing
+FEW = 2  # seeds of the trainings that differ from `short-cruise` in one thing
+
+
+def _short(about: str, expert: str | None = None, authority: tuple[float, ...] = (), **changes: Any) -> Variant:
+    each = training("apg", "cruise", authority, expert, SHORT, changes)
+    return Variant(about, "cruise", replace(each, seeds=FEW), ("benchmark-v1",))
+
+
+FAMILIES: Mapping[str, str] = {
+    "apg": "The expert corrected by the analytic gradient, from measurements alone.",
+    "apg-preview": "A larger network, which sees the reference ahead and pays nearly nothing for its commands.",
+    "apg-adverse": "Trained also where sensors, commands, actuators and current are not as told.",
+    "helm": "One agent for both regimes: small errors seen as well as large ones, filters, and slewing thrusters.",
+    "helm-blind": "`helm` without sight of the path ahead.",
+    "helm-small": "`helm` with a network of 2,004 weights.",
+    "helm-any": "`helm`, trained further on drawn vehicles and told which one it steers.",
+    "apg-scratch": "Without an expert: the network commands alone.",
+    "ppo": "The expert corrected by a network without memory, which learns from rewards until it gets no better.",
+    "ppo-lstm": "The same with long short-term memory.",
+    "rma": "A teacher knows vehicle and sea; a student, which acts, estimates them from the last 48 steps.",
+    "sac": "The same from fewer steps, each of which is learned from many times.",
+    "td3": "The same from fewer steps, each of which is learned from many times.",
+}
+"""What the agents that ship with the package are, by their names without the regime."""
+BRIEF: Mapping[str, Variant] = {
+    f"ppo-3m-{regime}": Variant(
+        "The expert corrected by a network without memory, which learns from rewards.",
+        regime,
+        replace(training("ppo", weighted(regime, **SPINS), PPO_AUTHORITY[regime]), seeds=SEEDS),
+    )
+    for regime in ("cruise", "slow")
+}
+"""PPO with a quarter of the steps of those that ship."""
+SHORT_TRAININGS: Mapping[str, Variant] = {
+    "short-cruise": _short("As `apg-cruise`, fewer steps: what the following ones differ from in one thing."),
+    "short-preview": _short("The network sees the reference .5, 1, 2 and 4 s ahead.", preview=EXACT["preview"]),
+    "short-no-memory": _short("Two tanh layers in place of the recurrent units.", memory=False),
+    "short-no-integrals": _short("The network does not see the integrals of the error.", integrals=False),
+    "short-little-authority": _short("Half the authority.", authority=(0.3, 0.3)),
+    "short-scratch": _short("Without an expert: the network commands alone.", NO_EXPERT, (1.0, 1.0)),
+    "short-ekf": _short("The law on an extended Kalman filter as the expert.", "ekf"),
+    "short-free": _short("Commands cost next to nothing.", effort_weight=0.002, rate_weight=0.001),
+    "short-horizon": _short("The gradient goes back over 10 steps (1 s) in place of 50.", n_steps=10),
+    "short-adam": _short("Every weight follows Adam, at its learning rate.", matrix_learning_rate=0.0),
+}
+"""Trainings that show what one thing is worth."""
+
+
+def _shipped(name: str, each: TrainOptions) -> dict[str, Variant]:
+    """Return the variants of an agent that ships: one, or one for each regime of an agent for both."""
+    family, _, regime = name.rpartition("-")
+    if regime in REGIMES:
+        return {name: Variant(FAMILIES[family], regime, replace(each, seeds=SEEDS))}
+    own = replace(each, seeds=SEEDS)
+    where = SUITES if name == OF_ALL_VEHICLES else OF_THE_PAPER
+    return {f"{name}-{regime}": Variant(FAMILIES[name], regime, own, where, name) for regime in REGIMES}
+
+
+VARIANTS: Mapping[str, Variant] = {
+    **{variant: own for name, each in SHIPPED.items() for variant, own in _shipped(name, each).items()},
+    **BRIEF,
+    **SHORT_TRAININGS,
+}
+"""The agents of the study, by name."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Train the agents of the study with several seeds, run them on the frozen suites and keep what they did.
+
+    A second call goes on where the first was interrupted. Exit status: 0 done, 1 a training failed, 2 wrong usage.
+    """
+
+    name: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME ...]")] = ()
+    """Which of them; without any, all."""
+    out: Path = Path("runs/study")
+    """Folder of the runs."""
+    jobs: int = 2
+    """Trainings at the same time."""
+    install: bool = False
+    """Put the first seed's agent into baselines/agents/shipped, where one of the name ships with the package."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Train and evaluate as the arguments say and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    if unknown := [name for name in options.name if name not in VARIANTS]:
+        raise UsageError(f"the study has no {unknown[0]!r}; allowed are {', '.join(VARIANTS)}")
+    for name in options.name or VARIANTS:
+        variant = VARIANTS[name]
+        agent = variant.runs or name
+        request = request_of(variant.training, options.out / agent, options.jobs)
+        if (status := train(request)) != DONE:
+            return status
+        if options.install and agent in SHIPPED:
+            install(agent, request.folders[0])
+        save(name, studied(variant, request, options.jobs), FOLDER if checkout() else options.out)
+    return DONE
+
+
+def studied(variant: Variant, request: Request, jobs: int) -> Study:
+    """Return what the trained agents of a request do on the suites of a variant."""
+    agents = [str(folder / AGENT) for folder in request.folders]
+    results = {name: _rolled_out(agents, cells_of(name, variant.regime), jobs) for name in variant.suites}
+    curves = [[row for row in read_progress(folder) if "score" in row] for folder in request.folders]
+    return Study.of(variant.about, variant.regime, request.command, results, curves)
+
+
+def cells_of(suite: str, regime: str) -> list[Cell]:
+    """Return the cells of a frozen suite in a regime."""
+    return [cell for cell in suites.load(suite).cells if regime_of(cell.scenario.name) == regime]
+
+
+def _rolled_out(agents: Sequence[str], cells: Sequence[Cell], jobs: int) -> list[list[Run]]:
+    """Return the runs of each agent in the cells."""
+    steps = sum(len(cell.episodes) * cell.scenario.steps for cell in cells)
+    with progress(len(agents) * len(cells), len(agents) * steps) as report:
+        found: dict[tuple[str, str], Run] = {}
+        for run in runs([(agent, cell) for cell in cells for agent in agents], Workers(jobs), note=report.board.note):
+            report.run(run)
+            found[run.policy, run.scenario.name] = run
+    return [[found[agent, cell.scenario.name] for cell in cells] for agent in agents]

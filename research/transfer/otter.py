@@ -1,0 +1,210 @@
+"""Otter in six degrees of freedom: a catamaran of two propellers.
+
+The equations and numbers are those of vehicles/otter.py of PythonVehicleSimulator (T. I. Fossen, MIT licence), after
+Fossen (2021), chapters 3, 4 and 6: pontoons with hydrostatics, a payload on deck, thrust by the square of revolutions.
+Its inertia counts the centre of mass twice, and its payload pushes along where the boat is pitched, as there. The
+integration is of fourth order.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from auv_gym.physics.namespaces import FLOATS, Namespace, Number
+from research.transfer.six_dof import (
+    GRAVITY,
+    Array,
+    Deviation,
+    Motion,
+    Outside,
+    Vector,
+    coriolis,
+    cross_flow,
+    level,
+    mass_scale,
+    place_rates,
+    shifted,
+    skew,
+    solved,
+    times,
+)
+
+DENSITY = 1025.0  # [kg/m^3] of the water
+FLOW_DENSITY = 1026.0  # [kg/m^3] the same in the source's cross-flow drag
+HULL = 55.0  # [kg]
+PAYLOAD = 25.0  # [kg]
+LENGTH = 2.0  # [m]
+BEAM = 1.08  # [m]
+HULL_CENTRE = (0.2, 0.0, -0.2)  # [m] of the hull's mass
+PAYLOAD_CENTRE = (0.05, 0.0, -0.35)  # [m] of the payload's
+PONTOON_BEAM = 0.25  # [m]
+PONTOON_ARM = 0.395  # [m] of pontoons and propellers, from the centre line
+WATERLINE = 0.75  # coefficient of a pontoon's waterline area
+BLOCK = 0.4  # coefficient of its volume
+FLOTATION = -0.2  # [m] x of the waterline's centroid
+ADDED = (0.1, 1.5, 1.0, 0.2, 0.8, 1.7)  # added masses as shares of the hull's mass, and of the moments of inertia
+T_SWAY = 1.0  # [s] time constant of linear drag in sway
+T_YAW = 1.0  # [s] in yaw
+FASTEST = 6 * 0.5144  # [m/s] at which the largest thrust is the drag
+DAMPING = (0.3, 0.2, 0.4)  # relative damping of heave, roll and pitch
+YAW_DRAG = 10.0  # [s/rad] quadratic drag in yaw over the linear one
+AHEAD = 24.4 * GRAVITY  # [N] largest thrust of both propellers
+ASTERN = 13.6 * GRAVITY  # [N] the same astern
+K_AHEAD = 0.02216 / 2  # [N s^2] thrust of one propeller by the square of its revolutions
+K_ASTERN = 0.01289 / 2  # [N s^2] the same astern
+LAG = 0.1  # [s] of the propellers
+
+
+class Actuators(NamedTuple):
+    """Revolutions of the propellers [rad/s]: floats, or rows of shape (N,)."""
+
+    port: Number
+    starboard: Number
+
+
+def thrust(n: Number, ns: Namespace) -> Number:
+    """Return the thrust [N] of one propeller at n [rad/s]."""
+    square = n * abs(n)
+    return ns.where(n > 0.0, K_AHEAD * square, K_ASTERN * square)
+
+
+def revolutions(T: Number, ns: Namespace) -> Number:
+    """Return n [rad/s] of one propeller for a thrust [N]."""
+    ahead, astern = ns.where(T > 0.0, T, 0.0), ns.where(T > 0.0, 0.0, -T)
+    return ns.sqrt(ahead / K_AHEAD) - ns.sqrt(astern / K_ASTERN)
+
+
+def shares(F_u: Number, F_r: Number, ns: Namespace) -> tuple[Number, Number]:
+    """Return the thrust [N] of the propellers to port and to starboard; where both cannot be had, yaw comes first."""
+    low, high = -ASTERN / 2, AHEAD / 2
+    half = ns.clip(F_r / (2 * PONTOON_ARM), -(high - low) / 2, (high - low) / 2)
+    size = abs(half)
+    mean = ns.clip(0.5 * F_u, low + size, high - size)
+    return mean + half, mean - half
+
+
+@dataclass(frozen=True)
+class Otter:
+    """The vehicle as a `worlds.Model`, or one that lacks something of it, to see what that makes."""
+
+    pushed: float = 1.0  # share of the payload's weight along the pitched boat that acts
+    crossed: bool = True  # see `six_dof.cross_flow`
+
+    name: ClassVar[str] = "otter"
+    size: ClassVar[int] = len(Motion._fields) + len(Actuators._fields)
+    mass: ClassVar[float] = HULL + PAYLOAD  # [kg]
+    draft: ClassVar[float] = (HULL + PAYLOAD) / DENSITY / (2 * BLOCK * PONTOON_BEAM * LENGTH)  # [m]
+
+    @cached_property
+    def centre(self) -> Array:
+        """Centre of mass [m], payload included."""
+        return (HULL * np.array(HULL_CENTRE) + PAYLOAD * np.array(PAYLOAD_CENTRE)) / self.mass
+
+    @cached_property
+    def inertia(self) -> Array:
+        """Moments of inertia as the source has them, shape (3, 3)."""
+        own = HULL * np.diag(np.square([0.4 * BEAM, 0.25 * LENGTH, 0.25 * LENGTH]))
+        hull, payload = skew(self.centre.tolist()), skew(PAYLOAD_CENTRE)
+        return np.asarray(own - HULL * hull @ hull - PAYLOAD * payload @ payload)
+
+    @cached_property
+    def masses(self) -> Array:
+        """Masses with those added, shape (6, 6)."""
+        rigid = np.zeros((6, 6))
+        rigid[:3, :3], rigid[3:, 3:] = self.mass * np.eye(3), self.inertia
+        own = np.array([HULL, HULL, HULL, *np.diag(self.inertia)])
+        return shifted(rigid, self.centre.tolist()) + np.diag(np.array(ADDED) * own)
+
+    @cached_property
+    def stiffness(self) -> Array:
+        """Restoring forces and moments of the pontoons per displacement, shape (6, 6); Fossen (2021), section 4.2."""
+        waterline, volume = 2 * WATERLINE * LENGTH * PONTOON_BEAM, self.mass / DENSITY
+        shape = 6 * WATERLINE**3 / ((1 + WATERLINE) * (1 + 2 * WATERLINE))
+        across = 2 / 12 * LENGTH * PONTOON_BEAM**3 * shape + waterline * PONTOON_ARM**2
+        along = 0.8 * 2 / 12 * PONTOON_BEAM * LENGTH**3
+        buoyancy = (5 * self.draft / 2 - 0.5 * volume / (LENGTH * PONTOON_BEAM)) / 3  # of its centre above the keel
+        heights = [buoyancy + second / volume - (self.draft - self.centre[2]) for second in (across, along)]
+        roll, pitch = (DENSITY * GRAVITY * volume * height for height in heights)
+        return shifted(np.diag([0, 0, DENSITY * GRAVITY * waterline, roll, pitch, 0]), (FLOTATION, 0.0, 0.0))
+
+    @cached_property
+    def damping(self) -> Array:
+        """Linear damping, shape (6,), on the diagonal alone."""
+        M, G = np.diag(self.masses), np.diag(self.stiffness).copy()
+        G[4] -= FLOTATION**2 * G[2]  # about the centre of flotation
+        own = [2 * zeta * math.sqrt(G[i] * M[i]) for zeta, i in zip(DAMPING, (2, 3, 4), strict=True)]
+        return np.array([AHEAD / FASTEST, M[1] / T_SWAY, *own, M[5] / T_YAW])
+
+    def placed(self, states: Array) -> Array:
+        """Return the rows, shape (size, n), of boats that float at rest but for x, y, psi, u, v, r, shape (6, n)."""
+        rows = np.zeros((self.size, states.shape[1]))
+        rows[[0, 1, 5, 6, 7, 11]] = states
+        vertical = slice(2, 5)
+        for _ in range(20):  # heave, roll and pitch at which payload and pontoons balance
+            forces = self.payload(Motion(*np.zeros(2), *rows[vertical, 0], *np.zeros(7)), FLOATS)
+            rows[vertical] = np.linalg.solve(self.stiffness[vertical, vertical], forces[vertical])[:, None]
+        return rows
+
+    def payload(self, s: Motion, ns: Namespace) -> tuple[Number, ...]:
+        """Return the weight of the payload [N] and its moment [N m] about the origin, in the body's axes."""
+        W, (x, _, z) = PAYLOAD * GRAVITY, PAYLOAD_CENTRE
+        X = -W * ns.sin(s.theta) * self.pushed
+        Y = W * ns.cos(s.theta) * ns.sin(s.phi)
+        Z = W * ns.cos(s.theta) * ns.cos(s.phi)
+        return X, Y, Z, -z * Y, -z * W * ns.sin(s.theta) - x * Z, x * Y
+
+    def seen(self, rows: Vector, ns: Namespace) -> tuple[Vector, Vector]:
+        """Return x, y, psi, u, v, r, level and relative to the water, and F_u [N], F_r [N m] of the propellers."""
+        a = Actuators(*rows[12:])
+        port, starboard = thrust(a.port, ns), thrust(a.starboard, ns)
+        return level(Motion(*rows[:12]), ns), (port + starboard, PONTOON_ARM * (port - starboard))
+
+    def hull(self, s: Motion, d: Deviation, ns: Namespace) -> list[Number]:
+        """Return drag, restoring forces and payload [N], [N m]."""
+        D = self.damping
+        Y, N = cross_flow(s.v, s.r, LENGTH, PONTOON_BEAM, self.draft, FLOW_DENSITY, self.crossed)
+        drag = (
+            -d.d_u * D[0] * s.u - d.X_uu * abs(s.u) * s.u,
+            d.d_v * (Y - D[1] * s.v) - d.Y_vv * abs(s.v) * s.v,
+            -D[2] * s.w,
+            -D[3] * s.p,
+            -D[4] * s.q,
+            d.d_r * (N - D[5] * (1.0 + YAW_DRAG * abs(s.r)) * s.r) - d.N_rr * abs(s.r) * s.r,
+        )
+        restoring = times(self.stiffness.tolist(), (0.0, 0.0, s.z, s.phi, s.theta, 0.0))
+        return [a - b + c for a, b, c in zip(drag, restoring, self.payload(s, ns), strict=True)]
+
+    def orders(self, first: Vector, outside: Outside, ns: Namespace) -> list[Number]:
+        """Return the revolutions [rad/s] of the propellers for the force that is wanted."""
+        return [revolutions(T, ns) for T in shares(outside.F_u, outside.F_r, ns)]
+
+    def rates(self, rows: Vector, orders: Vector, outside: Outside, d: Deviation, ns: Namespace) -> list[Number]:
+        """Return the time derivative of the rows."""
+        s, a, scale = Motion(*rows[:12]), Actuators(*rows[12:]), mass_scale(d, ns)
+        _, (F_u, F_r) = self.seen(rows, ns)
+        moved = [k * x for k, x in zip(scale, rows[6:12], strict=True)]
+        momentum = [k * x for k, x in zip(scale, times(self.masses.tolist(), moved), strict=True)]
+        acting = F_u + outside.X, outside.Y, 0.0, 0.0, 0.0, F_r + outside.N
+        parts = zip(self.hull(s, d, ns), coriolis(momentum, rows[6:12]), acting, strict=True)
+        forces = [hull - turned + other for hull, turned, other in parts]
+        return [
+            *place_rates(s, (outside.V_x, outside.V_y), ns),
+            *solved(np.linalg.inv(self.masses).tolist(), forces, scale),
+            *((order - n) / LAG for order, n in zip(orders, a, strict=True)),
+        ]
+
+
+OTTER = Otter()
+"""The vehicle."""
+OTTER_VARIANTS = {
+    "as published": OTTER,
+    "no push of the payload": Otter(pushed=0.0),
+    "no yaw drag of a sideslip": Otter(crossed=False),
+    "neither": Otter(0.0, False),
+}
+"""The vehicle without what may make the difference to the plane."""

@@ -1,0 +1,274 @@
+"""REMUS 100 in six degrees of freedom: a torpedo with rudder, stern planes and a propeller.
+
+The equations are those of Fossen (2021), section 8.4.2, as vehicles/remus100.py of PythonVehicleSimulator (T. I.
+Fossen, MIT licence) states them, with the drag and the propeller of B. Allen, W. S. Vorus and T. Prestero, "Propulsion
+system performance enhancements on REMUS AUVs", OCEANS 2000. Two things differ: the propeller's advance speed is that
+through water, where the source takes the one over ground, and the integration is of fourth order.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from auv_gym.physics.namespaces import Namespace, Number
+from research.transfer.six_dof import (
+    GRAVITY,
+    Array,
+    Deviation,
+    Motion,
+    Outside,
+    Vector,
+    coriolis,
+    cross,
+    cross_flow,
+    degrees,
+    level,
+    mass_scale,
+    place_rates,
+    shifted,
+    solved,
+    times,
+)
+
+DENSITY = 1026.0  # [kg/m^3] of the water
+LENGTH = 1.6  # [m]
+DIAMETER = 0.19  # [m]
+CG_BELOW = 0.02  # [m] centre of mass below that of buoyancy
+DRAG_AREA = 0.7 * LENGTH * DIAMETER  # [m^2] S, the area that lift and drag refer to
+FRONTAL_DRAG = 0.42  # Cd of the frontal area, Allen et al. (2000)
+OSWALD = 0.7  # efficiency of the hull as a wing
+ROLL_ADDED = 0.3  # added moment of inertia in roll as a share of that in air
+T_SURGE = 20.0  # [s] time constant of linear drag in surge
+T_SWAY = 20.0  # [s] in sway and heave
+T_YAW = 1.0  # [s] in yaw
+ZETA_ROLL = 0.3  # relative damping of roll
+ZETA_PITCH = 0.8  # relative damping of pitch
+FADING = 3.0  # [s/m] linear drag of surge and sway fades as exp(-3 U)
+FIN_AREA = 2 * 0.00665  # [m^2] of the rudder, and of the stern planes
+RUDDER_LIFT = 0.5  # lift coefficient of the rudder per radian
+PLANE_LIFT = 0.7  # of the stern planes
+FIN_MOST = degrees(15.0)  # [rad]
+FIN_LAG = 0.1  # [s] of rudder and stern planes
+PROPELLER_LAG = 1.0  # [s]
+RPM_MOST = 1525.0  # [1/min]
+PROPELLER = 0.14  # [m] diameter
+WAKE = 0.944  # advance speed over speed through water, Allen et al. (2000)
+DEDUCTION = 0.1  # thrust deduction number
+KT_0 = 0.4566  # thrust coefficient at advance number 0
+KT_J = (0.1798 - 0.4566) / 0.6632  # its slope
+KQ_0 = 0.0700  # torque coefficient at advance number 0
+KQ_J = (0.0312 - 0.0700) / 0.6632  # its slope
+TORQUE_SHARE = 0.1  # of the propeller's torque that rolls the hull
+KP_Z = 0.1  # [rad/m] of the depth autopilot: pitch by depth
+T_Z = 100.0  # [s] of its integral
+KP_THETA = 5.0  # planes by pitch
+KD_THETA = 2.0  # [s] by pitch rate
+KI_THETA = 0.3  # [1/s] by the integral of pitch
+K_W = 5.0  # [rad s/m] by heave velocity
+
+NOSE = LENGTH / 2  # [m] the spheroid's semi-axis along
+RADIUS = DIAMETER / 2  # [m] and across
+
+
+class Actuators(NamedTuple):
+    """What the actuators and the depth autopilot remember: floats, or rows of shape (N,)."""
+
+    rudder: Number  # [rad], positive for a turn to starboard
+    plane: Number  # [rad], positive for the nose down
+    rpm: Number  # [1/min]
+    z_integral: Number  # [m s]
+    theta_integral: Number  # [rad s]
+
+
+def lamb_factors() -> tuple[float, float, float]:
+    """Return Lamb's k1, k2, k' of the spheroid: added mass along, across and in pitch; Fossen (2021), section 8.4.2."""
+    e2 = 1 - (RADIUS / NOSE) ** 2
+    e = math.sqrt(e2)
+    stretched = math.log((1 + e) / (1 - e)) / 2
+    alpha = 2 * (1 - e2) / e**3 * (stretched - e)
+    beta = 1 / e2 - (1 - e2) / e**3 * stretched
+    turning = e2 * e2 * (beta - alpha) / ((2 - e2) * (2 * e2 - (2 - e2) * (beta - alpha)))
+    return alpha / (2 - alpha), beta / (2 - beta), turning
+
+
+def propeller(n: Number, advance: Number, at_rest: float, slope: float, ns: Namespace) -> Number:
+    """Return K |n| n for a coefficient K(J) = at_rest + slope J of the advance number J, at rest astern.
+
+    Linear in J between bollard pull and the fastest speed, as the source fits a Wageningen propeller of 3 blades.
+
+    Args:
+        n: revolutions [1/s].
+        advance: speed of the water into the propeller [m/s].
+        at_rest: K at J = 0.
+        slope: of K.
+        ns: the namespace of the numbers.
+    """
+    return ns.where(n > 0.0, at_rest * n * n + slope * (advance / PROPELLER) * n, -at_rest * n * n)
+
+
+def revolutions(F_u: Number, advance: Number, ns: Namespace) -> Number:
+    """Return the revolutions [1/min] at which the propeller's thrust, less the deduction, is F_u [N].
+
+    Ahead, on the branch where more revolutions are more thrust; less than none is asked of a propeller astern.
+    """
+    wanted = F_u / ((1 - DEDUCTION) * DENSITY * PROPELLER**4)
+    windmill = -KT_J * advance / PROPELLER  # KT_0 n at which the thrust vanishes
+    windmill = ns.where(windmill > 0.0, windmill, 0.0)
+    pull = ns.where(wanted > 0.0, wanted, 0.0)
+    ahead = (windmill + ns.sqrt(windmill * windmill + 4 * KT_0 * pull)) / (2 * KT_0)
+    astern = -ns.sqrt((pull - wanted) / KT_0)
+    return 60.0 * ns.clip(ns.where(wanted < 0.0, astern, ahead), -RPM_MOST / 60, RPM_MOST / 60)
+
+
+def rudder(F_r: Number, speed: Number, ns: Namespace) -> Number:
+    """Return the angle [rad] at which the rudder's yaw moment is F_r [N m], at a speed [m/s] through water."""
+    per_radian = NOSE * 0.5 * DENSITY * FIN_AREA * RUDDER_LIFT * (speed * speed + 1e-6)
+    return ns.clip(F_r / per_radian, -FIN_MOST, FIN_MOST)
+
+
+def pitch_error(s: Motion, a: Actuators) -> Number:
+    """Return the pitch [rad] beyond what brings the vehicle back to its depth."""
+    return s.theta - KP_Z * (s.z + a.z_integral / T_Z)
+
+
+@dataclass(frozen=True)
+class Remus100:
+    """The vehicle as a `worlds.Model`, or one that lacks something of it, to see what that makes."""
+
+    propeller_lag: float = PROPELLER_LAG  # [s]
+    side_force: float = 1.0  # share of the rudder's force across the hull that acts
+    crossed: bool = True  # see `six_dof.cross_flow`
+
+    name: ClassVar[str] = "remus100"
+    size: ClassVar[int] = len(Motion._fields) + len(Actuators._fields)
+
+    @cached_property
+    def rigid(self) -> Array:
+        """Masses in air about the centre of buoyancy, shape (6, 6)."""
+        m = 4 / 3 * math.pi * DENSITY * NOSE * RADIUS**2  # that of the water it takes the place of
+        roll, pitch = 2 / 5 * m * RADIUS**2, 1 / 5 * m * (NOSE**2 + RADIUS**2)
+        return shifted(np.diag([m, m, m, roll, pitch, pitch]), (0.0, 0.0, CG_BELOW))
+
+    @cached_property
+    def added(self) -> Array:
+        """Added masses, shape (6,): on the diagonal alone."""
+        m, roll, pitch = self.rigid[0, 0], 2 / 5 * self.rigid[0, 0] * RADIUS**2, self.rigid[5, 5]
+        k1, k2, turning = lamb_factors()
+        return np.array([m * k1, m * k2, m * k2, ROLL_ADDED * roll, turning * pitch, turning * pitch])
+
+    @cached_property
+    def masses(self) -> Array:
+        """Masses with those added, shape (6, 6)."""
+        return self.rigid + np.diag(self.added)
+
+    @cached_property
+    def stiffness(self) -> float:
+        """Restoring moment [N m] of weight and buoyancy at a right angle."""
+        return float(self.rigid[0, 0] * GRAVITY * CG_BELOW)
+
+    def placed(self, states: Array) -> Array:
+        """Return the rows, shape (size, n), of vehicles at rest but for x, y, psi, u, v, r, shape (6, n)."""
+        rows = np.zeros((self.size, states.shape[1]))
+        rows[[0, 1, 5, 6, 7, 11]] = states
+        return rows
+
+    def seen(self, rows: Vector, ns: Namespace) -> tuple[Vector, Vector]:
+        """Return x, y, psi, u, v, r, level and relative to the water, and F_u [N], F_r [N m] of the actuators."""
+        s, a = Motion(*rows[:12]), Actuators(*rows[12:])
+        X, _, _, _, _, N = self.actuation(s, a, ns)
+        return level(s, ns), (X, N)
+
+    def actuation(self, s: Motion, a: Actuators, ns: Namespace) -> tuple[Number, ...]:
+        """Return the forces [N] and moments [N m] of propeller, rudder and stern planes."""
+        speed = ns.sqrt(s.u * s.u + s.v * s.v + s.w * s.w)
+        level_2, upright_2 = s.u * s.u + s.v * s.v, s.u * s.u + s.w * s.w  # [m^2/s^2] at rudder and planes
+        n, k = a.rpm / 60.0, 0.5 * DENSITY * FIN_AREA
+        T = (1 - DEDUCTION) * DENSITY * PROPELLER**4 * propeller(n, WAKE * speed, KT_0, KT_J, ns)
+        Q = DENSITY * PROPELLER**5 * propeller(n, WAKE * speed, KQ_0, KQ_J, ns)
+        Y = -k * RUDDER_LIFT * level_2 * a.rudder
+        Z = -k * PLANE_LIFT * upright_2 * a.plane
+        X = T + Y * a.rudder + Z * a.plane
+        return X, self.side_force * Y, Z, TORQUE_SHARE * Q, NOSE * Z, -NOSE * Y
+
+    def hull(self, s: Motion, d: Deviation, ns: Namespace) -> tuple[Number, ...]:
+        """Return drag, lift and restoring forces [N] and moments [N m] of the hull."""
+        M, W = np.diag(self.masses), self.stiffness
+        speed_2 = s.u * s.u + s.v * s.v + s.w * s.w
+        fading = ns.exp(-FADING * ns.sqrt(speed_2))
+        incidence = ns.arctan2(s.w, s.u)
+        aspect = DIAMETER**2 / DRAG_AREA
+        lift = math.pi * aspect / (1 + math.sqrt(1 + (aspect / 2) ** 2)) * incidence  # Beard and McLain (2012)
+        least = FRONTAL_DRAG * math.pi * RADIUS**2 / DRAG_AREA
+        pressure = 0.5 * DENSITY * speed_2 * DRAG_AREA
+        drag = pressure * (least + lift * lift / (math.pi * OSWALD * aspect))
+        c, n, lift = ns.cos(incidence), ns.sin(incidence), pressure * lift
+        Y, N = cross_flow(s.v, s.r, LENGTH, DIAMETER, DIAMETER, DENSITY, self.crossed)
+        roll, pitch = (2 * zeta * math.sqrt(W * M[i]) for zeta, i in ((ZETA_ROLL, 3), (ZETA_PITCH, 4)))
+        return (
+            d.d_u * (n * lift - c * drag - M[0] / T_SURGE * fading * s.u) - d.X_uu * abs(s.u) * s.u,
+            d.d_v * (Y - M[1] / T_SWAY * fading * s.v) - d.Y_vv * abs(s.v) * s.v,
+            -n * drag - c * lift - M[2] / T_SWAY * s.w,
+            -roll * s.p - W * ns.cos(s.theta) * ns.sin(s.phi),
+            -pitch * s.q - W * ns.sin(s.theta),
+            d.d_r * (N - M[5] / T_YAW * s.r) - d.N_rr * abs(s.r) * s.r,
+        )
+
+    def coriolis(self, nu: Vector, d: Deviation, ns: Namespace) -> list[Number]:
+        """Return C(nu) nu [N], [N m], without what the source leaves out for stability.
+
+        Of the added mass that is the Munk moment, what goes with it in sway and surge, and the same of pitching.
+        """
+        scale = mass_scale(d, ns)
+        moved = [s * x for s, x in zip(scale, nu, strict=True)]
+        momentum = [s * x for s, x in zip(scale, times(self.rigid.tolist(), moved), strict=True)]
+        a = [s * s * m * x for s, m, x in zip(scale, self.added.tolist(), nu, strict=True)]
+        _, v, w, p, q, r = nu
+        turning = cross((p, q, r), a[3:])
+        kept = 0.0, -a[2] * p, a[1] * p, v * a[2] - w * a[1] + turning[0], turning[1], turning[2]
+        return [x + y for x, y in zip(coriolis(momentum, nu), kept, strict=True)]
+
+    def orders(self, first: Vector, outside: Outside, ns: Namespace) -> list[Number]:
+        """Return rudder, stern planes [rad] and revolutions [1/min] for the force and the depth that are wanted.
+
+        The depth, 0, is held by the source's autopilot: PI of depth to a pitch angle, PID of that to the planes.
+        """
+        s, a = Motion(*first[:12]), Actuators(*first[12:])
+        speed = ns.sqrt(s.u * s.u + s.v * s.v + s.w * s.w)
+        plane = KP_THETA * pitch_error(s, a) + KD_THETA * s.q + KI_THETA * a.theta_integral + K_W * s.w
+        return [
+            rudder(outside.F_r, ns.sqrt(s.u * s.u + s.v * s.v), ns),
+            ns.clip(plane, -FIN_MOST, FIN_MOST),
+            revolutions(outside.F_u, WAKE * speed, ns),
+        ]
+
+    def rates(self, rows: Vector, orders: Vector, outside: Outside, d: Deviation, ns: Namespace) -> list[Number]:
+        """Return the time derivative of the rows."""
+        s, a = Motion(*rows[:12]), Actuators(*rows[12:])
+        load = (outside.X, outside.Y, 0.0, 0.0, 0.0, outside.N)
+        parts = zip(self.actuation(s, a, ns), self.hull(s, d, ns), load, self.coriolis(rows[6:12], d, ns), strict=True)
+        forces = [acting + hull + other - turned for acting, hull, other, turned in parts]
+        times_s = FIN_LAG, FIN_LAG, self.propeller_lag
+        return [
+            *place_rates(s, (outside.V_x, outside.V_y), ns),
+            *solved(np.linalg.inv(self.masses).tolist(), forces, mass_scale(d, ns)),
+            *((order - now) / lag for order, now, lag in zip(orders, a, times_s, strict=False)),
+            s.z,
+            pitch_error(s, a),
+        ]
+
+
+REMUS100 = Remus100()
+"""The vehicle."""
+REMUS100_VARIANTS = {
+    "as published": REMUS100,
+    "a propeller as quick as the fins": Remus100(propeller_lag=FIN_LAG),
+    "no side force of the rudder": Remus100(side_force=0.0),
+    "no yaw drag of a sideslip": Remus100(crossed=False),
+    "none of the three": Remus100(FIN_LAG, 0.0, False),
+}
+"""The vehicle without what may make the difference to the plane."""

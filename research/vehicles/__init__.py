@@ -1,0 +1,1 @@
+"""Gains, fine-tuning and identification on published vehicles."""

@@ -1,0 +1,150 @@
+"""Count how often the intervals of an identification hold what is true: `python -m research identification-coverage`.
+
+Logs of a minute are simulated with noise, each with another, and a vehicle is fitted to each. docs/identify.md shows
+the counts.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import binomtest
+
+from auv_gym.identify import identify
+from auv_gym.identify.fit import UNKNOWN
+from auv_gym.identify.model import CURRENT as V
+from auv_gym.identify.model import HULL, LIMITS, PARAMETERS
+from auv_gym.identify.trials import CURRENT, example
+from auv_gym.installation import checkout
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.presets import PRESETS
+from baselines.identification.command import EXAMPLE, EXAMPLE_LAG
+from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.files import json_text, write_atomically
+
+PROGRAM = "python -m research identification-coverage"
+VEHICLES = {
+    "the paper's vehicle": PAPER_VEHICLE,
+    "with quadratic drag": replace(PAPER_VEHICLE, X_uu=20.0, Y_vv=60.0, N_rr=25.0),
+}
+"""Whose logs are simulated."""
+FILE = "identify.json"  # of what was counted, in docs/
+BEGIN = "<!-- coverage -->"  # before the tables in the page
+END = "<!-- end of coverage -->"  # behind them
+NEAR = 0.05  # share of the true value within which a fitted one is near
+
+
+@dataclass(frozen=True)
+class Options:
+    """Count how often the intervals of an identification hold what is true.
+
+    Exit status: 0 done, 2 wrong usage.
+    """
+
+    logs: int = 100
+    """Logs of each vehicle."""
+    out: Path = Path("docs" if checkout() else "runs") / FILE
+    """File for the counts."""
+
+
+def counted(name: str, logs: int) -> dict[str, Any]:
+    """Return what so many identifications of a vehicle come to: counts, errors and processor time."""
+    vehicle, sensors = VEHICLES[name], PRESETS["cruise-noise"].sensors
+    truth = dict(zip(HULL, vehicle.coefficients, strict=True)) | dict(zip(V, CURRENT, strict=True))
+    truth |= dict(zip(LIMITS, (EXAMPLE.F_u_max, EXAMPLE.F_r_max), strict=True)) | {"lag": EXAMPLE_LAG}
+    held, near = dict.fromkeys(PARAMETERS, 0), dict.fromkeys(PARAMETERS, 0)
+    errors: dict[str, list[float]] = {n: [] for n in PARAMETERS}
+    unknown, whole = dict.fromkeys(PARAMETERS, 0), 0
+    begin = time.process_time()
+    for seed in range(logs):
+        found = identify(example(vehicle, EXAMPLE, sensors, seed)).estimates
+        good = []
+        for e in found:
+            inside, error = e.low <= truth[e.name] <= e.high, abs(e.value - truth[e.name])
+            good.append(inside or error <= NEAR * abs(truth[e.name]))
+            held[e.name] += inside
+            near[e.name] += good[-1]
+            unknown[e.name] += e.verdict == UNKNOWN
+            errors[e.name].append(error / (abs(truth[e.name]) or 1.0))
+        whole += all(good)
+    seconds = (time.process_time() - begin) / logs
+    rows = {
+        n: {
+            "true": truth[n],
+            "held": held[n],
+            "near": near[n],
+            "unknown": unknown[n],
+            "median": float(np.median(errors[n])),
+            "worst": max(errors[n]),
+        }
+        for n in PARAMETERS
+    }
+    return {"logs": logs, "processor_s": seconds, "whole": whole, "parameters": rows}
+
+
+def table(record: Mapping[str, Any]) -> str:
+    """Return the counts of a vehicle as a table in Markdown; errors of what is truly 0 are in SI units."""
+    logs = record["logs"]
+    lines = [
+        f"| parameter | true | in the 95 % interval | in it or within 5 % | median error | worst of {logs} |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, row in record["parameters"].items():
+        size = "{:.2g}" if row["true"] == 0 else "{:.2%}"
+        median, worst = (size.format(row[key]).replace("%", " %") for key in ("median", "worst"))
+        lines.append(f"| {name} | {row['true']:g} | {row['held']} | {row['near']} | {median} | {worst} |")
+    held = sum(row["held"] for row in record["parameters"].values())
+    of = logs * len(record["parameters"])
+    near = sum(row["near"] for row in record["parameters"].values())
+    lines.append(f"| all | | {held / of:.1%} | {near / of:.1%} | | |".replace("%", " %"))
+    return "\n".join(lines) + "\n"
+
+
+def section(name: str, record: Mapping[str, Any]) -> str:
+    """Return what the page says about the logs of a vehicle."""
+    logs, rows = record["logs"], record["parameters"].values()
+    there = [row["near"] for row in rows if row["true"] != 0]
+    not_there = [row["near"] for row in rows if row["true"] == 0]
+    says = (
+        f"**{name[0].upper()}{name[1:]}**, {logs} logs, {record['processor_s']:.1f} s of processor time each. "
+        f"Of the numbers that are not 0 in truth, {_share(there, logs)} are inside their interval or within 5 %; "
+        f"of those that are 0, {_share(not_there, logs)}; in {record['whole']} of {logs} logs all of them."
+    )
+    return f"{says}\n\n{table(record)}"
+
+
+def _share(counts: Sequence[int], logs: int) -> str:
+    """Return a count of all numbers in words, with its 95 % interval (Clopper and Pearson 1934)."""
+    done, of = sum(counts), len(counts) * logs
+    low, high = binomtest(done, of).proportion_ci(0.95) if of else (0.0, 1.0)
+    return f"{done} of {of} ({100 * low:.1f} to {100 * high:.1f} %)"
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Count as the arguments say and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    if options.logs < 1:
+        raise UsageError(f"--logs is {options.logs}; it must be 1 or more")
+    records = {}
+    for name in VEHICLES:
+        records[name] = counted(name, options.logs)
+        print(section(name, records[name]), flush=True)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(options.out, json_text(records))
+    return DONE
+
+
+def load(file: Path) -> dict[str, Any]:
+    """Return what `main` has written."""
+    record: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return record

@@ -1,0 +1,225 @@
+"""What gains from the vehicle's parameters are worth: `python -m research vehicle-gains`; docs/vehicles.md shows it.
+
+`scaling` compares policies that are made for a vehicle in its own units with the same ones that are told the vehicle
+and left with the gains of the paper's. `search` compares those gains with what a search for that vehicle finds, on
+episodes that the search has not seen. `agent` runs an agent beside predictive control with either gains. Errors are
+mean tail RMSE, capped as in the score, as a share of the vehicle's length scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from scipy import stats
+from tyro.conf import Positional, UseAppendAction, arg
+
+from auv_gym.installation import checkout
+from auv_gym.physics.units import Units
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.vehicles import PAPER, Craft, fleet
+from auv_gym.task.policy import Policy
+from baselines import make_policy
+from baselines.control import POLICIES, make_controller
+from baselines.evaluation.metrics import RESAMPLES, Array
+from baselines.evaluation.rollout import rollout
+from baselines.evaluation.runner import drawn
+from baselines.evaluation.score import LARGEST_TAIL, RIVAL, cut, is_lost
+from baselines.gains.loading import load_gains
+from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.files import json_text, read_json, write_atomically
+from baselines.tuning.command import known_craft
+from baselines.tuning.objective import Course
+from baselines.tuning.search import VALIDATION_SEED, Budget, tune
+from baselines.tuning.tunables import TUNABLES
+
+PROGRAM = "python -m research vehicle-gains"
+FILE = "vehicles.json"  # of what was measured, in docs/
+SCENARIO = "cruise-storm"  # that `scaling` runs
+REGIME = "cruise"  # that `search` tunes for; vehicles with fins have no other
+SCALED = ("integral-normalised", "los-pid", "ekf", "nmpc")
+"""Policies that `scaling` compares, if none are named."""
+SEARCHED = ("backstepping-tuned", "los-pid", "lqi", "ekf", "nmpc")
+"""Controllers whose gains `search` searches, if none are named."""
+AGENT = "helm-any"  # whom `agent` runs
+SIDES = ("parameters", "searched", AGENT)
+"""Who runs side by side: predictive control with gains from the parameters and with searched ones, and the agent."""
+NEAR = 1.2
+"""How many times the error of searched gains that of gains from parameters may be, to be called near."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Measure what gains from a vehicle's parameters are worth, and keep it beside what has been measured before.
+
+    Exit status: 0 done, 2 wrong usage.
+    """
+
+    what: Annotated[Positional[Literal["scaling", "search", "agent"]], arg(metavar="scaling|search|agent")]
+    """Against the gains of the paper's vehicle, or against a search for the vehicle; or an agent against what a search
+    found for nmpc."""
+    vehicle: UseAppendAction[tuple[str, ...]] = ()
+    """A vehicle's name; may be given again. None: all of the fleet."""
+    policy: UseAppendAction[tuple[str, ...]] = ()
+    """A controller's name; may be given again."""
+    fresh: int = 64
+    """Episodes on which is compared; of a search a multiple of 8."""
+    evaluations: int = 108
+    """How often episodes are run to find gains."""
+    episodes: int = 16
+    """Episodes of each such evaluation, a multiple of 8."""
+    out: Path = Path("docs" if checkout() else "runs") / FILE
+    """File for what is found."""
+
+
+def scaling(craft: Craft, names: Sequence[str], episodes: int) -> dict[str, Any]:
+    """Return what each policy does in the storm, told the vehicle alone (before) and made for it (after)."""
+    scenario = changed(PRESETS[SCENARIO], None if craft == PAPER else craft)
+    cell, length = drawn(scenario, episodes, VALIDATION_SEED), Units.of(craft.vehicle).length
+    cap = LARGEST_TAIL[REGIME] * length
+
+    def done(make: Callable[[str, Vehicle], Policy], name: str) -> dict[str, float]:
+        measures = rollout(make(name, craft.vehicle), scenario, cell.episodes).measures
+        tail, gone = cut(measures.tail, measures.lost, cap), is_lost(measures.tail, measures.lost, cap)
+        spread = stats.bootstrap((tail,), np.mean, n_resamples=RESAMPLES, rng=np.random.default_rng(0), batch=256)
+        ends = (end / craft.vehicle.length for end in spread.confidence_interval)
+        return {"error": tail.mean() / craft.vehicle.length, "interval": list(ends), "lost": int(gone.sum())}
+
+    made = {name: {"after": done(make_policy, name), "before": done(make_controller, name)} for name in names}
+    return {"episodes": episodes, "policies": made}
+
+
+def searched(craft: Craft, name: str, options: Options) -> dict[str, Any]:
+    """Return what a search for the gains of a controller finds, and how the gains from parameters compare."""
+    own, tunable = craft.in_paper_units, TUNABLES[name]
+    factory = partial(tunable.factory, vehicle=own.vehicle)
+    start, budget = load_gains(name, REGIME, tunable.names), Budget(options.evaluations, options.episodes)
+
+    def courses(episodes: int, seed: int) -> Course:
+        return Course(REGIME, episodes, seed, tunable.world, own)
+
+    gains = tune(factory, courses, start, budget) if options.evaluations else dict(start)
+    fresh = courses(options.fresh, VALIDATION_SEED)
+    (mine, lost, _), (theirs, lost_there, _) = (fresh.tails(factory(dict(g))) for g in (start, gains))
+    return {
+        "budget": [options.evaluations, options.episodes],
+        "episodes": options.fresh,
+        "error": mine.mean() / own.vehicle.length,
+        "lost": int(lost.sum()),
+        "searched_error": theirs.mean() / own.vehicle.length,
+        "searched_lost": int(lost_there.sum()),
+        "ratio": mine.mean() / theirs.mean(),
+        "interval": ratio_interval(mine, theirs),
+        "gains": gains,
+    }
+
+
+def beside(craft: Craft, gains: Mapping[str, float], episodes: int) -> dict[str, Any]:
+    """Return the capped tails [m of the paper's vehicle] of each of `SIDES`, by case, and how many each one lost.
+
+    Args:
+        craft: the vehicle.
+        gains: what a search for it has found for predictive control.
+        episodes: how many, those that searches are compared on.
+    """
+    own, tunable = craft.in_paper_units, TUNABLES[RIVAL]
+    course = Course(REGIME, episodes, VALIDATION_SEED, tunable.world, own)
+    start = load_gains(RIVAL, REGIME, tunable.names)
+    controllers = (tunable.factory(dict(each), vehicle=own.vehicle) for each in (start, gains))
+    ended = [course.tails(policy) for policy in (*controllers, make_policy(AGENT, vehicle=own.vehicle))]
+    return {
+        "tails": {
+            side: {case: np.round(tails, 6).tolist() for case, tails in course.by_case(tail).items()}
+            for side, (tail, _, _) in zip(SIDES, ended, strict=True)
+        },
+        "lost": {side: int(lost.sum()) for side, (_, lost, _) in zip(SIDES, ended, strict=True)},
+    }
+
+
+def ratio_interval(mine: Array, theirs: Array) -> list[float]:
+    """Return the 95 % interval of the ratio of two means over the same episodes, by bootstrap over episodes."""
+
+    def ratio(a: Array, b: Array, axis: int) -> Array:
+        return np.asarray(a.mean(axis=axis) / b.mean(axis=axis))
+
+    found = stats.bootstrap(
+        (mine, theirs), ratio, paired=True, vectorized=True, n_resamples=RESAMPLES, batch=256,
+        rng=np.random.default_rng(0), method="percentile",
+    ).confidence_interval  # fmt: skip
+    return [float(found.low), float(found.high)]
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Measure as the arguments say and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    crafts = [known_craft(name) for name in options.vehicle or (("paper", *fleet()))]
+    _check(options)
+    record = read_json(options.out) if options.out.exists() else {}
+    for craft in crafts:
+        if options.what == "scaling":
+            found = {"scaling": {craft.name: scaling(craft, options.policy or SCALED, options.fresh)}}
+            record = _merged(record, found, options.out)
+            continue
+        if options.what == "agent":
+            gains = _found(record, craft.name)["gains"]
+            record = _merged(record, {"agent": {craft.name: beside(craft, gains, options.fresh)}}, options.out)
+            continue
+        for name in options.policy or SEARCHED:
+            record = _merged(record, {"search": {craft.name: {name: searched(craft, name, options)}}}, options.out)
+    return DONE
+
+
+def _found(record: Mapping[str, Any], vehicle: str) -> Any:
+    """Return what a search for predictive control on a vehicle has found.
+
+    Raises:
+        UsageError: there was none.
+    """
+    try:
+        return record["search"][vehicle][RIVAL]
+    except KeyError as error:
+        words = f"search --policy {RIVAL} --vehicle {vehicle}"
+        raise UsageError(f"no gains of {RIVAL} are searched for {vehicle}: run {PROGRAM} {words} first") from error
+
+
+def _check(options: Options) -> None:
+    """Raise UsageError if an option is wrong."""
+    if options.what == "agent" and options.policy:
+        raise UsageError(f"--policy {options.policy[0]} makes no sense here: {AGENT} runs, and {RIVAL}; leave it out")
+    allowed = POLICIES if options.what == "scaling" else TUNABLES
+    for name in options.policy:
+        if name not in allowed:
+            raise UsageError(f"unknown controller {name!r}; allowed are {', '.join(allowed)}")
+    turns = 1 if options.what == "scaling" else 8
+    for word in ("fresh", "episodes"):
+        if (number := getattr(options, word)) < 2 or number % turns:
+            raise UsageError(f"--{word} is {number}; it must be a positive multiple of {turns}, 2 at least")
+    if options.evaluations < 0 or Budget(options.evaluations, options.episodes).last_seed > VALIDATION_SEED:
+        raise UsageError(
+            f"--evaluations is {options.evaluations}; it must be at least 0, and less than use up the seeds"
+        )
+
+
+def _merged(old: Any, new: Any, out: Path) -> Any:
+    """Return a record with new entries in it, and write it to a file; print what is new."""
+
+    def joined(a: Any, b: Any, depth: int) -> Any:
+        if depth == 0 or not isinstance(a, Mapping):
+            return b
+        return {**a, **{key: joined(a.get(key), value, depth - 1) for key, value in b.items()}}
+
+    record = joined(old, new, 3)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(out, json_text(record))
+    print(json_text(new), flush=True)
+    return record

@@ -1,0 +1,171 @@
+"""What docs/vehicles.md shows of `research.vehicles.vehicles`, and of the expert's stability on the fleet."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from auv_gym.physics.units import Units
+from auv_gym.scenarios.vehicles import PAPER, Craft, craft, fleet
+from baselines import make_policy
+from baselines.evaluation.score import RIVAL, Score, relative_error
+from baselines.evaluation.stability.analysis import linearise_policy
+from research.vehicles.vehicles import AGENT, NEAR, SCENARIO, SIDES
+
+BEGIN = "<!-- gains: written by REFRESH_DOCS=1 python -m pytest tests/test_vehicle_gains.py -->"
+"""The line before what is written, in the page."""
+END = "<!-- end of gains -->"  # the line behind it
+SHARES = (1 / 30, 1 / 15, 0.1, 0.2, 0.25, 0.3, 1 / 3, 0.5, 2 / 3, 5 / 6, 1.0)
+"""Path speeds at which the expert is examined, as shares of the design speed."""
+SLOW = 1 / 3
+"""Share of the design speed below which turns are those of slow motion, a third as fast."""
+LOBES = 1.75  # times as fast as a path's turn rate that the lobes of a figure-eight turn at most
+
+
+def worst_growth(vehicle: Craft, policy: str = "backstepping") -> float:
+    """Return the fastest growth [1/s] of small errors of a law made for a vehicle: negative where all of them fade.
+
+    Looked at are straight lines and turns as fast as those of its presets, at speeds up to the design speed, as fast
+    as its fins need at least.
+    """
+    law, top = make_policy(policy, vehicle=vehicle.vehicle), vehicle.vehicle.speed
+    time = Units.of(vehicle.vehicle).time
+    turn_rate = LOBES * (0.12 / time if vehicle.turn_rate is None else vehicle.turn_rate)
+    motions = [
+        (share * top, turn * (turn_rate if share > SLOW else SLOW * turn_rate))
+        for share in SHARES
+        for turn in (0.0, 0.5, 1.0)
+        if share * top >= vehicle.slowest
+    ]
+    loops = (linearise_policy(vehicle.vehicle, law, U, w, 0.1 * time) for U, w in motions)
+    return max(float(loop.eigenvalues[0].real) for loop in loops)
+
+
+def table(names: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table in Markdown."""
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (names, ["---"] * len(names), *rows))
+
+
+def stability_table() -> str:
+    """Return where the expert was examined on each vehicle, and how long the slowest error lasts there."""
+    rows = []
+    for c in (PAPER, *map(craft, fleet())):
+        growth, top = worst_growth(c), c.vehicle.speed
+        word = f"halves in {math.log(2) / -growth:.3g} s" if growth < 0 else "grows"
+        rows.append([f"`{c.name}`", f"{max(SHARES[0] * top, c.slowest):.2g} ... {top:.3g}", word])
+    return table(["vehicle", "speeds [m/s]", "the slowest small error"], rows)
+
+
+def scaling_table(record: Mapping[str, Any]) -> str:
+    """Return the errors [% of L] with gains of the paper's vehicle and with gains of the vehicle's own."""
+    names = list(next(iter(record.values()))["policies"])
+    rows = [
+        [f"`{vehicle}`", *(_change(entry["policies"][name]) for name in names)]
+        for vehicle, entry in sorted(record.items(), key=lambda item: item[0] != "paper")
+    ]
+    return table(["vehicle", *(f"`{name}`" for name in names)], rows)
+
+
+def _change(entry: Mapping[str, Any]) -> str:
+    before, after = (_percent(entry[key]["error"], entry[key]["lost"]) for key in ("before", "after"))
+    return after if before == after else f"{before} → **{after}**"
+
+
+def _percent(error: float, lost: int) -> str:
+    return f"{100 * error:.3g}" + (f" ({lost})" if lost else "")
+
+
+def search_table(record: Mapping[str, Any]) -> str:
+    """Return how gains from parameters compare with searched ones: the ratio of the errors, with its interval."""
+    rows = [
+        [
+            f"`{vehicle}`",
+            f"`{name}`",
+            _percent(found["error"], found["lost"]),
+            _percent(found["searched_error"], found["searched_lost"]),
+            _ratio(Score(found["ratio"], tuple(found["interval"]))),
+        ]
+        for vehicle, entry in sorted(record.items(), key=lambda item: item[0] != "paper")
+        for name, found in entry.items()
+    ]
+    return table(["vehicle", "controller", "from parameters", "searched", "ratio"], rows)
+
+
+def section(record: Mapping[str, Any]) -> str:
+    """Return what the page says of gains that follow the vehicle, from what `research.vehicles.vehicles` has kept."""
+    stable = (
+        "**Stable.** The expert is locally stable on each vehicle, in still water, on straight lines and in turns as "
+        "fast as those of its presets:"
+    )
+    parts = (stable, stability_table(), *_scaling(record["scaling"]), *_search(record["search"]), *_agent(record))
+    return "\n\n".join(parts)
+
+
+def _scaling(record: Mapping[str, Any]) -> tuple[str, str]:
+    first = next(iter(record.values()))
+    errors = [p[key] for e in record.values() for p in e["policies"].values() for key in ("before", "after")]
+    widest = max((e["interval"][1] - e["interval"][0]) / 2 / e["error"] for e in errors)
+    says = (
+        f"**Against the gains of the paper's vehicle.** `{SCENARIO}`, {first['episodes']} episodes on each of "
+        f"{len(record)} vehicles: mean tail error in per cent of L, that of a lost episode counted as the score caps "
+        "it, and in brackets how many were lost. On the left of an arrow the policy is told the vehicle and keeps the "
+        "gains of the paper's, on the right it is made for it. 95 % intervals (bootstrap over episodes) reach up to "
+        f"{100 * widest:.0f} % of a mean to either side."
+    )
+    return says, scaling_table(record)
+
+
+def _search(record: Mapping[str, Any]) -> tuple[str, str]:
+    found = [x for name, entry in record.items() if name != "paper" for x in entry.values()]
+    near = sum(x["ratio"] <= NEAR for x in found)
+    middle = math.exp(sum(math.log(x["ratio"]) for x in found) / len(found))
+    (evaluations, episodes), fresh = found[0]["budget"], found[0]["episodes"]
+    within = f"{100 * (NEAR - 1):.0f} %"
+    says = (
+        f"**Against a search for the vehicle.** {evaluations} evaluations of {episodes} episodes in all cases of "
+        f"cruise, beginning at the gains from the parameters; then both on {fresh} other episodes. In {near} of "
+        f"{len(found)} pairs of vehicle and controller the gains from the parameters are within {within} of the "
+        f"searched ones; the geometric mean of the ratios is {middle:.2f}. A longer search would find more: the ratios "
+        "are what this budget shows, no bound."
+    )
+    return says, search_table(record)
+
+
+def _agent(record: Mapping[str, Any]) -> tuple[str, str]:
+    """Return how an agent compares with predictive control whose gains were searched for each vehicle."""
+    found, cells = record["agent"], {side: list[Any]() for side in SIDES}
+    rows = []
+    for vehicle, entry in found.items():
+        own = {side: [np.array(tails) for tails in entry["tails"][side].values()] for side in SIDES}
+        percent = [_percent(float(np.mean(own[side])) / PAPER.vehicle.length, entry["lost"][side]) for side in SIDES]
+        ratios = [_ratio(relative_error(own[side], own[AGENT])) for side in SIDES[:2]]
+        rows.append([f"`{vehicle}`", *percent, *ratios])
+        for side in SIDES:
+            cells[side] += own[side]
+    over = [_ratio(relative_error(cells[side], cells[AGENT])) for side in SIDES[:2]]
+    budgets = {tuple(record["search"][vehicle][RIVAL]["budget"]) for vehicle in found}
+    ((evaluations, episodes),) = budgets
+    (fresh,) = {sum(map(len, entry["tails"][AGENT].values())) for entry in found.values()}
+    says = (
+        f"**`{AGENT}` beside `{RIVAL}` with searched gains.** As many evaluations for each vehicle ({evaluations} of "
+        f"{episodes} episodes), all cases of cruise, {fresh} fresh episodes each, the same for all; errors as "
+        f"above. The ratio is the geometric mean over cases of that of mean errors: over all {len(found)} vehicles the "
+        f"agent has {over[0]} of the error of `{RIVAL}` with gains from the parameters, and {over[1]} of that with "
+        "searched ones. The agent is tuned to none of them, one set of weights; slow motion is not searched."
+    )
+    names = [
+        "vehicle",
+        f"`{RIVAL}`, from parameters",
+        "searched",
+        f"`{AGENT}`",
+        "agent over the first",
+        "over the second",
+    ]
+    return says, table(names, rows)
+
+
+def _ratio(value: Score) -> str:
+    return f"{value.mean:.2f} ({value.ci95[0]:.2f} ... {value.ci95[1]:.2f})"
