@@ -20,6 +20,7 @@ COMMANDS = {
     "held-out": Command("research.results.fresh", "eval"),
     "identification-coverage": Command("research.vehicles.coverage", "eval"),
     "leaderboard": Command("research.leaderboard.command", "eval"),
+    "pages": Command("research.pages", "eval"),
     "probing": Command("research.probing.command", "eval"),
     "residual": Command("research.trainings.residual", "train"),
     "results": Command("research.results.command", "eval"),

@@ -7,7 +7,7 @@ from string import Template
 from typing import Any
 
 from baselines.evaluation.score import fixed, fixed_ends
-from research.results.tables import table
+from research.pages import table
 
 TEXT = Template("""# Export
 

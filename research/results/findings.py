@@ -20,12 +20,12 @@ from baselines.evaluation.score import (
     score_text,
     seeds_score,
 )
+from research.pages import table
 from research.results import fresh
 from research.results.collection import Results
 from research.results.kept import gone, kept_by_the_expert
 from research.results.studies import SHORT
 from research.results.study_files import Study
-from research.results.tables import table
 
 BASE = "short-cruise"
 """The training from which the other short ones differ in one thing."""

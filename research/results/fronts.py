@@ -15,13 +15,13 @@ from baselines.control import POLICIES
 from baselines.evaluation.metrics import Array, Measures
 from baselines.evaluation.score import EXPERT, fixed, fixed_ends
 from baselines.tools.figure_style import COLOURS, MARKERS, panels, styled
+from research.pages import table
 from research.results.collection import Results
 from research.results.fresh import AGENTS
 from research.results.front_files import Front
 from research.results.leads import LEVEL, Estimate, differences, holm
 from research.results.robust import tails_of
 from research.results.study_files import Study
-from research.results.tables import table
 
 FIGURE = "results-fronts.png"
 """File of the figure."""

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from auv_gym.scenarios.presets import REGIMES
 from baselines.agents.names import shipped_agents
 from baselines.evaluation.score import is_lost, largest_tail, regime_of, waters_of
+from research.pages import table
 from research.results.collection import Results
-from research.results.tables import table
 
 
 def gone(results: Results, policy: str, regime: str) -> NDArray[np.bool_]:

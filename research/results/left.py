@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from baselines.evaluation.report.columns import NONE
 from baselines.evaluation.score import FORESIGHTED, RIVAL, fixed, regime_of
 from research.lower_bounds.floor.command import PROGRAM, Floor, kept
+from research.pages import table
 from research.results.collection import Results
-from research.results.tables import table
 
 FLOOR = "floor"
 """Stands in the place of a policy."""

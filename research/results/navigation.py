@@ -8,8 +8,8 @@ import numpy as np
 
 from baselines.evaluation.metrics import Array, bootstrap_interval
 from baselines.evaluation.score import FORESIGHTED, fixed, fixed_ends, regime_of
+from research.pages import table
 from research.results.collection import Results
-from research.results.tables import table
 from research.suites.deep import navigation_tails
 
 NAVIGATION = """### Navigation

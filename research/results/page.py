@@ -9,10 +9,10 @@ from baselines.evaluation.report.columns import NONE, ranked, used
 from baselines.evaluation.report.numbers import pool
 from baselines.evaluation.score import BOUND, ORACLE, regime_of, score_text
 from research.lower_bounds import bound
+from research.pages import table
 from research.results.collection import ROUNDING, TOLERANCE, Results, better_than
 from research.results.left import what_is_left
 from research.results.navigation import navigation
-from research.results.tables import table
 
 
 def page(found: Sequence[Results], missing: Sequence[str], learned: str = "", first: str = "") -> str:

@@ -9,8 +9,8 @@ import numpy as np
 from auv_gym.scenarios.presets import CASES, REGIMES
 from baselines.evaluation.metrics import Array, share_interval
 from baselines.evaluation.score import EXPERT, LARGEST_TAIL, Score, fixed, fixed_ends, seeds_score
+from research.pages import table
 from research.results.residual_file import CURVE, RESIDUAL, SCRATCH, SHIPPED, STUCK, Group
-from research.results.tables import table
 from research.robustness.failures import LIMITS
 from research.robustness.situations import FASTER, NORMAL, SITUATIONS, SLOWER, WORLDS
 

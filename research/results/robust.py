@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from auv_gym.scenarios.presets import REGIMES
 from baselines.evaluation.metrics import Array
 from baselines.evaluation.score import FORESIGHTED, RIVAL, capped, fixed, regime_of
+from research.pages import table
 from research.results.collection import Results
 from research.results.leads import KINDS, LEVEL, WORST, Estimate, holm, ratios
 from research.results.study_files import Study
-from research.results.tables import table
 
 LEFT_OUT = (*FORESIGHTED, "open-loop", "backstepping", "integral")
 """What the names of policies without a row begin with: those that nobody can be, and those far behind."""

@@ -12,9 +12,9 @@ from baselines.evaluation.metrics import Array
 from baselines.evaluation.report.columns import lost_text
 from baselines.evaluation.score import EXPERT, RIVAL, capped, interval_text, lead, score_text, seeds_score, waters_of
 from baselines.tools.figure_style import LOOKS, REFERENCE, panels
+from research.pages import table
 from research.results.collection import Results
 from research.results.study_files import InSuite, Study
-from research.results.tables import table
 
 """The strongest of the controllers that do not learn."""
 SHORT = "short-"

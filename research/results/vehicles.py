@@ -30,9 +30,9 @@ from baselines.evaluation.score import (
     vehicle_of,
     waters_of,
 )
+from research.pages import table
 from research.results.collection import ROUNDING, Results
 from research.results.study_files import InSuite, Study
-from research.results.tables import table
 
 SUITE = "vehicles-v1"  # what the section is about
 FIGURE = f"results-{SUITE}.png"  # its figure

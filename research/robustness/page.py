@@ -10,7 +10,7 @@ from baselines.evaluation.metrics import most_lost
 from baselines.evaluation.score import regime_of
 from baselines.tools.files import read_json
 from research import DOCS
-from research.results.tables import table
+from research.pages import table
 from research.robustness import certificate, falsification, saved, thresholds
 
 PAGE = DOCS / "safety.md"  # whose sections are written here

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from research.results.tables import table
+from research.pages import table
 from research.throughput.figures import Figure
 
 INTRODUCTION = """# Speed

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from auv_gym.scenarios.vehicles import craft
-from research.results.tables import table
+from research.pages import table
 from research.transfer.comparison import GROWTH, TAU
 from research.transfer.trials import Commanded, in_the_plane, limits, steady
 from research.transfer.worlds import Own

@@ -1,0 +1,88 @@
+"""Write the pages of the documentation that show measurements: `python -m research pages --help`.
+
+A page is a template, research/templates/NAME.md.jinja, filled with what the `context` of its module returns.
+Rendering is deterministic: a page that differs from its template and data is stale.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any
+
+import jinja2
+from tyro.conf import Positional, arg
+
+from baselines.tools.command_line import DONE, FAILED, check_words, parse
+from baselines.tools.files import write_atomically
+from research import DOCS
+
+PROGRAM = "python -m research pages"
+TEMPLATES = Path(__file__).parent / "templates"
+PAGES: Mapping[str, str] = {}
+"""The module whose `context()` returns the values of a page's template, by the page's name."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Write the pages of measurements from their templates and what was measured.
+
+    Exit status: 0 done, 1 with --check a page is stale, 2 wrong usage.
+    """
+
+    page: Annotated[Positional[tuple[str, ...]], arg(metavar="[PAGE ...]")] = ()
+    """Pages by name, such as results. Without any, all."""
+    check: bool = False
+    """Write nothing; say which pages are stale."""
+    out: Path = DOCS
+    """Folder of the pages."""
+
+
+def table(heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Return a Markdown table, its first column aligned left and the others right."""
+    lines = [heads, ["---", *("--:" for _ in heads[1:])], *rows]
+    return "\n".join(f"| {' | '.join(map(str, cells))} |" for cells in lines)
+
+
+def render(page: str) -> str:
+    """Return a page as its template and the measurements make it."""
+    context: Callable[[], Mapping[str, Any]] = import_module(PAGES[page]).context
+    return _environment().get_template(f"{page}.md.jinja").render(context())
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(TEMPLATES),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,
+    )
+    environment.globals["table"] = table
+    return environment
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Write or check the pages and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    check_words("page", options.page, PAGES)
+    stale = []
+    for page in options.page or PAGES:
+        text, file = render(page), options.out / f"{page}.md"
+        if not file.exists() or file.read_text(encoding="utf-8") != text:
+            stale.append(page)
+            if not options.check:
+                write_atomically(file, text)
+    done = "stale" if options.check else "wrote"
+    print(f"{done}: {', '.join(stale)}" if stale else "all pages are up to date", file=sys.stdout)
+    return FAILED if stale and options.check else DONE
