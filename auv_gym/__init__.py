@@ -61,7 +61,7 @@ def _register() -> None:
                     max_episode_steps=steps,
                     order_enforce=False,
                     disable_env_checker=True,
-                    kwargs={"scenarios.scenario": name[1:]} if name else {},
+                    kwargs={"scenario": name[1:]} if name else {},
                     vector_entry_point=vector_entry_point,
                 )
 

@@ -278,7 +278,7 @@ def test_clean_leaves_what_was_not_built(tmp_path):
 
 def test_every_line_of_the_pages_is_run_or_listed():
     for line in lines():
-        assert elsewhere(line) or line.startswith((*EVALUATE, "python -m baselines.")), line
+        assert elsewhere(line) or line.startswith((*EVALUATE, "python -m baselines.", "python -m research ")), line
     for pattern, where in ELSEWHERE.items():
         assert any(re.fullmatch(pattern, line) for line in lines()), pattern
         if match := re.match(r"(test_\w+\.py)(?:::(\w+))?", where):

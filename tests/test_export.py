@@ -19,7 +19,7 @@ from auv_gym.scenarios.presets import PRESETS, as_scenario
 from auv_gym.task.observation import SIZE, decode_observation
 from auv_gym.task.preview import Preview
 from baselines import make_policy
-from baselines.agents.names import shipped_agents
+from baselines.agents.names import agent_folder, shipped_agents
 from baselines.evaluation.rollout import Repeatable, beginning
 from baselines.evaluation.runner import drawn
 from baselines.export import command
@@ -192,9 +192,7 @@ def test_the_model_says_what_it_is():
     agent = exported("apg-preview-cruise")
     model = onnx_model(agent, "float32")
     facts = {p.key: p.value for p in model.metadata_props}
-    record = json.loads(
-        (Path(command.__file__).parents[1] / "agents/shipped/apg-preview-cruise/agent.json").read_text()
-    )
+    record = json.loads((agent_folder("apg-preview-cruise") / "agent.json").read_text())
     assert facts["name"] == "apg-preview-cruise"
     assert facts["expert"] == "backstepping"
     assert facts["authority"] == "1, 1.6"

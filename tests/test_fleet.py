@@ -264,7 +264,7 @@ def test_page_shows_the_fleet():
 def test_a_scenario_in_its_vehicles_own_units_is_the_same_in_other_numbers(name, sensors):
     """Every state is the same in lengths and times of the vehicle, step by step, for the same actions."""
     storm = PRESETS["cruise-storm"]
-    there = replace(storm, sensors=replace(storm.sensors, **sensors)).changed(craft(name))
+    there = changed(replace(storm, sensors=replace(storm.sensors, **sensors)), craft(name))
     here, units = in_vehicle_units(there), Units.of(craft(name).vehicle)
     L, T = units.length, units.time
     assert Units.of(here.vehicle) == Units()

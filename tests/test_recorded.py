@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import baselines
+from auv_gym.installation import found
 from auv_gym.scenarios.presets import PRESETS
 from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES
@@ -57,7 +58,7 @@ def rows(tmp_path, monkeypatch):
     folder = tmp_path / "recorded"
     (folder / "ood-v1").mkdir(parents=True)
     for policy in ("backstepping", "open-loop"):
-        shutil.copy(recorded.FOLDER / "ood-v1" / f"{policy}.npz", folder / "ood-v1")
+        shutil.copy(found(recorded.FOLDER, f"ood-v1/{policy}.npz"), folder / "ood-v1")
     shutil.copy(recorded.FOLDER / recorded.STAMPS, folder)
     for name, count in (("read", 2), ("stamp", 2), ("recorded_policies", 1)):
         bound = getattr(recorded, name)
