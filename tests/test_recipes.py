@@ -1,4 +1,4 @@
-"""The changes of the source that CONTRIBUTING.md shows, made in a copy: what they add works in every environment."""
+"""The changes of the source that docs/extending.md shows, made in a copy: what they add works in every environment."""
 
 import csv
 import re
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/extending.md").read_text(encoding="utf-8")
 IGNORED = shutil.ignore_patterns("__pycache__")
 
 
