@@ -16,16 +16,16 @@ help: ## list the verbs
 	@sed -n 's/^\([a-z-]*\):.*## /  \1            /p' $(MAKEFILE_LIST) | sed 's/^\(.\{13\}\) */\1/'
 
 demo: $(VENV)/eval.stamp $(VENV)/render.stamp ## recompute the paper, run every preset, film agent and expert; in runs/demo
-	$(BIN)/python evaluate.py --suite paper --out runs/demo/paper
+	$(BIN)/python -m research paper --out runs/demo/paper
 	$(BIN)/python evaluate.py --suite presets --out runs/demo/scenarios $(ARGS)
 	$(BIN)/python evaluate.py --policy helm --scenario cruise-storm --jobs 1 --out runs/demo/storm $(ARGS)
-	$(BIN)/python -m baselines film --policy backstepping helm --scenario cruise-storm --episodes 20 \
+	$(BIN)/python -m baselines video --policy backstepping helm --scenario cruise-storm --episodes 20 \
 	  --jobs 1 --size 640x400 --speed 6 --fps 10 --out runs/demo/storm/film.webp $(ARGS)
 	@echo 'Open in a browser: the tables, runs/demo/*/report.html, and the film, runs/demo/storm/film.webp'
 
 # Twenty storms, as many as an evaluation draws; the one whose errors are the most usual is shown.
 film: $(VENV)/eval.stamp $(VENV)/render.stamp ## film expert, EKF + MPC and agent in a usual storm, for the README
-	$(BIN)/python -m baselines film --policy backstepping nmpc helm --scenario cruise-storm --episodes 20 \
+	$(BIN)/python -m baselines video --policy backstepping nmpc helm --scenario cruise-storm --episodes 20 \
 	  --size 820x470 --speed 6 --fps 10 --out docs/images/storm.webp $(ARGS)
 
 # One thread a worker and no window: the workers share the machine.

@@ -32,8 +32,9 @@ COMMANDS = {
     "tune": Command("baselines.tuning.command", "tuning"),
     "identify": Command("baselines.identification.command", "eval"),
     "export": Command("baselines.export.command", "export"),
-    "film": Command("baselines.film.command", "eval,render"),
-    "datasets": Command("baselines.datasets", "data,eval"),
+    "submit": Command("baselines.evaluation.submission.command", "eval"),
+    "video": Command("baselines.video.command", "eval,render"),
+    "dataset": Command("baselines.datasets", "data,eval"),
 }
 """The commands by name; a new one is a line here."""
 

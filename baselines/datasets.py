@@ -1,4 +1,4 @@
-"""Record datasets of episodes for learning offline, in Minari's format: `auv-gym datasets --help`.
+"""Record datasets of episodes for learning offline, in Minari's format: `auv-gym dataset --help`.
 
 They are deterministic: the same command gives the same content, whose SHA-256 stands in the card.
 """
@@ -28,7 +28,7 @@ from auv_gym.task.policy import Policy, preview_of
 from baselines.evaluation.episodes import EpisodeRecord, run_episodes
 from baselines.tools.command_line import DONE, UsageError, called, parse, run, typed
 
-PROGRAM = "python -m baselines.datasets"
+PROGRAM = "auv-gym dataset"
 LIBRARY_FOLDER = "MINARI_DATASETS_PATH"
 """Variable that tells Minari where its datasets are."""
 

@@ -18,7 +18,7 @@ from offline_policy import write_policy
 if __name__ == "__main__":
     d3rlpy.seed(0)
     words = ("--scenario", "cruise-calm", "--episodes", str(steps(40, 4)), "--noise", "0", "0.1", "--out", "datasets")
-    subprocess.run([sys.executable, "-m", "baselines.datasets", *words, "--id", "auv_gym/offline-v0"], check=True)
+    subprocess.run([sys.executable, "-m", "baselines", "dataset", *words, "--id", "auv_gym/offline-v0"], check=True)
     episodes = list(minari.load_dataset("auv_gym/offline-v0").iterate_episodes())
     length = {len(e.actions) for e in episodes}
     dataset = d3rlpy.dataset.MDPDataset(

@@ -56,10 +56,8 @@ if __name__ == "__main__":
         assert dataset.recover_environment().spec.max_episode_steps == 600
     episodes = str(steps(40, 4))
     words = ("--scenario", "cruise-calm", "--episodes", episodes, "--noise", "0", "0.1", "--out", "datasets")
-    subprocess.run([sys.executable, "-m", "baselines.datasets", *words, "--id", "auv_gym/clone-v0"], check=True)
+    subprocess.run([sys.executable, "-m", "baselines", "dataset", *words, "--id", "auv_gym/clone-v0"], check=True)
     net = cloned(minari.load_dataset("auv_gym/clone-v0"), steps(20_000, 1000))
     example = torch.zeros(1, 18)
     error = tail_error(write_policy(torch.jit.trace(net, example), Path("cloned")))
-    works(
-        f"DataCollector on both ids; python -m baselines.datasets; a clone of the expert{figure(error)} in cruise-calm"
-    )
+    works(f"DataCollector on both ids; auv-gym dataset; a clone of the expert{figure(error)} in cruise-calm")

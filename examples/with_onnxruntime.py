@@ -40,7 +40,7 @@ def exported(model: PPO, file: Path) -> onnxruntime.InferenceSession:
 def agree(name: str, count: int) -> None:
     """Export an agent of ours and steer with the graph, its memory handed on; compare each command."""
     words = ("--out", ".", "--format", "onnx")
-    subprocess.run([sys.executable, "-m", "baselines.export", name, *words], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([sys.executable, "-m", "baselines", "export", name, *words], check=True, stdout=subprocess.DEVNULL)
     session = onnxruntime.InferenceSession(f"{name}.onnx", providers=["CPUExecutionProvider"])
     env, policy, memory = gym.make(TRACK), make_policy(name), None
     given = {i.name: np.zeros((1, i.shape[1]), np.float32) for i in session.get_inputs()}

@@ -21,6 +21,7 @@ COMMANDS = {
     "identification-coverage": Command("research.vehicles.coverage", "eval"),
     "leaderboard": Command("research.leaderboard.command", "eval"),
     "pages": Command("research.pages", "eval"),
+    "paper": Command("research.paper.command", "eval"),
     "probing": Command("research.probing.command", "eval"),
     "residual": Command("research.trainings.residual", "train"),
     "results": Command("research.results.command", "eval"),

@@ -51,9 +51,9 @@ def browser():
 
 @pytest.fixture(scope="session")
 def paper(tmp_path_factory):
-    """The folder of an evaluation of the paper, made once a worker; nobody writes into it."""
-    import evaluate
+    """The folder of the recomputed paper, made once a worker; no test writes into it."""
+    from research.paper.command import main
 
     out = tmp_path_factory.mktemp("paper")
-    assert evaluate.main(["--suite", "paper", "--episodes", "2", "--jobs", "1", "--out", str(out)]) == 0
+    assert main(["--out", str(out)]) == 0
     return out

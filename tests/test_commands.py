@@ -53,7 +53,7 @@ FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FROZEN = ("benchmark-v2", "benchmark-v1", "ood-v1", "unmodelled-v1", "vehicles-v1")
 ELSEWHERE = {
     r"make( .*)?": "the verbs, below",
-    r"python -m auv_gym\.identify .*": "test_identify.py::test_the_command_writes_a_vehicle_that_scenarios_take",
+    r"auv-gym identify .*": "test_identify.py::test_the_command_writes_a_vehicle_that_scenarios_take",
     r"python -m research failure-rate .*": "test_safety.py::test_certificate_counts_what_is_lost_and_goes_on",
     r"python -m research falsification .*": "test_safety.py::"
     "test_search_finds_a_sea_that_loses_the_policy_and_writes_it",
@@ -67,16 +67,16 @@ ELSEWHERE = {
     r"pip install .*": "`make`'s stamps, and the extras exist, below",
     r"python train\.py .*--(from|vehicle) .*": "test_beginning.py::test_documented_commands_run",
     r"python train\.py.*": "test_training.py::test_documented_commands_run",
-    r"python -m baselines\.evaluation\.suites check .*": "test_suites.py::test_episodes_generate_what_they_did",
-    r"python -m baselines\.evaluation\.suites\.bound": "test_bound.py::test_a_run_goes_on_where_the_last_one_ended",
-    r"python -m baselines\.tuning .*": "test_tuning.py, with few evaluations",
+    r"python -m research bound": "test_bound.py::test_a_run_goes_on_where_the_last_one_ended",
+    r"auv-gym tune .*": "test_tuning.py, with few evaluations",
     r"python -m rl_zoo3\.train .*": "test_sb3.py reads its format; rl_zoo3 itself is no dependency",
-    r"python evaluate\.py --suite (paper|presets)": "`make demo`, below",
+    r"(python evaluate\.py --suite presets|python -m research paper)": "`make demo`, below",
     r"python evaluate\.py --stability .*": "test_stability.py",
     r"python evaluate\.py .*--submit .*": "test_submission.py::test_the_tutorial_leads_to_the_leaderboard",
-    r"python -m baselines\.evaluation\.submission .*": "test_submission.py::test_the_tutorial_leads_to_the_leaderboard",
+    r"(auv-gym submit|python -m research leaderboard) .*": "test_submission.py::"
+    "test_the_tutorial_leads_to_the_leaderboard",
     r'python evaluate\.py --policy "cmd:.*': "test_programs.py::test_the_examples_do_what_the_class_does",
-    r"python -m baselines\.evaluation\.report\.screenshots": "test_report_page.py::test_pictures_of_the_pages",
+    r"python -m research screenshots": "test_report_page.py::test_pictures_of_the_pages",
 }
 """Lines of the pages that do not run one by one here, and where they do."""
 
@@ -94,23 +94,27 @@ def lines():
 
 def quick(line):
     """Return the words behind `python` with which a line is run: one episode of one short scenario."""
-    words = shlex.split(line.replace("auv-gym evaluate", "python evaluate.py"))[1:]
-    if words[:2] == ["-m", "baselines.evaluation.suites"]:
-        rest = QUICK["verify"] if words[2] == "verify" else "unmodelled-v1 --policy open-loop --episodes 1"
-        return [*words[:3], *rest.split()]
-    if words[:2] == ["-m", "research.results.fresh"]:
+    words = shlex.split(
+        line.replace("auv-gym evaluate", "python evaluate.py").replace("auv-gym", "python -m baselines")
+    )
+    del words[0]
+    name = words[2] if words[:2] == ["-m", "research"] or words[:2] == ["-m", "baselines"] else ""
+    if name == "suites":
+        rest = QUICK["verify"] if words[3] == "verify" else "unmodelled-v1 --policy open-loop --episodes 1"
+        return [*words[:4], *rest.split()]
+    if name == "held-out":
         policies = [] if "--policy" in words else ["--policy", "open-loop"]
         chosen = [word for word in words if word not in ("--suite", "benchmark-v2")]
         return [*chosen, *policies, *CALM]
-    if words[:2] == ["-m", "research.lower_bounds.floor"]:
+    if name == "estimation-bound":
         return [*words, "--episodes", "1", "--out", "floor.json"]
-    if words[:2] == ["-m", "baselines.training.residual"] and "--help" not in words:
-        return [*words, *(["residual-0.5-cruise"] if words[2:] == [] else []), *BRIEF]
-    if words[:2] == ["-m", "research.trainings.front"]:
-        return [*words[:2], "lqi", "--case", "slow-calm", "--episodes", "1", "--out", "fronts"]
-    if words[:2] == ["-m", "baselines.datasets"]:
+    if name == "residual" and "--help" not in words:
+        return [*words, *(["residual-0.5-cruise"] if words[3:] == [] else []), *BRIEF]
+    if name == "front":
+        return [*words[:3], "lqi", "--case", "slow-calm", "--episodes", "1", "--out", "fronts"]
+    if name == "dataset":
         return [*words, "--episodes", "1"]
-    if words[:2] == ["-m", "baselines.film"]:
+    if name == "video":
         return [*words, *(["--episodes", "1", "--jobs", "1"] if "--episodes" in words else []), "--seconds", "0.2"]
     if words == ["evaluate.py"] or (words[0] == "evaluate.py" and "--help" not in words):
         for option, count in (("--suite", 2), ("--episodes", 2), ("--jobs", 2)):
@@ -278,7 +282,9 @@ def test_clean_leaves_what_was_not_built(tmp_path):
 
 def test_every_line_of_the_pages_is_run_or_listed():
     for line in lines():
-        assert elsewhere(line) or line.startswith((*EVALUATE, "python -m baselines.", "python -m research ")), line
+        assert elsewhere(line) or line.startswith(
+            (*EVALUATE, "auv-gym ", "python -m baselines", "python -m research ")
+        ), line
     for pattern, where in ELSEWHERE.items():
         assert any(re.fullmatch(pattern, line) for line in lines()), pattern
         if match := re.match(r"(test_\w+\.py)(?:::(\w+))?", where):

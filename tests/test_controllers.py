@@ -217,7 +217,7 @@ def folder(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        (None, "there are no gains in .*python -m baselines.tuning lqi --regime slow"),
+        (None, "there are no gains in .*auv-gym tune lqi --regime slow"),
         ("{", "is not valid JSON"),
         ("[1, 2]", "has the gains"),
         ('{"gains": {"heading": 1.0}}', "has the gains heading; they must be velocity, heading"),

@@ -92,7 +92,7 @@ def test_datasets_are_deterministic_and_run_again(tmp_path, scenario_file, monke
     card = (tmp_path / "a" / "auv" / "test-v0" / "README.md").read_text(encoding="utf-8")
     assert first in card
     assert card.count("| `open-loop` |") == 2
-    assert "python -m baselines.datasets --scenario" in card
+    assert "auv-gym dataset --scenario" in card
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "a"))
     dataset = minari.load_dataset("auv/test-v0")
     assert dataset.total_episodes == 3 * 3 * 2

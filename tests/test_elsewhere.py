@@ -14,7 +14,6 @@ from matrix_forms import otter_acceleration, remus_acceleration
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from auv_gym.identify.log import Log
 from auv_gym.physics.dynamics import rk4_step
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import ARRAYS, FLOATS
@@ -23,6 +22,7 @@ from auv_gym.scenarios.presets import as_scenario
 from baselines import make_policy
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
+from baselines.identification.log import Log
 from baselines.tools.command_line import run
 from research.transfer import command, comparison, otter, page, remus100
 from research.transfer.bodies import bodies, deviation

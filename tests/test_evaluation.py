@@ -99,11 +99,11 @@ def bad_policies(monkeypatch):
         (["--step-limit", "0"], "positive"),
         (["--cluster", "nonsense", "--scenario", "slow-calm"], "Ray"),
         (["--policy", "nobody"], "allowed are backstepping"),
-        (["--suite", "nothing"], "allowed are presets, paper"),
+        (["--suite", "nothing"], "allowed are presets"),
         (["--scenario", "nowhere"], "allowed are a .toml or .json file, or one of paper-circle"),
         (["--scenario", "missing.toml"], "No such file"),
         (["--scenario", "."], "unknown scenario"),
-        (["--suite", "paper", "--scenario", "paper-circle"], "give one of them"),
+        (["--suite", "presets", "--scenario", "paper-circle"], "give one of them"),
     ],
 )
 def test_a_mistake_is_answered_in_one_line(call, capsys, tmp_path, arguments, says):

@@ -14,13 +14,13 @@ from auv_gym.rendering.canvas import SEA
 from auv_gym.scenarios.presets import PRESETS
 from baselines import make_policy
 from baselines.evaluation.runner import drawn, run_all
-from baselines.film import command, make_film
-from baselines.film.files import save
-from baselines.film.film import film, label_of
-from baselines.film.layout import HULLS
-from baselines.film.pairs import leads, typical
 from baselines.tools.command_line import UsageError
 from baselines.tools.workers import Workers
+from baselines.video import command, make_film
+from baselines.video.files import save
+from baselines.video.layout import HULLS
+from baselines.video.pairs import leads, typical
+from baselines.video.video import film, label_of
 
 pytest.importorskip("pygame")
 

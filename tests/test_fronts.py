@@ -3,6 +3,7 @@
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -37,8 +38,10 @@ def test_every_priced_gain_has_the_same_budget_and_was_made_by_its_command():
         assert price in priced.PRICES
         assert (record["evaluations"], record["episodes"]) == (priced.EVALUATIONS, EPISODES)
         options = f"--regime {regime} --price {price:g} --evaluations {priced.EVALUATIONS}"
-        assert record["command"] == f"python -m baselines.tuning {name} {options}"
-        assert record["start"] == pytest.approx(priced.priced_gains(name, regime, priced.before(name, regime, price)))
+        assert record["command"] == f"auv-gym tune {name} {options}"
+        assert record["start"] == pytest.approx(
+            priced.priced_gains(name, regime, max(p for p in priced.prices_of(name, regime) if p < price))
+        )
     assert {name for name in front.CONTROLLERS if not TUNABLES[name].sweep} == set()
 
 
@@ -52,23 +55,20 @@ def test_a_sweep_changes_the_weights_of_commands_alone():
             assert swept[key] / shipped[key] == pytest.approx(0.5 if name == "ekf" else 16.0)
 
 
-def test_tuning_with_a_price_begins_at_the_next_lower_one(tmp_path, monkeypatch):
-    monkeypatch.setattr(priced, "FOLDER", tmp_path)
+def test_tuning_with_a_price_begins_at_shipped_gains_or_those_of_a_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(tuning, "VALIDATION_EPISODES", 16)
-
     monkeypatch.setattr(tuning.Course, "run", lambda *_: Result(1.0, {}, 0.0, 1.0, 1.0))
     words = ["lqi", "--regime", "slow", "--evaluations", "0"]
-    with pytest.raises(
-        ValueError, match=r"there are no gains in .*lqi-slow-0\.1\.json: python -m baselines\.tuning lqi"
-    ):
-        priced.priced_gains("lqi", "slow", 0.1)
     assert tuning.main([*words, "--price", "0.1"]) == DONE
-    first = json.loads((tmp_path / "lqi-slow-0.1.json").read_text(encoding="utf-8"))
-    assert first["start"] == load_gains("lqi", "slow", TUNABLES["lqi"].names)
-    (tmp_path / "lqi-slow-0.1.json").write_text(json.dumps({"gains": dict.fromkeys(first["gains"], 2.0)}))
-    assert tuning.main([*words, "--price", "0.3"]) == DONE
-    assert set(json.loads((tmp_path / "lqi-slow-0.3.json").read_text(encoding="utf-8"))["start"].values()) == {2.0}
-    assert priced.prices_of("lqi", "slow") == [0.0, 0.1, 0.3]
+    first = Path("runs/tune/lqi-slow-0.1.json")
+    assert json.loads(first.read_text())["start"] == load_gains("lqi", "slow", TUNABLES["lqi"].names)
+    first.write_text(json.dumps({"gains": dict.fromkeys(TUNABLES["lqi"].names, 2.0)}))
+    assert tuning.main([*words, "--price", "0.3", "--start", str(first)]) == DONE
+    assert set(json.loads(Path("runs/tune/lqi-slow-0.3.json").read_text())["start"].values()) == {2.0}
+    first.write_text("[]")
+    with pytest.raises(UsageError, match="holds no gains"):
+        tuning.main([*words, "--price", "0.3", "--start", str(first)])
 
 
 @pytest.fixture

@@ -10,21 +10,20 @@ import pytest
 from kept_pages import compare_between
 from scipy.integrate import solve_ivp
 
-from auv_gym.identify import Log, identify
-from auv_gym.identify.figures import Approach, figures
-from auv_gym.identify.fit import IDENTIFIED, UNREACHED, ZERO
-from auv_gym.identify.least_squares import Left
-from auv_gym.identify.log import COLUMNS
-from auv_gym.identify.model import HULL, PARAMETERS, Model
-from auv_gym.identify.trials import CURRENT, Trial, example, recorded
-from auv_gym.identify.uncertainty import covariance
 from auv_gym.physics.actuators import Actuators
 from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import as_vehicle
-from baselines.identification import command
+from baselines.identification import Log, command, identify
 from baselines.identification.command import PROGRAM, main
+from baselines.identification.figures import Approach, figures
+from baselines.identification.fit import IDENTIFIED, UNREACHED, ZERO
+from baselines.identification.least_squares import Left
+from baselines.identification.log import COLUMNS
+from baselines.identification.model import HULL, PARAMETERS, Model
+from baselines.identification.trials import CURRENT, Trial, example, recorded
+from baselines.identification.uncertainty import covariance
 from baselines.tools.command_line import run
 from research.vehicles import coverage
 

@@ -128,7 +128,7 @@ def test_help_and_results_name_the_program_as_it_was_called(monkeypatch, capsys)
 
 
 def test_the_list_of_verbs_imports_none_of_them():
-    code = "import sys, baselines.__main__ as m; m.usage('x'); print(*{n.partition('.')[0] for n in sys.modules})"
+    code = "import sys, baselines.__main__ as m; m.usage('x', m.COMMANDS); print(*{n.partition('.')[0] for n in sys.modules})"
     environment = os.environ | {"PYTHONPATH": str(package.ROOT)}
     loaded = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert not {"torch", "tyro", "matplotlib", "rich", "joblib"} & set(loaded.stdout.split())

@@ -49,7 +49,7 @@ NAMES = ("fig3_trajectory", "fig4_forces", "fig5_velocity_errors", "fig6_trackin
 
 @pytest.fixture(scope="module")
 def reproduction(paper):
-    return json.loads((paper / "results.json").read_text())["reproduction"]
+    return json.loads((paper / "paper.json").read_text())
 
 
 @pytest.fixture(scope="module")

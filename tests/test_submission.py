@@ -20,18 +20,18 @@ from baselines.evaluation.runner import Cell, Recorded, run_all
 from baselines.evaluation.score import BY_BOUND, EXPERT
 from baselines.evaluation.store import Stored
 from baselines.evaluation.store import write as write_stored
+from baselines.evaluation.submission import command as submit
 from baselines.evaluation.submission import files, making
 from baselines.evaluation.submission.about import About
 from baselines.evaluation.submission.files import LARGEST, MEASURED, read, save, submission_of
-from baselines.evaluation.submission.making import own_submission
 from baselines.evaluation.submission.reproduction import cells_of, chosen, mismatches, smallest_caught
+from baselines.evaluation.submission.scores import entries, yardsticks
 from baselines.evaluation.suites import Suite
 from baselines.tools.command_line import DONE, FAILED, UsageError
 from baselines.tools.files import versions
 from research.leaderboard import board, command
 from research.leaderboard.board import boards, enter, stamp
 from research.leaderboard.page import NBSP, leaderboard_json, page, plain
-from research.leaderboard.scores import entries, yardsticks
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "enter.md").read_text(encoding="utf-8")
@@ -83,14 +83,17 @@ def made(small, suite, rows):
 def typed(line):
     """Run a line of the page in its quick form and return the exit status."""
     words = shlex.split(line)
-    assert words.pop(0) == "python"
     for option, value in QUICK.items():
         if option in words:
             words[words.index(option) + 1] = value
-    if words[0] == "evaluate.py":
-        return evaluate.main([*words[1:], "--jobs", "1"])
-    assert words[:2] == ["-m", "baselines.evaluation.submission"]
-    return command.main([*words[2:], "--jobs", "1"])
+    for before, main in (
+        (["python", "evaluate.py"], evaluate.main),
+        (["auv-gym", "submit"], submit.main),
+        (["python", "-m", "research", "leaderboard"], command.main),
+    ):
+        if words[: len(before)] == before:
+            return main([*words[len(before) :], "--jobs", "1"])
+    raise AssertionError(line)
 
 
 @pytest.mark.usefixtures("small")
@@ -180,7 +183,7 @@ def test_scores_are_those_of_the_recorded_rows(name):
     found = recorded.load(suite)
     kept = [run for run in found.runs if run.policy in (*suite.anchors, "lqi")]
     expected = {entry.place: entry for entry in pool(kept) if entry.policy == "lqi"}
-    for entry in entries([own_submission(name, "lqi")], yardsticks(suite)):
+    for entry in entries([command.own_submission(name, "lqi")], yardsticks(suite)):
         assert entry.score.mean == pytest.approx(expected[entry.place].score.mean, rel=1e-6)
         assert entry.score.ci95 == pytest.approx(expected[entry.place].score.ci95, rel=1e-6)
         assert entry.lost == expected[entry.place].lost
@@ -231,7 +234,7 @@ def test_what_contradicts_itself_is_refused(case, made):
     record, arrays, says = WRONG[case]
     with pytest.raises(ValueError, match=re.escape(says)):
         read(changed(made, arrays, **record))
-    assert command.main(["verify", "bad.npz"]) == FAILED
+    assert submit.main(["bad.npz"]) == FAILED
 
 
 def test_damaged_files_are_refused_whatever_is_wrong(made):
@@ -266,7 +269,7 @@ def test_what_was_made_up_is_named_with_both_numbers(measure, by, made, capsys):
     true = float(values[4])
     values[4] *= by
     file = changed(made, {measure: values})
-    assert command.main(["verify", str(file), EXPERT, "--share", "1", "--jobs", "1"]) == FAILED
+    assert submit.main([str(file), EXPERT, "--share", "1", "--jobs", "1"]) == FAILED
     out = capsys.readouterr().out
     assert "NOT REPRODUCED: 1 of 6 episodes differ" in out
     unit = " m" if measure == "tail" else ""
@@ -274,7 +277,7 @@ def test_what_was_made_up_is_named_with_both_numbers(measure, by, made, capsys):
 
 
 def test_another_policy_does_not_reproduce_it(made, capsys):
-    assert command.main(["verify", "expert.npz", "lqi", "--share", "1", "--jobs", "1"]) == FAILED
+    assert submit.main(["expert.npz", "lqi", "--share", "1", "--jobs", "1"]) == FAILED
     captured = capsys.readouterr()
     assert "NOT REPRODUCED: 6 of 6" in captured.out
     assert "lqi is not the policy that was submitted" in captured.err
@@ -282,7 +285,7 @@ def test_another_policy_does_not_reproduce_it(made, capsys):
 
 def test_a_policy_that_fails_does_not_reproduce_it(made, capsys):
     Path("late.py").write_text("class Law:\n    def predict(self, *_):\n        raise KeyError('x')\n")
-    assert command.main(["verify", "expert.npz", "late.py:Law", "--jobs", "1"]) == FAILED
+    assert submit.main(["expert.npz", "late.py:Law", "--jobs", "1"]) == FAILED
     assert "late.py:Law fails in slow-calm: KeyError" in capsys.readouterr().err
 
 
@@ -324,23 +327,23 @@ def test_numbers_on_the_edge(made, rows):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        ("verify", "verify takes FILE [POLICY]; given are 0 words"),
-        ("enter a b", "enter takes FILE"),
-        ("page a", "page takes no file"),
-        ("page", "no submission in --folder leaderboard"),
-        ("verify none.npz", "cannot read none.npz"),
-        ("verify expert.npz backstepping --share 0", "--share is 0.0"),
-        ("verify expert.npz backstepping --share nan", "--share is nan"),
-        ("verify expert.npz backstepping --seed -1", "--seed is -1"),
-        ("verify expert.npz backstepping --jobs 0", "--jobs and --step-limit must be positive"),
-        ("verify expert.npz --stamp", "only what ran again is reproduced"),
-        ("verify expert.npz nobody", "unknown policy 'nobody'"),
-        ("invent", "invent"),
+        ("leaderboard enter a b", "enter takes FILE"),
+        ("leaderboard reproduce a", "reproduce takes FILE POLICY; given are 1 words"),
+        ("leaderboard page a", "page takes no file"),
+        ("leaderboard page", "no submission in --folder leaderboard"),
+        ("leaderboard invent", "invent"),
+        ("submit none.npz", "cannot read none.npz"),
+        ("submit expert.npz backstepping --share 0", "--share is 0.0"),
+        ("submit expert.npz backstepping --share nan", "--share is nan"),
+        ("submit expert.npz backstepping --seed -1", "--seed is -1"),
+        ("submit expert.npz backstepping --jobs 0", "--jobs and --step-limit must be positive"),
+        ("submit expert.npz nobody", "unknown policy 'nobody'"),
     ],
 )
 def test_wrong_usage(words, says, made):
+    name, *arguments = shlex.split(words)
     with pytest.raises(UsageError, match=re.escape(says)):
-        command.main(shlex.split(words))
+        {"leaderboard": command, "submit": submit}[name].main(arguments)
 
 
 def test_an_entry_is_not_replaced_by_chance(made, capsys):
@@ -405,13 +408,13 @@ def test_the_page_is_what_the_command_makes():
     assert (ROOT / "docs" / command.PAGE).read_text(encoding="utf-8") == page(found)
     assert (ROOT / "docs" / command.TABLE).read_text(encoding="utf-8") == leaderboard_json(found)
     own = {submission.name for submission in found[0].submissions}
-    assert set(making.OWN) <= own
-    assert set(making.OWN) <= set(found[0].verified)
+    assert set(command.OWN) <= own
+    assert set(command.OWN) <= set(found[0].verified)
 
 
 def test_own_entries_are_the_recorded_rows_as_they_are_now():
-    for suite, policy, file in making.own_files(ROOT / "leaderboard"):
-        kept, now = read(file), own_submission(suite, policy)
+    for policy, file in command.own_files(ROOT / "leaderboard"):
+        kept, now = read(file), command.own_submission(command.SUITE, policy)
         assert kept.fingerprint == now.fingerprint
         for old, new in zip(kept.runs, now.runs, strict=True):
             np.testing.assert_array_equal(old.measures.tail, new.measures.tail)

@@ -125,7 +125,7 @@ def test_everybody_has_the_same_budget():
     for file in files:
         record = json.loads(file.read_text())
         assert file.stem == f"{record['policy']}-{record['regime']}"
-        assert record["command"] == f"python -m baselines.tuning {record['policy']} --regime {record['regime']}"
+        assert record["command"] == f"auv-gym tune {record['policy']} --regime {record['regime']}"
         assert (record["evaluations"], record["episodes"]) == (EVALUATIONS, EPISODES), file
         assert record["world"] == TUNABLES[record["policy"]].world
         assert list(record["gains"]) == list(record["start"]) == list(TUNABLES[record["policy"]].names)
@@ -143,7 +143,7 @@ def test_file_holds_gains_and_provenance_and_can_be_resumed(folder, capsys, monk
     assert json.loads(file.read_text()) == before
     assert main(arguments) == DONE
     record = json.loads(file.read_text())
-    assert record["command"] == f"python -m baselines.tuning {' '.join(arguments)}"
+    assert record["command"] == f"auv-gym tune {' '.join(arguments)}"
     assert {"date", "versions", "evaluations", "episodes", "world", "validation"} <= set(record)
     assert record["start"] == pytest.approx(before["start"])
     file.write_text(json.dumps({"start": before["start"], "gains": before["gains"]}))

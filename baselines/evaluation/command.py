@@ -15,7 +15,6 @@ from baselines.evaluation.runner import Run, runs
 from baselines.evaluation.submission.making import write_submission
 from baselines.tools.command_line import DONE, FAILED
 from baselines.tools.files import write_atomically
-from research.paper.numbers import Reproduction, reproduce
 
 ROWS = "rows"
 """Folder in DIR that keeps the finished runs."""
@@ -26,22 +25,21 @@ def evaluate(request: Request) -> int:
 
     Progress goes to stderr: a live line on a terminal, else a line for each policy and scenario.
     """
-    reproduction, out = None, request.options.out
+    out = request.options.out
     for note in request.notes:
         print(f"note: {note}", file=sys.stderr)
     try:
         with progress(len(request.pairs), request.steps) as report:
-            if request.suite == "paper":
-                reproduction = reproduce(report.message)
             found = _run(request, RowStore(out / ROWS), report)
             report.message("plots")
             results, pooled = compare(found, request.anchors), pool(found, request.anchors)
-            _write(request, results, pooled, reproduction)
+            _write(request, results, pooled)
     except OSError as error:
         print(f"cannot write to {out}: {error.strerror}", file=sys.stderr)
         return FAILED
-    print_report(results, pooled, reproduction, out)
-    if request.options.submit is not None and write_submission(request, found) != DONE:
+    print_report(results, pooled, out)
+    options, suite = request.options, request.suite or ""
+    if options.submit is not None and write_submission(options, suite, request.command, found) != DONE:
         return FAILED
     return FAILED if any(run.error for run in found) else DONE
 
@@ -59,20 +57,13 @@ def _run(request: Request, store: RowStore, report: Listener) -> list[Run]:
     return sorted(found, key=lambda run: (cells.index(run.scenario.name), names.index(run.policy)))
 
 
-def _write(request: Request, results: list[Result], pooled: list[Entry], reproduction: Reproduction | None) -> None:
+def _write(request: Request, results: list[Result], pooled: list[Entry]) -> None:
     from baselines.evaluation.report.figures import evaluation_figures
 
-    out, figures = request.options.out, evaluation_figures(results)
-    files: dict[str, str | bytes] = {}
-    if reproduction is not None:
-        from research.paper.figures import paper_figures
-        from research.paper.page import paper_html
-
-        figures |= paper_figures(reproduction)
-        files["paper.html"] = paper_html(reproduction, request.command)
-    files |= {f"{name}.png": png for name, png in figures.items()}
-    files["results.json"] = results_json(request, results, pooled, reproduction)
+    out = request.options.out
+    files: dict[str, str | bytes] = {f"{name}.png": png for name, png in evaluation_figures(results).items()}
+    files["results.json"] = results_json(request, results, pooled)
     files["results.csv"] = results_csv(results)
-    files["report.html"] = report_html(request, results, pooled, paper=reproduction is not None)
+    files["report.html"] = report_html(request, results, pooled)
     for name, content in files.items():
         write_atomically(out / name, content)

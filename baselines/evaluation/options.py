@@ -27,7 +27,7 @@ class Options:
     suite: Annotated[str | None, arg(metavar="S", help_behavior_hint="")] = None
     """Frozen: "benchmark-v2" (the default), "benchmark-v1" (the same episodes; the score's 1 is the oracle's),
     "benchmark-v1-validation", "ood-v1", "unmodelled-v1" or "deep-v1"; other policies are shown as they were recorded.
-    Drawn from the seed: "presets" (every preset), or "paper" (the paper's, with its numbers and figures recomputed)."""
+    Drawn from the seed: "presets" (every preset)."""
     scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ()
     """Scenarios in place of a suite: names of presets, or .toml and .json files."""
     episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None

@@ -32,7 +32,7 @@ from baselines.tools.workers import Workers
 
 T = TypeVar("T")
 
-DRAWN: dict[str, tuple[str, ...]] = {"presets": tuple(PRESETS), "paper": ("paper-circle",)}
+DRAWN: dict[str, tuple[str, ...]] = {"presets": tuple(PRESETS)}
 """Scenarios of each suite whose episodes are drawn from the seed, by name; the others are frozen."""
 DEFAULT_SUITE = "benchmark-v2"  # what is evaluated if no scenario is named
 DEFAULT_EPISODES = 20  # of each scenario that is not frozen

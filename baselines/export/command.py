@@ -16,7 +16,7 @@ from baselines.export.parts import Exported, exported
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import write_atomically
 
-PROGRAM = "python -m baselines.export"
+PROGRAM = "auv-gym export"
 
 
 @dataclass(frozen=True)

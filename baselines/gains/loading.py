@@ -68,7 +68,7 @@ def gain_record(name: str, regime: str) -> dict[str, Any]:
     try:
         record = json.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        command = f"python -m baselines.tuning {name} --regime {regime}"
+        command = f"auv-gym tune {name} --regime {regime}"
         how = f'write some to begin at, {{"gains": ...}}, then {command}'
         raise ValueError(f"there are no gains in {file}; {how}") from None
     except ValueError as error:

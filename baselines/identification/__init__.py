@@ -1,1 +1,6 @@
-"""The command behind `python -m auv_gym.identify`, its report, and how often its intervals hold what is true."""
+"""From a log to a vehicle: masses, drag, lag and limits with intervals, by the simulator's own derivatives."""
+
+from baselines.identification.fit import Estimate, Identified, identify
+from baselines.identification.log import Log
+
+__all__ = ["Estimate", "Identified", "Log", "identify"]

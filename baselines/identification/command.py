@@ -9,15 +9,15 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from auv_gym.identify import Identified, Log, identify
-from auv_gym.identify.begin import OPTIONAL
-from auv_gym.identify.trials import CURRENT, example
 from auv_gym.physics.actuators import Actuators
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.vehicles import as_vehicle
+from baselines.identification import Identified, Log, identify
+from baselines.identification.begin import OPTIONAL
 from baselines.identification.files import scenario_text, vehicle_text
 from baselines.identification.report import report, rows
+from baselines.identification.trials import CURRENT, example
 from baselines.tools.command_line import DONE, FAILED, UsageError, parse
 from baselines.tools.files import write_atomically
 

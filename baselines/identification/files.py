@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from auv_gym.identify import Estimate, Identified
-from auv_gym.identify.fit import UNKNOWN
-from auv_gym.identify.model import CURRENT, HULL, LIMITS
 from auv_gym.physics.actuators import Actuators
 from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.stiffness import MAX_STIFFNESS, fastest_rate
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.scenario import RandomPath, Scenario
+from baselines.identification import Estimate, Identified
+from baselines.identification.fit import UNKNOWN
+from baselines.identification.model import CURRENT, HULL, LIMITS
 
 TURN = 0.3  # turn rate of a scenario's paths, as a share of the log's root mean square
 
@@ -62,7 +62,7 @@ def vehicle_text(found: Identified, vehicle: Vehicle, log: str) -> str:
     lines = [
         'name = "identified"',
         f"about = {json.dumps(f'a vehicle fitted to the log {log}')}",
-        'source = "python -m auv_gym.identify; 95 % intervals stand behind the values"',
+        'source = "auv-gym identify; 95 % intervals stand behind the values"',
         f"left_out = {json.dumps(f'rate limits, delay; not from the log: {missing}')}",
         'ours = "the speed, the mean of the log"',
     ]

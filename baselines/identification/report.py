@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure as Drawing
 
-from auv_gym.identify import Identified
-from auv_gym.identify.figures import approach, figures
-from auv_gym.identify.fit import UNKNOWN
-from auv_gym.identify.log import MEASURED, unwrapped
+from baselines.identification import Identified
+from baselines.identification.figures import approach, figures
 from baselines.identification.files import interval, meanings, number
+from baselines.identification.fit import UNKNOWN
+from baselines.identification.log import MEASURED, unwrapped
 from baselines.tools.figure_style import COLOURS, panels, styled, to_png
 
 UNITS = {"x": "m", "y": "m", "psi": "rad", "u": "m/s", "v": "m/s", "r": "rad/s"}  # of what is measured

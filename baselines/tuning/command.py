@@ -2,7 +2,7 @@
 
 The objective is the error that the score is made of: the mean over the cases of a regime of the tail RMSE, that of an
 episode at most the distance from which it counts as lost. With a price it is that error times the mean squared change
-of the command to the power of the price, and the gains are those of a point on a front, see `research.vehicles.priced`.
+of the command to the power of the price: gains that make calmer commands.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from tyro.conf import Positional, arg
 
 from auv_gym.scenarios.vehicles import PAPER, Craft, as_craft, list_vehicles
 from baselines import make_policy
-from baselines.gains.loading import gain_file, load_gains
+from baselines.gains.loading import checked_gains, gain_file, load_gains
 from baselines.tools.command_line import DONE, UsageError, parse, typed
+from baselines.tools.files import read_json
 from baselines.tuning.objective import Course, compared, course, scenarios_of
 from baselines.tuning.search import EPISODES, EVALUATIONS, VALIDATION_EPISODES, VALIDATION_SEED, Budget, GainSet, tune
 from baselines.tuning.tunables import TUNABLES, Tunable
-from research.vehicles.priced import before, priced_file, priced_gains
 
-PROGRAM = "python -m baselines.tuning"
+PROGRAM = "auv-gym tune"
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Options:
     """Tune the gains of a controller and keep them in baselines/gains/NAME-REGIME.json, with where they come from.
 
     The search begins at what that file has under "start", or at its gains. With a price the gains go to
-    baselines/tuning/priced/NAME-REGIME-PRICE.json, and the search begins at those of the next lower price there.
+    runs/tune/NAME-REGIME-PRICE.json.
     For another vehicle the search begins at the shipped gains, in the vehicle's own units, and they go to
     runs/tune/NAME-REGIME@VEHICLE.json: make_policy(NAME, vehicle=..., gains=...) takes them.
     Exit status: 0 done, 2 wrong usage.
@@ -53,6 +53,8 @@ class Options:
     """What is minimised is the error times the mean squared change of the command to this power; 0: the error alone."""
     resume: bool = False
     """Begin at the gains that the file holds, not where the search that found them began."""
+    start: Path | None = None
+    """A file of gains that this command has written: the search begins at them."""
     vehicle: str = PAPER.name
     """A vehicle of the fleet, or a .toml file of one."""
     dry: bool = False
@@ -119,7 +121,7 @@ def _file(options: Options) -> Path:
     if options.vehicle != PAPER.name:
         return Path("runs/tune") / f"{options.name}-{options.regime}@{Path(options.vehicle).stem}.json"
     if options.price:
-        return priced_file(options.name, options.regime, options.price)
+        return Path("runs/tune") / f"{options.name}-{options.regime}-{options.price:g}.json"
     return gain_file(options.name, options.regime)
 
 
@@ -160,14 +162,14 @@ def _checked(options: Options) -> Budget:
 
 def _start(options: Options, tunable: Tunable) -> GainSet:
     """Return the gains that a search begins at."""
-    part, price = "gains" if options.resume or options.vehicle != PAPER.name else "start", options.price
+    part = "gains" if options.resume or options.price or options.vehicle != PAPER.name else "start"
     try:
-        if price and not options.resume:
-            start = priced_gains(options.name, options.regime, before(options.name, options.regime, price))
-        elif price:
-            start = priced_gains(options.name, options.regime, price)
+        if options.start is not None:
+            start = checked_gains(read_json(options.start).get("gains"), tunable.names, str(options.start))
         else:
             start = load_gains(options.name, options.regime, tunable.names, part)
+    except (AttributeError, OSError) as error:
+        raise UsageError(f"--start {options.start} holds no gains: {error}") from error
     except ValueError as error:
         raise UsageError(str(error)) from error
     if zero := [name for name, gain in start.items() if not gain > 0]:

@@ -34,7 +34,7 @@ def filmed(scenario: str) -> tuple[str, ...]:
 
 def film(scenario: Scenario, folder: Path) -> Path:
     """Return the file of a scenario's film, made if it is not there."""
-    from baselines.film import make_film
+    from baselines.video import make_film
 
     policies = filmed(scenario.name)
     options = {"seed": SEED, "size": (400 * len(policies), 400), "speed": SPEED, "seconds": SECONDS, "fps": 10}

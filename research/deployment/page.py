@@ -18,10 +18,10 @@ ONNX model. Both are printed from the graphs that the agent itself runs ([From e
 network's program is recorded from the function that computes it.
 
 ```bash
-python -m baselines.export apg-cruise --out runs/export
-python -m baselines.export apg-cruise --format c --precision float64
-python -m baselines.export sac-slow --format c --weights int8 --prefix slow_agent
-python -m baselines.export helm-any --vehicle lauv --format c
+auv-gym export apg-cruise --out runs/export
+auv-gym export apg-cruise --format c --precision float64
+auv-gym export sac-slow --format c --weights int8 --prefix slow_agent
+auv-gym export helm-any --vehicle lauv --format c
 ```
 
 An agent's name or the folder of a trained one is taken. Experts without memory are printed, which are all that the

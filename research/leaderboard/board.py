@@ -11,10 +11,10 @@ from typing import Any
 
 from baselines.evaluation.report.numbers import Entry
 from baselines.evaluation.submission.files import LARGEST, Submission, read, save
+from baselines.evaluation.submission.scores import entries, yardsticks
 from baselines.evaluation.suites import Suite, list_suites
 from baselines.tools.command_line import printable
 from baselines.tools.files import json_text, read_bytes, read_json, write_atomically
-from research.leaderboard.scores import entries, yardsticks
 
 STAMPS = "verified.json"
 """File in the folder that says which submissions were run again: with their own hash, when, and how many episodes."""

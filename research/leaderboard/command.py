@@ -1,76 +1,66 @@
-"""Verify a submission, enter it, write the page of the leaderboard: `python -m research leaderboard --help`."""
+"""Keep the leaderboard: enter submissions, run them again, write the page: `python -m research leaderboard --help`."""
 
 from __future__ import annotations
 
-import secrets
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from baselines.evaluation.progress import progress
-from baselines.evaluation.report.terminal import console, entries_table
-from baselines.evaluation.request import checked_folder, checked_policies
-from baselines.evaluation.runner import STEP_LIMIT, Run, runs
-from baselines.evaluation.submission.files import MEASURED, Submission, read
-from baselines.evaluation.submission.making import own_files, own_submission
-from baselines.evaluation.submission.reproduction import (
-    RELATIVE,
-    SHARE,
-    Chosen,
-    cells_of,
-    chosen,
-    mismatches,
-    smallest_caught,
-)
+from baselines import list_policies
+from baselines.agents.agent import Agent
+from baselines.agents.names import agent_folder
+from baselines.evaluation import recorded, suites
+from baselines.evaluation.fingerprints import fingerprint
+from baselines.evaluation.request import checked_folder
+from baselines.evaluation.runner import STEP_LIMIT
+from baselines.evaluation.submission.about import About
+from baselines.evaluation.submission.command import check, episodes_to_run, read_file, reproduce
+from baselines.evaluation.submission.files import Submission, submission_of
+from baselines.evaluation.submission.reproduction import SHARE
+from baselines.evaluation.submission.scores import yardsticks
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
 from baselines.tools.files import write_atomically
-from baselines.tools.workers import DEFAULT_JOBS, Workers
-from research.leaderboard.board import boards, enter, place_of, stamp
+from baselines.tools.workers import DEFAULT_JOBS
+from research.leaderboard.board import boards, enter, stamp
 from research.leaderboard.page import leaderboard_json, page
-from research.leaderboard.scores import entries, yardsticks
-
-T = TypeVar("T")
 
 PROGRAM = "python -m research leaderboard"
 PAGE = "leaderboard.md"  # file of the page
 TABLE = "leaderboard.json"  # file of its numbers
-TOLD = 5
-"""Most numbers that are named where an entry is not reproduced."""
-MOST_SEED = 2**32  # of the seeds that are drawn, and that may be given
+OWN = ("backstepping", "nmpc", "helm", "apg-preview-cruise", "apg-preview-slow")
+"""Policies of the project that are on its leaderboard."""
+SUITE = "benchmark-v2"
+"""The suite in which they are."""
+WORDS = {"enter": ("FILE", 1), "reproduce": ("FILE POLICY", 2), "own": ("no file", 0), "page": ("no file", 0)}
 
 
 @dataclass(frozen=True)
 class Options:
-    """Check what somebody has submitted, run it again, and keep the leaderboard.
+    """Keep the leaderboard: a folder of submissions, which of them were reproduced, and the page that shows them.
 
-    Exit status: 0 done, 1 the file is damaged, contradicts itself or is not reproduced, 2 wrong usage.
+    Exit status: 0 done, 1 a submission is damaged or not reproduced, 2 wrong usage.
     """
 
-    action: Annotated[Positional[Literal["verify", "enter", "page", "own"]], arg(metavar="ACTION")]
-    """verify FILE [POLICY]: check a submission and show its scores; with the policy run a random share of its episodes
-    again. enter FILE: check a submission and put it on the leaderboard. page: write the leaderboard's page. own: make
-    the project's own submissions from its recorded rows, verify them, and write the page."""
+    action: Annotated[Positional[Literal["enter", "reproduce", "own", "page"]], arg(metavar="ACTION")]
+    """enter FILE: check a submission and put it on the leaderboard. reproduce FILE POLICY: run a random share of an
+    entry's episodes again and record that it is verified. own: make the project's own entries from its recorded rows,
+    and reproduce them. page: write the page only; the other actions write it too."""
     words: Annotated[Positional[tuple[str, ...]], arg(metavar="[FILE [POLICY]]")] = ()
     """The submission, and the policy as evaluate.py --policy takes it."""
     share: float = SHARE
     """Share of each case's episodes that is run again, from above 0 to 1."""
     seed: int | None = None
-    """Seed that chooses them. Default: one that nobody knew before; it is shown."""
-    stamp: bool = False
-    """Write down that an entry of the leaderboard was reproduced, and write the page."""
+    """Seed that chooses them. Default: a random one, which is shown."""
     replace: bool = False
     """Enter in place of an entry of the same name."""
     folder: Path = Path("leaderboard")
     """Folder of the leaderboard, SUITE/NAME.npz."""
     out: Path = Path("docs")
     """Folder for its page, leaderboard.md and leaderboard.json."""
-    step_limit: float = STEP_LIMIT
-    """Seconds that a policy may take for a decision, on average; a slower one fails."""
     jobs: int = DEFAULT_JOBS
     """Worker processes."""
 
@@ -82,102 +72,54 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    least, most = {"verify": (1, 2), "enter": (1, 1), "page": (0, 0), "own": (0, 0)}[options.action]
-    if not least <= len(options.words) <= most:
-        wants = {"verify": "FILE [POLICY]", "enter": "FILE"}.get(options.action, "no file")
-        raise UsageError(f"{options.action} takes {wants}; given are {len(options.words)} words")
-    if not 0 < options.share <= 1:
-        raise UsageError(f"--share is {options.share}; it must be above 0 and at most 1")
-    if options.seed is not None and not 0 <= options.seed < MOST_SEED:
-        raise UsageError(f"--seed is {options.seed}; it must be 0 or more and below {MOST_SEED}")
-    if options.jobs < 1 or not options.step_limit > 0:
-        raise UsageError("--jobs and --step-limit must be positive")
-    if options.stamp and len(options.words) < 2:
-        raise UsageError("--stamp is for verify FILE POLICY: only what ran again is reproduced")
-    actions = {"verify": _verify, "enter": _enter, "page": _page, "own": _own}
+    wanted, count = WORDS[options.action]
+    if len(options.words) != count:
+        raise UsageError(f"{options.action} takes {wanted}; given are {len(options.words)} words")
+    check(options.share, options.seed, STEP_LIMIT, options.jobs)
     try:
-        return actions[options.action](options)
+        if options.action == "enter":
+            _enter(options)
+        elif options.action == "reproduce":
+            file = Path(options.words[0])
+            if not _reproduced(read_file(file), options.words[1], file, options):
+                return FAILED
+        elif options.action == "own":
+            for policy, file in own_files(options.folder):
+                submission = own_submission(SUITE, policy)
+                enter(submission, options.folder, replace=True)
+                if not _reproduced(submission, policy, file, options):
+                    return FAILED
+        return _page(options)
     except ValueError as error:
         print(f"{called(PROGRAM)}: {error}", file=sys.stderr)
         return FAILED
 
 
-def _read(options: Options) -> Submission:
-    """Return the submission that is named; a file that is not there is wrong usage, a wrong one is not."""
-    file = options.words[0]
-    try:
-        return read(Path(file))
-    except OSError as error:
-        raise UsageError(f"cannot read {file}: {error.strerror}") from error
-
-
-def _verify(options: Options) -> int:
-    submission = _read(options)
-    print(
-        f"{options.words[0]}: {submission.name}, {submission.episodes} episodes of {submission.suite.name}, consistent"
-    )
-    found = entries([submission], yardsticks(submission.suite))
-    out = console()
-    out.print(entries_table("What it comes to", "regime", found, out))
-    if len(options.words) < 2:
-        return DONE
-    episodes, seed = _chosen(submission, options)
-    status = _reproduce(submission, options.words[1], episodes, options)
-    if status == DONE and options.stamp:
-        count = sum(map(len, episodes.values()))
-        stamp(Path(options.words[0]), options.folder, count, submission.episodes, seed)
-        return _page(options)
-    return status
-
-
-def _chosen(submission: Submission, options: Options) -> tuple[Chosen, int]:
-    """Return the episodes to run again, and the seed that chose them, which is told."""
-    seed = secrets.randbelow(MOST_SEED) if options.seed is None else options.seed
-    episodes = chosen(submission, options.share, seed)
-    count = sum(map(len, episodes.values()))
-    print(f"Running {count} of {submission.episodes} episodes again, chosen by --seed {seed}", flush=True)
-    return episodes, seed
-
-
-def _reproduce(submission: Submission, policy: str, episodes: Chosen, options: Options) -> int:
-    """Run a share of the episodes again, say what comes of it and return the exit status."""
-    checked_policies([policy])
-    again: list[Run] = []
-    cells = cells_of(submission, episodes)
-    with progress(len(cells), sum(len(cell.episodes) * cell.scenario.steps for cell in cells)) as report:
-        pairs = [(policy, cell) for cell in cells]
-        for run in runs(pairs, Workers(options.jobs), options.step_limit, report.board.note):
-            report.run(run)
-            again.append(run)
-    if again[0].fingerprint != submission.fingerprint:
-        print(f"note: {policy} is not the policy that was submitted: its fingerprint is another one", file=sys.stderr)
-    count, found = sum(map(len, episodes.values())), mismatches(submission, episodes, again)
-    if found:
-        wrong = len({(m.scenario, m.episode) for m in found})
-        print(f"NOT REPRODUCED: {wrong} of {count} episodes differ")
-        for mismatch in found[:TOLD]:
-            print(f"  {mismatch}")
-        return FAILED
-    print(f"Reproduced: all {len(MEASURED) * count} numbers, to {100 * RELATIVE:g} % of each.")
-    caught = 100 * smallest_caught(count)
-    print(f"Had {caught:.1f} % of the episodes been made up, this would have shown it with 95 % certainty.")
-    return DONE
-
-
-def _enter(options: Options) -> int:
-    submission = _read(options)
+def _enter(options: Options) -> None:
+    submission = read_file(Path(options.words[0]))
     yardsticks(submission.suite)
     checked_folder(options.folder, "folder")
     try:
-        enter(submission, options.folder, options.replace)
+        print(f"Entered {enter(submission, options.folder, options.replace)}")
     except FileExistsError as error:
         raise UsageError(str(error)) from error
-    print(f"Entered {place_of(submission, options.folder)}")
-    return _page(options)
+
+
+def _reproduced(submission: Submission, policy: str, file: Path, options: Options) -> bool:
+    """Run a share of an entry's episodes again, and record it where they are the same; return whether they are."""
+    print(f"{file}:")
+    episodes, seed = episodes_to_run(submission, options.share, options.seed)
+    if reproduce(submission, policy, episodes, options.jobs, STEP_LIMIT) != DONE:
+        return False
+    stamp(file, options.folder, sum(map(len, episodes.values())), submission.episodes, seed)
+    return True
 
 
 def _page(options: Options) -> int:
-    found = _readable(partial(boards, options.folder))
+    try:
+        found = boards(options.folder)
+    except OSError as error:
+        raise UsageError(f"cannot read {error.filename}: {error.strerror}") from error
     if not found:
         raise UsageError(f"there is no submission in --folder {options.folder}; expected is SUITE/NAME.npz")
     checked_folder(options.out)
@@ -188,21 +130,31 @@ def _page(options: Options) -> int:
     return DONE
 
 
-def _readable(make: Callable[[], T]) -> T:
-    """Return what `make` returns; raise UsageError where a file cannot be read, ValueError where it is a wrong one."""
-    try:
-        return make()
-    except OSError as error:
-        raise UsageError(f"cannot read {error.filename}: {error.strerror}") from error
+def own_submission(suite_name: str, policy: str) -> Submission:
+    """Return the submission of one of the project's policies, from its recorded rows.
+
+    Raises:
+        ValueError: its rows do not count, or it has none.
+    """
+    suite, digest = suites.load(suite_name), fingerprint(policy)
+    found = recorded.load(suite)
+    rows = [replace(run, fingerprint=digest) for run in found.runs if run.policy == policy]
+    if not rows:
+        reason = found.refused.get(policy, "there are none")
+        raise ValueError(f"the recorded rows of {policy} in {suite_name} do not count: {reason}")
+    record = rows[0].recorded
+    assert record is not None
+    command = f"python -m research suites record {suite_name} --policy {policy}"
+    return submission_of(suite, rows, policy, _about(policy), record.versions, command)
 
 
-def _own(options: Options) -> int:
-    for suite, policy, file in own_files(options.folder):
-        submission = own_submission(suite, policy)
-        enter(submission, options.folder, replace=True)
-        print(f"{file}:")
-        episodes, seed = _chosen(submission, options)
-        if _reproduce(submission, policy, episodes, options) != DONE:
-            return FAILED
-        stamp(file, options.folder, sum(map(len, episodes.values())), submission.episodes, seed)
-    return _page(options)
+def _about(policy: str) -> About:
+    folder = agent_folder(policy)
+    training = Agent.load(folder).training if folder else {}
+    steps = training.get("config", {}).get("timesteps")
+    return About("auv_gym", "", list_policies()[policy], steps, training.get("seconds"))
+
+
+def own_files(folder: Path) -> list[tuple[str, Path]]:
+    """Return policy and file of each of the project's own submissions in the folder of a leaderboard."""
+    return [(policy, folder / SUITE / f"{policy}.npz") for policy in OWN]

@@ -13,9 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from baselines.evaluation import entry
 from baselines.tools.command_line import DONE, FAILED, UsageError, parse
 from baselines.tools.files import write_atomically
 from research import DOCS
+from research.paper import command as paper
 
 PROGRAM = "python -m research screenshots"
 IMAGES = DOCS / "images"  # folder of the pictures
@@ -66,17 +68,16 @@ def main(arguments: Sequence[str]) -> int:
 
 def _evaluated(pages: Path) -> None:
     """Make the pages that are missing."""
-    import evaluate
-
     wanted = {
         "suite": ("--suite", "benchmark-v2", "--episodes", "40", "--policy", *POLICIES),
-        "paper": ("--suite", "paper"),
         "stability": ("--stability", "--policy", "backstepping-paper", "lqi"),
     }
     for name, words in wanted.items():
         page = "report" if name == "suite" else name
         if not (pages / name / f"{page}.html").exists():
-            evaluate.main([*words, "--out", str(pages / name)])
+            entry.main([*words, "--out", str(pages / name)])
+    if not (pages / "paper" / "paper.html").exists():
+        paper.main(["--out", str(pages / "paper")])
 
 
 def _pictures(program: str, pages: Path) -> dict[str, bytes]:

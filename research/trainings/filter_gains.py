@@ -1,4 +1,4 @@
-"""The gains of `baselines.agents.filters`, from a Riccati equation: `python -m research filter-gains`.
+"""Compute the gains of the agents' filters from a Riccati equation: `python -m research filter-gains`.
 
 About straight motion at a speed U, in the axes of the body, a step of the model is z' = A z + w, and y = H z + n is
 what is measured; w and n have the covariances Q and R. The covariance P of the prediction's error becomes steady:

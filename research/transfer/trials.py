@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from auv_gym.identify.log import Log
-from auv_gym.identify.trials import CURRENT, Plant, Segment, Simulated, Trial, recorded
 from auv_gym.physics.actuators import Actuators
 from auv_gym.physics.dynamics import STILL_WATER, Current, Force, State
 from auv_gym.scenarios.fitting import adapted
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.vehicles import Craft, craft
+from baselines.identification.log import Log
+from baselines.identification.trials import CURRENT, Plant, Segment, Simulated, Trial, recorded
 from research.transfer.six_dof import AS_PUBLISHED, Outside
 from research.transfer.worlds import Own, World
 

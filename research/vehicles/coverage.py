@@ -16,15 +16,15 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
-from auv_gym.identify import identify
-from auv_gym.identify.fit import UNKNOWN
-from auv_gym.identify.model import CURRENT as V
-from auv_gym.identify.model import HULL, LIMITS, PARAMETERS
-from auv_gym.identify.trials import CURRENT, example
 from auv_gym.installation import checkout
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.presets import PRESETS
+from baselines.identification import identify
 from baselines.identification.command import EXAMPLE, EXAMPLE_LAG
+from baselines.identification.fit import UNKNOWN
+from baselines.identification.model import CURRENT as V
+from baselines.identification.model import HULL, LIMITS, PARAMETERS
+from baselines.identification.trials import CURRENT, example
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, write_atomically
 

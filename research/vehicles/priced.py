@@ -41,8 +41,9 @@ def priced_record(name: str, regime: str, price: float) -> dict[str, Any]:
     try:
         record = read_json(file)
     except OSError as error:
-        command = f"python -m baselines.tuning {name} --regime {regime} --price {price:g} --evaluations {EVALUATIONS}"
-        raise ValueError(f"there are no gains in {file}: {command}") from error
+        raise ValueError(
+            f"there are no gains in {file}: `auv-gym tune {name} --regime {regime} --price {price:g}`"
+        ) from error
     if not isinstance(record, dict):
         raise ValueError(f"{file} holds no table")
     return record
@@ -75,8 +76,3 @@ def prices_of(name: str, regime: str) -> list[float]:
     before = f"{name}-{regime}-"
     found = (file.stem.removeprefix(before) for file in FOLDER.glob(f"{before}*.json"))
     return [0.0, *sorted(float(price) for price in found)]
-
-
-def before(name: str, regime: str, price: float) -> float:
-    """Return the next lower price at which a controller has gains for a regime."""
-    return max(lower for lower in prices_of(name, regime) if lower < price)

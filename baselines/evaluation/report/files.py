@@ -12,15 +12,12 @@ from baselines.evaluation.report.columns import line, record
 from baselines.evaluation.report.numbers import Entry, Result
 from baselines.evaluation.request import Request
 from baselines.tools.files import finite, json_text, versions
-from research.paper.numbers import Reproduction
 
 FORMULA = ("=", "+", "-", "@")
 """What a spreadsheet takes for the beginning of a formula."""
 
 
-def results_json(
-    request: Request, results: Sequence[Result], scores: Sequence[Entry], reproduction: Reproduction | None
-) -> str:
+def results_json(request: Request, results: Sequence[Result], scores: Sequence[Entry]) -> str:
     """Return the text of results.json: strict JSON, null for what is not a number."""
     content: dict[str, Any] = {
         "suite": request.suite,
@@ -42,8 +39,6 @@ def results_json(
         ],
         "pooled": [{"policy": entry.policy, "regime": entry.place, **record(entry)} for entry in scores],
     }
-    if reproduction is not None:
-        content["reproduction"] = reproduction.to_dict()
     return json_text(content)
 
 

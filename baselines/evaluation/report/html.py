@@ -56,8 +56,8 @@ class Board:
     zero_one: tuple[float, float] | None  # where the scores 0 and 1 are in the intervals
 
 
-def report_html(request: Request, results: Sequence[Result], pooled: Sequence[Entry], paper: bool = False) -> str:
-    """Return the text of report.html; `paper` says whether there is a page about the paper beside it."""
+def report_html(request: Request, results: Sequence[Result], pooled: Sequence[Entry]) -> str:
+    """Return the text of report.html."""
     episodes = sum(len(cell.episodes) for cell in request.cells)
     counted = f"{episodes} episodes of each policy"
     policies = list(dict.fromkeys(r.run.policy for r in results if r.entry.summary is not None))
@@ -85,7 +85,6 @@ def report_html(request: Request, results: Sequence[Result], pooled: Sequence[En
         failed=[f"{r.run.policy} in {r.run.scenario.name}: {r.run.error}" for r in results if r.run.error],
         notes=list(dict.fromkeys((*request.notes, *(f"{r.run.policy}: {t}" for r in results for t in r.run.warnings)))),
         definitions=definitions(),
-        paper=paper,
     )
 
 

@@ -15,7 +15,6 @@ from rich.table import Table
 from baselines.evaluation.report.columns import Column, ranked, used
 from baselines.evaluation.report.numbers import Entry, Result, recordings
 from baselines.evaluation.score import FORESIGHTED, SCALE
-from research.paper.numbers import Reproduction, Row
 
 WIDTH = 200  # characters in a line of a table that does not go to a terminal
 LOOK: dict[str, Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False}  # of every table
@@ -27,13 +26,9 @@ def console() -> Console:
     return out if out.is_terminal else Console(highlight=False, width=WIDTH)
 
 
-def print_report(
-    results: Sequence[Result], pooled: Sequence[Entry], reproduction: Reproduction | None, folder: Path
-) -> None:
+def print_report(results: Sequence[Result], pooled: Sequence[Entry], folder: Path) -> None:
     """Print the tables, and on stderr what went wrong."""
     out, err = console(), Console(stderr=True, highlight=False, soft_wrap=True)
-    for table in reproduction_tables(reproduction) if reproduction else []:
-        out.print(table)
     shown = [r for r in results if r.run.recorded is None or r.run.policy in FORESIGHTED]
     out.print(entries_table("Position error of the centre of mass", "scenario", [r.entry for r in shown], out))
     if any(entry.score for entry in pooled):
@@ -85,36 +80,4 @@ def _table(title: str, kind: str, entries: Sequence[Entry], columns: Sequence[Co
             cells = [column.text(entry) for column in columns] if entry.summary else ["[red]failed[/red]"]
             name = entry.policy + ("*" if entry.recorded else "")
             table.add_row(escape(place) if i == 0 else "", escape(name), *cells)
-    return table
-
-
-def reproduction_tables(reproduction: Reproduction) -> list[Table]:
-    """Return the tables about the paper: its numbers, its starts, its slips."""
-    starts = Table(
-        title="Section V from all eight starts: |x_e| = 0.5 m, |y_e| = 1 m, |psi_e| = 20 deg, at rest", **LOOK
-    )
-    headings = ("signs", "to 5 cm [s]", "to 1 deg [s]", "peak |F_u| [N]", "peak |F_r| [N m]", "error at 100 s [m]")
-    for heading in headings:
-        starts.add_column(escape(heading), justify="right")
-    for s in reproduction.starts:
-        peaks = (f"{s.peak_F_u_N:.1f}", f"{s.peak_F_r_Nm:.1f}")
-        starts.add_row(s.signs, f"{s.settling_5cm_s:.1f}", f"{s.settling_1deg_s:.1f}", *peaks, f"{s.error_100s_m:.1e}")
-    rows, remarks = reproduction.rows, reproduction.remarks
-    return [
-        _row_table("The paper's numbers", rows),
-        starts,
-        _row_table("Where the printed equations do not hold", remarks),
-    ]
-
-
-def _row_table(title: str, rows: Sequence[Row]) -> Table:
-    table = Table(title=title, **LOOK)
-    for name, justify in (("quantity", "left"), ("place", "left"), ("paper", "right"), ("measured", "right")):
-        table.add_column(name, justify=justify)  # type: ignore[arg-type]
-    for name in ("unit", "agrees", "note"):
-        table.add_column(name)
-    verdicts = {True: "yes", False: "[yellow]no[/yellow]", None: "-"}
-    for row in rows:
-        paper = "-" if row.paper is None else f"{row.paper:.6g}"
-        table.add_row(row.quantity, row.place, paper, f"{row.measured:.6g}", row.unit, verdicts[row.agrees], row.note)
     return table

@@ -8,13 +8,13 @@ from dataclasses import MISSING, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.identify.least_squares import first_states, fit, leave
-from auv_gym.identify.log import Array, Log
-from auv_gym.identify.model import CURRENT, HULL, LIMITS, PARAMETERS, Model
-from auv_gym.identify.start import WINDOWS, Start, start
-from auv_gym.identify.uncertainty import rough_noise
 from auv_gym.physics.stiffness import fastest_rate
 from auv_gym.physics.vehicle import Coefficients, Vehicle
+from baselines.identification.least_squares import first_states, fit, leave
+from baselines.identification.log import Array, Log
+from baselines.identification.model import CURRENT, HULL, LIMITS, PARAMETERS, Model
+from baselines.identification.start import WINDOWS, Start, start
+from baselines.identification.uncertainty import rough_noise
 
 NEEDED = tuple(f.name for f in fields(Vehicle) if f.name in HULL and f.default is MISSING)
 """Parameters of the hull that every vehicle has."""

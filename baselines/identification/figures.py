@@ -12,14 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from auv_gym.identify.fit import Identified
-from auv_gym.identify.log import Array
-from auv_gym.identify.model import HULL
-from auv_gym.identify.uncertainty import NORMAL
 from auv_gym.physics.actuators import Response, respond
 from auv_gym.physics.dynamics import State, rk4_step
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.vehicle import Coefficients
+from baselines.identification.fit import Identified
+from baselines.identification.log import Array
+from baselines.identification.model import HULL
+from baselines.identification.uncertainty import NORMAL
 
 DRAWS = 200  # vehicles that the fit does not tell apart, for the intervals
 STEPS = 4000  # integration steps of a manoeuvre, at most

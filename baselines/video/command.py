@@ -1,4 +1,4 @@
-"""Moving pictures of policies side by side: `auv-gym film --help`."""
+"""Moving pictures of policies side by side: `auv-gym video --help`."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from baselines.evaluation.request import checked, checked_policies, checked_scen
 from baselines.evaluation.rollout import PolicyError
 from baselines.evaluation.runner import drawn, run_all
 from baselines.evaluation.score import EXPERT
-from baselines.film.files import WRITERS, save
-from baselines.film.film import FPS, SIZE, SPEED, film
-from baselines.film.layout import HULLS
-from baselines.film.pairs import Lead, leads, typical
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse, printable
 from baselines.tools.workers import Workers
+from baselines.video.files import WRITERS, save
+from baselines.video.layout import HULLS
+from baselines.video.pairs import Lead, leads, typical
+from baselines.video.video import FPS, SIZE, SPEED, film
 
-PROGRAM = "python -m baselines.film"
+PROGRAM = "auv-gym video"
 SMALLEST = (240, 180)
 """Least width and height [px] of a film."""
 MOST_PICTURES = 3600  # of a film

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from auv_gym.identify.log import MEASURED, Array, unwrapped
-from auv_gym.identify.model import STATES, Model
+from baselines.identification.log import MEASURED, Array, unwrapped
+from baselines.identification.model import STATES, Model
 
 Indices = NDArray[np.int64]
 INNER = 5  # most steps to the best first states

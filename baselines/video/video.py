@@ -17,9 +17,9 @@ from auv_gym.scenarios.scenario import Scenario
 from baselines.agents.names import agent_folder
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import EXPERT, ORACLE
-from baselines.film.files import save
-from baselines.film.layout import HULLS, Panel, Picture
-from baselines.film.voyage import Voyage, voyage
+from baselines.video.files import save
+from baselines.video.layout import HULLS, Panel, Picture
+from baselines.video.recording import Voyage, voyage
 
 SIZE = (480, 360)
 """Width and height [px] of a film where none is asked for."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from auv_gym.rendering.canvas import GRID, MUTED, WHITE, Canvas, Color
 from auv_gym.rendering.cards import round_down
-from baselines.film.voyage import Voyage
+from baselines.video.recording import Voyage
 
 LEFT = 46.0  # [units] left of the curves
 RIGHT = 14.0  # [units] right of them

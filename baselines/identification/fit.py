@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from auv_gym.identify.begin import (
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from baselines.identification.begin import (
     FIRST_SEGMENT,
     LOST,
     NEEDED,
@@ -22,12 +23,11 @@ from auv_gym.identify.begin import (
     shown,
     substeps_for,
 )
-from auv_gym.identify.least_squares import Left, first_states, fit
-from auv_gym.identify.log import Array, Log, unwrapped
-from auv_gym.identify.model import CURRENT, HULL, LIMITS, PARAMETERS, Model
-from auv_gym.identify.start import Start
-from auv_gym.identify.uncertainty import NORMAL, covariance, found_noise, rough_noise
-from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from baselines.identification.least_squares import Left, first_states, fit
+from baselines.identification.log import Array, Log, unwrapped
+from baselines.identification.model import CURRENT, HULL, LIMITS, PARAMETERS, Model
+from baselines.identification.start import Start
+from baselines.identification.uncertainty import NORMAL, covariance, found_noise, rough_noise
 
 IDENTIFIED = "identified"  # what a log says of a parameter, as are the next three: its interval is narrow enough
 ZERO = "not told from 0, taken as 0"  # its interval holds zero

@@ -16,12 +16,12 @@ from scipy.signal import savgol_filter
 from auv_gym.codegen.derivatives import jacobian
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.identify.log import Array, Log
-from auv_gym.identify.model import HULL
 from auv_gym.physics.actuators import Response, respond
 from auv_gym.physics.dynamics import rates
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.vehicle import Coefficients
+from baselines.identification.log import Array, Log
+from baselines.identification.model import HULL
 
 LAGS = (0.0, 1.0, 3.0, 8.0, 20.0)  # candidates of the lag, in time steps
 SHARES = (1.0, 0.8, 0.6, 0.4)  # candidates of a limit, as shares of the largest command

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from auv_gym.codegen.derivatives import directional
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.identify.log import Array, Log
 from auv_gym.physics.actuators import Response, respond
 from auv_gym.physics.dynamics import rk4_step
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.vehicle import Coefficients
+from baselines.identification.log import Array, Log
 
 HULL = Coefficients._fields  # the parameters of the vehicle
 LIMITS = ("F_u_max", "F_r_max")  # [N], [N m] of the actuators

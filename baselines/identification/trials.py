@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from auv_gym.identify.log import Log
 from auv_gym.physics.actuators import Actuators, Response, respond
 from auv_gym.physics.dynamics import STILL_WATER, Current, Force, State, rk4_step
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import FLOATS
 from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.vehicle import Vehicle
+from baselines.identification.log import Log
 
 Segment = tuple[float, float, float, float]
 SEGMENTS: tuple[Segment, ...] = (

@@ -1,0 +1,137 @@
+"""Verify a submission: `auv-gym submit --help`."""
+
+from __future__ import annotations
+
+import secrets
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from baselines.evaluation.progress import progress
+from baselines.evaluation.report.terminal import console, entries_table
+from baselines.evaluation.request import checked_policies
+from baselines.evaluation.runner import STEP_LIMIT, Run, runs
+from baselines.evaluation.submission.files import MEASURED, Submission, read
+from baselines.evaluation.submission.reproduction import (
+    RELATIVE,
+    SHARE,
+    Chosen,
+    cells_of,
+    chosen,
+    mismatches,
+    smallest_caught,
+)
+from baselines.evaluation.submission.scores import entries, yardsticks
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
+from baselines.tools.workers import DEFAULT_JOBS, Workers
+
+PROGRAM = "auv-gym submit"
+SHOWN = 5
+"""Largest number of mismatches that are printed."""
+MOST_SEED = 2**32  # of the seeds that choose the episodes
+
+
+@dataclass(frozen=True)
+class Options:
+    """Check a submission and show its scores; with POLICY, run a share of its episodes again.
+
+    Exit status: 0 done, 1 the file is damaged, contradicts itself or is not reproduced, 2 wrong usage.
+    """
+
+    file: Annotated[Positional[Path], arg(metavar="FILE")]
+    """The submission, NAME.npz."""
+    policy: Annotated[Positional[str], arg(metavar="[POLICY]")] = ""
+    """The policy as evaluate.py --policy takes it. Without one, nothing runs."""
+    share: float = SHARE
+    """Share of each case's episodes that is run again, from above 0 to 1."""
+    seed: int | None = None
+    """Seed that chooses them. Default: a random one, which is shown."""
+    step_limit: float = STEP_LIMIT
+    """Seconds that a policy may take for a decision, on average; a slower one fails."""
+    jobs: int = DEFAULT_JOBS
+    """Worker processes."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Verify as the arguments say and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    check(options.share, options.seed, options.step_limit, options.jobs)
+    try:
+        submission = read_file(options.file)
+        print(
+            f"{options.file}: {submission.name}, {submission.episodes} episodes of {submission.suite.name}, consistent"
+        )
+        out = console()
+        out.print(entries_table("Scores", "regime", entries([submission], yardsticks(submission.suite)), out))
+        if not options.policy:
+            return DONE
+        episodes, _ = episodes_to_run(submission, options.share, options.seed)
+        return reproduce(submission, options.policy, episodes, options.jobs, options.step_limit)
+    except ValueError as error:
+        print(f"{called(PROGRAM)}: {error}", file=sys.stderr)
+        return FAILED
+
+
+def check(share: float, seed: int | None, step_limit: float, jobs: int) -> None:
+    """Raise UsageError if one of the numbers makes no sense."""
+    if not 0 < share <= 1:
+        raise UsageError(f"--share is {share}; it must be above 0 and at most 1")
+    if seed is not None and not 0 <= seed < MOST_SEED:
+        raise UsageError(f"--seed is {seed}; it must be 0 or more and below {MOST_SEED}")
+    if jobs < 1 or not step_limit > 0:
+        raise UsageError("--jobs and --step-limit must be positive")
+
+
+def read_file(file: Path) -> Submission:
+    """Return the submission of a file.
+
+    Raises:
+        UsageError: there is no such file.
+        ValueError: it holds no submission, or contradicts itself.
+    """
+    try:
+        return read(file)
+    except OSError as error:
+        raise UsageError(f"cannot read {file}: {error.strerror}") from error
+
+
+def episodes_to_run(submission: Submission, share: float, seed: int | None) -> tuple[Chosen, int]:
+    """Return the episodes to run again, and the seed that chose them, which is printed."""
+    seed = secrets.randbelow(MOST_SEED) if seed is None else seed
+    episodes = chosen(submission, share, seed)
+    count = sum(map(len, episodes.values()))
+    print(f"Running {count} of {submission.episodes} episodes again, chosen by --seed {seed}", flush=True)
+    return episodes, seed
+
+
+def reproduce(submission: Submission, policy: str, episodes: Chosen, jobs: int, step_limit: float) -> int:
+    """Run a share of the episodes again, print what differs and return the exit status."""
+    checked_policies([policy])
+    again: list[Run] = []
+    cells = cells_of(submission, episodes)
+    with progress(len(cells), sum(len(cell.episodes) * cell.scenario.steps for cell in cells)) as report:
+        pairs = [(policy, cell) for cell in cells]
+        for run in runs(pairs, Workers(jobs), step_limit, report.board.note):
+            report.run(run)
+            again.append(run)
+    if again[0].fingerprint != submission.fingerprint:
+        print(f"note: {policy} is not the policy that was submitted: its fingerprint is another one", file=sys.stderr)
+    count, found = sum(map(len, episodes.values())), mismatches(submission, episodes, again)
+    if found:
+        wrong = len({(m.scenario, m.episode) for m in found})
+        print(f"NOT REPRODUCED: {wrong} of {count} episodes differ")
+        for mismatch in found[:SHOWN]:
+            print(f"  {mismatch}")
+        return FAILED
+    print(f"Reproduced: all {len(MEASURED) * count} numbers, to {100 * RELATIVE:g} % of each.")
+    caught = 100 * smallest_caught(count)
+    print(f"Had {caught:.1f} % of the episodes been made up, this would have shown it with 95 % certainty.")
+    return DONE

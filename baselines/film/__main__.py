@@ -1,9 +1,0 @@
-"""Run as `python -m baselines.film`."""
-
-import sys
-
-from baselines.film.command import PROGRAM, main
-from baselines.tools.command_line import run
-
-if __name__ == "__main__":
-    sys.exit(run(main, PROGRAM))
