@@ -37,6 +37,11 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module 'auv_gym' has no attribute {name!r}")
 
 
+def __dir__() -> list[str]:
+    """Return the public names."""
+    return sorted(__all__)
+
+
 def _register() -> None:
     """Register both tasks, once for any scenario, and under an id of its own for each that ships with the package."""
     for task, entry_point, vector_entry_point in (
@@ -47,8 +52,8 @@ def _register() -> None:
         ),
         (
             "UnderactuatedAUVTrackResidual",
-            "auv_gym.envs.residual_entry:make_residual_env",
-            "auv_gym.envs.residual_entry:make_residual_vector_env",
+            "baselines.residual_envs:make_residual_env",
+            "baselines.residual_envs:make_residual_vector_env",
         ),
     ):
         scenarios: dict[str, int | None] = {"": None, **{f"-{name}": steps for name, steps in STEPS.items()}}

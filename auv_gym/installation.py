@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from importlib import import_module, metadata
+from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 DISTRIBUTION = "auv-gym"
 """Name of the distribution that holds both packages."""
@@ -64,19 +63,3 @@ def sources() -> str:
 def left_out(what: str) -> str:
     """Return that something is not part of the installed package, and where it is."""
     return f"{what} not part of the installed package; the sources have them: {sources()}"
-
-
-def from_baselines(name: str) -> Any:
-    """Return something of the package `baselines`, which comes with this one.
-
-    Raises:
-        ImportError: Python finds another package or module of that name first.
-    """
-    package = import_module("baselines")
-    if not hasattr(package, name):
-        found = package.__file__ or next(iter(package.__path__), "somewhere")
-        raise ImportError(
-            f"the residual environment needs the package 'baselines' beside auv_gym, in {ROOT}, but Python finds "
-            f"another one first, {found}; rename that, or start Python elsewhere"
-        )
-    return getattr(package, name)

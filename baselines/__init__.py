@@ -1,187 +1,34 @@
-"""Controllers and agents for auv_gym, all with Stable-Baselines3's `predict`."""
+"""Controllers, agents, training and evaluation for auv_gym. The names of `__all__` are public; all else is internal."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
 from typing import Any
 
-import gymnasium as gym
-
-from auv_gym.envs import make_track_vector_env
-from auv_gym.envs.lanes import ScenarioLike
-from auv_gym.envs.residual import ResidualAction, VectorResidualAction
-from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
-from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
-from auv_gym.physics.vehicle import Vehicle
-from auv_gym.rendering import PICTURE
-from auv_gym.scenarios.fitting import changed
-from auv_gym.scenarios.presets import as_scenario
-from auv_gym.scenarios.scenario import Scenario
-from auv_gym.task.policy import Policy, preview_of
-from baselines.agents.guard import Guarded, bounded_law
-from baselines.agents.loading import load_policy
-from baselines.agents.names import COMMAND, FADING, agent_folder, guarded_name, is_path, shipped_agents
-from baselines.control import POLICIES, make_controller
-from baselines.evaluation.episodes import EpisodeRecord, run_episode, run_episodes
-from baselines.policy import Privileged
-from baselines.similar import made_for
-
-__all__ = [
-    "POLICIES",
-    "EpisodeRecord",
-    "common_vehicle",
-    "list_policies",
-    "make_policy",
-    "make_residual_env",
-    "make_residual_vector_env",
-    "run_episode",
-    "run_episodes",
-]
+_HOMES = {
+    "Agent": "agents.agent",
+    "EpisodeRecord": "evaluation.episodes",
+    "Log": "identification.log",
+    "POLICIES": "control",
+    "identify": "identification.fit",
+    "list_policies": "policies",
+    "list_suites": "evaluation.suites",
+    "make_film": "video.video",
+    "make_policy": "policies",
+    "make_residual_env": "residual_envs",
+    "make_residual_vector_env": "residual_envs",
+    "run_episode": "evaluation.episodes",
+    "run_episodes": "evaluation.episodes",
+}
+__all__ = list(_HOMES)
 
 
-def list_policies() -> dict[str, str]:
-    """Return the names of the policies with a line about each."""
-    agents = {name: f"a trained agent, see baselines/agents/shipped/{name}/card.md" for name in shipped_agents()}
-    return {name: text for name, (_, _, text) in POLICIES.items()} | agents
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used, so that `import baselines` is quick."""
+    if name in _HOMES:
+        from importlib import import_module
+
+        return getattr(import_module(f"baselines.{_HOMES[name]}"), name)
+    raise AttributeError(f"module 'baselines' has no attribute {name!r}")
 
 
-def make_policy(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None = None, **options: Any) -> Policy:
-    """Return a policy by name or path; options override those of the entry.
-
-    A path is FILE.py:FACTORY, a FILE.zip of Stable-Baselines3, or "cmd:" and the words of a command, all of which can
-    run any code; or a FILE.onnx or the folder of a trained agent, which cannot. An agent's name or folder may be
-    followed by `FADING`. Behind any but a command there may be `GUARD`, and "=" and the policy that takes over.
-
-    Args:
-        name: one of `list_policies`, FILE.py:FACTORY, a FILE.zip, a FILE.onnx, the folder of an agent, or cmd:COMMAND.
-        vehicle: the one that the task knows. None: the paper's. A controller or an agent is made for it in the paper's
-            units, see `baselines.similar`, so that its gains follow from the vehicle; what looks behind the observation
-            or comes from a file of code is told it as it is, if its factory takes a `vehicle`.
-        options: of the factory; numbers with units among them are for the vehicle in the paper's units.
-
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: the name is unknown, the file holds no policy, or the policy does not take such options.
-    """
-    if (parts := guarded_name(name)) is not None:
-        bare, other = parts
-
-        def guarded(known: Any) -> Policy:
-            fallback = make_policy(other, known) if other else bounded_law(known)
-            return Guarded(make_policy(bare, known, **options), fallback, known)
-
-        return made_for(vehicle, guarded)
-    if name.endswith(FADING) and not name.startswith(COMMAND):
-        return make_policy(name.removesuffix(FADING), vehicle, **{"fade": True, **options})
-    if is_path(name) or agent_folder(name) is not None:
-        return load_policy(name, vehicle, **options)
-    if name not in POLICIES:
-        known = ", ".join(list_policies())
-        raise ValueError(
-            f"unknown policy {name!r}; allowed are {known}, FILE.py:FACTORY, a FILE.zip, a FILE.onnx, an "
-            "agent's folder or cmd:COMMAND"
-        )
-    if isinstance(POLICIES[name][0], Privileged):
-        return make_controller(name, vehicle, **options)
-    return made_for(vehicle, lambda known: make_controller(name, known, **options))
-
-
-def common_vehicle(scenarios: Sequence[Scenario]) -> Vehicle | None:
-    """Return the vehicle that all scenarios know; None where they differ: one policy cannot believe in several."""
-    first = scenarios[0].vehicle
-    return first if all(scenario.vehicle == first for scenario in scenarios) else None
-
-
-def make_residual_env(
-    scenario: Scenario | str | Mapping[str, Any] = "paper-circle",
-    vehicle: Vehicle | str | Mapping[str, Any] | None = None,
-    control_dt: float | None = None,
-    render_mode: str | None = None,
-    expert: Policy | str = "backstepping",
-    authority: float | Sequence[float] = 0.5,
-    render_size: Sequence[int] = PICTURE,
-) -> gym.Env[Any, Any]:
-    """Return the environment of `UnderactuatedAUVTrackResidual-v0`: the tracking task with corrections to an expert.
-
-    Args:
-        scenario: a `Scenario`, its dict, or a preset's name.
-        vehicle: the known vehicle, in place of the scenario's.
-        control_dt: control period [s], in place of the scenario's.
-        render_mode: None, "human" or "rgb_array".
-        expert: a policy, or the name of one, which is told the known vehicle; the observation has the preview that it
-            needs.
-        authority: largest correction of surge and yaw, as fractions of the limits in (0, 2]; one number or a pair.
-        render_size: width and height of pictures [px].
-
-    Raises:
-        OSError: the expert's file cannot be read.
-        ValueError: scenario, vehicle, control period, render mode or size, expert or authority are not what they must
-            be.
-    """
-    known = changed(as_scenario(scenario), vehicle).vehicle
-    policy = make_policy(expert, known) if isinstance(expert, str) else expert
-    env = UnderactuatedAUVTrackEnv(scenario, vehicle, control_dt, render_mode, preview_of(policy), render_size)
-    return ResidualAction(env, policy, authority)
-
-
-# Where Gymnasium looks for what can be drawn, for "rgb_array_list".
-make_residual_env.metadata = UnderactuatedAUVTrackEnv.metadata  # type: ignore[attr-defined]
-
-
-def make_residual_vector_env(
-    num_envs: int = 1,
-    scenario: ScenarioLike | Sequence[ScenarioLike] = "paper-circle",
-    vehicle: Vehicle | str | Mapping[str, Any] | None = None,
-    control_dt: float | None = None,
-    render_mode: str | None = None,
-    expert: Policy | str = "backstepping",
-    authority: float | Sequence[float] = 0.5,
-    backend: str = "numpy",
-    device: Any = None,
-    dtype: Any = None,
-    autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
-    max_episode_steps: int | None = None,
-) -> VectorEnv[Any, Any, Any]:
-    """Return the vector environment of `UnderactuatedAUVTrackResidual-v0`.
-
-    Args:
-        num_envs: N, the number of vehicles.
-        scenario: a `Scenario`, its dict, a preset's name, or a sequence of N of them.
-        vehicle: the known vehicle, in place of the scenarios'.
-        control_dt: control period [s], in place of the scenarios'.
-        render_mode: None; the scalar environment draws.
-        expert: a policy, or the name of one, which is told the known vehicle, if it is the same one everywhere; with
-            backend "torch" a law that computes on tensors.
-        authority: largest correction of surge and yaw, as fractions of the limits in (0, 2]; one number or a pair.
-        backend: "numpy" for arrays of float64, or "torch" for tensors.
-        device: where the tensors live, "cpu" or "cuda"; with backend "torch" only.
-        dtype: type of the tensors, "float32" or "float64"; with backend "torch" only.
-        autoreset_mode: "SameStep", "NextStep" or "Disabled", see `UnderactuatedAUVTrackVectorEnv`.
-        max_episode_steps: control steps after which episodes are truncated, if that is sooner than the scenario says.
-
-    Raises:
-        ImportError: the back end is "torch", and torch is not installed.
-        OSError: the expert's file cannot be read.
-        ValueError: an argument is not what it must be.
-    """
-    given = [scenario] if isinstance(scenario, (Scenario, str, Mapping)) else scenario
-    known = common_vehicle([changed(as_scenario(s), vehicle) for s in given])
-    policy: Any = make_policy(expert, known) if isinstance(expert, str) else expert
-    env = make_track_vector_env(
-        num_envs,
-        scenario,
-        vehicle,
-        control_dt,
-        render_mode,
-        backend,
-        device,
-        dtype,
-        preview_of(policy),
-        autoreset_mode,
-        max_episode_steps,
-    )
-    if backend == "numpy":
-        return VectorResidualAction(env, policy, authority)
-    from auv_gym.envs.torch_residual import TorchResidualAction
-
-    return TorchResidualAction(env, policy, authority)  # type: ignore[arg-type]
+def __dir__() -> list[str]:
+    """Return the public names."""
+    return sorted(__all__)

@@ -112,7 +112,7 @@ def collect(
         ValueError: a policy is unknown, or the scenario cannot be followed.
         PolicyError: a policy gives no usable action.
     """
-    from baselines import make_policy
+    from baselines.policies import make_policy
 
     parts: list[Part] = []
     for policy in policies:

@@ -85,6 +85,10 @@ EVALUATE = ("python evaluate.py", "auv-gym evaluate")
 """How lines begin that evaluate."""
 
 
+OTHERS = r"auv-gym (?!evaluate)|python -m research "
+"""How other lines begin that run here."""
+
+
 def lines():
     """Return the shell lines of all pages, without comments."""
     blocks = [m for page in PAGES for m in FENCE.finditer(page.read_text(encoding="utf-8")) if m[1] in ("bash", "sh")]
@@ -338,7 +342,7 @@ def test_line_of_evaluate_runs(line, folder, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
-    "line", sorted({shlex.join(quick(x)) for x in lines() if "-m baselines" in x and not elsewhere(x)})
+    "line", sorted({shlex.join(quick(x)) for x in lines() if re.match(OTHERS, x) and not elsewhere(x)})
 )
 def test_line_of_a_module_runs(line, copy):
     called(copy, sys.executable, *shlex.split(line))

@@ -77,9 +77,9 @@ def run_episodes(
         ValueError: policy, scenario or their number are not what they must be.
         PolicyError: the policy gives no usable action, see `baselines.evaluation.rollout`.
     """
-    from baselines import make_policy  # which imports this module
     from baselines.evaluation.rollout import beginning, play
     from baselines.evaluation.runner import drawn
+    from baselines.policies import make_policy
     from baselines.policy import Privileged
 
     if isinstance(episodes, bool) or not isinstance(episodes, int) or episodes < 1:

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from auv_gym.installation import RECORD, checkout, found, left_out
 from auv_gym.scenarios.presets import REGIMES
-from baselines import list_policies
 from baselines.agents.agent import Agent
 from baselines.agents.names import agent_folder, bare_name
 from baselines.evaluation.fingerprints import fingerprint
@@ -30,6 +29,7 @@ from baselines.evaluation.runner import Cell, Recorded, Run
 from baselines.evaluation.score import regime_of
 from baselines.evaluation.store import Stored, reading, write
 from baselines.evaluation.suites import Suite
+from baselines.policies import list_policies
 from baselines.tools.files import json_text, write_atomically
 
 FOLDER = Path(__file__).parent / "data" / "recorded"

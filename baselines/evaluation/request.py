@@ -16,7 +16,6 @@ from typing import NamedTuple, TypeVar
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.presets import PRESETS, as_scenario
 from auv_gym.scenarios.scenario import Scenario
-from baselines import make_policy
 from baselines.agents.loading import caution
 from baselines.evaluation import recorded
 from baselines.evaluation.fingerprints import fingerprint
@@ -27,6 +26,7 @@ from baselines.evaluation.runner import Cell, Run, drawn
 from baselines.evaluation.score import EXPERT, Anchors, regime_of
 from baselines.evaluation.submission.making import check_options
 from baselines.evaluation.suites import list_suites, load
+from baselines.policies import make_policy
 from baselines.tools.command_line import UsageError, printable
 from baselines.tools.workers import Workers
 

@@ -23,10 +23,10 @@ from auv_gym.envs.lanes import plan_of, reference_tables
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
-from baselines import make_policy
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import Measures, Track
 from baselines.evaluation.rollout import PolicyError, Rollout, rollout
+from baselines.policies import make_policy
 from baselines.tools.command_line import printable
 from baselines.tools.workers import Workers
 

@@ -13,9 +13,9 @@ from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.records import from_record
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.policy import Policy, checked_authority
-from baselines import common_vehicle
 from baselines.agents.agent import make_expert
 from baselines.evaluation.score import EXPERT
+from baselines.policies import common_vehicle
 from baselines.tools.seeds import TRAINING
 
 ALGORITHMS: Mapping[str, str] = {

@@ -19,8 +19,8 @@ from typing import Annotated, Any, Literal
 from tyro.conf import Positional, arg
 
 from auv_gym.scenarios.vehicles import PAPER, Craft, as_craft, list_vehicles
-from baselines import make_policy
 from baselines.gains.loading import checked_gains, gain_file, load_gains
+from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, parse, typed
 from baselines.tools.files import read_json
 from baselines.tuning.objective import Course, compared, course, scenarios_of

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.policy import preview_of
-from baselines import make_policy
 from baselines.evaluation.rollout import beginning, play
+from baselines.policies import make_policy
 from baselines.policy import Privileged
 
 Array = NDArray[np.float64]

@@ -10,7 +10,6 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from baselines import list_policies
 from baselines.agents.agent import Agent
 from baselines.agents.names import agent_folder
 from baselines.evaluation import recorded, suites
@@ -22,6 +21,7 @@ from baselines.evaluation.submission.command import check, episodes_to_run, read
 from baselines.evaluation.submission.files import Submission, submission_of
 from baselines.evaluation.submission.reproduction import SHARE
 from baselines.evaluation.submission.scores import yardsticks
+from baselines.policies import list_policies
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
 from baselines.tools.files import write_atomically
 from baselines.tools.workers import DEFAULT_JOBS

@@ -20,13 +20,13 @@ import numpy as np
 from auv_gym.installation import checkout
 from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES
 from auv_gym.scenarios.scenario import Scenario
-from baselines import make_policy
 from baselines.control.clairvoyant.solver import GOOD
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import most_lost
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import Cell, drawn
 from baselines.evaluation.score import BOUND, EXPERT, ORACLE, is_lost, largest_tail, regime_of
+from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tools.seeds import SWEEP

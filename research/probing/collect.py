@@ -16,13 +16,13 @@ from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import RandomPath, Scenario
 from auv_gym.task.observation import decode_observation
 from auv_gym.task.policy import preview_of
-from baselines import make_policy
 from baselines.agents.residual_policy import ResidualPolicy
 from baselines.estimation.kalman import ExtendedKalmanFilter
 from baselines.estimation.sea_model import Estimate
 from baselines.evaluation.rollout import beginning, play
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import regime_of
+from baselines.policies import make_policy
 from baselines.policy import Array, Memory
 from baselines.tools.seeds import KNOWLEDGE
 from research.probing.tap import AT_ONCE, HIDDEN, Beside, Tapped, acting, remembering

@@ -17,10 +17,10 @@ from tyro.conf import arg
 
 from auv_gym.installation import checkout
 from auv_gym.scenarios.names import REGIMES
-from baselines import list_policies, make_policy
 from baselines.agents.names import agent_folder
 from baselines.evaluation.rollout import PolicyError
 from baselines.evaluation.score import FORESIGHTED
+from baselines.policies import list_policies, make_policy
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
 from baselines.tools.files import json_text, write_atomically
 from research import DATA

@@ -18,11 +18,11 @@ from tyro.conf import arg
 
 from auv_gym.installation import checkout
 from auv_gym.scenarios.presets import REGIMES
-from baselines import list_policies
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.runner import drawn, run_all
 from baselines.evaluation.score import ADVERSE_RIVAL, EXPERT, FORESIGHTED, RIVAL, regime_of
 from baselines.evaluation.suites import Suite
+from baselines.policies import list_policies
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
 from baselines.tools.files import versions
 from baselines.tools.seeds import FRESH

@@ -23,13 +23,13 @@ from auv_gym.installation import checkout
 from auv_gym.scenarios.mixtures import adverse
 from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES
 from auv_gym.scenarios.scenario import Scenario
-from baselines import make_policy
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import most_lost
 from baselines.evaluation.request import checked_policies, checked_scenario
 from baselines.evaluation.rollout import PolicyError, rollout
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import is_lost, largest_tail, waters_of
+from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tools.seeds import CERTIFICATE

@@ -23,7 +23,6 @@ from tyro.conf import Positional, arg
 from auv_gym.installation import checkout
 from auv_gym.scenarios.presets import REGIMES
 from auv_gym.scenarios.scenario import Scenario
-from baselines import make_policy
 from baselines.control.backstepping import StabilityWarning
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.request import checked_folder, checked_policies
@@ -31,6 +30,7 @@ from baselines.evaluation.rollout import PolicyError
 from baselines.evaluation.runner import Cell, drawn
 from baselines.evaluation.score import cut, is_lost, largest_tail
 from baselines.evaluation.side_by_side import SideBySide
+from baselines.policies import make_policy
 from baselines.policy import Array
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, check_words, parse
 from baselines.tools.files import json_text, read_json, write_atomically

@@ -16,7 +16,6 @@ from tyro.conf import arg
 
 from auv_gym.installation import checkout
 from auv_gym.scenarios.presets import REGIMES
-from baselines import make_policy
 from baselines.agents.agent import Agent
 from baselines.agents.guard import Guarded, bounded_law
 from baselines.agents.names import GUARD, agent_folder
@@ -26,6 +25,7 @@ from baselines.evaluation.request import checked_policies
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import EXPERT, capped, is_lost, largest_tail, waters_of
 from baselines.evaluation.side_by_side import SideBySide
+from baselines.policies import make_policy
 from baselines.policy import Array
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, read_json, write_atomically

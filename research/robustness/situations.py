@@ -13,7 +13,6 @@ from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.presets import CASES, PRESETS
 from auv_gym.scenarios.scenario import RandomPath, Scenario
 from auv_gym.task.policy import Policy
-from baselines import make_policy
 from baselines.agents.agent import Agent
 from baselines.agents.features import STANDARD
 from baselines.agents.names import agent_folder
@@ -23,6 +22,7 @@ from baselines.evaluation.metrics import Array
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import EXPERT, LARGEST_TAIL, cut, is_lost
 from baselines.evaluation.side_by_side import SideBySide
+from baselines.policies import make_policy
 from baselines.similar import made_for
 from research.results.fresh import SEED
 from research.robustness.failures import FAILURES, Failing

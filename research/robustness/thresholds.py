@@ -22,12 +22,12 @@ from auv_gym.scenarios.mixtures import OUTAGE_TIMES, SLEW_TIMES, adverse, hasty,
 from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES
 from auv_gym.scenarios.scenario import Scenario, Start
 from auv_gym.task.policy import Policy
-from baselines import make_policy
 from baselines.agents.guard import Guarded, Thresholds, bounded_law
 from baselines.evaluation.request import checked_policies
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import EXPERT, cut, is_lost, largest_tail
 from baselines.evaluation.side_by_side import SideBySide
+from baselines.policies import make_policy
 from baselines.policy import Array
 from baselines.tools.command_line import DONE, UsageError, check_words, parse
 from baselines.tools.files import json_text, read_json, write_atomically

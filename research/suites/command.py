@@ -10,12 +10,12 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from baselines import list_policies
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.progress import progress
 from baselines.evaluation.runner import STEP_LIMIT, Cell, Run, runs
 from baselines.evaluation.score import regime_of
 from baselines.evaluation.suites.yardsticks import keep
+from baselines.policies import list_policies
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
 from baselines.tools.files import versions
 from baselines.tools.workers import Workers

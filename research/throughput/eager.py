@@ -11,11 +11,11 @@ from torch import Tensor
 
 from auv_gym.envs.torch_sim import TENSORS
 from auv_gym.scenarios.presets import PRESETS
-from baselines import make_policy
 from baselines.agents.features import STANDARD, Inputs
 from baselines.agents.networks import Mlp
 from baselines.control.backstepping import Backstepping
 from baselines.control.open_loop import NO_EXPERT, Zero
+from baselines.policies import make_policy
 from baselines.training.apg.closed_loop import ClosedLoop, Loss, law_of
 from baselines.training.apg.fleet import Fleet
 from baselines.training.apg.kernels import LoopKernels

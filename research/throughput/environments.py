@@ -12,7 +12,7 @@ import numpy as np
 
 from auv_gym import PRESETS
 from auv_gym.scenarios.fitting import changed
-from baselines import make_policy
+from baselines.policies import make_policy
 from research.throughput.figures import SCENARIO, Figure, faster, takes
 from research.throughput.timing import Run, cpu_time, interleaved, timed, typical, whole
 

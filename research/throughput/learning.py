@@ -20,7 +20,7 @@ import torch
 from auv_gym.codegen import native
 from auv_gym.envs.torch_sim import TorchSimulator
 from auv_gym.scenarios.mixtures import MIXTURES
-from baselines import make_policy
+from baselines.policies import make_policy
 from baselines.training.apg.crews import Crews
 from baselines.training.apg.settings import Settings, check
 from baselines.training.apg.torch_network import torch_network, weights_of

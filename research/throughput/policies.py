@@ -12,8 +12,8 @@ import numpy as np
 
 from auv_gym import PRESETS
 from auv_gym.task.policy import preview_of
-from baselines import list_policies, make_policy
 from baselines.evaluation.rollout import rollout
+from baselines.policies import list_policies, make_policy
 from baselines.policy import Privileged
 from research.throughput.environments import TRACK
 from research.throughput.figures import SCENARIO, Figure, takes

@@ -22,12 +22,12 @@ from auv_gym.physics.units import Units
 from auv_gym.scenarios.presets import CASES
 from auv_gym.scenarios.presets import as_scenario as preset
 from auv_gym.scenarios.vehicles import fleet
-from baselines import make_policy
 from baselines.agents.names import agent_folder
 from baselines.evaluation.metrics import Array, resamplings
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import EXPERT, LARGEST_TAIL, RIVAL, cut, is_lost, relative_error
+from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tools.seeds import FINE_TUNING

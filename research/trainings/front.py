@@ -20,9 +20,9 @@ from tyro.conf import Positional, arg
 from auv_gym.installation import checkout
 from auv_gym.scenarios.presets import REGIMES
 from auv_gym.task.policy import Policy
-from baselines import make_policy
 from baselines.evaluation.rollout import Log, Repeatable, Watch, beginning
 from baselines.evaluation.runner import Cell, Run
+from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.training.command import train
 from baselines.training.hyperparameters import changes_of, words_of

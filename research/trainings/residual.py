@@ -23,12 +23,12 @@ from tyro.conf import Positional, arg
 
 from auv_gym.installation import checkout
 from auv_gym.scenarios.presets import REGIMES
-from baselines import list_policies
 from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation import recorded
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.request import checked
 from baselines.evaluation.score import EXPERT, RIVAL
+from baselines.policies import list_policies
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tools.workers import Workers

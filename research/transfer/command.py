@@ -16,8 +16,8 @@ from tyro.conf import arg
 
 from auv_gym.installation import checkout
 from auv_gym.scenarios.names import CASES as KNOWN
-from baselines import list_policies
 from baselines.evaluation.fingerprints import fingerprint
+from baselines.policies import list_policies
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, write_atomically
 from baselines.tools.workers import Workers

@@ -13,10 +13,10 @@ from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.vehicles import craft
 from auv_gym.task.kernels import MadeBodies
 from auv_gym.task.policy import preview_of
-from baselines import make_policy
 from baselines.evaluation.metrics import Array, Measures, resamplings
 from baselines.evaluation.rollout import Log, beginning, play
 from baselines.evaluation.runner import Cell, drawn
+from baselines.policies import make_policy
 from baselines.tools.seeds import ELSEWHERE
 from research.transfer.bodies import bodies
 from research.transfer.installed import Installed

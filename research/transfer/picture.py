@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from auv_gym.scenarios.vehicles import craft
-from baselines import make_policy
 from baselines.evaluation.metrics import Track
 from baselines.evaluation.rollout import rollout
+from baselines.policies import make_policy
 from baselines.tools.figure_style import COLOURS, REFERENCE, panels, styled, to_png
 from research.transfer.comparison import PLANE, SPACE, Task
 

@@ -25,13 +25,13 @@ from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.vehicles import PAPER, Craft, fleet
 from auv_gym.task.policy import Policy
-from baselines import make_policy
 from baselines.control import POLICIES, make_controller
 from baselines.evaluation.metrics import RESAMPLES, Array
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import LARGEST_TAIL, RIVAL, cut, is_lost
 from baselines.gains.loading import load_gains
+from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tuning.command import known_craft

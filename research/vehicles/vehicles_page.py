@@ -10,9 +10,9 @@ import numpy as np
 
 from auv_gym.physics.units import Units
 from auv_gym.scenarios.vehicles import PAPER, Craft, craft, fleet
-from baselines import make_policy
 from baselines.evaluation.score import RIVAL, Score, relative_error
 from baselines.evaluation.stability.analysis import linearise_policy
+from baselines.policies import make_policy
 from research.vehicles.vehicles import AGENT, NEAR, SCENARIO, SIDES
 
 BEGIN = "<!-- gains: written by REFRESH_DOCS=1 python -m pytest tests/test_vehicle_gains.py -->"

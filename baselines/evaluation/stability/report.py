@@ -16,7 +16,6 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.presets import PAPER_SCENARIO
 from auv_gym.scenarios.scenario import Start
 from auv_gym.task.policy import Policy, preview_of
-from baselines import make_policy
 from baselines.evaluation.report.terminal import console
 from baselines.evaluation.rollout import PolicyError, rollout
 from baselines.evaluation.runner import drawn
@@ -26,6 +25,7 @@ from baselines.evaluation.stability.page import stability_html
 from baselines.evaluation.stability.sampled_loop import PRIVILEGED, Steady, steady_motion
 from baselines.evaluation.stability.tables import DISTANCE, Stability, sheets, stability_map, terminal_table
 from baselines.evaluation.stability.verdicts import verdicts
+from baselines.policies import make_policy
 from baselines.policy import Privileged
 from baselines.tools.command_line import DONE, FAILED
 from baselines.tools.figure_style import styled, to_png

@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines import make_policy
 from baselines.evaluation.metrics import Array
 from baselines.evaluation.rollout import PolicyError, rollout
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import BY_ORACLE, cap_of, cut
 from baselines.evaluation.suites import FOLDER, Suite
+from baselines.policies import make_policy
 from baselines.tools.files import json_text, read_json, write_atomically
 
 FILE = FOLDER / "yardsticks.json"  # of all suites that have been measured
