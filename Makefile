@@ -49,6 +49,7 @@ UNCOMPILED = not (16384 or torch or frames or report_is_one_page or interrupted 
 lint: $(VENV)/dev.stamp ## check the style, the format and the set-up of the project
 	$(BIN)/python -m ruff check
 	$(BIN)/python -m ruff format --check
+	$(BIN)/lint-imports --no-cache
 	$(BIN)/python -m repo_review --show err
 
 typecheck: $(VENV)/dev.stamp ## check the types

@@ -10,9 +10,9 @@ from baselines import make_policy
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.tools.command_line import UsageError
-from baselines.tools.seeds import SWEEP
 from research.lower_bounds import bound
 from research.lower_bounds.bound import Count, counted, kept, main, nearer, together, told
+from research.seeds import OPTIMUM
 
 SHORT = tuple(replace(PRESETS[name], steps=60) for name in ("slow-storm", "cruise-actuator"))
 
@@ -38,7 +38,7 @@ def test_a_run_goes_on_where_the_last_one_ended(tmp_path, monkeypatch, capsys):
     assert "0 of 10 episodes lost" in capsys.readouterr().out
     counts = kept(file)
     assert [count.episodes for count in counts.values()] == [5, 5]
-    cell = drawn(SHORT[1], 5, SWEEP.first)
+    cell = drawn(SHORT[1], 5, OPTIMUM.first)
     tail = rollout(make_policy("clairvoyant"), SHORT[1], cell.episodes).measures.tail
     assert counts["cruise-actuator"].tails_m == pytest.approx(tail.sum(), rel=1e-3)
     assert counts["cruise-actuator"].largest_tail_m == pytest.approx(tail.max(), rel=1e-3)
@@ -56,7 +56,7 @@ def test_what_goes_wrong_is_told(tmp_path, monkeypatch, capsys):
     assert main(["--episodes", "2", "--out", str(file)]) == 1
     assert "slow-storm, seed 90000000" in capsys.readouterr().err
     (count,) = kept(file).values()
-    assert [own["seed"] for own in count.astray] == [SWEEP.first, SWEEP.first + 1]
+    assert [own["seed"] for own in count.astray] == [OPTIMUM.first, OPTIMUM.first + 1]
     for text in ("[]", '{"cases": {"slow-storm": {"tea": 1, "astray": []}}, "fingerprint": ""}', "{}"):
         file.write_text(text)
         with pytest.raises(UsageError, match="does not hold what"):

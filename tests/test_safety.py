@@ -30,10 +30,10 @@ from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import is_lost
 from baselines.tools.command_line import run
-from baselines.tools.seeds import CERTIFICATE, FALSIFICATION
 from research.results import kept
 from research.robustness import certificate, falsification, page, saved, seas, thresholds
 from research.robustness.failures import Failing
+from research.seeds import FAILURE_RATE, FALSIFICATION
 
 ROOT = Path(__file__).parents[1]
 
@@ -89,7 +89,7 @@ def test_certificate_counts_what_is_lost_and_goes_on(tmp_path, monkeypatch, caps
     arguments = ["open-loop", "--scenario", "slow-current", "--out", "counts.json"]
     assert run(certificate.main, certificate.PROGRAM, [*arguments, "--episodes", "4"]) == 0
     scenario = PRESETS["slow-current"]
-    measures = rollout(make_policy("open-loop"), scenario, drawn(scenario, 4, CERTIFICATE.first).episodes).measures
+    measures = rollout(make_policy("open-loop"), scenario, drawn(scenario, 4, FAILURE_RATE.first).episodes).measures
     lost = int(is_lost(measures.tail, measures.lost, 0.6).sum())
     assert lost > 0
     assert f"{lost} of 4 lost, at most" in capsys.readouterr().out

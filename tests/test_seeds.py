@@ -1,35 +1,32 @@
-"""One table says who draws from which seeds, and everybody keeps to it."""
+"""Two tables say which seeds are for what, and no module has seeds of its own."""
 
-import importlib
-import inspect
 import itertools
 import re
 from pathlib import Path
 
-from baselines.tools import seeds
+import pytest
+
+from baselines.tools import seeds as product
 from baselines.tuning import search
+from research import seeds as studies
 
 ROOT = Path(__file__).parents[1]
 
 
-def test_no_range_overlaps_another():
+@pytest.mark.parametrize("seeds", [product, studies])
+def test_no_range_overlaps_another(seeds):
     for a, b in itertools.pairwise(seeds.TABLE):
         assert a.first < a.end <= b.first < b.end
-    assert set(seeds.TABLE) == {value for value in vars(seeds).values() if isinstance(value, seeds.Seeds)}
+    assert set(seeds.TABLE) == {value for value in vars(seeds).values() if isinstance(value, product.Seeds)}
 
 
-def test_each_reader_draws_from_its_own_range_alone():
-    names = {value: name for name, value in vars(seeds).items() if isinstance(value, seeds.Seeds)}
-    for own in seeds.TABLE[1:]:
-        source = inspect.getsource(importlib.import_module(own.reader))
-        mine = {names[other] for other in seeds.TABLE if other.reader == own.reader}
-        used = {name for name in names.values() if re.search(rf"\b{name}\b\.first", source)}
-        assert names[own] in used <= mine
+def test_studies_keep_to_their_part():
+    assert all(product.STUDIES.holds(own.first, own.end - own.first) for own in studies.TABLE)
 
 
-def test_nobody_has_seeds_beside_the_table():
-    """A number of seven digits beside the word seed is one of the table, or the key of a frozen suite."""
-    for file in (*ROOT.glob("baselines/**/*.py"), *ROOT.glob("*.py")):
+def test_no_module_has_seeds_beside_the_tables():
+    """A number of seven digits beside the word seed is one of a table, or the key of a frozen suite."""
+    for file in (*ROOT.glob("baselines/**/*.py"), *ROOT.glob("research/**/*.py"), *ROOT.glob("*.py")):
         if file.name in ("seeds.py", "builder.py"):
             continue
         text = file.read_text(encoding="utf-8")
@@ -37,8 +34,8 @@ def test_nobody_has_seeds_beside_the_table():
 
 
 def test_a_range_knows_what_it_holds():
-    assert seeds.FRESH.holds(seeds.FRESH.first, 64)
-    assert not seeds.FRESH.holds(seeds.FRESH.end - 1, 2)
-    assert not seeds.FRESH.holds(seeds.FRESH.first - 1)
-    assert seeds.TUNING.holds(search.TUNING_SEED)
-    assert seeds.TUNING_CHECK.holds(search.VALIDATION_SEED, search.VALIDATION_EPISODES)
+    assert studies.HELD_OUT.holds(studies.HELD_OUT.first, 64)
+    assert not studies.HELD_OUT.holds(studies.HELD_OUT.end - 1, 2)
+    assert not studies.HELD_OUT.holds(studies.HELD_OUT.first - 1)
+    assert product.TUNING.holds(search.TUNING_SEED)
+    assert product.TUNING_CHECK.holds(search.VALIDATION_SEED, search.VALIDATION_EPISODES)

@@ -15,14 +15,15 @@ from markdown_it import MarkdownIt
 
 import evaluate
 from baselines.evaluation import recorded, request, suites
+from baselines.evaluation.about import About
+from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.report.numbers import pool
 from baselines.evaluation.runner import Cell, Recorded, run_all
 from baselines.evaluation.score import BY_BOUND, EXPERT
 from baselines.evaluation.store import Stored
 from baselines.evaluation.store import write as write_stored
 from baselines.evaluation.submission import command as submit
-from baselines.evaluation.submission import files, making
-from baselines.evaluation.submission.about import About
+from baselines.evaluation.submission import files
 from baselines.evaluation.submission.files import LARGEST, MEASURED, read, save, submission_of
 from baselines.evaluation.submission.reproduction import cells_of, chosen, mismatches, smallest_caught
 from baselines.evaluation.submission.scores import entries, yardsticks
@@ -128,7 +129,7 @@ def test_an_agent_enters_in_its_regime_alone(suite, capsys):
     found = read(Path("out/mine.npz"))
     assert [run.scenario.name for run in found.runs] == ["slow-calm"]
     assert (found.policy, found.about.training_steps) == ("apg-slow", 8e6)
-    assert found.fingerprint == making.fingerprint("apg-slow")
+    assert found.fingerprint == fingerprint("apg-slow")
     assert "--submit mine" in found.command
     assert "8 M steps<br>5 min".replace(" ", NBSP) in page(
         [board.Board(suite, (found,), tuple(entries([found], yardsticks(suite))), {})]

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 
+from baselines.evaluation import suites
+from baselines.evaluation.options import Options
 from baselines.evaluation.progress import Listener, progress
 from baselines.evaluation.report.files import results_csv, results_json
 from baselines.evaluation.report.html import report_html
@@ -12,9 +15,9 @@ from baselines.evaluation.report.terminal import print_report
 from baselines.evaluation.request import Request
 from baselines.evaluation.rows import RowStore
 from baselines.evaluation.runner import Run, runs
-from baselines.evaluation.submission.making import write_submission
+from baselines.evaluation.submission.files import save, submission_of
 from baselines.tools.command_line import DONE, FAILED
-from baselines.tools.files import write_atomically
+from baselines.tools.files import versions, write_atomically
 
 ROWS = "rows"
 """Folder in DIR that keeps the finished runs."""
@@ -39,7 +42,7 @@ def evaluate(request: Request) -> int:
         return FAILED
     print_report(results, pooled, out)
     options, suite = request.options, request.suite or ""
-    if options.submit is not None and write_submission(options, suite, request.command, found) != DONE:
+    if options.submit is not None and _submit(options, suite, request.command, found) != DONE:
         return FAILED
     return FAILED if any(run.error for run in found) else DONE
 
@@ -67,3 +70,31 @@ def _write(request: Request, results: list[Result], pooled: list[Entry]) -> None
     files["report.html"] = report_html(request, results, pooled)
     for name, content in files.items():
         write_atomically(out / name, content)
+
+
+def _submit(options: Options, suite_name: str, command: str, found: Sequence[Run]) -> int:
+    """Write the submission of an evaluation beside its other files, say where, and return the exit status.
+
+    Args:
+        options: of the evaluation, with `submit`.
+        suite_name: of the frozen suite.
+        command: as the user gave it.
+        found: the runs of the evaluation.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    (policy,) = set(options.policy)
+    assert options.submit is not None
+    own = [run for run in found if run.policy == policy]
+    file = options.out / f"{options.submit}.npz"
+    try:
+        suite = suites.load(suite_name)
+        made = submission_of(suite, own, options.submit, options.about, versions(), command)
+        size = save(made, file)
+    except ValueError as error:
+        print(f"no submission: {error}", file=sys.stderr)
+        return FAILED
+    print(f"Wrote {file}, {size / 1000:.0f} kB: {made.episodes} episodes of {suite.name}")
+    print(f"Look at it with `auv-gym submit {file} {policy!r}`")
+    return DONE

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from tyro.conf import OmitArgPrefixes, arg
 
-from baselines.evaluation.submission.about import NOTHING, About
+from baselines.evaluation.about import NOTHING, About
 
 
 @dataclass(frozen=True)

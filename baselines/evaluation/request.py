@@ -7,7 +7,7 @@ import json
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -18,13 +18,13 @@ from auv_gym.scenarios.presets import PRESETS, as_scenario
 from auv_gym.scenarios.scenario import Scenario
 from baselines.agents.loading import caution
 from baselines.evaluation import recorded
+from baselines.evaluation.about import NOTHING, checked_about, checked_name
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.options import Options
 from baselines.evaluation.recorded import regimes_of
 from baselines.evaluation.rollout import make_env
 from baselines.evaluation.runner import Cell, Run, drawn
 from baselines.evaluation.score import EXPERT, Anchors, regime_of
-from baselines.evaluation.submission.making import check_options
 from baselines.evaluation.suites import list_suites, load
 from baselines.policies import make_policy
 from baselines.tools.command_line import UsageError, printable
@@ -66,7 +66,7 @@ class Request:
         workers = checked(partial(Workers.of, options.jobs, options.cluster))
         names = checked_policies((EXPERT, *options.policy))
         suite = options.suite if options.scenario else options.suite or DEFAULT_SUITE
-        check_options(options, suite)
+        _check_submission(options, suite)
         task = _frozen(suite, options) if suite in list_suites() else _drawn(suite, options)
         earlier = tuple(run for run in task.recorded if run.policy not in names)
         refused = {policy: reason for policy, reason in task.refused.items() if policy not in names}
@@ -111,6 +111,30 @@ def _check(options: Options) -> None:
             raise UsageError(f"--{name} is {value if value < 10**30 else 'too large'}; it must be {limits}")
     if not options.step_limit > 0:
         raise UsageError(f"--step-limit is {options.step_limit}; it must be a positive number of seconds")
+
+
+def _check_submission(options: Options, suite: str | None) -> None:
+    """Look whether a submission can come of an evaluation, before anything runs.
+
+    Raises:
+        UsageError: it cannot; the message says what to change.
+    """
+    if options.submit is None:
+        if options.about != NOTHING:
+            raise UsageError("--author, --link, --description and --training-... are for --submit NAME; add it")
+        return
+    if suite not in list_suites():
+        allowed = ", ".join(list_suites())
+        raise UsageError(f"--submit needs a frozen suite, one of {allowed}: --suite benchmark-v2")
+    if len(set(options.policy)) != 1:
+        raise UsageError(f"--submit needs one policy, --policy P; there are {len(set(options.policy))}")
+    if options.episodes is not None:
+        raise UsageError("--submit needs all episodes of the suite; leave out --episodes")
+    try:
+        checked_name(options.submit)
+        checked_about(asdict(options.about))
+    except ValueError as error:
+        raise UsageError(f"--submit: {error}") from error
 
 
 def _foreign(policy: str, task: _Task, notes: list[str]) -> list[Cell]:

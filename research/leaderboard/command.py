@@ -13,10 +13,10 @@ from tyro.conf import Positional, arg
 from baselines.agents.agent import Agent
 from baselines.agents.names import agent_folder
 from baselines.evaluation import recorded, suites
+from baselines.evaluation.about import About
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.request import checked_folder
 from baselines.evaluation.runner import STEP_LIMIT
-from baselines.evaluation.submission.about import About
 from baselines.evaluation.submission.command import check, episodes_to_run, read_file, reproduce
 from baselines.evaluation.submission.files import Submission, submission_of
 from baselines.evaluation.submission.reproduction import SHARE

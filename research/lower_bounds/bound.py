@@ -29,8 +29,8 @@ from baselines.evaluation.score import BOUND, EXPERT, ORACLE, is_lost, largest_t
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
 from baselines.tools.files import json_text, read_json, write_atomically
-from baselines.tools.seeds import SWEEP
 from research import DATA
+from research.seeds import OPTIMUM
 
 PROGRAM = "python -m research bound"
 FILE = DATA / "bound.json"  # what was counted
@@ -55,7 +55,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Count:
-    """What the bound did in some episodes of a case, those of the first seeds of `SWEEP`."""
+    """What the bound did in some episodes of a case, those of the first seeds of `OPTIMUM`."""
 
     episodes: int = 0
     lost: int = 0  # see `score.is_lost`
@@ -78,8 +78,8 @@ class Count:
 
 
 def counted(scenario: Scenario, first: int, episodes: int) -> Count:
-    """Return what the bound does in episodes of a scenario, `first` and the following ones of `SWEEP`."""
-    seed = SWEEP.first + first
+    """Return what the bound does in episodes of a scenario, `first` and the following ones of `OPTIMUM`."""
+    seed = OPTIMUM.first + first
     cell = drawn(scenario, episodes, seed)
     found = rollout(make_policy(BOUND, scenario.vehicle), scenario, cell.episodes)
     tail, cap = found.measures.tail, largest_tail(regime_of(scenario.name))
@@ -158,8 +158,8 @@ def main(arguments: Sequence[str]) -> int:
     """
     options = parse(Options, arguments, PROGRAM)
     share = -(-options.episodes // len(SCENARIOS))  # of each case, rounded up
-    if not (options.episodes >= 1 and SWEEP.holds(SWEEP.first, share)):
-        most = len(SCENARIOS) * (SWEEP.end - SWEEP.first)
+    if not (options.episodes >= 1 and OPTIMUM.holds(OPTIMUM.first, share)):
+        most = len(SCENARIOS) * (OPTIMUM.end - OPTIMUM.first)
         raise UsageError(f"--episodes is {options.episodes}; it must be in [1, {most}]")
     try:
         counts = {scenario.name: Count() for scenario in SCENARIOS} | kept(options.out)

@@ -24,10 +24,10 @@ from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import regime_of
 from baselines.policies import make_policy
 from baselines.policy import Array, Memory
-from baselines.tools.seeds import KNOWLEDGE
 from research.probing.tap import AT_ONCE, HIDDEN, Beside, Tapped, acting, remembering
+from research.seeds import PROBING
 
-SEED = KNOWLEDGE.first  # of the first episode of each scenario
+SEED = PROBING.first  # of the first episode of each scenario
 SOURCES = {
     "instant": "the observation of this instant",
     "untrained": "the memory of an untrained network that is shown the same",

@@ -32,8 +32,8 @@ from baselines.evaluation.score import is_lost, largest_tail, waters_of
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
 from baselines.tools.files import json_text, read_json, write_atomically
-from baselines.tools.seeds import CERTIFICATE
 from research import DATA
+from research.seeds import FAILURE_RATE
 
 PROGRAM = "python -m research failure-rate"
 FILE = DATA / "certificates.json"  # what was counted
@@ -64,7 +64,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Count:
-    """What a policy did in some episodes of a scenario, those of the first seeds of `CERTIFICATE`."""
+    """What a policy did in some episodes of a scenario, those of the first seeds of `FAILURE_RATE`."""
 
     scenario: str  # SHA-256 of it
     episodes: int = 0
@@ -96,7 +96,7 @@ def counted(policy: str, scenario: Scenario, first: int, episodes: int) -> tuple
     Raises:
         PolicyError: its actions are not finite.
     """
-    cell = drawn(scenario, episodes, CERTIFICATE.first + first)
+    cell = drawn(scenario, episodes, FAILURE_RATE.first + first)
     found = rollout(make_policy(policy, scenario.vehicle), scenario, cell.episodes).measures
     lost = is_lost(found.tail, found.lost, largest_tail(waters_of(scenario.name)))
     return episodes, int(lost.sum()), float(found.tail.max())
@@ -142,8 +142,8 @@ def main(arguments: Sequence[str]) -> int:
     """
     options = parse(Options, arguments, PROGRAM)
     named = {name: scenarios_of(name) for name in options.scenario}
-    if not (options.episodes >= 1 and CERTIFICATE.holds(CERTIFICATE.first, options.episodes)):
-        most = CERTIFICATE.end - CERTIFICATE.first
+    if not (options.episodes >= 1 and FAILURE_RATE.holds(FAILURE_RATE.first, options.episodes)):
+        most = FAILURE_RATE.end - FAILURE_RATE.first
         raise UsageError(f"--episodes is {options.episodes}; it must be in [1, {most}]")
     policies = checked_policies(options.policy)
     try:

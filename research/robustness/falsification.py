@@ -34,10 +34,10 @@ from baselines.policies import make_policy
 from baselines.policy import Array
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, check_words, parse
 from baselines.tools.files import json_text, read_json, write_atomically
-from baselines.tools.seeds import FALSIFICATION
 from baselines.tuning.search import strategies
 from research import DOCS
 from research.robustness.seas import KINDS, names, sea
+from research.seeds import FALSIFICATION
 
 PROGRAM = "python -m research falsification"
 FOLDER = DOCS / "seas"  # of the seas that were found

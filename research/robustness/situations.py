@@ -24,8 +24,8 @@ from baselines.evaluation.score import EXPERT, LARGEST_TAIL, cut, is_lost
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.policies import make_policy
 from baselines.similar import made_for
-from research.results.fresh import SEED
 from research.robustness.failures import FAILURES, Failing
+from research.seeds import HELD_OUT
 
 FASTER: Mapping[str, tuple[float, float]] = {"slow": (0.3, 0.4), "cruise": (1.5, 2.0)}
 """Speeds [m/s] above those of a regime's training."""
@@ -79,7 +79,7 @@ class Outcome:
 @lru_cache(maxsize=8)
 def episodes_of(regime: str, world: str, episodes: int) -> SideBySide:
     """Return so many fresh episodes of each of a regime's cases in a world, case after case."""
-    return SideBySide([drawn(WORLDS[world](PRESETS[f"{regime}-{case}"]), episodes, SEED) for case in CASES])
+    return SideBySide([drawn(WORLDS[world](PRESETS[f"{regime}-{case}"]), episodes, HELD_OUT.first) for case in CASES])
 
 
 def situations_of(name: str) -> tuple[str, ...]:

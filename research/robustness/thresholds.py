@@ -31,8 +31,8 @@ from baselines.policies import make_policy
 from baselines.policy import Array
 from baselines.tools.command_line import DONE, UsageError, check_words, parse
 from baselines.tools.files import json_text, read_json, write_atomically
-from baselines.tools.seeds import GUARD
 from research import DATA
+from research.seeds import GUARD
 
 PROGRAM = "python -m research guard-thresholds"
 FILE = DATA / "guards.json"  # what guards did

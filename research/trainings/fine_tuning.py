@@ -30,13 +30,13 @@ from baselines.evaluation.score import EXPERT, LARGEST_TAIL, RIVAL, cut, is_lost
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, read_json, write_atomically
-from baselines.tools.seeds import FINE_TUNING
 from baselines.tools.workers import DEFAULT_JOBS
 from baselines.training.beginning import ALGO, digest
 from baselines.training.command import train
 from baselines.training.hyperparameters import TUNING, changes_of, load_hyperparameters, shipped, words_of
 from baselines.training.options import Options as Training
 from baselines.training.run_folder import AGENT
+from research.seeds import FINE_TUNING
 from research.trainings.trainings import SHIPPED, request_of
 
 PROGRAM = "python -m research fine-tuning"

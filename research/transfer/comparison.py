@@ -17,7 +17,7 @@ from baselines.evaluation.metrics import Array, Measures, resamplings
 from baselines.evaluation.rollout import Log, beginning, play
 from baselines.evaluation.runner import Cell, drawn
 from baselines.policies import make_policy
-from baselines.tools.seeds import ELSEWHERE
+from research.seeds import TRANSFER
 from research.transfer.bodies import bodies
 from research.transfer.installed import Installed
 from research.transfer.worlds import VARIANTS, Own, World
@@ -58,7 +58,7 @@ class Task:
         """Scenario and episodes of each case, all with the number of integration steps that the stiffest one needs."""
         scenarios = [as_scenario(f"{REGIME}-{case}@{self.vehicle}") for case in self.cases]
         substeps = max(scenario.substeps for scenario in scenarios)
-        return [drawn(replace(scenario, substeps=substeps), self.episodes, ELSEWHERE.first) for scenario in scenarios]
+        return [drawn(replace(scenario, substeps=substeps), self.episodes, TRANSFER.first) for scenario in scenarios]
 
     def bodies(self, place: str) -> MadeBodies | None:
         """Return what makes the vehicles of a simulator; None for the plane."""

@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.evaluation.about import About, checked_about, checked_name
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.runner import Cell, Recorded, Run
 from baselines.evaluation.score import regime_of
 from baselines.evaluation.store import Stored, reading, write
-from baselines.evaluation.submission.about import About, checked_about, checked_name
 from baselines.evaluation.suites import Suite, list_suites, load
 from baselines.tools.command_line import printable
 from baselines.tools.files import checked_plain
