@@ -34,7 +34,7 @@ def evaluate(request: Request) -> int:
     try:
         with progress(len(request.pairs), request.steps) as report:
             found = _run(request, RowStore(out / ROWS), report)
-            report.message("plots")
+            report.message("report")
             results, pooled = compare(found, request.anchors), pool(found, request.anchors)
             _write(request, results, pooled)
     except OSError as error:
@@ -61,10 +61,12 @@ def _run(request: Request, store: RowStore, report: Listener) -> list[Run]:
 
 
 def _write(request: Request, results: list[Result], pooled: list[Entry]) -> None:
-    from baselines.evaluation.report.figures import evaluation_figures
-
     out = request.options.out
-    files: dict[str, str | bytes] = {f"{name}.png": png for name, png in evaluation_figures(results).items()}
+    files: dict[str, str | bytes] = {}
+    if request.options.png:
+        from baselines.evaluation.report.png import charts_png
+
+        files |= {f"{name}.png": png for name, png in charts_png(results, pooled).items()}
     files["results.json"] = results_json(request, results, pooled)
     files["results.csv"] = results_csv(results)
     files["report.html"] = report_html(request, results, pooled)

@@ -13,7 +13,7 @@ from baselines.evaluation.about import NOTHING, About
 
 @dataclass(frozen=True)
 class Options:
-    """Run policies through the same episodes; print the table, write report.html, results.json, results.csv and plots.
+    """Run policies through the same episodes; print the table, write report.html, results.json and results.csv.
 
     The expert, backstepping, always runs too: it is the yardstick of effort and smoothness. Exit status: 0 done, 1 a
     policy failed or the results could not be written, 2 wrong usage.
@@ -41,6 +41,8 @@ class Options:
     that this machine belongs to, "local" for one made for the occasion."""
     out: Path = Path("runs/evaluate")
     """Folder for the results."""
+    png: bool = False
+    """Also write the report's charts as PNG files."""
     step_limit: float = 0.1
     """Seconds that a policy may take for a decision, on average; a slower one fails."""
     stability: bool = False

@@ -6,11 +6,11 @@ import io
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+if TYPE_CHECKING:  # imported where figures are drawn: most commands draw none
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """The palette of M. Okabe and K. Ito (2008), in the order of use."""
@@ -89,6 +89,8 @@ _STYLE: Any = {
 
 def styled() -> AbstractContextManager[None]:
     """Return the context in which figures are made and saved."""
+    import matplotlib as mpl
+
     return mpl.rc_context(_STYLE)
 
 
@@ -102,6 +104,8 @@ def to_png(figure: Figure) -> bytes:
 
 def panels(rows: int, columns: int, size: tuple[float, float], **options: Any) -> tuple[Figure, list[list[Axes]]]:
     """Return a figure of that size [inch] with rows x columns axes; options are those of `Figure.subplots`."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=size, layout="constrained")
     with styled():
         axes = figure.subplots(rows, columns, squeeze=False, **options)

@@ -36,7 +36,7 @@ def print_report(results: Sequence[Result], pooled: Sequence[Entry], folder: Pat
     if when := recordings(results):
         more = "; case by case in report.html" if len(shown) < len(results) else ""
         out.print(f"* recorded, not run now: {when}{more}", soft_wrap=True, markup=False)
-    out.print(f"Wrote report.html, results.json, results.csv and plots to {folder}", soft_wrap=True, markup=False)
+    out.print(f"Wrote report.html, results.json and results.csv to {folder}", soft_wrap=True, markup=False)
     for line in _complaints(results):
         err.print(line, markup=False)
 

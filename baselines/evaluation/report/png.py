@@ -1,0 +1,63 @@
+"""The report's charts as PNG files, drawn from the same specifications as on the page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import vl_convert
+
+from baselines.evaluation.report.charts import Spec
+from baselines.evaluation.report.numbers import Entry, Result
+from baselines.evaluation.report.page_data import page_data
+from baselines.evaluation.score import FORESIGHTED
+
+WIDTH = 640  # [px] of a chart, without its axis
+SCALE = 2.0  # pixels of the file for each pixel of the chart
+
+
+def charts_png(results: Sequence[Result], pooled: Sequence[Entry]) -> dict[str, bytes]:
+    """Return the charts as PNG by name: scores of a regime, tail errors and errors over time of a scenario."""
+    data = page_data(results, pooled)
+    specs, scenarios, found = data["charts"], data["scenarios"], {}
+    for regime in dict.fromkeys(s["regime"] for s in scenarios if s["regime"]):
+        rows = [
+            {"policy": row["policy"], "case": s["case"], "lost": row["lost"], **row["score"]}
+            for s in scenarios
+            for row in s["rows"]
+            if s["regime"] == regime and row["score"] and row["policy"] not in FORESIGHTED
+        ]
+        if rows:
+            found[f"scores-{regime}"] = _png(specs["scores"], rows)
+    for s in scenarios:
+        tails = [{"policy": row["policy"], "lost": row["lost"], **row["tail"]} for row in s["rows"]]
+        found[f"tails-{s['name']}"] = _png(specs["tails"], tails)
+        names = "t", "low", "middle", "high"
+        bands = [
+            {"policy": band["policy"], **dict(zip(names, values, strict=True))}
+            for band in s["bands"]
+            for values in zip(*(band[name] for name in names), strict=True)
+        ]
+        if bands:
+            found[f"errors-{s['name']}"] = _png(specs["bands"], bands, {"tails": [{"t": s["duration"] / 3}]})
+    return found
+
+
+def _png(spec: Spec, rows: Iterable[Any], others: Mapping[str, Any] | None = None) -> bytes:
+    """Return a chart with its rows and a legend as a PNG file."""
+    filled = {**_with_legend(spec), "width": WIDTH, "datasets": {"rows": list(rows), **(others or {})}}
+    picture: bytes = vl_convert.vegalite_to_png(filled, scale=SCALE)
+    return picture
+
+
+def _with_legend(node: Any) -> Any:
+    """Return a specification in which the colours have a legend; on the page the table of policies is the legend."""
+    if isinstance(node, list):
+        return [_with_legend(item) for item in node]
+    if not isinstance(node, dict):
+        return node
+    legend = {"title": None, "orient": "bottom", "columns": 4, "symbolOpacity": 1}
+    kept = {key: _with_legend(value) for key, value in node.items()}
+    if "color" in kept and isinstance(kept["color"], dict) and "field" in kept["color"]:
+        kept["color"] = {**kept["color"], "legend": legend}
+    return kept
