@@ -12,7 +12,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 .PHONY: help demo film test lint typecheck format bench train train-all results verify examples docs package cluster-test clean
 
 help: ## list the verbs
-	@echo 'make VERB [ARGS="more options"] [PYTHON=python3.12]'
+	@echo 'make COMMAND [ARGS="more options"] [PYTHON=python3.12]'
 	@sed -n 's/^\([a-z-]*\):.*## /  \1            /p' $(MAKEFILE_LIST) | sed 's/^\(.\{13\}\) */\1/'
 
 demo: $(VENV)/eval.stamp $(VENV)/render.stamp ## recompute the paper, run every preset, film agent and expert; in runs/demo

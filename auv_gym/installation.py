@@ -20,7 +20,8 @@ RECORD = ROOT / "research" / "data"
 def found(folder: Path, name: str) -> Path:
     """Return a file of a folder of the package; where it is not there, the one of the folder's namesake in `RECORD`."""
     other = RECORD / folder.name / name
-    return other if other.exists() and not (folder / name).exists() else folder / name
+    kept = folder.is_relative_to(ROOT) and other.exists() and not (folder / name).exists()
+    return other if kept else folder / name
 
 
 def checkout() -> Path | None:

@@ -163,7 +163,7 @@ def test_table_of_a_comparison_is_what_the_command_prints(tmp_path, capsys, monk
 def test_page_says_how_long_the_shipped_agents_took():
     """In minutes, as their cards have it in seconds."""
     page = ROOT / "docs" / "training.md"
-    said = re.findall(r"baselines\.training\.shipped ([\w-]+)` trains it in (\d+)\s", page.read_text(encoding="utf-8"))
+    said = re.findall(r"research train-all ([\w-]+)` trains it in (\d+)\s", page.read_text(encoding="utf-8"))
     assert [name for name, _ in said] == ["helm", "helm-any"]
     for name, minutes in said:
         card = (agent_folder(name) / "card.md").read_text(encoding="utf-8")
@@ -183,7 +183,7 @@ def shown(value):
 def test_page_about_the_paper_is_what_is_recomputed(paper):
     """Its tables stand behind comments that name them."""
     page = ROOT / "docs" / "paper.md"
-    found = json.loads((paper / "results.json").read_text(encoding="utf-8"))["reproduction"]
+    found = json.loads((paper / "paper.json").read_text(encoding="utf-8"))
     verdict = {True: "yes", False: "no", None: "-"}
     rows = [
         (r["quantity"], r["place"], shown(r["paper"]), shown(r["measured"]), r["unit"], verdict[r["agrees"]], r["note"])

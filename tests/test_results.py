@@ -159,6 +159,6 @@ def test_a_suite_without_the_oracle_is_missing(monkeypatch):
 
 
 def test_as_a_process():
-    command = [sys.executable, "-m", "research.results", "--help"]
+    command = [sys.executable, "-m", "research", "results", "--help"]
     done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
     assert "results.md" in done.stdout

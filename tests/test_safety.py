@@ -12,6 +12,7 @@ from kept_pages import compare_or_refresh
 from scipy import stats
 
 from auv_gym import PRESETS, Scenario
+from auv_gym.installation import found
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.mixtures import adverse
@@ -252,9 +253,9 @@ def test_guard_whose_fallback_has_acted_is_the_fallback_bit_for_bit():
 
 def test_helm_loses_no_recorded_episode_that_the_expert_keeps():
     """From the files alone: the second row is the tail, the last one says who ended far away; slow cells come first."""
-    folder, lost = ROOT / "baselines/evaluation/data/recorded", 0
+    lost = 0
     for suite in (name for name in recorded.SUITES if name != "vehicles-v1"):  # it has learned the paper's vehicle
-        rows = [np.load(folder / suite / f"{name}.npz")["measures"] for name in ("helm", "backstepping")]
+        rows = [np.load(found(recorded.FOLDER, f"{suite}/{name}.npz"))["measures"] for name in ("helm", "backstepping")]
         half = rows[0].shape[1] // 2
         caps = np.full(2 * half, 5.0) if suite == "deep-v1" else np.repeat([0.6, 2.0], half)
         mine, its = ((own[-1] > 0) | ~(own[1] < caps) for own in rows)

@@ -243,7 +243,7 @@ def test_mistakes_of_the_suites_command(arguments):
 
 
 def test_suites_command_as_a_process():
-    command = [sys.executable, "-m", "baselines.evaluation.suites", "--help"]
+    command = [sys.executable, "-m", "research", "suites", "--help"]
     done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=suites.FOLDER.parents[2])
     assert "check" in done.stdout
 

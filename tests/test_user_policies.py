@@ -16,7 +16,7 @@ from auv_gym.physics.units import in_paper_units
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import PRESETS
-from baselines import common_vehicle, make_policy, make_residual_vector_env
+from baselines import make_policy, make_residual_vector_env
 from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES
 from baselines.agents.loading import caution
@@ -27,6 +27,7 @@ from baselines.evaluation.options import Options
 from baselines.evaluation.request import Request
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn, run_all
+from baselines.policies import common_vehicle
 from baselines.tools.command_line import UsageError
 from baselines.training.config import Config
 

@@ -114,7 +114,7 @@ def test_an_agent_runs_beside_predictive_control_of_either_gains(tmp_path, capsy
     out = tmp_path / "found.json"
     few = ["--vehicle", "otter", "--fresh", "8", "--out", str(out)]
     assert run(vehicles.main, vehicles.PROGRAM, ["agent", *few]) == 2
-    assert "no gains of nmpc are searched for otter: run auv-gym tune" in capsys.readouterr().err
+    assert f"no gains of nmpc are searched for otter: run {vehicles.PROGRAM} search" in capsys.readouterr().err
     gains = vehicles.load_gains("nmpc", "cruise", TUNABLES["nmpc"].names)
     out.write_text(json.dumps({"search": {"otter": {"nmpc": {"gains": gains, "budget": [60, 16]}}}}))
     assert run(vehicles.main, vehicles.PROGRAM, ["agent", *few]) == 0

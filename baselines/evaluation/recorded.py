@@ -85,8 +85,9 @@ def missing(suite: str, folder: Path = FOLDER) -> str | None:
 
 def recorded_policies(suite: Suite, folder: Path = FOLDER) -> list[str]:
     """Return the names of the policies that rows are kept of, in the order of the registry."""
-    places, order = (folder, RECORD / folder.name), list(list_policies())
-    names = {file.stem for place in places for file in (place / suite.source[0]).glob("*.npz")}
+    order, source = list(list_policies()), suite.source[0]
+    places = (folder, RECORD / folder.name) if folder == FOLDER else (folder,)
+    names = {file.stem for place in places for file in (place / source).glob("*.npz")}
     return sorted(names, key=lambda name: (order.index(name) if name in order else len(order), name))
 
 

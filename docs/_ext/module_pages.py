@@ -45,14 +45,15 @@ def pages(package: str, found: list[str]) -> dict[str, str]:
 def section(name: str, home: str) -> str:
     """Return a module's part of a page, with a heading unless it is the page's own."""
     heading = "" if name == home else f"## {name.removeprefix(home + '.')}\n\n"
-    return f"{heading}```{{eval-rst}}\n.. automodule:: {name}\n   :members:\n```\n"
+    quiet = "   :no-index:\n" if name in PACKAGES else ""  # its names are those of the modules that define them
+    return f"{heading}```{{eval-rst}}\n.. automodule:: {name}\n   :members:\n{quiet}```\n"
 
 
 def write(app: Sphinx) -> None:
-    """Write all pages; with the tag `quick` without the modules of inner packages."""
-    found = {package: modules(package, quick="quick" in app.tags) for package in PACKAGES}
+    """Write all pages; with the tag `quick` without the modules of the inner packages of `baselines`."""
+    found = {p: modules(p, quick="quick" in app.tags and p == "baselines") for p in PACKAGES}
     texts = {name: text for package, names in found.items() for name, text in pages(package, names).items()}
-    document_fields(modules("auv_gym", quick=False) + found["baselines"])
+    document_fields(found["auv_gym"] + found["baselines"])
     replace_folder(Path(app.srcdir) / "api", {f"{name}.md": text for name, text in texts.items()})
 
 

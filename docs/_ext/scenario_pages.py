@@ -37,7 +37,7 @@ env = gym.make("auv_gym:UnderactuatedAUVTrack-{name}-v0")
 {standings}
 ## Parameters
 
-Fields of a [`Scenario`](../api/auv_gym.scenarios.scenario.md) and of its parts. What is off is left out. From an
+Fields of a [`Scenario`](../api/auv_gym.scenarios.md) and of its parts. What is off is left out. From an
 interval each episode draws its own value.
 
 {parameters}
