@@ -3,7 +3,7 @@
 from browser import opened
 
 WIDE = ("index", "theory", "results")
-NARROW = ("index", "theory", "paper", "policies", "scenarios/cruise-storm", "environments/track", "api/auv_gym.vehicle")
+NARROW = ("index", "theory", "paper", "policies", "scenarios/cruise-storm", "environments/track", "api/auv_gym.physics")
 TOO_WIDE = """() => [...document.querySelectorAll("table, pre, .formula, img, dl")].filter(part => {
   const box = part.parentElement, scrolls = getComputedStyle(box).overflowX !== "visible";
   const out = part.getBoundingClientRect().right > innerWidth + 1;

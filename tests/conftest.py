@@ -1,6 +1,7 @@
 """Shared by all tests: one thread per process, since oversubscribed cores run many times slower; a stand-in for Ray."""
 
 import os
+import signal
 import sys
 import time
 import types
@@ -12,6 +13,9 @@ import pytest
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in the background of a shell; processes inherit it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture

@@ -19,7 +19,6 @@ from baselines.evaluation.report.page_data import FEW
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import run_all
 from baselines.tools.figure_style import LOOKS
-from research.site import screenshots
 
 ROOT = Path(__file__).parents[1]
 LARGEST = 1_500_000  # bytes of a page
@@ -202,7 +201,7 @@ def test_other_pages(browser, others):
 def test_pictures_of_the_pages(browser, others, tmp_path):
     """In a process of its own: Playwright runs once in each."""
     del browser  # it is there
-    words = ["-m", screenshots.__name__, "--pages", str(others), "--out", str(tmp_path)]
+    words = ["-m", "research", "screenshots", "--pages", str(others), "--out", str(tmp_path)]
     subprocess.run([sys.executable, *words], check=True, cwd=ROOT)
     shown = re.findall(r"images/(report-.+?\.png)", (ROOT / "docs" / "report.md").read_text(encoding="utf-8"))
     assert sorted(shown) == sorted(file.name for file in tmp_path.iterdir())
