@@ -1,7 +1,4 @@
-"""The page of findings says what the files say; fresh episodes are fresh, and do what is kept of them.
-
-That the page is what `make results` writes is checked with the verbs, in test_commands.py.
-"""
+"""The page about what learning is worth says what the files say; held-out episodes are new ones."""
 
 import re
 from pathlib import Path
@@ -18,7 +15,7 @@ from research.results.findings import fresh_results
 from research.seeds import HELD_OUT
 
 ROOT = Path(__file__).parents[1]
-PAGE = (ROOT / "docs" / "findings.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "results" / "learning.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +86,7 @@ def test_mistakes_are_refused(arguments, message):
 
 def leads():
     """Return the rows of leads over nmpc in the page of policies, as the page of findings has them."""
-    section, storms = PAGE.split("### Where an agent leads")[0], PAGE.split("### Where an agent leads")[1]
+    section, storms = PAGE.split("## Where an agent leads")[0], PAGE.split("## Where an agent leads")[1]
     families = ("`helm`, {}", "`apg-{}`", "`apg-preview-{}`")
     for name in (family.format(regime) for regime in ("slow", "cruise") for family in families):
         cells = re.search(rf"^\| {name} \| (.*) \|$", section, re.MULTILINE)[1].split(" | ")

@@ -205,7 +205,6 @@ def test_the_section_says_what_the_file_says(groups):
     mean = 100 * groups[1].tails["stuck at +1"].mean()
     assert row[0].startswith(f"{mean:.1f} (")
     assert "| 0.1 M | 25.0 (25.0 ... 25.0) | 10.0 % (10.0 ... 10.0) |" in text
-    assert "| scratch, authority 0.5 |" in text
     ends = [f"{100 * end:.1f}" for end in share_interval(8 * 2, 8 * 6)]
     assert f"| 0.25 | - | - | 33.3 % ({ends[0]} ... {ends[1]}) | 0.0 % " in text
     assert page.what_it_is_for([]) == ""

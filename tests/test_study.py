@@ -104,7 +104,6 @@ def test_section_has_a_row_for_each_agent_and_its_curves(results, made, monkeypa
         for r in runs_of(results, p)
     )
     assert cells[8].startswith(f"{lost} of {2 * sum(map(len, expert))} (<= ")
-    assert "`python train.py`" in text
     assert len(study_page.curves_figure({"mine": made}).axes) == 2
     assert list(study_page.figures_of({"mine": made, "short-it": made})) == [
         f"results-{kind}-{REGIME}.png" for kind in ("learning", "short")
