@@ -169,6 +169,6 @@ def test_without_a_checkout_it_says_where_rows_are(monkeypatch, tmp_path, capsys
     with pytest.raises(suites.SuiteError, match="the episodes of ood-v1 are not part of the installed package"):
         suites.load("ood-v1", tmp_path)
     monkeypatch.setattr(recorded, "missing", lambda suite: f"no rows of {suite}")
-    options = Options(suite="unmodelled-v1", episodes=1, out=tmp_path / "out")
-    assert Request.of(options).notes[0] == "no rows of unmodelled-v1"
+    options = Options(suite="benchmark-v1", episodes=1, out=tmp_path / "out")
+    assert Request.of(options).notes[0] == "no rows of benchmark-v1"
     assert suites.list_suites()
