@@ -73,7 +73,7 @@ def _bound(results: Results) -> str:
     held_out = f" On held-out episodes of these cases: {bound.told(counts)}." if tried else ""
     return (
         f"`{BOUND}`, the full-information optimum, knows everything in advance and optimises its commands over the "
-        f"whole episode. Its mean error is {least:.3f} to {most:.3f} mm, case by case. Policies that are better by more "
-        f"than the {1e3 * ROUNDING:g} mm to which it is solved: {names}. Of all other policies `{ORACLE}` has the "
+        f"whole episode. Its mean error is {least:.3f} to {most:.3f} mm, case by case. Policies that are better by "
+        f"more than the {1e3 * ROUNDING:g} mm to which it is solved: {names}. Of all other policies `{ORACLE}` has the "
         f"smallest mean error in {first} of {len(results.suite.cells)} cases.{held_out}"
     )
