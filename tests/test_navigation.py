@@ -29,7 +29,7 @@ from baselines.evaluation.runner import Cell, Recorded, run_all
 from baselines.evaluation.score import BY_ORACLE, LARGEST_TAIL, regime_of, waters_of
 from baselines.training.apg.torch_network import torch_network
 from research.results.collection import Results
-from research.results.page import page
+from research.results.navigation import navigation
 from research.suites.deep import (
     INSTRUMENTS,
     MISSION,
@@ -319,7 +319,8 @@ def test_results_begin_with_the_error_of_the_navigation():
         cells=tuple(Cell(c.scenario, c.episodes[:4]) for c in suite.cells if c.scenario.name == "slow-deep"),
     )
     runs = run_all(("backstepping", "oracle", "open-loop"), few.cells)
-    text = page([Results.of(few, [dataclasses.replace(r, recorded=Recorded("2000-01-01", {})) for r in runs])], [])
+    results = Results.of(few, [dataclasses.replace(r, recorded=Recorded("2000-01-01", {})) for r in runs])
+    text = "\n\n".join(navigation(results, ["slow"]))
     floor = navigation_tails(few.cells[0]).mean()
     rows = [line.strip("| ").split(" | ") for line in text.split("### Navigation")[1].split("###")[0].splitlines()]
     shown = {row[0].strip("`"): [float(x) for x in row[1:3]] for row in rows if len(row) == 4 and row[1][-1].isdigit()}

@@ -12,6 +12,7 @@ from research.pages import table
 from research.results.collection import ROUNDING, Results, better_than, results_of
 from research.results.figures import results_figures
 from research.results.left import what_is_left
+from research.results.navigation import navigation
 
 LEFT_OUT = ("tail_rmse_m.p95", "capped.mean", "error_ratio", "settling_s", "saturation")
 """Columns of the report that the page does not show; results.csv of an evaluation has them."""
@@ -50,6 +51,7 @@ def _context(results: Results) -> dict[str, Any]:
         "regimes": [(regime, _regime(results, regime)) for regime in regimes],
         "left": "\n\n".join(what_is_left(results)),
         "bound": _bound(results),
+        "navigation": "\n\n".join(navigation(results, regimes)).replace("### ", "## "),
     }
 
 
