@@ -41,8 +41,8 @@ test: lint typecheck ## lint, typecheck and run the tests
 
 # What runs equations runs once more as on a machine without a compiler, but for what has nothing to do with that, and
 # for long runs of what shorter ones show.
-EQUATIONS = $(addprefix tests/test_,$(addsuffix .py,agent analytic_gradient codegen controllers disturbances elementary \
-  env estimators evaluation kernels nmpc planner vector_env))
+EQUATIONS = $(foreach name,agent analytic_gradient codegen controllers disturbances elementary env estimators evaluation \
+  kernels nmpc planner vector_env,$(wildcard tests/*/test_$(name).py))
 UNCOMPILED = not (16384 or torch or frames or report_is_one_page or interrupted or number_of_jobs or as_a_process or \
   finished_work or long_runs or steers_alike)
 

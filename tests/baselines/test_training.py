@@ -41,7 +41,7 @@ from research.trainings import shipped
 from research.trainings.trainings import SHIPPED, training
 
 torch.set_num_threads(1)
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SMALL = replace(PRESETS["cruise-current"], name="small", steps=15)
 OFF_POLICY = {"buffer_size": 2000, "batch_size": 16, "learning_starts": 0, "train_freq": 8, "gradient_steps": 1}
 SMOOTH = {"use_sde": True, "policy_kwargs": {"clip_mean": 0.0}}

@@ -8,7 +8,7 @@ import pytest
 from research.throughput.figures import SCENARIO, Figure, faster, takes, written
 from research.throughput.page import page
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def test_the_page_is_that_of_the_measurements_kept_beside_it():

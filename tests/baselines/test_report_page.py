@@ -20,7 +20,7 @@ from baselines.evaluation.request import Request
 from baselines.evaluation.runner import run_all
 from baselines.tools.figure_style import LOOKS
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 LARGEST = 1_500_000  # bytes of a page
 HOSTILE = '</script><img src=x onerror="window.caught=1"><b>&{{7*7}}\\'
 PATIENCE = 60_000  # milliseconds that a busy machine may take

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_units import twin
+from similar_vehicles import twin
 
 from auv_gym import PRESETS
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
@@ -37,7 +37,7 @@ from research.results.collection import ROUNDING, Results, better_than
 from research.results.study_files import Study, load_all
 from research.suites.builder import SUITES, VEHICLE_EPISODES, _cell
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 OTHER = Units(length=16.0, time=4.0, mass=4096.0)  # of a copy of the paper's vehicle
 
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from similar_vehicles import hull, twin
 
 from auv_gym import PRESETS
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
-from auv_gym.physics.actuators import Actuators
 from auv_gym.physics.units import DIMENSIONS, POWERS, Units, in_paper_units
-from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.vehicles import PAPER, craft, fleet
 from auv_gym.task.observation import SIZE, TERMS
@@ -23,19 +23,6 @@ from baselines.control.backstepping import Backstepping
 from baselines.similar import Similar, SimilarLaw
 
 FACTORS = st.floats(-2, 2).map(lambda x: 10**x)
-
-
-def hull(units):
-    """Return the paper's vehicle in other units."""
-    similar = {n: getattr(PAPER_VEHICLE, n) * units.factor(*POWERS[unit]) for n, unit in DIMENSIONS.items()}
-    return Vehicle(**similar, speed=1.5 * units.length / units.time)
-
-
-def twin(units):
-    """Return the paper's vehicle in other units, with all that belongs to it."""
-    limits = Actuators(400.0 * units.factor(*POWERS["N"]), 200.0 * units.factor(*POWERS["N m"]))
-    rate = {"turn_rate": 0.12 / units.time, "lag": 0.2 * units.time}
-    return replace(PAPER, name="twin", vehicle=hull(units), actuators=limits, **rate)
 
 
 def test_units_of_the_coefficients_are_those_behind_the_fields():

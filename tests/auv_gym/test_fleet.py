@@ -209,7 +209,7 @@ def test_wrong_file_is_refused(tmp_path):
         changed(PRESETS["cruise-calm"], str(tmp_path / "wrong.toml"))
 
 
-PAGE = Path(__file__).parents[1] / "docs/vehicles.md"
+PAGE = Path(__file__).parents[2] / "docs/vehicles.md"
 
 
 def row(mine):

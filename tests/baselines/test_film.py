@@ -24,7 +24,7 @@ from baselines.video.video import film, label_of
 
 pytest.importorskip("pygame")
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 TRIO = ("backstepping", "nmpc", "helm")
 PAIR = ("backstepping", "apg-cruise")
 

@@ -295,7 +295,7 @@ def test_who_keeps_its_estimate_on_the_reference_has_the_error_of_the_navigation
 
 
 def test_the_page_tells_the_instruments():
-    text = (Path(__file__).parents[1] / "docs" / "metrics.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text(encoding="utf-8")
     s, r = INSTRUMENTS, INSTRUMENTS.reckoning
     for words in (
         f"every {r.interval[0]:g} to {r.interval[1]:g} s, {s.position:g} m on each axis",

@@ -263,7 +263,7 @@ def test_all_files_are_small_and_ask_for_nothing(folder):
     files = {file.name: file.stat().st_size for file in folder.iterdir()}
     assert set(files) == {"index.html", "live.css", "equations.js", "data.js", "engine.js", "drawing.js", "page.js"}
     assert sum(files.values()) < LARGEST
-    page = Path(__file__).parents[1] / "docs" / "live.md"
+    page = Path(__file__).parents[2] / "docs" / "live.md"
     assert f"{sum(files.values()) / 1e6:.1f} MB in all" in page.read_text(encoding="utf-8")
     assert "http" not in (folder / "index.html").read_text(encoding="utf-8")
     assert json.loads(links().removeprefix("window.LINKS = ").rstrip(";\n")).keys() <= {"Source", "Documentation"}

@@ -41,7 +41,7 @@ SMALL = replace(PRESETS["cruise-current"], name="cruise-small", steps=15)
 SLOW = replace(PRESETS["slow-current"], name="slow-small", steps=15)
 TINY = {"n_envs": 8, "n_steps": 5, "hidden_size": 8, "effort_weight": 0.25, "validations": 2}
 STEPS = 160
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 BEGUN = ("--from", "runs/train/apg-small-slow", "--vehicle", "otter", "--timesteps", STEPS)
 FOUND = Path("runs/train/apg-small-slow-otter")
 """The folder of that training."""

@@ -14,7 +14,7 @@ from research.results import fresh
 from research.results.findings import fresh_results
 from research.seeds import HELD_OUT
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "results" / "learning.md").read_text(encoding="utf-8")
 
 

@@ -156,7 +156,7 @@ def test_file_holds_gains_and_provenance_and_can_be_resumed(folder, capsys, monk
 
 
 def test_page_shows_what_the_files_say():
-    page = Path(__file__).parents[1] / "docs" / "controllers.md"
+    page = Path(__file__).parents[2] / "docs" / "controllers.md"
     text = page.read_text(encoding="utf-8")
     table = re.search(r"^\| controller \| regime \|.*?(?=\n\n)", text, re.MULTILINE | re.DOTALL)[0]
     rows = table.splitlines()[:2]

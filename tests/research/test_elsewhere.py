@@ -32,7 +32,7 @@ from research.transfer.six_dof import AS_PUBLISHED, Deviation, Motion, Outside, 
 from research.transfer.trials import log
 from research.transfer.worlds import MODELS, Own
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 NOWHERE = Outside(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 

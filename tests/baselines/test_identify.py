@@ -27,7 +27,7 @@ from baselines.identification.uncertainty import covariance
 from baselines.tools.command_line import run
 from research.vehicles import coverage
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 NOISE = Sensors(position=0.05, heading=0.015, velocity=0.02, yaw_rate=0.005)
 HULL_TRUE = {"m11": 180.0, "m22": 260.0, "m33": 95.0, "d11": 45.0, "d22": 120.0, "d33": 60.0}
 DRAG_TRUE = {"X_uu": 25.0, "Y_vv": 90.0, "N_rr": 30.0}

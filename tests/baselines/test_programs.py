@@ -28,7 +28,7 @@ from baselines.evaluation.rollout import make_env, rollout
 from baselines.evaluation.runner import drawn, run_all
 from baselines.tools.command_line import UsageError
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "enter.md").read_text(encoding="utf-8")
 PYTHON = shlex.quote(sys.executable)
 COMPILED = ("cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-O2", "-o", "my_controller", "my_controller.c", "-lm")

@@ -33,7 +33,7 @@ from baselines.tools.command_line import run
 from baselines.tools.files import write_atomically
 from baselines.tools.workers import Workers
 
-SCRIPT = Path(__file__).parents[1] / "evaluate.py"
+SCRIPT = Path(__file__).parents[2] / "evaluate.py"
 SMALL = Scenario(name="small", sensors=Sensors(position=0.05), steps=45)
 ROW = {
     "policy": str, "scenario": str, "episodes": int, "rmse_m": float, "tail_rmse_m": dict, "score": type(None),

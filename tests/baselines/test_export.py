@@ -31,7 +31,7 @@ from research.deployment import emulator
 from research.deployment.page import page
 from research.deployment.players import HeaderPolicy, onnx_policy
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 KINDS = ("apg-cruise", "apg-preview-slow", "apg-scratch-slow", "ppo-cruise", "sac-slow", "ppo-lstm-slow", "rma-cruise")
 KINDS += ("helm",)
 """An agent of each kind: recurrent, filters, a preview, no expert, tanh and relu layers, long memory, a student."""

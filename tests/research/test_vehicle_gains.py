@@ -22,7 +22,7 @@ from baselines.tuning.search import TUNING_SEED
 from baselines.tuning.tunables import TUNABLES
 from research.vehicles import vehicles, vehicles_page
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SLIP = 0.25  # [rad] largest sideslip of the turns in which random hulls are looked at
 
 

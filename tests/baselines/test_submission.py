@@ -34,7 +34,7 @@ from research.leaderboard import board, command
 from research.leaderboard.board import boards, enter, stamp
 from research.leaderboard.page import NBSP, leaderboard_json, page, plain
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "enter.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 LINES = [line for language, text in BLOCKS if language == "bash" for line in text.splitlines()]

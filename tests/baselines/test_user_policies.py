@@ -31,7 +31,7 @@ from baselines.policies import common_vehicle
 from baselines.tools.command_line import UsageError
 from baselines.training.config import Config
 
-PAGE = (Path(__file__).parents[1] / "docs" / "metrics.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text(encoding="utf-8")
 COMMON = ("--scenario", "cruise-calm", "--episodes", "2", "--jobs", "1", "--out", "out")
 
 

@@ -84,7 +84,7 @@ def test_a_network_runs_as_loops_in_c():
 
 def test_a_network_runs_as_loops_in_javascript():
     if shutil.which("node") is None:
-        pytest.skip("no node; tests/test_live.py runs the same printer in a browser")
+        pytest.skip("no node; tests/research/test_live.py runs the same printer in a browser")
     tables = "".join(f"const {name} = {array.ravel().tolist()};" for name, array in PROGRAM.constants.items())
     dialect = JAVASCRIPT_DIALECT
     source = tables + tangent_function("tangent", dialect) + plain_program("run", PROGRAM, "tangent", dialect, {})

@@ -19,7 +19,7 @@ from baselines.tools.command_line import THREADS, UsageError, run
 from baselines.training.config import Config
 from baselines.training.run_folder import LOCK, Run, TrainingError, locked
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SMALL = replace(PRESETS["cruise-calm"], name="small", steps=15)
 QUICK = ["--set", "n_envs=8", "n_steps=5", "hidden_size=8"]
 CONFIG = Config("ppo", ((SMALL, 1.0),))

@@ -18,7 +18,7 @@ from research.results import collection
 from research.results.collection import ROUNDING, SUITES, TOLERANCE, Results, better_than, collected
 from research.results.left import what_is_left
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 ENDS = ("clairvoyant", "backstepping")
 AGENT = "helm"  # the one that the README begins with
 WORDS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")

@@ -27,7 +27,7 @@ from research.probing.report import load, pictures, ratio_of, sections
 from research.probing.tap import HIDDEN, Beside, Tapped, acting, untrained
 from research.probing.transplant import SWAPS, _twins
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "knows.md"
 
 

@@ -36,7 +36,7 @@ from research.robustness import certificate, falsification, page, saved, seas, t
 from research.robustness.failures import Failing
 from research.seeds import FAILURE_RATE, FALSIFICATION
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 def observed(**terms):
