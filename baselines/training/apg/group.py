@@ -21,7 +21,7 @@ from baselines.training.apg.fleet import Fleet
 from baselines.training.apg.kernels import LoopKernels
 from baselines.training.apg.settings import PAIR, Settings
 from baselines.training.apg.torch_network import put, torch_network
-from baselines.training.apg.window import Array, Objective, Window
+from baselines.training.apg.window import Objective, Window
 from baselines.training.config import Config
 from baselines.training.hulls import believed, turns
 
@@ -31,7 +31,7 @@ class Learned(NamedTuple):
 
     loss: float  # the group's part of the mean over all vehicles
     error: float  # [m] the group's part of the mean position error
-    gradients: dict[str, Array]  # of the loss, by the names of the weights
+    gradients: dict[str, NDArray[Any]]  # of the loss, by the names of the weights
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Group:
         ahead, samples = self.fleet.window()
         fresh, nothing = self.fleet.fresh, np.zeros_like(self.fleet.fresh)
 
-        def act(k: int, observation: Array) -> Array:
+        def act(k: int, observation: NDArray[Any]) -> NDArray[Any]:
             return self._act(observation, ahead[k], nothing if k else fresh)
 
         loss, error, carried, squared_error = self._window.run(
@@ -103,7 +103,7 @@ class Group:
         gradients = {name: p.grad.numpy() for name, p in self._network.named_parameters() if p.grad is not None}
         return Learned(loss, self._part * error, gradients)
 
-    def _act(self, observation: Array, ahead: Array, fresh: NDArray[np.bool_]) -> Array:
+    def _act(self, observation: NDArray[Any], ahead: NDArray[Any], fresh: NDArray[np.bool_]) -> NDArray[Any]:
         """Return the action of an expert on NumPy, shape (ACTIONS, N)."""
         rows = observation.T.astype(np.float64)
         if self._seen_by_expert:
