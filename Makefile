@@ -9,7 +9,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo video test lint typecheck format bench train train-all pages verify examples docs package cluster-test clean
+.PHONY: help demo video test test-all lint typecheck format bench train train-all pages verify examples docs package cluster-test clean
 
 help: ## list the verbs
 	@echo 'make COMMAND [ARGS="more options"] [PYTHON=python3.12]'
@@ -37,7 +37,10 @@ test: export SDL_AUDIODRIVER = dummy
 test: export SDL_VIDEODRIVER = dummy
 test: lint typecheck ## lint, typecheck and run the tests
 	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 25 $(ARGS)
-	$(if $(ARGS),,AUV_GYM_NATIVE=0 $(BIN)/python -m pytest -n 2 --dist worksteal -k "$(UNCOMPILED)" $(EQUATIONS))
+
+test-all: export OMP_NUM_THREADS = 1
+test-all: test ## the tests, and those of equations once more without a compiler
+	AUV_GYM_NATIVE=0 $(BIN)/python -m pytest -n 2 --dist worksteal -k "$(UNCOMPILED)" $(EQUATIONS)
 
 # What runs equations runs once more as on a machine without a compiler, but for what has nothing to do with that, and
 # for long runs of what shorter ones show.

@@ -16,7 +16,7 @@ from auv_gym.installation import ROOT, install
 PROGRAM = "auv-gym"
 PACKAGES = ("auv_gym", "baselines", "research")
 """Where a module that is missing is no missing extra."""
-WRONG_USAGE = 2  # exit status; `command_line` has it too, which needs an extra to be imported
+_WRONG_USAGE = 2  # exit status; `command_line` has it too, which needs an extra to be imported
 
 
 class Command(NamedTuple):
@@ -56,7 +56,7 @@ def call(command: Command, arguments: Sequence[str], program: str) -> int:
         if missing in PACKAGES:
             raise
         print(f"{program} needs {missing}: {install(command.extras)}", file=sys.stderr)
-        return WRONG_USAGE
+        return _WRONG_USAGE
 
 
 def about(command: Command) -> str:
@@ -93,7 +93,7 @@ def main(commands: Mapping[str, Command] = COMMANDS) -> int:
     near = get_close_matches(name, commands, 1)
     hint = f" (did you mean {near[0]!r}?)" if near else ""
     print(f"{program}: {wrong}{hint}; allowed are {', '.join(commands)}; see {program} --help", file=sys.stderr)
-    return WRONG_USAGE
+    return _WRONG_USAGE
 
 
 if __name__ == "__main__":

@@ -124,7 +124,7 @@ def collect(
     return parts
 
 
-def write(parts: Sequence[Part], scenario: Scenario, name: str, folder: Path, card: str) -> Any:
+def _write(parts: Sequence[Part], scenario: Scenario, name: str, folder: Path, card: str) -> Any:
     """Write episodes as a Minari dataset and return it.
 
     Observations are those of `auv_gym:UnderactuatedAUVTrack-v0`: what a policy sees of the path ahead is left out.
@@ -264,7 +264,7 @@ def main(arguments: Sequence[str]) -> int:
     try:
         parts = collect(policies, scenario, options.episodes, options.noise, options.seed)
         command = typed(PROGRAM, arguments)
-        write(parts, scenario, name, folder, dataset_card(parts, scenario, name, command))
+        _write(parts, scenario, name, folder, dataset_card(parts, scenario, name, command))
     except ValueError as error:
         raise UsageError(str(error)) from error
     except PolicyError as error:

@@ -38,7 +38,8 @@ def check_search(started, folder):
         page.keyboard.press("Enter")
         found = page.locator("#search-results li a")
         found.nth(4).wait_for()  # they are shown one by one
-        found.first.click()
+        found.filter(has_text="baselines.control").first.click()
+        page.wait_for_url("**/api/baselines.control.html*")
         page.wait_for_load_state()
         assert "backstepping" in page.inner_text("body")
 

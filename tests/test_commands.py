@@ -31,7 +31,7 @@ QUICK = {
     "bench": "--quick --out bench",
     "train": f"{TINY} --out run",
     "train-all": "ppo-cruise --timesteps 512",
-    "pages": "--check",
+    "pages": "results/leads --check",
     "verify": "unmodelled-v1 --policy open-loop --cells slow-everything",
     "examples": "--help",
     "docs": "-t quick -D toc_object_entries=0 -D html_show_search_summary=0",
@@ -44,7 +44,7 @@ BRIEF = ("--seeds", "1", "--timesteps", "6400", "--episodes", "1", "--jobs", "1"
 """Options of the shortest study of residuals."""
 BY_CI = {"test", "lint", "typecheck"}
 """Verbs that `.ci/run` itself runs."""
-BY_WORKFLOW = {"package", "cluster-test"}
+BY_WORKFLOW = {"package", "cluster-test", "test-all"}
 """Verbs that have jobs of their own in the workflow: they build and install in environments of their own."""
 MADE = {"api", "scenarios"}  # folders of pages that the build writes
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]

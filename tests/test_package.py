@@ -41,7 +41,7 @@ def built(tmp_path_factory):
 
 def test_the_package_is_small_and_the_same_from_its_sources(built, capsys):
     package.checked(*built)
-    assert "MB of at most 5" in capsys.readouterr().out
+    assert "MB of at most 3" in capsys.readouterr().out
 
 
 def test_the_wheel_holds_both_packages(built):

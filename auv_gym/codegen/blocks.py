@@ -15,7 +15,7 @@ from typing import NamedTuple
 from auv_gym.codegen.graph import TRUTHS, Graph
 from auv_gym.codegen.printing import Arrays, Layout, c_language, c_opening, written
 
-LANES = 8
+_LANES = 8
 """Vehicles in a block: as many numbers of double precision as the widest registers hold."""
 LONGEST_PART = 5_000
 """Characters of a part; a compiler's time grows faster than in proportion to them."""
@@ -35,13 +35,13 @@ def c_block_function(name: str, graph: Graph, arguments: Arrays, results: Arrays
     rows = {array: len(entries) for array, entries in {**arguments, **results}.items()}
     blocks = {f"block_{a}": len(own) for a, own in arguments.items()}
     blocks |= {f"after_{a}": len(own) for a, own in results.items()} | {"kept": max(kept, 1)}
-    taken = ", ".join(f"real (*restrict {block})[{LANES}]" for block in blocks)
+    taken = ", ".join(f"real (*restrict {block})[{_LANES}]" for block in blocks)
     lines = [
         *(line for i, part in enumerate(parts) for line in _function(f"{name}_{i}", taken, part)),
         *c_opening(name, arguments, results, layout),
-        *(f"real {block}[{count}][{LANES}] __attribute__((aligned(64)));" for block, count in blocks.items()),
-        f"for (long b = 0; steps > 0 && b < n; b += {LANES}) {{",
-        f"const long full = n - b < {LANES} ? n - b : {LANES};",
+        *(f"real {block}[{count}][{_LANES}] __attribute__((aligned(64)));" for block, count in blocks.items()),
+        f"for (long b = 0; steps > 0 && b < n; b += {_LANES}) {{",
+        f"const long full = n - b < {_LANES} ? n - b : {_LANES};",
         *(_read(a, rows[a], layout) for a in arguments if a not in layout.over_time),
         "for (long j = 0; j < steps; j++) {",
         f"const long k = {'first + steps - 1 - j' if layout.back else 'first + j'};",
@@ -121,21 +121,21 @@ def _completed(
 def _function(name: str, taken: str, lines: list[str]) -> list[str]:
     """Return the function that computes one part for one block."""
     head = [f"static __attribute__((noinline)) void {name}({taken})", "{", "#pragma omp simd"]
-    return [*head, f"for (int i = 0; i < {LANES}; i++) {{", *lines, "}", "}"]
+    return [*head, f"for (int i = 0; i < {_LANES}; i++) {{", *lines, "}", "}"]
 
 
 def _read(array: str, rows: int, layout: Layout) -> str:
     """Return the loops that fill a block from an array; behind the last vehicle it is repeated."""
-    loops = f"for (long r = 0; r < {rows}; r++) for (int i = 0; i < {LANES}; i++)"
+    loops = f"for (long r = 0; r < {rows}; r++) for (int i = 0; i < {_LANES}; i++)"
     target, entry = f"block_{array}[r][i]", layout.entry(array, "r")
     if array in layout.shared:
         return f"{loops} {target} = {entry};"
     whole, part = (entry.replace("+ i]", f"+ b + {i}]") for i in ("i", "(i < full ? i : full - 1)"))
-    return f"if (full == {LANES}) {loops} {target} = {whole}; else {loops} {target} = {part};"
+    return f"if (full == {_LANES}) {loops} {target} = {whole}; else {loops} {target} = {part};"
 
 
 def _write(array: str, rows: int, layout: Layout) -> str:
     """Return the loops that bring a block back to an array."""
     copy = f"{layout.entry(array, 'r').replace('+ i]', '+ b + i]')} = after_{array}[r][i];"
-    whole, part = (f"for (long r = 0; r < {rows}; r++) for (int i = 0; i < {end}; i++)" for end in (LANES, "full"))
-    return f"if (full == {LANES}) {whole} {copy} else {part} {copy}"
+    whole, part = (f"for (long r = 0; r < {rows}; r++) for (int i = 0; i < {end}; i++)" for end in (_LANES, "full"))
+    return f"if (full == {_LANES}) {whole} {copy} else {part} {copy}"

@@ -23,14 +23,14 @@ SWITCH = "AUV_GYM_NATIVE"
 CACHE = "AUV_GYM_CACHE"
 """Environment variable that names another folder for compiled code than that of the user's caches."""
 COMPILERS = ("gcc", "clang", "cc")  # looked for in this order, behind that of the environment variable CC
-FLAGS = ("-O3", "-std=c99", "-fPIC", "-shared", "-fopenmp-simd")
+_FLAGS = ("-O3", "-std=c99", "-fPIC", "-shared", "-fopenmp-simd")
 """What every compiler that is used here knows."""
-EXACT = ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros")
+_EXACT = ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros")
 """A product and a sum are rounded one after the other, as everywhere else; what is not a number stays none."""
 TUNED = ("-march=native", "--param", "iv-max-considered-uses=150")
 """For this processor; and gcc shall not search for the cheapest counters of a loop that uses them more than 150 times,
 which took most of the time and made nothing faster. All left out where a compiler does not know them."""
-PATIENCE = 300.0
+_PATIENCE = 300.0
 """Seconds that a compiler may take."""
 
 
@@ -45,7 +45,7 @@ def compiler() -> tuple[str, str] | None:
     for name in filter(None, (os.environ.get("CC"), *COMPILERS)):
         if (path := shutil.which(name)) is not None:
             try:
-                done = subprocess.run([path, "--version"], capture_output=True, timeout=PATIENCE, check=True)
+                done = subprocess.run([path, "--version"], capture_output=True, timeout=_PATIENCE, check=True)
             except (OSError, subprocess.SubprocessError):
                 continue
             return path, done.stdout.decode(errors="replace")
@@ -61,7 +61,7 @@ def library(source: str) -> ctypes.CDLL | None:
     if not wanted() or (found := compiler()) is None:
         return None
     path, version = found
-    key = "\0".join((source, path, version, *FLAGS, *EXACT, *TUNED, platform.machine(), sys.platform, _processor()))
+    key = "\0".join((source, path, version, *_FLAGS, *_EXACT, *TUNED, platform.machine(), sys.platform, _processor()))
     name = f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
     for folder in cache_folders():
         if (made := _loaded(path, source, folder / name)) is not None:
@@ -125,16 +125,16 @@ def _built(path: str, source: str, file: Path) -> Path:
     with tempfile.TemporaryDirectory(dir=file.parent) as folder:
         made = Path(folder) / file.name
         try:
-            _compile(path, source, made, (*FLAGS, *EXACT, *TUNED))
+            _compile(path, source, made, (*_FLAGS, *_EXACT, *TUNED))
         except subprocess.CalledProcessError:
-            _compile(path, source, made, (*FLAGS, *EXACT))
+            _compile(path, source, made, (*_FLAGS, *_EXACT))
         made.replace(file)
     return file
 
 
 def _compile(path: str, source: str, made: Path, flags: tuple[str, ...]) -> None:
     command = [path, *flags, "-x", "c", "-", "-o", str(made), "-lm"]
-    subprocess.run(command, input=source.encode(), capture_output=True, timeout=PATIENCE, check=True)
+    subprocess.run(command, input=source.encode(), capture_output=True, timeout=_PATIENCE, check=True)
 
 
 def _reason(error: subprocess.SubprocessError) -> str:

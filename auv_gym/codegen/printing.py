@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from auv_gym.codegen.graph import TRUTHS, Graph, Symbol, arguments_of
 
-DEEPEST = 12
+_DEEPEST = 12
 """Levels of expressions that are written into one another before a result gets a name."""
 Arrays = Mapping[str, Sequence[Symbol]]
 """The rows of arrays, by the arrays' names."""
@@ -156,7 +156,7 @@ def written(
         else:
             text[i] = language.forms[operation].format(*(text[a] for a in arguments))
             depth[i] = 1 + max(depth[a] for a in arguments)
-            if uses[i] > 1 or i in named or depth[i] > DEEPEST:
+            if uses[i] > 1 or i in named or depth[i] > _DEEPEST:
                 statements.append((f"v{i}", text[i], operation in TRUTHS))
                 text[i], depth[i] = f"v{i}", 0
     return statements, [text[s.index] for s in outputs]

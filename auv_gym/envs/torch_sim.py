@@ -46,7 +46,7 @@ from auv_gym.task.simulation import PARAMETER_ROWS, PLANT, PLANT_ROWS, SAMPLE_RO
 logger = logging.getLogger(__name__)
 
 TENSORS = tensors()  # the namespace of tensors
-PLAIN = Parts()  # nothing but vehicle and actuators in use
+_PLAIN = Parts()  # nothing but vehicle and actuators in use
 CONSTANT_GLOBALS: Any = {"guard_filter_fn": torch.compiler.skip_guard_on_globals_unsafe}
 """Option of `torch.compile`: tables of places and scales are not looked through for changes at every call."""
 DTYPES = {"float32": torch.float32, "float64": torch.float64}  # by name
@@ -63,7 +63,7 @@ class Transition(NamedTuple):
     saturated: Tensor  # 1 where an actuator was commanded to its limit, else 0, shape (N,)
 
 
-def simulate(state: Tensor, action: Tensor, sample: Tensor, parameters: Tensor, parts: Parts = PLAIN) -> Transition:
+def simulate(state: Tensor, action: Tensor, sample: Tensor, parameters: Tensor, parts: Parts = _PLAIN) -> Transition:
     """Return what `simulation.step` makes of N vehicles: a pure function, differentiable in state and action.
 
     Args:

@@ -42,8 +42,8 @@ from auv_gym.task.simulation import (
     ground_state,
 )
 
-BLOCK = 256  # control steps of tape read at once
-TRAIL = 1000  # past positions drawn at most
+_BLOCK = 256  # control steps of tape read at once
+_TRAIL = 1000  # past positions drawn at most
 
 
 class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]):
@@ -157,7 +157,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self._planned: tuple[Path, Reference] | None = None
         if isinstance(self.scenario.path, Path):
             self._plan(self.scenario.path)
-        self._tape, self._samples = Tape(1, BLOCK), np.zeros((BLOCK, SAMPLE_ROWS, 1))
+        self._tape, self._samples = Tape(1, _BLOCK), np.zeros((_BLOCK, SAMPLE_ROWS, 1))
         self._constants = np.ones((PARAMETER_ROWS, 1))
         self._law: Law | None = None
         self._vehicle = Vehicles(self.scenario.parts, self._samples, self._constants)
@@ -260,7 +260,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         return Parameters.of(self._constants.ravel().tolist(), self.scenario.parts)
 
     def _read(self) -> None:
-        self._tape.read((0,), BLOCK, self._samples)
+        self._tape.read((0,), _BLOCK, self._samples)
         self._row = 0
 
     def step(self, action: NDArray[np.floating[Any]]) -> tuple[Array, float, bool, bool, dict[str, Any]]:
@@ -275,7 +275,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
             raise ResetNeeded("the episode is over, or none has begun: call reset() before step()")
         self._k += 1
         self._row += 1
-        if self._row == BLOCK:
+        if self._row == _BLOCK:
             self._read()
         vehicle = self._vehicle
         vehicle.action[0, 0], vehicle.action[1, 0] = command
@@ -330,7 +330,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
             state=tuple(self.state.tolist()),
             reference=self.reference[:3],
             path=np.stack((plan_.x, plan_.y), axis=1),
-            trail=self._trail[max(0, self._k + 1 - TRAIL) : self._k + 1],
+            trail=self._trail[max(0, self._k + 1 - _TRAIL) : self._k + 1],
             current=tuple(self.current.tolist()),
             force=tuple(self.force.tolist()),
             force_limits=(act.F_u_max, act.F_r_max),

@@ -29,7 +29,7 @@ from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 
 ORDER = 4  # samples in each integration formula
-TERMS = 4  # of the equation, see `sideslip_terms`
+_TERMS = 4  # of the equation, see `sideslip_terms`
 FIXED_POINT = 12  # iterations for the first samples, which settle within fewer
 _POINTS, _GAUSS = leggauss(24)  # of an integral over [-1, 1]
 
@@ -113,13 +113,13 @@ def _opening() -> Kernel:
     """
 
     def equation(u: Any, inputs: Any, weights: Any) -> dict[str, Any]:
-        terms = (inputs[j : j + TERMS] for j in range(0, TERMS * ORDER, TERMS))
+        terms = (inputs[j : j + _TERMS] for j in range(0, _TERMS * ORDER, _TERMS))
         F = [sideslip_rest(parts, w, SYMBOLS.sqrt) for parts, w in zip(terms, u, strict=True)]
         decays, rows = weights[: ORDER - 1], [weights[j : j + ORDER] for j in range(ORDER - 1, len(weights), ORDER)]
         after = [_plus(decay * u[0], row, F) for decay, row in zip(decays, rows, strict=True)]
         return {"u": (u[0], *after), "rest": F}
 
-    return Kernel.traced(equation, {"u": ORDER, "inputs": TERMS * ORDER, "weights": (ORDER - 1) * (ORDER + 1)})
+    return Kernel.traced(equation, {"u": ORDER, "inputs": _TERMS * ORDER, "weights": (ORDER - 1) * (ORDER + 1)})
 
 
 @cache
@@ -133,7 +133,7 @@ def _recursion() -> Kernel:
         u = _plus(decay * u_n, g[::-1], F)
         return {"history": (u, *F[:-1]), "u": (u,)}
 
-    return Kernel.traced(equation, {"history": ORDER, "weights": ORDER + 1, "inputs": TERMS}, ["inputs", "u"])
+    return Kernel.traced(equation, {"history": ORDER, "weights": ORDER + 1, "inputs": _TERMS}, ["inputs", "u"])
 
 
 def _plus(total: Any, weights: Sequence[Any], F: Sequence[Any]) -> Any:

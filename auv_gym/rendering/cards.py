@@ -24,7 +24,7 @@ from auv_gym.rendering.canvas import (
 )
 from auv_gym.rendering.scene import Body, draw_ghost, draw_trail, draw_vehicle
 
-NAMES = ("vehicle", "reference", "path done, ahead", "trail", "velocity", "current")
+_NAMES = ("vehicle", "reference", "path done, ahead", "trail", "velocity", "current")
 """What the legend explains, from its top."""
 
 
@@ -68,7 +68,7 @@ def _number_names(card: Canvas, title: str) -> None:
 def _draw_legend(canvas: Canvas, camera: Camera, view: View) -> None:
     """Top right: what the symbols mean; its arrows are as long as those in the scene."""
     speeds = math.hypot(*view.state[3:5]), math.hypot(*view.current)
-    count = len(NAMES) if speeds[1] > 0.0 else len(NAMES) - 1
+    count = len(_NAMES) if speeds[1] > 0.0 else len(_NAMES) - 1
     left = float(canvas.extent[0]) - 268.0
     canvas.card((left, 12.0, 256.0, 26.0 + 24.0 * count), "legend", partial(_legend_names, count=count))
     colors = (VELOCITY, CURRENT)
@@ -79,14 +79,14 @@ def _draw_legend(canvas: Canvas, camera: Camera, view: View) -> None:
 
 
 def _legend_names(card: Canvas, count: int) -> None:
-    middle = np.array([(55.0, 26.0 + 24.0 * row) for row in range(len(NAMES))])
+    middle = np.array([(55.0, 26.0 + 24.0 * row) for row in range(len(_NAMES))])
     half = np.array((ARROW_LENGTH / 2.0, 0.0))
     draw_vehicle(card, Body(middle[0], 0.0, 44.0))
     draw_ghost(card, Body(middle[1], 0.0, 44.0))
     card.line([middle[2] - half, middle[2]], PLAN_DONE, 2.0)
     card.line([middle[2], middle[2] + half], PLAN, 2.0)
     draw_trail(card, np.linspace(middle[3] - half, middle[3] + half, 19))
-    for name, (_, y) in zip(NAMES[:count], middle.tolist(), strict=False):
+    for name, (_, y) in zip(_NAMES[:count], middle.tolist(), strict=False):
         card.text(name, 105.0, y, color=MUTED)
 
 

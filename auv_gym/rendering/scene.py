@@ -30,12 +30,12 @@ from auv_gym.rendering.canvas import (
 
 # The torpedo in units of its length: nose at x = 0.5, stern at x = -0.5, port is +y.
 _BOW = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 13)
-NOSE: Final[Array] = np.column_stack((0.32 + 0.18 * np.cos(_BOW), 0.1 * np.sin(_BOW)))  # [lengths]
+_NOSE: Final[Array] = np.column_stack((0.32 + 0.18 * np.cos(_BOW), 0.1 * np.sin(_BOW)))  # [lengths]
 _STERN = [(-0.15, 0.1), (-0.32, 0.075), (-0.45, 0.035), (-0.45, -0.035), (-0.32, -0.075), (-0.15, -0.1)]
-HULL: Final[Array] = np.vstack((NOSE, np.array(_STERN)))  # [lengths] the outline
+_HULL: Final[Array] = np.vstack((_NOSE, np.array(_STERN)))  # [lengths] the outline
 _FIN = np.array([(-0.29, 0.07), (-0.36, 0.19), (-0.45, 0.19), (-0.43, 0.03)])
 FINS: Final[tuple[Array, Array]] = (_FIN, _FIN * (1.0, -1.0))  # [lengths] port, starboard
-PROPELLER: Final[Array] = np.array([(-0.47, 0.085), (-0.5, 0.085), (-0.5, -0.085), (-0.47, -0.085)])  # [lengths]
+_PROPELLER: Final[Array] = np.array([(-0.47, 0.085), (-0.5, 0.085), (-0.5, -0.085), (-0.47, -0.085)])  # [lengths]
 
 
 class Body(NamedTuple):
@@ -115,20 +115,20 @@ def draw_trail(canvas: Canvas, points: Array, color: Color = VEHICLE) -> None:
 
 def draw_ghost(canvas: Canvas, body: Body) -> None:
     """Draw the reference pose: a translucent torpedo with an outline."""
-    with canvas.closeup(body.place(HULL), 0.15 * body.length):
-        for shape in (*FINS, HULL):
+    with canvas.closeup(body.place(_HULL), 0.15 * body.length):
+        for shape in (*FINS, _HULL):
             canvas.tint(body.place(shape), PLAN, 0.18, 1.5)
 
 
 def draw_vehicle(canvas: Canvas, body: Body, hull: Color = VEHICLE, arrow: Array | None = None) -> None:
     """Draw the vehicle: propeller, fins, hull and nose, and from its middle an arrow (2,) [units] of its velocity."""
-    outline = body.place(HULL)
+    outline = body.place(_HULL)
     seen = outline if arrow is None else np.vstack((outline, body.middle + arrow))
     with canvas.closeup(seen, 0.15 * body.length):
-        for shape, color in ((PROPELLER, INK), *((fin, INK) for fin in FINS)):
+        for shape, color in ((_PROPELLER, INK), *((fin, INK) for fin in FINS)):
             canvas.polygon(body.place(shape), color, INK, 1.2)
         canvas.polygon(outline, hull, INK, 1.2)
-        canvas.polygon(body.place(NOSE), INK, INK, 1.2)
+        canvas.polygon(body.place(_NOSE), INK, INK, 1.2)
         if arrow is not None:
             canvas.line([body.middle, body.middle + 0.75 * arrow], WHITE, 5.0)  # a halo against the hull
             canvas.arrows(body.middle[None], arrow, [VELOCITY], 3.0)

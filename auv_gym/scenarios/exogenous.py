@@ -72,9 +72,9 @@ class Gust(NamedTuple):
 
 
 WEATHER = numbered(Weather)  # the place of every number of a `Weather` in the row of them
-GUST = numbered(Gust)  # the place of every number of a `Gust` in the row of them
+_GUST = numbered(Gust)  # the place of every number of a `Gust` in the row of them
 WEATHER_ROWS = len(leaves(WEATHER))  # how many numbers a `Weather` has
-GUST_ROWS = len(GUST)  # how many numbers a `Gust` has
+GUST_ROWS = len(_GUST)  # how many numbers a `Gust` has
 WAVE_ROWS = 7
 """Numbers of a wave component: its angle in a control step [rad], and for each axis what multiplies the sine and the
 cosine of the angle so far [N], [N], [N m]."""
@@ -131,7 +131,7 @@ def sea_kernel(components: int) -> Kernel:
         w = filled(WEATHER, weather)
         after, current = current_gust(Gust(*gust), normals[GUSTS], w, SYMBOLS)
         parts = [waves[i : i + WAVE_ROWS] for i in range(0, len(waves), WAVE_ROWS)]
-        load = wave_load(gust[GUST.k], parts, SYMBOLS)
+        load = wave_load(gust[_GUST.k], parts, SYMBOLS)
         measured = [s * n + b for s, n, b in zip(w.noise, normals[MEASURED], w.bias, strict=True)]
         return {"gust": after, "sea": (*current, *load, *measured, 1.0)}
 

@@ -15,7 +15,7 @@ Mixture = tuple[tuple[Scenario, float], ...]
 CASE_WEIGHTS: Mapping[str, float] = {"noise": 2.0, "actuator": 2.0, "storm": 3.0}
 """Weights of a regime's cases, the others have 1: those where most of the error is, or where vehicles are lost."""
 ADVERSE_WEIGHT = 8.0  # of the adverse scenario beside a regime's cases
-WAVELENGTHS = {"slow": (5.0, 20.0), "cruise": (20.0, 80.0)}  # [m] of a sheared current
+_WAVELENGTHS = {"slow": (5.0, 20.0), "cruise": (20.0, 80.0)}  # [m] of a sheared current
 OUTAGE_TIMES = {"slow": (0.5, 3.0), "cruise": (0.3, 2.0)}  # [s] how long an outage of the position fix lasts
 
 
@@ -49,7 +49,7 @@ def adverse(regime: str) -> Scenario:
             outages=1.0,
             outage_time=OUTAGE_TIMES[regime],
         ),
-        current=replace(current, shear=(0.0, 0.25), wavelength=WAVELENGTHS[regime], speed=(0.05, 0.35)),
+        current=replace(current, shear=(0.0, 0.25), wavelength=_WAVELENGTHS[regime], speed=(0.05, 0.35)),
         waves=replace(waves, band=(0.15, 1.1)),
         actuators=Actuators(
             act.F_u_max, act.F_r_max, lag=(0.0, 0.7), effectiveness=(0.6, 1.0), reach=(0.45, 1.0), delay=(0.0, 3.0)
@@ -82,7 +82,7 @@ SLEWING: Mapping[str, Mixture] = {
     for regime in REGIMES
 }
 """Storms, and the slow actuators of calm water, that also slew, by regime; their weights add up to 1."""
-WRONG: Mapping[str, Mixture] = {
+_WRONG: Mapping[str, Mixture] = {
     f"{regime}-wrong": (
         (adverse(regime), 0.5),
         *((slewing(adverse(regime), seconds), 0.25) for seconds in SLEW_TIMES),
@@ -101,14 +101,14 @@ def everything() -> Mixture:
     """Return what `helm` learns: the cases of both regimes, slewing actuators, and storms where anything is wrong."""
     cases = (part for regime in REGIMES for part in regime_mixture(regime, {**HARDEST, "waves": 2.0}))
     slew = (part for regime in REGIMES for part in weighed(SLEWING[f"{regime}-slew"], SLEW_WEIGHT))
-    wrong = (part for regime in REGIMES for part in weighed(WRONG[f"{regime}-wrong"], WRONG_WEIGHTS[regime]))
+    wrong = (part for regime in REGIMES for part in weighed(_WRONG[f"{regime}-wrong"], WRONG_WEIGHTS[regime]))
     return (*cases, *slew, *wrong, (hasty(), HASTY_WEIGHT))
 
 
 MIXTURES: Mapping[str, Mixture] = {
     "helm": everything(),
     **SLEWING,
-    **WRONG,
+    **_WRONG,
     **{regime: regime_mixture(regime) for regime in REGIMES},
     **{f"{regime}-adverse": (*regime_mixture(regime), (adverse(regime), ADVERSE_WEIGHT)) for regime in REGIMES},
 }

@@ -82,7 +82,7 @@ def _tupled(value: Any) -> Any:
     return tuple(_tupled(v) for v in value) if isinstance(value, (list, tuple)) else value
 
 
-LARGEST_FILE = 2**24  # [B]
+_LARGEST_FILE = 2**24  # [B]
 
 
 def checked_suffix(file: Path) -> str:
@@ -100,8 +100,8 @@ def read_table(file: Path) -> Any:
         OSError: the file cannot be read.
     """
     suffix = checked_suffix(file)
-    if file.exists() and not (file.is_file() and file.stat().st_size <= LARGEST_FILE):
-        raise ValueError(f"{file} is no regular file of at most {LARGEST_FILE} bytes")
+    if file.exists() and not (file.is_file() and file.stat().st_size <= _LARGEST_FILE):
+        raise ValueError(f"{file} is no regular file of at most {_LARGEST_FILE} bytes")
     data = file.read_bytes()
     try:
         text = data.decode("utf-8")

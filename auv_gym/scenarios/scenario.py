@@ -26,9 +26,9 @@ from auv_gym.task.observation import TERMS
 from auv_gym.task.simulation import Parameters, Parts, Shear, log_of
 
 T = TypeVar("T")
-DRAWS = 96
+_DRAWS = 96
 """Uniform numbers reserved for one episode's parameters."""
-USUAL = {term.name: term.bound * term.scale for term in TERMS}
+_USUAL = {term.name: term.bound * term.scale for term in TERMS}
 """The largest that an observation usually shows of each term, in SI units, see `task.bounds`."""
 ATTEMPTS = 20
 """How many episodes are drawn at most until one can be followed."""
@@ -147,7 +147,7 @@ class Scenario:
 
     def draw(self, rng: np.random.Generator) -> Episode:
         """Return one episode; the generator advances by the same amount for every episode."""
-        uniform = iter(rng.random(DRAWS).tolist()).__next__
+        uniform = iter(rng.random(_DRAWS).tolist()).__next__
         noise_seed = int(rng.integers(2**63))
         path = self.path
         if isinstance(path, RandomPath):
@@ -214,7 +214,7 @@ class Scenario:
     def span(self) -> int:
         """How much wider than usual the bounds of its observations are, a power of two, see `task.bounds`."""
         act = self.actuators
-        needed = act.F_u_max / USUAL["F_u_max"], act.F_r_max / USUAL["F_r_max"], self.lost_distance / USUAL["e_x"]
+        needed = act.F_u_max / _USUAL["F_u_max"], act.F_r_max / _USUAL["F_r_max"], self.lost_distance / _USUAL["e_x"]
         return int(2 ** max(0, math.ceil(math.log2(max(needed)))))
 
     def parameters(self, episode: Episode) -> Parameters:

@@ -63,7 +63,7 @@ ERRORS = 6
 """How many of the terms, the first ones, may leave their bounds: the others are inside of them by construction."""
 
 _SCALES, _INVERSE = Constants.of(SCALES), Constants.of(1.0 / SCALES)
-LARGE = "m", "N", "N m"
+_LARGE = "m", "N", "N m"
 """Units of the terms that are larger for larger vehicles."""
 
 
@@ -73,7 +73,7 @@ def bounds(span: int) -> NDArray[np.float64]:
     The scales are the same for every vehicle, so that an observation is decoded without knowing whose it is; a ship's
     lengths and forces have wider bounds, by a power of two that its scenario says.
     """
-    return BOUNDS * np.where([term.unit in LARGE for term in TERMS], float(span), 1.0)
+    return BOUNDS * np.where([term.unit in _LARGE for term in TERMS], float(span), 1.0)
 
 
 _ERROR_BOUNDS = {2**k: Constants.of(bounds(2**k)[:ERRORS]) for k in range(32)}  # by span

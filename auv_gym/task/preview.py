@@ -15,7 +15,7 @@ from auv_gym.task.observation import SIZE, L, Observation, bounds
 
 Indices = NDArray[np.int64]
 
-FARTHEST = 1000
+_FARTHEST = 1000
 """Most control periods that a preview may look ahead."""
 
 
@@ -23,12 +23,12 @@ def checked_preview(preview: Any) -> tuple[int, ...]:
     """Return a preview as a tuple of ascending numbers of control periods.
 
     Raises:
-        ValueError: it is no sequence of integers in [1, `FARTHEST`], or they do not ascend.
+        ValueError: it is no sequence of integers in [1, `_FARTHEST`], or they do not ascend.
     """
     periods = tuple(preview) if isinstance(preview, Sequence) and not isinstance(preview, str) else (None,)
-    if not all(isinstance(n, int) and 1 <= n <= FARTHEST for n in periods) or list(periods) != sorted(set(periods)):
+    if not all(isinstance(n, int) and 1 <= n <= _FARTHEST for n in periods) or list(periods) != sorted(set(periods)):
         raise ValueError(
-            f"preview is {preview!r}; it must be ascending numbers of control periods, integers in [1, {FARTHEST}]"
+            f"preview is {preview!r}; it must be ascending numbers of control periods, integers in [1, {_FARTHEST}]"
         )
     return tuple(map(int, periods))
 

@@ -34,7 +34,7 @@ from baselines.control.open_loop import NO_EXPERT, Zero
 from baselines.policy import Privileged
 from baselines.tools.files import guarded, read_bytes, read_json, synchronise, write_atomically
 
-FORMAT = 2
+_FORMAT = 2
 """Version of the folder's layout."""
 WEIGHTS = "weights.safetensors"  # file of the network's arrays
 RECORD = "agent.json"  # file of everything else, see `ENTRIES`
@@ -138,7 +138,7 @@ class Agent:
 
     def _record(self, weights: bytes) -> dict[str, Any]:
         return {
-            "format": FORMAT,
+            "format": _FORMAT,
             "network": network_record(self.network),
             "inputs": to_record(self.inputs),
             "features": feature_layout(self.inputs),
@@ -212,8 +212,8 @@ def _checked_record(record: Any) -> dict[str, Any]:
     """Return an agent's description; raise ValueError if it is damaged or of another version."""
     if not isinstance(record, dict) or set(record) != set(ENTRIES):
         raise ValueError(f"{RECORD} must have the entries {', '.join(ENTRIES)}, and no others")
-    if record["format"] != FORMAT:
-        raise ValueError(f"its format is {record['format']!r}; this version reads {FORMAT}")
+    if record["format"] != _FORMAT:
+        raise ValueError(f"its format is {record['format']!r}; this version reads {_FORMAT}")
     features = feature_layout(from_record(Inputs, record["inputs"], "inputs"))
     for name, layout in (("features", features), ("observation", OBSERVATION_LAYOUT)):
         if record[name] != layout:

@@ -24,7 +24,7 @@ BOUND = 8.0
 """Largest magnitude of a feature."""
 FAST = 0.1  # [1/s] at which the fast integral of the position error forgets
 SLOW = 0.015  # [1/s] at which the slow integral of the position error forgets
-FAR = 4.0
+_FAR = 4.0
 """Largest position error that is integrated, in units of U * 1 s: a vehicle that is lost must not wind them up."""
 
 
@@ -70,7 +70,7 @@ INTEGRALS = 4
 """Rows that are remembered: the two integrals, scaled by U * 1 s, each with its x and y in the world."""
 
 
-FINE = 100.0
+_FINE = 100.0
 """How much larger small errors are seen by `fine`, beside errors of 1."""
 LOADS = tuple(name for name in filters.KEPT if name[0] in "XYN" and name not in ("x_e", "y_e"))
 """Entries of a filter's estimate that are loads on the hull."""
@@ -141,7 +141,7 @@ class Inputs:
         u_R, v_R, r_R, F_uR, F_rR, c, s, F_u_max, F_r_max, a_u, a_r, dt = o[6:18]
         (x1, y1, x2, y2), rest = (kept := tuple(integrals))[:INTEGRALS], kept[INTEGRALS:]
         errors = scaled_errors(o, ns)
-        x, y = (ns.clip(e, -FAR, FAR) for e in errors[:2])
+        x, y = (ns.clip(e, -_FAR, _FAR) for e in errors[:2])
         x, y = to_world(x, y, c, s)
         x1, y1 = x1 + dt * (x - FAST * x1), y1 + dt * (y - FAST * y1)
         x2, y2 = x2 + dt * (x - SLOW * x2), y2 + dt * (y - SLOW * y2)
@@ -172,7 +172,7 @@ STANDARD = Inputs()
 
 def fine(x: Number, ns: Namespace) -> Number:
     """Return a quantity so that small values stand apart and large ones stay small: 50 x at zero, 5 at 1, 16 at 10."""
-    return 0.5 * FINE * x / ns.sqrt(1 + FINE * abs(x))
+    return 0.5 * _FINE * x / ns.sqrt(1 + _FINE * abs(x))
 
 
 def _fine(errors: Sequence[Number], per_U: Number, ns: Namespace) -> tuple[Number, ...]:

@@ -29,8 +29,8 @@ TABLE = Path(__file__).with_name("filter_gains.json")
 LAGS = (0.24, 0.001)
 """Time constants [s] of the actuators that the filters believe in, for a rough and a calm sea."""
 MIDDLE = CRUISE_SPEED  # [m/s] speed at which `speed_share` is zero
-HELD = 1e-4  # [m] of which a measured position moves less in a period: there was no new fix
-SETTLED = 50.0
+_HELD = 1e-4  # [m] of which a measured position moves less in a period: there was no new fix
+_SETTLED = 50.0
 """Control periods after which the second filter goes its own way, from where the first one is, in still water."""
 LEASH = (0.05, 0.1, 0.1)
 """How far the second filter may be from the first one: position [m] plus [s] times the speed, heading [rad].
@@ -101,7 +101,7 @@ def filtered(
     step = o.dt * motion.v_x - half * motion.a_x, o.dt * motion.v_y - half * motion.a_y
     x_e, y_e = to_world(o.e_x, o.e_y, o.cos_psi, o.sin_psi)
     moved_x, moved_y = x_e - x_before + step[0], y_e - y_before + step[1]
-    held = (moved_x * moved_x + moved_y * moved_y < HELD * HELD) & (age > 0.0)
+    held = (moved_x * moved_x + moved_y * moved_y < _HELD * _HELD) & (age > 0.0)
     measured = x_e, y_e, motion.psi + o.psi_e, o.u_R + o.u_e, o.v_R + o.v_e, o.r_R + o.r_e
     found: list[Estimate] = []
     for i, (lag, *tables) in enumerate(zip(LAGS, gains("slow"), gains("cruise"), strict=True)):
@@ -113,10 +113,10 @@ def filtered(
         begun = [ns.where(fresh, a, b) for a, b in zip(first, z, strict=True)]
         if found:
             still = [*found[0][: AT.V_x], *first[AT.V_x :]]  # where the first one is, in still water
-            joined = (age < SETTLED) | _far(found[0], z, speed)
+            joined = (age < _SETTLED) | _far(found[0], z, speed)
             begun = [ns.where(joined, a, b) for a, b in zip(still, begun, strict=True)]
         found.append(Estimate._make(begun))
-    after = (ns.clip(age + 1.0, 0.0, SETTLED), x_e, y_e, *(getattr(z, name) for z in found for name in KEPT))
+    after = (ns.clip(age + 1.0, 0.0, _SETTLED), x_e, y_e, *(getattr(z, name) for z in found for name in KEPT))
     return Believed(tuple(found), held), after
 
 

@@ -28,7 +28,7 @@ from baselines.agents.residual_policy import ResidualPolicy
 from baselines.control.backstepping import GAINS, Backstepping, Gains, backstepping_errors
 from baselines.policy import Memory, batched, first_order, is_fast, reference_speed, renewed
 
-CORRECTION = 1
+_CORRECTION = 1
 """Which array of an agent's memory is its last correction, shape (N, 2)."""
 MEAN = 0  # column of a guard's memory: the mean energy of the last time
 SHARE = 1  # column of a guard's memory: which share of the policy's command acts
@@ -156,7 +156,7 @@ class Guarded:
         share = own[:, SHARE, None]
         if isinstance(self.policy, ResidualPolicy) and past is not None:
             # A network is told which correction has acted.
-            past = (*past[:CORRECTION], past[CORRECTION] * share, *past[CORRECTION + 1 :])
+            past = (*past[:_CORRECTION], past[_CORRECTION] * share, *past[_CORRECTION + 1 :])
         own[:, ARRAYS_OF_POLICY] = len(past or ())
         mixed = (other + share * (action - other)).astype(np.float32)
         command = np.where(share >= 1.0, action, np.where(share <= 0.0, other, mixed))

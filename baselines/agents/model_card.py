@@ -8,7 +8,7 @@ from typing import Any
 from baselines.control.open_loop import NO_EXPERT
 
 CURVE = "learning_curve.png"  # file beside the card
-TEXT = """# {name}
+_TEXT = """# {name}
 
 A network that {own}, by at most {surge:g} of the surge limit and {yaw:g} of the yaw limit. It steers the underactuated
 vehicle of `auv_gym` along a reference, from what its sensors measure.
@@ -46,7 +46,7 @@ def model_card(name: str, record: Mapping[str, Any], curve: bool) -> str:
     """
     training, (surge, yaw) = record["training"], record["authority"]
     own = "acts alone" if record["expert"] == NO_EXPERT else f"corrects the policy `{record['expert']}`"
-    lines = [TEXT.format(name=name, own=own, surge=surge, yaw=yaw, facts="\n".join(_facts(record)))]
+    lines = [_TEXT.format(name=name, own=own, surge=surge, yaw=yaw, facts="\n".join(_facts(record)))]
     if record["inputs"].get("hull"):
         lines += [TOLD]
     if scores := training.get("scores"):

@@ -17,7 +17,7 @@ from auv_gym.task.observation import SIZE
 from auv_gym.task.policy import Policy, checked_authority
 from baselines.policy import Memory
 
-ALGORITHMS = {
+_ALGORITHMS = {
     "stable_baselines3.common.policies": ("stable_baselines3", "PPO"),
     "stable_baselines3.sac.policies": ("stable_baselines3", "SAC"),
     "stable_baselines3.td3.policies": ("stable_baselines3", "TD3"),
@@ -29,7 +29,7 @@ ALGORITHMS = {
 """Which class loads a model, by the module of its network; A2C, TRPO and DDPG act as their relatives here do."""
 STATISTICS = "vecnormalize.pkl"
 """The file in which rl_zoo3 keeps the statistics of `VecNormalize`, beside a model or in a folder beside it."""
-AUTHORITY = 0.5
+_AUTHORITY = 0.5
 """Authority of the residual environment, if nothing else is asked for."""
 LARGEST_DATA = 2**26
 """Largest description [bytes] that is read."""
@@ -38,7 +38,7 @@ LARGEST_DATA = 2**26
 class Model:
     """A model whose observations are normalised as they were in training, and whose action may correct an expert's."""
 
-    def __init__(self, model: Any, statistics: Any, expert: Policy | None, authority: Any = AUTHORITY) -> None:
+    def __init__(self, model: Any, statistics: Any, expert: Policy | None, authority: Any = _AUTHORITY) -> None:
         """Take a loaded model, the `VecNormalize` that it was trained behind, and the expert that it corrects."""
         self.model, self.statistics, self.expert = model, statistics, expert
         self.authority = np.array(checked_authority(authority))
@@ -74,7 +74,7 @@ def statistics_file(file: Path) -> Path | None:
     return found[0] if len(found) == 1 or (found and found[0] in beside) else None
 
 
-def load_model(file: Path, expert: Policy, authority: float | tuple[float, float] = AUTHORITY) -> Policy:
+def load_model(file: Path, expert: Policy, authority: float | tuple[float, float] = _AUTHORITY) -> Policy:
     """Return the policy of a FILE.zip.
 
     Args:
@@ -119,6 +119,6 @@ def _algorithm(file: Path) -> tuple[str, str]:
         raise
     except Exception as error:  # zipfile.BadZipFile, zlib.error, KeyError, TypeError, RecursionError ...
         raise ValueError(f"{file} is no model of Stable-Baselines3: {error}") from error
-    if not isinstance(module, str) or module not in ALGORITHMS:
-        raise ValueError(f"{file} has a network of {module}; known are those of {', '.join(ALGORITHMS)}")
-    return ALGORITHMS[module]
+    if not isinstance(module, str) or module not in _ALGORITHMS:
+        raise ValueError(f"{file} has a network of {module}; known are those of {', '.join(_ALGORITHMS)}")
+    return _ALGORITHMS[module]

@@ -72,11 +72,11 @@ class AdaptiveMemory(NamedTuple):
     N: Number  # [N m]
 
 
-PLAN = len(Planned._fields)  # how many entries are the planner's
-AT: Any = AdaptiveMemory._make(range(len(AdaptiveMemory._fields)))  # where each entry stands
-AT_PREDICTED = slice(AT.u, AT.sigma_u)  # the predicted velocities
-AT_SIGMA = slice(AT.sigma_u, AT.u_last)  # sigma of the three axes
-AT_LAST = slice(AT.u_last, AT.V_x)  # the velocities measured last
+_PLAN = len(Planned._fields)  # how many entries are the planner's
+_AT: Any = AdaptiveMemory._make(range(len(AdaptiveMemory._fields)))  # where each entry stands
+AT_PREDICTED = slice(_AT.u, _AT.sigma_u)  # the predicted velocities
+AT_SIGMA = slice(_AT.sigma_u, _AT.u_last)  # sigma of the three axes
+AT_LAST = slice(_AT.u_last, _AT.V_x)  # the velocities measured last
 
 
 def adaptive(
@@ -85,7 +85,7 @@ def adaptive(
     """Return what is remembered, and F_u [N], F_r [N m]; see `traced.Equation`."""
     c, fresh = vehicle, before.count <= 0.0
     measured = o.u_R + o.u_e, o.v_R + o.v_e, o.r_R + o.r_e
-    predicted, sigma = adapted(o, before, measured, g.predictor, c, ns)
+    predicted, sigma = _adapted(o, before, measured, g.predictor, c, ns)
     V_u, V_v = current_of(sigma, measured[2], c)
     V_x, V_y = to_world(V_u, V_v, o.cos_psi, o.sin_psi)
     share = ns.where(fresh, 0.0, 1 - ns.exp(-g.drift * o.dt))
@@ -97,7 +97,7 @@ def adaptive(
     share = ns.where(fresh, 0.0, 1 - ns.exp(-g.bandwidth * o.dt))
     X = before.X + share * (c.m11 * (sigma[0] - known[0]) - before.X)
     N = before.N + share * (c.m33 * (sigma[2] - known[1]) - before.N)
-    plan, R = planned(Planned(*before[:PLAN]), reference_motion(o, c, ns), Sea(V_x, V_y), o.dt, c, ns)
+    plan, R = planned(Planned(*before[:_PLAN]), reference_motion(o, c, ns), Sea(V_x, V_y), o.dt, c, ns)
     psi = ns.arctan2(o.sin_psi, o.cos_psi)
     errors = water_errors((o.e_x, o.e_y, psi, u, v, r), R, ns)
     law = undamped_symbols((g.k, g.cu, g.c, g.cr, g.reference_speed))
@@ -105,7 +105,7 @@ def adaptive(
     return AdaptiveMemory._make((*plan, *predicted, *sigma, *measured, V_x, V_y, X, N)), (F_u - X, F_r - N)
 
 
-def adapted(
+def _adapted(
     o: Observation,
     before: AdaptiveMemory,
     measured: tuple[Number, Number, Number],

@@ -83,7 +83,7 @@ def observer_kernel() -> Kernel:
         coefficients, (*gains, fast, slow) = Coefficients(*known[:VEHICLE_ROWS]), known[VEHICLE_ROWS:]
         terms, ns = Observation(*o), SYMBOLS
         after = observed(terms, Observed(*seen), (fast, slow), coefficients, ns)
-        following, force = law_forces(terms, after, Planned(*plan), coefficients, undamped_symbols(gains), ns)
+        following, force = _law_forces(terms, after, Planned(*plan), coefficients, undamped_symbols(gains), ns)
         return {"seen": after, "plan": following, "force": force}
 
     rows = {"o": len(Observation._fields), "known": VEHICLE_ROWS + len(OBSERVER_GAINS)}
@@ -91,7 +91,7 @@ def observer_kernel() -> Kernel:
     return Kernel.traced(equation, rows, structural=True, blocked=True)
 
 
-def law_forces(
+def _law_forces(
     o: Observation, seen: Observed, plan: Planned, coefficients: Coefficients, gains: Gains, ns: Namespace
 ) -> tuple[Planned, tuple[Number, Number]]:
     """Return what the planner remembers, and F_u [N], F_r [N m].

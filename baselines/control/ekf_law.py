@@ -36,8 +36,8 @@ from baselines.estimation.water_frame import Planned, Sea, planned, reference_mo
 from baselines.gains.loading import tuned_policy
 from baselines.policy import Memory, is_fast, squared_speed
 
-NEAR = 3.0  # [s] bound of the position error that the tuned gains see, see `backstepping.bounded_error`
-FAR = 8.0  # [s] travel time of the position error from which the expert's gains have most of the say
+_NEAR = 3.0  # [s] bound of the position error that the tuned gains see, see `backstepping.bounded_error`
+_FAR = 8.0  # [s] travel time of the position error from which the expert's gains have most of the say
 FAR_HEADING = 1.0  # [rad] heading error from which they have
 LAW_GAINS = (*UNDAMPED_GAINS, "lead")  # names of the law's own gains
 EKF_GAINS = (*LAW_GAINS, *TUNING)
@@ -84,7 +84,7 @@ def law_kernel(faults: bool = False) -> Kernel:
         coefficients = Coefficients(*known[:VEHICLE_ROWS])
         *gains, lead = known[VEHICLE_ROWS:]
         law, memory = undamped_symbols(gains), Planned(*plan)
-        after, force = law_forces(Observation(*o), z, memory, coefficients, law, lead, SYMBOLS)
+        after, force = _law_forces(Observation(*o), z, memory, coefficients, law, lead, SYMBOLS)
         return {"plan": after, "force": force}
 
     rows = {"o": len(Observation._fields), "known": VEHICLE_ROWS + len(LAW_GAINS), "z": BELIEVED if faults else SIZE}
@@ -97,7 +97,7 @@ def undamped_symbols(gains: Sequence[Symbol]) -> Gains:
     return cast(Gains, SimpleNamespace(k1=0.0, ku=0.0, kc=0.0, **named))
 
 
-def law_forces(
+def _law_forces(
     o: Observation,
     state: Sequence[Number],
     plan: Planned,
@@ -148,9 +148,9 @@ def _from_near_and_far(
     """
     e_x, e_y, psi_e, _, _, _, u_R, v_R, *_ = errors
     vehicle = cast(Vehicle, coefficients)
-    far = (e_x * e_x + e_y * e_y) / (FAR * FAR * squared_speed(u_R, v_R, ns)) + (psi_e / FAR_HEADING) ** 2
+    far = (e_x * e_x + e_y * e_y) / (_FAR * _FAR * squared_speed(u_R, v_R, ns)) + (psi_e / FAR_HEADING) ** 2
     share = far * far / (1 + far * far)
-    u, r = tracking_forces(bounded_error(errors, NEAR, ns), vehicle, gains, ns)
+    u, r = tracking_forces(bounded_error(errors, _NEAR, ns), vehicle, gains, ns)
     slow, fast = (tracking_forces(errors, vehicle, GAINS[name], ns) for name in ("paper", "cruise"))
     safe_u, safe_r = (ns.where(is_fast(u_R, v_R), b, a) for a, b in zip(slow, fast, strict=True))
     return u + share * (safe_u - u), r + share * (safe_r - r)

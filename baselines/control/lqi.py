@@ -27,7 +27,7 @@ from baselines.gains.loading import tuned_policy
 from baselines.policy import Memory, first_order
 
 SPEEDS = np.geomspace(0.05, 2.5, 14)  # [m/s] u_R of the grid of gains; beyond it the gain at its edge is used
-TURN_RATES = np.linspace(-0.18, 0.18, 7)  # [rad/s] r_R of the grid of gains
+_TURN_RATES = np.linspace(-0.18, 0.18, 7)  # [rad/s] r_R of the grid of gains
 
 PREFERRED = np.array([float(f"{m}e{e}") for e in range(-4, 10) for m in (1, 1.25, 1.6, 2, 2.5, 3.15, 4, 5, 6.3, 8)])
 """Limits of actuators [N], [N m] that gains are designed for, the series R10 of ISO 3: those of fins never stay."""
@@ -120,8 +120,8 @@ def preferred(limits: Array) -> Array:
 @lru_cache(maxsize=64)
 def gain_schedule(vehicle: Vehicle, w: LqiWeights, dt: float, limits: tuple[float, float]) -> RegularGridInterpolator:
     """Return K (N, 2, 12) as a function of points (N, 2) of u_R, r_R inside the grid; arguments as `optimal_gain`."""
-    gains = [[optimal_gain(u, r, vehicle, w, dt, limits) for r in TURN_RATES.tolist()] for u in SPEEDS.tolist()]
-    return RegularGridInterpolator((SPEEDS, TURN_RATES), np.array(gains))
+    gains = [[optimal_gain(u, r, vehicle, w, dt, limits) for r in _TURN_RATES.tolist()] for u in SPEEDS.tolist()]
+    return RegularGridInterpolator((SPEEDS, _TURN_RATES), np.array(gains))
 
 
 class LQI:
@@ -152,7 +152,7 @@ class LQI:
     def _gain(self, o: Observation) -> Array:
         """Return K for each vehicle, shape (N, 2, 12)."""
         points = np.stack((o.u_R, o.r_R), axis=1)
-        points = np.clip(points, (SPEEDS[0], TURN_RATES[0]), (SPEEDS[-1], TURN_RATES[-1]))
+        points = np.clip(points, (SPEEDS[0], _TURN_RATES[0]), (SPEEDS[-1], _TURN_RATES[-1]))
         K = np.empty((len(points), _FORCES, _STATES + 2 * _FORCES))
         designs = np.stack((o.dt, preferred(o.F_u_max), preferred(o.F_r_max)), axis=1)
         for dt, *limits in np.unique(designs, axis=0).tolist():

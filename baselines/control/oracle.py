@@ -53,13 +53,13 @@ class RegulatorWeights:
 
 REGULATORS = {"slow": RegulatorWeights(0.1, 50.0, 25.0), "cruise": RegulatorWeights(0.9, 200.0, 90.0)}
 """Weights in each regime, for a small tail error on the validation split of benchmark-v1 without losing an episode."""
-NEGLIGIBLE = 1e-6  # weight of what `RegulatorWeights` leave out, for a Riccati equation that is well posed
+_NEGLIGIBLE = 1e-6  # weight of what `RegulatorWeights` leave out, for a Riccati equation that is well posed
 SOFTER = (2.0, 4.0)
 """Factors on the position's weight that are tried in turn where an episode goes astray under the regulator."""
 ASTRAY = 5.0  # [m] root mean square of the foreseen position error from which an episode counts as astray
-LARGEST_SINE = 0.93
+_LARGEST_SINE = 0.93
 """Largest sine of the sideslip that is planned: a little less than that of `water_frame`."""
-HARDEST_BRAKING = 0.35
+_HARDEST_BRAKING = 0.35
 """Largest braking -V'/V through the water [1/s]: a little less than what `water_frame` allows the paper's vehicle."""
 SMOOTHING = 0.2
 """Width [s] of the Gauss filter on the current, whose gusts are too rough to be differentiated twice."""
@@ -222,7 +222,7 @@ def true_plan(scenario: Scenario, episodes: Sequence[Episode]) -> TruePlan:
     for order in range(1, 4):
         motion[order] -= V.transpose(1, 0, 2)
         V = np.gradient(V, 0.5 * dt, axis=0)
-    along = braked(path_rates(motion), HARDEST_BRAKING / units.time)
+    along = braked(path_rates(motion), _HARDEST_BRAKING / units.time)
     X, Y, N = load.transpose(1, 0, 2)
     w = _sine_of_sideslip(along, vehicle, Y, 0.5 * dt)
     R = assemble(times, motion[0], along, w, vehicle, (Y, np.gradient(Y, 0.5 * dt, axis=0)))
@@ -246,7 +246,7 @@ def regulator(vehicle: Vehicle, speed: float, w: RegulatorWeights, units: Units)
     f = np.array([units.factor(*POWERS[unit]) for unit in ("N", "N m")])
     A, B = error_dynamics(vehicle, speed, 0.0, 0.0)
     A, B = units.time * A * x / x[:, None], units.time * B * f / x[:, None]
-    Q = np.diag([w.position**-2, w.position**-2, *(NEGLIGIBLE,) * 4])
+    Q = np.diag([w.position**-2, w.position**-2, *(_NEGLIGIBLE,) * 4])
     R = np.diag([w.F_u**-2, w.F_r**-2])
     P = solve_continuous_are(A, B, Q, R)
     return np.asarray(-np.linalg.solve(R, B.T @ P) * f[:, None] / x)
@@ -277,8 +277,8 @@ def _sine_of_sideslip(along: PathRates, vehicle: Vehicle, Y: Array, h: float) ->
         return np.asarray(sideslip_rest([term[j] for term in terms], w, np.sqrt) + push[j])
 
     w = np.empty_like(push)
-    w[0] = np.clip(slow_sideslip(along, vehicle), -LARGEST_SINE, LARGEST_SINE)
+    w[0] = np.clip(slow_sideslip(along, vehicle), -_LARGEST_SINE, _LARGEST_SINE)
     rest = rest_of(w[0], 0)
     for j in range(1, len(w)):
-        w[j], rest = sideslip_step(w[j - 1], rest, partial(rest_of, j=j), vehicle.d22 / Dm * h, LARGEST_SINE)
+        w[j], rest = sideslip_step(w[j - 1], rest, partial(rest_of, j=j), vehicle.d22 / Dm * h, _LARGEST_SINE)
     return np.asarray(w)

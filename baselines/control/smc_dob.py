@@ -29,7 +29,7 @@ from baselines.policy import reference_speed
 
 LARGEST_LOAD = 10.0
 """Bound of a load that is believed in, over the inertia [m/s^2], [rad/s^2]."""
-SLOWEST = 0.5  # least surge velocity, over the reference's speed, that a drift angle is computed with
+_SLOWEST = 0.5  # least surge velocity, over the reference's speed, that a drift angle is computed with
 
 
 class SmcGains(NamedTuple):
@@ -73,7 +73,7 @@ def smc_dob(
     along, across = to_world(o.e_x, o.e_y, cos, sin)  # in the path's frame
     forward, sideways = to_world(u, v, cos, sin)
     along = along / ns.sqrt(1 + (along / (g.horizon * U)) ** 2)
-    surge = ns.clip(u, SLOWEST * U, 10.0 * U)
+    surge = ns.clip(u, _SLOWEST * U, 10.0 * U)
     settled = (c.m22 * Y - c.m11 * surge * o.r_R) / (c.d22 + c.Y_vv * abs(v))  # [m/s] where sway will come to rest
     crab = ns.arctan2(settled, surge) - course
     ahead = g.lookahead * U

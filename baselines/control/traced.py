@@ -52,13 +52,13 @@ class TracedController:
         """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
         terms = np.array(o)
         known = repeated(self._known, terms.shape[1])
-        found = law_kernel(self.law)(o=terms, known=known, memory=memory[0].T)
+        found = _law_kernel(self.law)(o=terms, known=known, memory=memory[0].T)
         F_u, F_r = found["force"]
         return F_u, F_r, (found["after"].T,)
 
 
 @cache
-def law_kernel(law: TracedLaw) -> Kernel:
+def _law_kernel(law: TracedLaw) -> Kernel:
     """Return the kernel of a law, which takes observation, vehicle and gains, and what is remembered."""
 
     def equation(o: Sequence[Symbol], known: Sequence[Symbol], memory: Sequence[Symbol]) -> Mapping[str, Sequence[Any]]:

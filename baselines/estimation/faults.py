@@ -34,7 +34,7 @@ NO_FAULTS = Faults(0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0)
 """Sensors and actuators as they should be."""
 DRIFT = Faults(3e-4, 3e-4, 3e-4, 3e-5, 3e-3, 3e-3, 0.02)
 """Standard deviations of what each changes by in one second, in their units."""
-LEAST_SHARE = 0.3  # of a commanded force that is believed to act
+_LEAST_SHARE = 0.3  # of a commanded force that is believed to act
 FIRST_DELAY = 0.5  # control periods that are expected before the first measurement
 MOMENT = 1e-3  # share of a period that counts as none
 LATE = LONGEST_DELAY  # how many commands before the last one are kept
@@ -53,7 +53,7 @@ def prior_faults(tuning: Any) -> tuple[Faults, Faults]:
 
 def within_bounds(faults: Faults, ns: Namespace) -> Faults:
     """Return faults with shares and a delay that can be."""
-    share_u, share_r = (ns.clip(x, LEAST_SHARE, 1.0) for x in (faults.surge_share, faults.yaw_share))
+    share_u, share_r = (ns.clip(x, _LEAST_SHARE, 1.0) for x in (faults.surge_share, faults.yaw_share))
     delay = ns.clip(faults.delay, 0.0, float(LATE))
     return faults._replace(surge_share=share_u, yaw_share=share_r, delay=delay)
 

@@ -71,7 +71,7 @@ FIRST_LAG = 0.2  # [s] lag that is expected before the first measurement, and th
 FIRST_SURGE = 1.0  # deviation of the surge velocity before the first measurement over the reference's speed
 FIRST_SWAY = 0.3  # deviation of the sway velocity before the first measurement over the reference's speed
 FIRST_CURRENT = 0.3  # deviation of the current on each axis before the first measurement over the reference's speed
-HELD = 1e-4  # [m] of which a measured position moves less in a period: there was no new fix
+_HELD = 1e-4  # [m] of which a measured position moves less in a period: there was no new fix
 FIT_MEMORY = 20.0  # [s] over which the fit of a filter's measurements is added up
 FIRST_BIAS = 0.2  # deviation of the slowly varying load before the first measurement, in the units of `Tuning`
 
@@ -137,7 +137,7 @@ def updated(o: Observation, coefficients: Coefficients, tuning: Any, memory: Bel
     motion, units, fresh = reference_motion(o, coefficients, SYMBOLS), Units.of(o, coefficients), memory.count[0] <= 0.0
     measured, step = _measured(o, motion), _step(memory.motion, motion, o.dt)
     moved = [a - b + c for a, b, c in zip(measured, memory.fix, step, strict=False)]
-    held = ~fresh & (moved[0] * moved[0] + moved[1] * moved[1] < HELD * HELD)
+    held = ~fresh & (moved[0] * moved[0] + moved[1] * moved[1] < _HELD * _HELD)
     actions = [(o.a_u, o.a_r), *zip(memory.actions[::2], memory.actions[1::2], strict=True)]
     first, deviation = prior(measured, units, tuning, len(memory.state) > SIZE)
     z, P = foreseen(memory.state, symmetric(memory.covariance), actions, step, o, coefficients)
@@ -153,7 +153,7 @@ def updated(o: Observation, coefficients: Coefficients, tuning: Any, memory: Bel
     innovation = [a - b for a, b in zip(measured, expected, strict=True)]
     innovation[AT.psi] = wrap_angle(innovation[AT.psi], SYMBOLS)
     measured[AT.psi] = expected[AT.psi] + innovation[AT.psi]  # continuous, for the differences
-    noise = found_noise(measured, past, memory.noise, memory.count[0], o.dt, held)
+    noise = _found_noise(measured, past, memory.noise, memory.count[0], o.dt, held)
     z, P, fits = corrected(z, P, innovation, noise, held)
     fit = SYMBOLS.where(fresh, 0.0, SYMBOLS.exp(-o.dt / FIT_MEMORY) * memory.fit[0] + fits)
     past = [*measured, *past[: 2 * SENSORS]]
@@ -270,7 +270,7 @@ def prior(
     return [*z, *expected], [*deviation, *unsure]
 
 
-def found_noise(
+def _found_noise(
     measured: Sequence[Number],
     past: Sequence[Number],
     noise: Sequence[Number],

@@ -69,7 +69,7 @@ TUNING = tuple(field.name for field in fields(Tuning))
 """Names of the fields of `Tuning`."""
 FAULT_TUNING = tuple(field.name for field in fields(FaultTuning))
 """Names of the fields of `FaultTuning`."""
-SCALED = slice(0, TUNING.index("calm"))  # of the rows of a tuning, those that are less in a calm sea
+_SCALED = slice(0, TUNING.index("calm"))  # of the rows of a tuning, those that are less in a calm sea
 ODDS = 10.0  # logarithm of the odds of a rough sea before the first measurement, which do not fade
 BELIEVED = SIZE + FAULTS + 2 * LATE  # how many rows a filter returns that believes in faults
 HYPOTHESES = 2  # a rough sea, a calm one
@@ -94,7 +94,7 @@ class ExtendedKalmanFilter:
         self.faults = isinstance(tuning, FaultTuning)
         rough = np.array(astuple(tuning))
         calm = rough.copy()
-        calm[SCALED] *= tuning.calm
+        calm[_SCALED] *= tuning.calm
         self.known = [np.array((*vehicle.coefficients, *values))[:, None] for values in (rough, calm)]
 
     def start(self, n: int) -> Memory:

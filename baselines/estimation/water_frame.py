@@ -30,9 +30,9 @@ from auv_gym.task.observation import Observation
 
 LARGEST_CURRENT = 0.85
 """Largest current that is planned for, as a share of the reference's speed: forward motion needs one below 1."""
-HARDEST_BRAKING = 0.95
+_HARDEST_BRAKING = 0.95
 """Largest braking -v_p'/v_p through the water, as a share of d22/m22, beyond which the sideslip grows without bound."""
-LARGEST_SINE = math.sin(1.2)
+_LARGEST_SINE = math.sin(1.2)
 """Sine of the largest sideslip, 1.2 rad."""
 
 
@@ -125,7 +125,7 @@ def _along(motion: Motion, jerk: Sequence[Number], sea: Sea, coefficients: Coeff
     acceleration = motion.a_x - sea.V_x_rate, motion.a_y - sea.V_y_rate
     along = path_rates(((0.0, 0.0), velocity, acceleration, jerk), ns)
     drag = coefficients.d22 + coefficients.Y_uv * along.v_p
-    return braked(along, HARDEST_BRAKING * drag / coefficients.m22, ns)
+    return braked(along, _HARDEST_BRAKING * drag / coefficients.m22, ns)
 
 
 def _sideslip(
@@ -145,8 +145,8 @@ def _sideslip(
     def rest_of(w: Number) -> Number:
         return push + sideslip_rest(terms, w, ns.sqrt)
 
-    w, rest = sideslip_step(memory.w, memory.rest, rest_of, coefficients.d22 / Dm * dt, LARGEST_SINE, ns)
-    first = ns.clip(steady_sideslip(along, coefficients, ns), -LARGEST_SINE, LARGEST_SINE)
+    w, rest = sideslip_step(memory.w, memory.rest, rest_of, coefficients.d22 / Dm * dt, _LARGEST_SINE, ns)
+    first = ns.clip(steady_sideslip(along, coefficients, ns), -_LARGEST_SINE, _LARGEST_SINE)
     return ns.where(fresh, first, w), ns.where(fresh, rest_of(first), rest)
 
 

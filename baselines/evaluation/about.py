@@ -9,9 +9,9 @@ from typing import Any
 
 from baselines.tools.command_line import printable
 
-LONGEST = {"author": 80, "link": 200, "description": 280}
+_LONGEST = {"author": 80, "link": 200, "description": 280}
 """Most characters of a text, by field."""
-LARGEST = 1e15
+_LARGEST = 1e15
 """Largest cost of a training, in steps or seconds."""
 NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,39}")
 """What an entry may be called: the name of its file."""
@@ -60,7 +60,7 @@ def checked_about(record: Any) -> About:
     known = [f.name for f in fields(About)]
     if not isinstance(record, dict) or not set(record) <= set(known):
         raise ValueError(f"what is said of an entry must be a table with some of {', '.join(known)}")
-    for name, most in LONGEST.items():
+    for name, most in _LONGEST.items():
         text = record.get(name, "")
         if not isinstance(text, str) or len(text) > most or text != printable(text):
             raise ValueError(f"{name} is {text!r}; it must be one line of at most {most} printable characters")
@@ -70,6 +70,6 @@ def checked_about(record: Any) -> About:
     for name in ("training_steps", "training_seconds"):
         cost = record.get(name)
         number = isinstance(cost, (int, float)) and not isinstance(cost, bool)
-        if cost is not None and not (number and math.isfinite(cost) and 0 <= cost <= LARGEST):
-            raise ValueError(f"{name} is {cost!r}; it must be a number from 0 to {LARGEST:g}")
+        if cost is not None and not (number and math.isfinite(cost) and 0 <= cost <= _LARGEST):
+            raise ValueError(f"{name} is {cost!r}; it must be a number from 0 to {_LARGEST:g}")
     return About(**record)

@@ -19,7 +19,7 @@ from baselines.evaluation.submission.files import save, submission_of
 from baselines.tools.command_line import DONE, FAILED
 from baselines.tools.files import versions, write_atomically
 
-ROWS = "rows"
+_ROWS = "rows"
 """Folder in DIR that keeps the finished runs."""
 
 
@@ -33,7 +33,7 @@ def evaluate(request: Request) -> int:
         print(f"note: {note}", file=sys.stderr)
     try:
         with progress(len(request.pairs), request.steps) as report:
-            found = _run(request, RowStore(out / ROWS), report)
+            found = _run(request, RowStore(out / _ROWS), report)
             report.message("report")
             results, pooled = compare(found, request.anchors), pool(found, request.anchors)
             _write(request, results, pooled)

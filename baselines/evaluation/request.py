@@ -36,7 +36,7 @@ DRAWN: dict[str, tuple[str, ...]] = {"presets": tuple(PRESETS)}
 """Scenarios of each suite whose episodes are drawn from the seed, by name; the others are frozen."""
 DEFAULT_SUITE = "benchmark-v2"  # what is evaluated if no scenario is named
 DEFAULT_EPISODES = 20  # of each scenario that is not frozen
-MOST_EPISODES = 100_000  # of each scenario: they are drawn before anything runs
+_MOST_EPISODES = 100_000  # of each scenario: they are drawn before anything runs
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def _check(options: Options) -> None:
     """Raise UsageError if a number makes no sense, or two options exclude each other."""
     if options.suite is not None and options.scenario:
         raise UsageError("--suite and --scenario exclude each other; give one of them")
-    for name, least, most in (("episodes", 1, MOST_EPISODES), ("seed", 0, 2**62), ("jobs", 1, 4096)):
+    for name, least, most in (("episodes", 1, _MOST_EPISODES), ("seed", 0, 2**62), ("jobs", 1, 4096)):
         value = getattr(options, name)
         if value is not None and not least <= value <= most:
             limits = f"{least} or more" if value < least else f"at most {most}"

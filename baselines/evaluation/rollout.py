@@ -29,7 +29,7 @@ from baselines.policy import Privileged
 ENV_ID = "auv_gym:UnderactuatedAUVTrack-v0"  # of the environment that policies are run in
 TRACED = 3
 """How many episodes of a rollout, the first ones, are traced: drawn from above."""
-PATIENCE = 10
+_PATIENCE = 10
 """Control steps before a policy's speed is judged: the first ones may compile or load."""
 Begun: TypeAlias = tuple[UnderactuatedAUVTrackVectorEnv, Array]
 """An environment at the beginning of its episodes, and what is observed there."""
@@ -70,7 +70,7 @@ class Watch:
         """Begin at nothing.
 
         Args:
-            limit: the largest time for a decision of one vehicle [s], on average after the first `PATIENCE` steps.
+            limit: the largest time for a decision of one vehicle [s], on average after the first `_PATIENCE` steps.
             elsewhere: whether the policy computes outside of this process, whose processor time then says nothing.
         """
         self.limit, self.elsewhere, self.decisions, self._wall, self._processor = limit, elsewhere, 0, 0.0, 0.0
@@ -91,7 +91,7 @@ class Watch:
     def count(self, n: int, k: int) -> None:
         """Count the decisions of n vehicles at step k; raise PolicyError where they took too long."""
         self.decisions += n
-        if k < PATIENCE:
+        if k < _PATIENCE:
             self._unjudged = self.decisions, self._wall
         elif (mean := (self._wall - self._unjudged[1]) / (self.decisions - self._unjudged[0])) > self.limit:
             raise PolicyError(f"a decision takes {mean:.3g} s; allowed are {self.limit:g} s")

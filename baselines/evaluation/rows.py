@@ -14,9 +14,9 @@ from baselines.evaluation.metrics import Measures, Track
 from baselines.evaluation.runner import Run
 from baselines.evaluation.store import Stored, reading, write
 
-PLAIN = ("policy", "fingerprint", "cell_hash", "seconds", "decision_seconds")
+_PLAIN = ("policy", "fingerprint", "cell_hash", "seconds", "decision_seconds")
 """Fields of a run that are kept as they are."""
-TRACK = fields(Track)  # each an array of its own
+_TRACK = fields(Track)  # each an array of its own
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class RowStore:
         """Keep a run; no reader ever sees half of it."""
         if run.measures is None or not run.tracks or run.bands is None:
             return
-        record = {name: getattr(run, name) for name in PLAIN}
+        record = {name: getattr(run, name) for name in _PLAIN}
         record |= {"scenario": run.scenario.to_dict(), "warnings": list(run.warnings), "tracks": len(run.tracks)}
         arrays = {f"measures_{f.name}": getattr(run.measures, f.name) for f in fields(Measures)}
-        arrays |= {f"track{i}_{f.name}": getattr(track, f.name) for i, track in enumerate(run.tracks) for f in TRACK}
+        arrays |= {f"track{i}_{f.name}": getattr(track, f.name) for i, track in enumerate(run.tracks) for f in _TRACK}
         write(self._file(run.key), Stored(record, {**arrays, "bands": run.bands}))
 
     def load(self, key: str) -> Run | None:
@@ -41,7 +41,7 @@ class RowStore:
             with reading(self._file(key)) as stored:
                 record, arrays = stored.record, stored.arrays
                 run = Run(
-                    **{name: record[name] for name in PLAIN},
+                    **{name: record[name] for name in _PLAIN},
                     scenario=Scenario.from_dict(record["scenario"]),
                     measures=Measures(*(arrays[f"measures_{f.name}"] for f in fields(Measures))),
                     bands=arrays["bands"],
@@ -57,4 +57,4 @@ class RowStore:
 
 
 def _track(arrays: Mapping[str, NDArray[Any]], i: int) -> Track:
-    return Track(*(arrays[f"track{i}_{f.name}"] for f in TRACK))
+    return Track(*(arrays[f"track{i}_{f.name}"] for f in _TRACK))

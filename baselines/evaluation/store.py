@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from baselines.tools.files import LARGEST_FILE, read_bytes, write_atomically
 
 LARGEST_CONTENT = 2**29  # [bytes] that a file unpacks to
-RECORD = "record"
+_RECORD = "record"
 """Name of the array that holds the JSON text."""
 
 
@@ -36,7 +36,7 @@ def write(file: Path, stored: Stored) -> None:
         OSError: it cannot be written.
     """
     buffer = io.BytesIO()
-    arrays: dict[str, Any] = {**stored.arrays, RECORD: np.array(json.dumps(stored.record))}
+    arrays: dict[str, Any] = {**stored.arrays, _RECORD: np.array(json.dumps(stored.record))}
     # As `numpy.savez_compressed`, whose deflate makes files larger by a fifth; `numpy.load` reads both.
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_LZMA) as archive:
         for name, array in arrays.items():
@@ -76,7 +76,7 @@ def _read(file: Path, largest: int, content: int) -> Stored:
         raise ValueError(f"it is larger than {content} bytes unpacked")
     with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
         found = {name: arrays[name] for name in arrays.files}
-    record = json.loads(str(found.pop(RECORD)))
+    record = json.loads(str(found.pop(_RECORD)))
     if not isinstance(record, dict):
         raise ValueError("its record is no table")
     return Stored(record, found)

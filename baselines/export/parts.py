@@ -139,7 +139,7 @@ def network_program(agent: Agent, prefix: str = "") -> Program:
     network = agent.network
     layers = network.prepared(agent.weights)
     constants = {
-        f"{prefix}{kind}{i}": own for i, pair in enumerate(layers) for kind, own in zip(KINDS, pair, strict=True)
+        f"{prefix}{kind}{i}": own for i, pair in enumerate(layers) for kind, own in zip(_KINDS, pair, strict=True)
     }
     inputs = {"features": network.inputs, "hidden": network.memory}
     return Program.traced(
@@ -147,7 +147,7 @@ def network_program(agent: Agent, prefix: str = "") -> Program:
     )
 
 
-KINDS = ("weight", "bias")
+_KINDS = ("weight", "bias")
 """The two arrays of a layer."""
 
 

@@ -25,12 +25,12 @@ RELAXATIONS = 3.0  # length of a segment, in the longest time constant of the dr
 FEWEST = 3  # segments of a log
 SHORTEST_SEGMENT = 20  # rows
 FIRST_SEGMENT = 15  # rows of the segments of a first, rough fit: in so short a time nothing can go far astray
-PIECES = 10  # segments of a log in which it is looked for what shows at all
+_PIECES = 10  # segments of a log in which it is looked for what shows at all
 EVIDENCE = 30.0  # [variances of the noise] by which limits must explain the log better than none do
-FAINT = 8.0  # [standard deviations] effect below which nothing shows
+_FAINT = 8.0  # [standard deviations] effect below which nothing shows
 TRIED = 3  # rough starts that are fitted from, the best ones
 FINEST = 1.0  # largest product of an integration step and the hull's fastest rate
-SUBSTEPS = (1, 2, 4)  # integration steps that a row may have
+_SUBSTEPS = (1, 2, 4)  # integration steps that a row may have
 
 
 Indices = NDArray[np.int64]
@@ -56,7 +56,7 @@ def begun(log: Log, over_ground: bool) -> tuple[Start, Array, set[str]]:
     """
     starts, noise = np.arange(0, len(log.t) - FIRST_SEGMENT, FIRST_SEGMENT), rough_noise(log)
     roughs = [start(log, NEEDED, window) for window in WINDOWS]
-    for substeps in SUBSTEPS:
+    for substeps in _SUBSTEPS:
         model = Model(log, starts, substeps, over_ground)
         found: list[tuple[float, int, Start, Array, Indices]] = []
         for rough in roughs:
@@ -69,7 +69,7 @@ def begun(log: Log, over_ground: bool) -> tuple[Start, Array, set[str]]:
         for _, _, rough, values, free in sorted(found, key=lambda entry: entry[:2])[:TRIED]:
             scales, bounds = scales_of(log, rough), bounds_of(log, rough)
             held = _hidden(
-                Model(log, segment_starts(log, log.duration / PIECES), substeps, over_ground), values, scales
+                Model(log, segment_starts(log, log.duration / _PIECES), substeps, over_ground), values, scales
             )
             for unlimited in (set(LIMITS), set[str]()):
                 own = np.array([j for j in free if PARAMETERS[j] not in held | unlimited])
@@ -91,7 +91,7 @@ def _hidden(model: Model, values: Array, scales: Array) -> set[str]:
         return set()
     seen = np.linalg.norm(left.slopes, axis=(0, 1)) * scales[every]
     seen[len(NEEDED) :] *= 10  # the scale of what is optional is a tenth of all forces
-    return {name for name, size in zip(HULL, seen, strict=True) if size < FAINT}
+    return {name for name, size in zip(HULL, seen, strict=True) if size < _FAINT}
 
 
 def _begins(log: Log, rough: Start) -> list[Array]:
@@ -149,4 +149,4 @@ def substeps_for(log: Log, values: Array) -> int:
     peaks = np.abs(log.measured[:, 3:]).max(axis=0).tolist()
     hull = Coefficients(*np.abs(values[: len(HULL)]))
     rate = float(fastest_rate(hull, (0.0, 0.0, 0.0), tuple(peaks)))
-    return next((n for n in SUBSTEPS if log.dt * rate <= FINEST * n), SUBSTEPS[-1])
+    return next((n for n in _SUBSTEPS if log.dt * rate <= FINEST * n), _SUBSTEPS[-1])

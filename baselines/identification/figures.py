@@ -20,8 +20,8 @@ from baselines.identification.fit import Identified
 from baselines.identification.model import HULL
 from baselines.identification.uncertainty import NORMAL
 
-DRAWS = 200  # vehicles that the fit does not tell apart, for the intervals
-STEPS = 4000  # integration steps of a manoeuvre, at most
+_DRAWS = 200  # vehicles that the fit does not tell apart, for the intervals
+_STEPS = 4000  # integration steps of a manoeuvre, at most
 RATE = 0.05  # integration step, in the shortest time constant of the drag
 CIRCLE = ("advance", "transfer", "tactical diameter")
 """The figures of a turning circle."""
@@ -81,8 +81,8 @@ def _drawn(found: Identified, rng: np.random.Generator) -> tuple[Coefficients, A
     at = [found.free.index(name) for name in (*HULL, "lag") if name in found.free]
     names = [found.free[i] for i in at]
     spread = found.covariance[np.ix_(at, at)]
-    noise = np.vstack((np.zeros(len(at)), rng.multivariate_normal(np.zeros(len(at)), spread, DRAWS, method="eigh")))
-    rows = {name: np.full(1 + DRAWS, found[name].value) for name in (*HULL, "lag")}
+    noise = np.vstack((np.zeros(len(at)), rng.multivariate_normal(np.zeros(len(at)), spread, _DRAWS, method="eigh")))
+    rows = {name: np.full(1 + _DRAWS, found[name].value) for name in (*HULL, "lag")}
     rows = {name: np.where(np.isnan(row), 0.0, row) for name, row in rows.items()}
     for name, own in zip(names, noise.T, strict=True):
         least = 1e-3 * abs(found[name].value) if name[0] in "mdl" else -math.inf
@@ -93,7 +93,7 @@ def _drawn(found: Identified, rng: np.random.Generator) -> tuple[Coefficients, A
 def _interval(row: Array) -> tuple[float, float, float]:
     """Return the first of the values, that of the fit, and an interval about it from all others that there are."""
     value, others = float(row[0]), row[1:][np.isfinite(row[1:])]
-    if math.isnan(value) or len(others) < DRAWS // 2:
+    if math.isnan(value) or len(others) < _DRAWS // 2:
         return value, math.nan, math.nan
     half = NORMAL * float(others.std())
     return value, max(value - half, 0.0), value + half
@@ -124,7 +124,7 @@ def _turning_circle(coefficients: Coefficients, lags: Array, begin: Approach) ->
     """Return advance, transfer and tactical diameter [m]; nan where the heading does not come so far."""
     run = _Run(coefficients, lags, begin)
     advance, transfer, diameter = (np.full(len(lags), np.nan) for _ in range(3))
-    for _ in range(STEPS):
+    for _ in range(_STEPS):
         run.step(np.full(len(lags), begin.moment))
         x, y, psi = run.state[:3]
         quarter, half = np.isnan(advance) & (psi >= 0.5 * math.pi), np.isnan(diameter) & (psi >= math.pi)
@@ -139,7 +139,7 @@ def _zig_zag(coefficients: Coefficients, lags: Array, begin: Approach, band: flo
     """Return first and second overshoot [rad] of the heading beyond the band at which the rudder is turned over."""
     run, n = _Run(coefficients, lags, begin), len(lags)
     side, executes, peak, overshoots = np.ones(n), np.ones(n), np.zeros(n), np.full((2, n), np.nan)
-    for _ in range(STEPS):
+    for _ in range(_STEPS):
         run.step(side * begin.moment)
         peak = np.maximum(peak, -side * run.state[2])  # how far it runs on to the side that the rudder has left
         turned = side * run.state[2] >= band

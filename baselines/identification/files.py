@@ -21,7 +21,7 @@ from baselines.identification import Estimate, Identified
 from baselines.identification.fit import UNKNOWN
 from baselines.identification.model import CURRENT, HULL, LIMITS
 
-TURN = 0.3  # turn rate of a scenario's paths, as a share of the log's root mean square
+_TURN = 0.3  # turn rate of a scenario's paths, as a share of the log's root mean square
 
 
 @cache
@@ -97,7 +97,7 @@ def scenario(found: Identified, vehicle: Vehicle) -> Scenario:
     log = found.model.log
     F_u_max, F_r_max = limits(found)
     speed = vehicle.speed
-    turn = TURN * float(np.sqrt(np.mean(log.measured[:, 5] ** 2)))
+    turn = _TURN * float(np.sqrt(np.mean(log.measured[:, 5] ** 2)))
     x, y, psi, u, v, r = found.noise.tolist()
     parts: dict[str, Any] = {
         "name": "identified",

@@ -21,10 +21,10 @@ from baselines.identification.model import STATES, Model
 
 Indices = NDArray[np.int64]
 INNER = 5  # most steps to the best first states
-SETTLED = 1e-6  # [standard deviations] change of the predictions at which they are found
+_SETTLED = 1e-6  # [standard deviations] change of the predictions at which they are found
 BLOWN_UP = 1e60  # [standard deviations] error that nothing is learned from
 MOST = 30  # evaluations of a fit
-TOLERANCE = 1e-7  # relative change of the squared errors, or of the parameters, at which it ends
+_TOLERANCE = 1e-7  # relative change of the squared errors, or of the parameters, at which it ends
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def leave(model: Model, values: Array, free: Indices, states: Array, noise: Arra
             moves[i] = np.linalg.lstsq(triangle, along, rcond=None)[0]
             change = max(change, float(np.abs(along).max()))
             bases.append(q)
-        if change < SETTLED:
+        if change < _SETTLED:
             break
         states = states + moves
     slopes, projected = np.empty_like(raw), np.empty_like(errors)
@@ -125,7 +125,7 @@ def fit(
     if at(begin) is None:
         raise ValueError("the simulator blows up on this log; is the time step short enough for the vehicle?")
     low, high = (bound[free] / scales[free] for bound in bounds)
-    done = least_squares(errors, begin, slopes, (low, high), ftol=TOLERANCE, xtol=TOLERANCE, gtol=None, max_nfev=MOST)
+    done = least_squares(errors, begin, slopes, (low, high), ftol=_TOLERANCE, xtol=_TOLERANCE, gtol=None, max_nfev=MOST)
     found = values.copy()
     found[free] = done.x * scales[free]
     left = at(done.x)

@@ -28,9 +28,9 @@ COLUMNS = {
 surge force and yaw moment that hold from that row to the next."""
 MEASURED = tuple(COLUMNS)[1:7]  # what sensors say
 COMMANDS = tuple(COLUMNS)[7:]  # what was asked of the actuators
-SHORTEST = 50  # fewest rows of a log
-LARGEST = 30_000  # most rows of a log
-LARGEST_FILE = 2**26  # [B]
+_SHORTEST = 50  # fewest rows of a log
+_LARGEST = 30_000  # most rows of a log
+_LARGEST_FILE = 2**26  # [B]
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class Log:
                 f"a log of {T} instants has measurements of shape {self.measured.shape} and commands of shape "
                 f"{self.commands.shape}; they must be ({T}, {len(MEASURED)}) and ({T}, {len(COMMANDS)})"
             )
-        if not SHORTEST <= T <= LARGEST:
-            raise ValueError(f"the log has {T} rows; it must have {SHORTEST} to {LARGEST}")
+        if not _SHORTEST <= T <= _LARGEST:
+            raise ValueError(f"the log has {T} rows; it must have {_SHORTEST} to {_LARGEST}")
         for name, column in zip(COLUMNS, self.table.T, strict=True):
             if len(bad := np.flatnonzero(~np.isfinite(column))):
                 raise ValueError(f"{name} in data row {bad[0] + 1} is {column[bad[0]]}; every entry must be a number")
@@ -106,8 +106,8 @@ class Log:
             OSError: it cannot be read.
         """
         file = Path(file)
-        if file.exists() and not (file.is_file() and file.stat().st_size <= LARGEST_FILE):
-            raise ValueError(f"{file} is no regular file of at most {LARGEST_FILE} bytes")
+        if file.exists() and not (file.is_file() and file.stat().st_size <= _LARGEST_FILE):
+            raise ValueError(f"{file} is no regular file of at most {_LARGEST_FILE} bytes")
         try:
             with file.open(encoding="utf-8-sig", newline="") as stream:
                 rows = [row for row in csv.reader(stream, strict=True) if row]

@@ -33,8 +33,8 @@ PARAMETERS = (*HULL, *LIMITS, *CURRENT, "lag")
 """All that is fitted besides the states at which the segments begin. The current is that of the log, the lag is one for
 both actuators, as in `auv_gym.physics.actuators.Actuators`."""
 STATES = 6  # of a `dynamics.State`
-PLANT = STATES + 2  # with the forces of the actuators
-LANES = STATES + len(PARAMETERS)
+_PLANT = STATES + 2  # with the forces of the actuators
+_LANES = STATES + len(PARAMETERS)
 """What a prediction is differentiated by: the state at which a segment begins, and the parameters. Each has a lane."""
 _SHARED = len(PARAMETERS) - 1  # the lag acts through the rows of the time steps
 _TIMES = 8  # rows that differ from step to step, besides the states at which segments begin
@@ -64,9 +64,9 @@ def _kernel(substeps: int, over_ground: bool) -> Kernel:
         along = [*d_state, *tangent[STATES:], *d_values, d_gain * d_lag, d_mean * d_lag]
         directions = {symbol.index: d for symbol, d in zip(given, along, strict=True)}
         change = directional([*following, *seen], directions)
-        return {"plant": following, "tangent": change[:PLANT], "seen": seen, "change": change[PLANT:]}
+        return {"plant": following, "tangent": change[:_PLANT], "seen": seen, "change": change[_PLANT:]}
 
-    sizes = {"plant": PLANT, "tangent": PLANT, "times": _TIMES + STATES, "values": _SHARED, "seed": LANES}
+    sizes = {"plant": _PLANT, "tangent": _PLANT, "times": _TIMES + STATES, "values": _SHARED, "seed": _LANES}
     return Kernel.traced(equation, sizes, ["times", "seen", "change"], shared=["values"])
 
 
@@ -109,9 +109,9 @@ class Model:
         times[self.starts, 7] = 1.0
         times[self.starts, _TIMES:] = states
         limits = values[len(HULL) : len(HULL) + len(LIMITS)]
-        plant = np.zeros((PLANT, LANES))
+        plant = np.zeros((_PLANT, _LANES))
         plant[STATES:] = np.clip(self.log.commands[0], -limits, limits)[:, None]
-        tangent = np.zeros((PLANT, LANES))
+        tangent = np.zeros((_PLANT, _LANES))
         for row, most in enumerate(limits):  # a command beyond a limit begins at the limit
             if abs(plant[STATES + row, 0]) == most:
                 tangent[STATES + row, STATES + len(HULL) + row] = np.sign(plant[STATES + row, 0])
@@ -119,9 +119,9 @@ class Model:
             T,
             plant=plant,
             tangent=tangent,
-            times=np.repeat(times[:, :, None], LANES, axis=2),
+            times=np.repeat(times[:, :, None], _LANES, axis=2),
             values=values[:-1],
-            seed=np.eye(LANES),
+            seed=np.eye(_LANES),
         )
         change = results["change"]
         return Prediction(results["seen"][:, :, 0], change[:, :, :STATES], change[:, :, STATES:])

@@ -23,8 +23,8 @@ from auv_gym.physics.vehicle import Coefficients
 from baselines.identification.log import Log
 from baselines.identification.model import HULL
 
-LAGS = (0.0, 1.0, 3.0, 8.0, 20.0)  # candidates of the lag, in time steps
-SHARES = (1.0, 0.8, 0.6, 0.4)  # candidates of a limit, as shares of the largest command
+_LAGS = (0.0, 1.0, 3.0, 8.0, 20.0)  # candidates of the lag, in time steps
+_SHARES = (1.0, 0.8, 0.6, 0.4)  # candidates of a limit, as shares of the largest command
 WINDOWS = (5, 11, 21, 41)  # rows that a speed is smoothed over: which are right depends on vehicle and noise
 SIMPLER = 0.03
 """By how much the logarithm of what is left must fall before a lag or a limit is believed."""
@@ -67,7 +67,7 @@ def start(log: Log, needed: Sequence[str], window: int) -> Start:
     columns = [HULL.index(name) for name in needed]
     best: tuple[float, Array, float, Array] | None = None
     peaks = np.abs(log.commands).max(axis=0)
-    for lag, *shares in product(LAGS, SHARES, SHARES):
+    for lag, *shares in product(_LAGS, _SHARES, _SHARES):
         if any(share < 1 and peak == 0 for share, peak in zip(shares, peaks, strict=True)):
             continue
         limits = np.where(peaks > 0, peaks * shares, math.inf)

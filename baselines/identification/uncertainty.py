@@ -14,9 +14,9 @@ from baselines.identification.least_squares import Left
 from baselines.identification.log import Log, unwrapped
 
 NORMAL = 1.959964  # of a 95 % interval
-TINY = 1e-6  # least noise, as a share of the range of a measurement
+_TINY = 1e-6  # least noise, as a share of the range of a measurement
 SINGULAR = 1e-9  # least singular value of slopes of length one
-WINDOW = 4  # residuals are taken as related over at most a fourth of a segment
+_WINDOW = 4  # residuals are taken as related over at most a fourth of a segment
 
 
 def rough_noise(log: Log) -> Array:
@@ -28,7 +28,7 @@ def rough_noise(log: Log) -> Array:
 
 def least_noise(log: Log) -> Array:
     """Return the least standard deviations that are believed, shape (6,)."""
-    return np.asarray(np.maximum(TINY * np.ptp(unwrapped(log), axis=0), 1e-9))
+    return np.asarray(np.maximum(_TINY * np.ptp(unwrapped(log), axis=0), 1e-9))
 
 
 def found_noise(left: Left, noise: Array, log: Log) -> Array:
@@ -57,7 +57,7 @@ def covariance(left: Left, starts: NDArray[np.int64]) -> Array:
     if not np.isfinite(white).all():
         return np.asarray(white)
     cuts = [*starts.tolist(), len(left.errors)]
-    window = max(2, min(b - a for a, b in itertools.pairwise(cuts)) // WINDOW)
+    window = max(2, min(b - a for a, b in itertools.pairwise(cuts)) // _WINDOW)
     middle = np.zeros((F, F))
     for channel in range(left.errors.shape[1]):
         related = _autocovariance(left.errors[:, channel], cuts, window)

@@ -28,11 +28,11 @@ from baselines.tools.command_line import WorkerError
 
 PATIENCE = 4.0  # [s] until an address counts as not answering
 JOINING = 60.0  # [s] in which a cluster that answers must take this process in
-NAMED = ("auto", "local")
+_NAMED = ("auto", "local")
 """Names in place of an address: the cluster that this machine belongs to, and one made for the occasion."""
 DEFAULT_JOBS = min(2, os.cpu_count() or 1)  # tasks at a time
 RETRIES = 3  # times that a task runs again whose worker or machine has died
-LONGEST = 500  # characters of a message of Ray's that are shown
+_LONGEST = 500  # characters of a message of Ray's that are shown
 SETTINGS = b"\0\0\0\x04\0\0\0\0\0"
 """An empty frame of settings, whose fourth byte says that it is one."""
 GREETING = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + SETTINGS
@@ -211,7 +211,7 @@ def _on_cluster(function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], 
             yield result
             left -= 1
     except Exception as error:  # of whatever kind Ray's own are
-        reason = " ".join(f"{type(error).__name__}: {error}".split())[:LONGEST]
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:_LONGEST]
         raise WorkerError(f"the Ray cluster failed, with {left} tasks left: {reason}") from error
     finally:
         for task in running:
@@ -232,13 +232,13 @@ def connect(address: str) -> int:
         import ray
     except ImportError as error:
         raise ClusterError(f"a cluster needs Ray: {install('cluster')}") from error
-    if address not in NAMED:
+    if address not in _NAMED:
         _reach(address)
     try:
         _within(JOINING, partial(ray.init, address=address, log_to_driver=False, logging_level="ERROR"))
         return int(ray.cluster_resources()["CPU"])
     except (Exception, SystemExit) as error:
-        hint = "; if it asks for a token, set RAY_AUTH_TOKEN" if address not in NAMED else ""
+        hint = "; if it asks for a token, set RAY_AUTH_TOKEN" if address not in _NAMED else ""
         reason = f"no answer within {JOINING:g} s" if isinstance(error, futures.TimeoutError) else error
         raise ClusterError(f"cannot use the Ray cluster {address}: {reason}{hint}") from error
 

@@ -69,12 +69,12 @@ def turns(scenarios: Sequence[Scenario], share: float, seed: int) -> list[list[S
     stepped = [replace(s, substeps=SUBSTEPS) for s in scenarios]
     drawn = [math.floor((i + 1) * share) > math.floor(i * share) for i in range(len(scenarios))]
     return [
-        [fitted(scenario, rng) for _ in range(SEVERAL)] if other else [scenario]
+        [_fitted(scenario, rng) for _ in range(SEVERAL)] if other else [scenario]
         for scenario, other in zip(stepped, drawn, strict=True)
     ]
 
 
-def fitted(scenario: Scenario, rng: np.random.Generator) -> Scenario:
+def _fitted(scenario: Scenario, rng: np.random.Generator) -> Scenario:
     """Return a scenario of the paper's vehicle as one of a drawn hull that can do it."""
     while True:
         with suppress(ValueError):  # a hull, a scenario for it or a plan that there cannot be

@@ -27,10 +27,10 @@ from baselines.evaluation.suites.yardsticks import Yardstick, kept, measured
 from baselines.tools.files import guarded, json_text, read_json, write_atomically
 from baselines.tools.seeds import VALIDATION
 
-SUITE = "benchmark-v1-validation"  # whose episodes agents are validated in
+_SUITE = "benchmark-v1-validation"  # whose episodes agents are validated in
 EPISODES = 64  # of each scenario that the suite does not hold
-FEW = 12  # the same where a training takes a minute
-SEEN = 0.999
+_FEW = 12  # the same where a training takes a minute
+_SEEN = 0.999
 """Share of the control steps of the validation episodes whose errors an agent's region holds."""
 YARDSTICKS = "validation.json"  # file of a run folder that keeps what expert and oracle do where no suite does
 PRECISION = "float32"  # of agents' networks here: a fifth of the time, and a score that differs by 1e-6
@@ -43,17 +43,17 @@ class Verdict:
     score: float  # 0: the expert, 1: the oracle; from tails of at most the cap
     error_m: float  # mean capped tail RMSE [m]
     lost: float  # share of the episodes that were lost, or whose tail reaches the cap
-    region: tuple[float, ...]  # what `SEEN` of the scaled errors stay below, see `features.scaled_errors`
+    region: tuple[float, ...]  # what `_SEEN` of the scaled errors stay below, see `features.scaled_errors`
 
 
 def validation_cell(scenario: Scenario, brief: bool = False) -> Cell:
     """Return the validation episodes of a scenario: those of the frozen suite for its scenarios, else drawn ones.
 
-    Only `FEW` are drawn where they are to be brief, and none is of the suite.
+    Only `_FEW` are drawn where they are to be brief, and none is of the suite.
     """
     if brief:
-        return drawn(scenario, min(FEW, EPISODES), VALIDATION.first)
-    frozen = next((cell for cell in load(SUITE).cells if cell.scenario == scenario), None)
+        return drawn(scenario, min(_FEW, EPISODES), VALIDATION.first)
+    frozen = next((cell for cell in load(_SUITE).cells if cell.scenario == scenario), None)
     return frozen or drawn(scenario, EPISODES, VALIDATION.first)
 
 
@@ -109,8 +109,8 @@ class Validation:
 
 
 def _seen(scaled: Array) -> tuple[float, ...]:
-    """Return what `SEEN` of each error's magnitudes stay below; shape (K, ERRORS, N), nan where an episode is over."""
-    found: list[float] = np.nanquantile(np.abs(scaled), SEEN, axis=(0, 2)).tolist()
+    """Return what `_SEEN` of each error's magnitudes stay below; shape (K, ERRORS, N), nan where an episode is over."""
+    found: list[float] = np.nanquantile(np.abs(scaled), _SEEN, axis=(0, 2)).tolist()
     return tuple(found)
 
 

@@ -21,7 +21,7 @@ from baselines.evaluation.metrics import effort, smoothness, tail_rmse
 from baselines.evaluation.rollout import Begun, Repeatable
 from baselines.evaluation.score import LARGEST_TAIL, cut, is_lost
 
-WORLDS = ("plain", "adverse")
+_WORLDS = ("plain", "adverse")
 """What controllers are tuned for: a regime's eight cases alone, or those and, as often, the adverse storm."""
 
 
@@ -41,7 +41,7 @@ def scenarios_of(regime: str, world: str, craft: Craft = PAPER) -> tuple[Scenari
 
     Args:
         regime: "slow" or "cruise".
-        world: one of `WORLDS`.
+        world: one of `_WORLDS`.
         craft: whose they are; in the paper's units, so that caps and gains mean the same for every vehicle.
 
     Raises:
@@ -62,7 +62,7 @@ class Course:
         regime: "slow" or "cruise".
         episodes: how many, a multiple of sixteen; they take turns over `scenarios_of`.
         seed: episode i is drawn with seed + i.
-        world: one of `WORLDS`.
+        world: one of `_WORLDS`.
         craft: the vehicle, see `scenarios_of`.
     """
 

@@ -11,7 +11,7 @@ from auv_gym.rendering.canvas import GRID, MUTED, WHITE, Canvas, Color
 from auv_gym.rendering.cards import round_down
 from baselines.video.recording import Voyage
 
-LEFT = 46.0  # [units] left of the curves
+_LEFT = 46.0  # [units] left of the curves
 RIGHT = 14.0  # [units] right of them
 ABOVE = 26.0  # [units] above them
 BELOW = 24.0  # [units] below them
@@ -34,8 +34,8 @@ class Chart:
         largest = [max(float(voyage.error.max()), 1e-3) for voyage in voyages]
         self._top = min(max(largest), HIGHEST * min(largest))  # [m]
         self._duration = max(float(voyage.time[-1]) for voyage in voyages)  # [s]
-        across, up = self._width - LEFT - RIGHT, self._height - ABOVE - BELOW
-        self._inside = canvas.part((LEFT, ABOVE - 4.0, across, up + 6.0))
+        across, up = self._width - _LEFT - RIGHT, self._height - ABOVE - BELOW
+        self._inside = canvas.part((_LEFT, ABOVE - 4.0, across, up + 6.0))
         self._scale = np.array((across / self._duration, -up / self._top))  # [units/s, units/m]
         self._origin = np.array((0.0, up + 4.0))  # of the curves in their part [units]
 
@@ -47,12 +47,12 @@ class Chart:
         step, tick = round_down(0.5 * self._top), round_down(0.25 * self._duration)
         for k in range(math.floor(self._top / step) + 1):
             y = floor + k * step * float(self._scale[1])
-            canvas.box((LEFT, y, self._width - LEFT - RIGHT, 1.0), GRID)
-            canvas.text(f"{k * step:g}", LEFT - 6.0, y, size=13.0, color=MUTED, align=1.0)
+            canvas.box((_LEFT, y, self._width - _LEFT - RIGHT, 1.0), GRID)
+            canvas.text(f"{k * step:g}", _LEFT - 6.0, y, size=13.0, color=MUTED, align=1.0)
         for k in range(math.floor(self._duration / tick) + 1):
-            x = LEFT + k * tick * float(self._scale[0])
+            x = _LEFT + k * tick * float(self._scale[0])
             canvas.text(f"{k * tick:g} s", x, floor + 12.0, size=13.0, color=MUTED, align=0.5)
-        canvas.box((LEFT + min(time, self._duration) * float(self._scale[0]), ABOVE, 1.0, floor - ABOVE), MUTED)
+        canvas.box((_LEFT + min(time, self._duration) * float(self._scale[0]), ABOVE, 1.0, floor - ABOVE), MUTED)
         for voyage, color in self._curves:
             upto = voyage.time <= time
             times = np.append(voyage.time[upto], min(time, float(voyage.time[-1])))

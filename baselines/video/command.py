@@ -27,11 +27,11 @@ from baselines.video.pairs import Lead, leads, typical
 from baselines.video.video import FPS, SIZE, SPEED, film
 
 PROGRAM = "auv-gym video"
-SMALLEST = (240, 180)
+_SMALLEST = (240, 180)
 """Least width and height [px] of a film."""
 MOST_PICTURES = 3600  # of a film
 NARROWEST = 160  # least width [px] of a policy's panel
-MOST_EPISODES = 10_000  # among which the typical one is looked for
+_MOST_EPISODES = 10_000  # among which the typical one is looked for
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def _checked(options: Options) -> tuple[int, int]:
         raise UsageError(f"--out is {options.out}; its name must end in {', '.join(WRITERS)}")
     if not 1 <= len(options.policy) <= len(HULLS):
         raise UsageError(f"--policy names {len(options.policy)} policies; a film shows 1 to {len(HULLS)}")
-    for name, least, most in (("seed", 0, 2**62), ("episodes", 1, MOST_EPISODES), ("fps", 1, 60)):
+    for name, least, most in (("seed", 0, 2**62), ("episodes", 1, _MOST_EPISODES), ("fps", 1, 60)):
         if (value := getattr(options, name)) is not None and not least <= value <= most:
             raise UsageError(f"--{name} is {value}; it must be an integer from {least} to {most}")
     for name, longest in (("speed", 1000.0), ("seconds", 3600.0)):
@@ -116,7 +116,7 @@ def _checked(options: Options) -> tuple[int, int]:
             raise UsageError(f"--{name} is {value}; it must be positive, and at most {longest:g}")
     words = options.size.lower().split("x")
     width, height = (int(word) if word.isdecimal() and len(word) < 6 else 0 for word in (*words, "", "")[:2])
-    narrowest, lowest, largest = max(SMALLEST[0], NARROWEST * len(options.policy)), SMALLEST[1], SIZES[1]
+    narrowest, lowest, largest = max(_SMALLEST[0], NARROWEST * len(options.policy)), _SMALLEST[1], SIZES[1]
     if len(words) != 2 or not (narrowest <= width <= largest and lowest <= height <= largest):
         raise UsageError(
             f"--size is {options.size!r}; it must be WIDTHxHEIGHT, from {narrowest}x{lowest} to {largest}x{largest}"

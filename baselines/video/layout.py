@@ -22,9 +22,9 @@ HULLS: tuple[Color, ...] = (VEHICLE, (0, 158, 115), (204, 121, 167), (90, 90, 90
 TITLE = 34.0  # [units] height of the title
 CHART = 0.27  # height of the chart as a share of the picture
 NEAREST = 3.0  # [m] what a panel shows on each side of the reference, at least
-FARTHEST = 9.0  # [m] what it shows at most
+_FARTHEST = 9.0  # [m] what it shows at most
 PANEL = 285.0  # [units] width of a panel in which everything finds its place
-TRAIL = 25.0  # [s] how far back a trail goes
+_TRAIL = 25.0  # [s] how far back a trail goes
 ARROW_SPEED = 1.5  # an arrow of full length is that many times the strongest current
 
 
@@ -52,12 +52,12 @@ class Picture:
     def __init__(
         self, pygame: Any, size: tuple[int, int], title: str, panels: Sequence[Panel], path: Array, speed: float
     ) -> None:
-        self._canvas = Canvas(pygame, size, unit_of(size[0], len(panels)))
+        self._canvas = Canvas(pygame, size, _unit_of(size[0], len(panels)))
         self._title, self._panels, self._path, self._speed = title, panels, path, speed
         self._width, self._height = self._canvas.extent.tolist()
         self._chart_top = (1.0 - CHART) * self._height
         errors = [p.voyage.error for p in panels]
-        self._reach = min(max(1.25 * max(float(e.max()) for e in errors), NEAREST), FARTHEST)  # [m]
+        self._reach = min(max(1.25 * max(float(e.max()) for e in errors), NEAREST), _FARTHEST)  # [m]
         strongest = max(float(np.hypot(*p.voyage.current.T).max()) for p in panels)
         self._arrow = max(ARROW_SPEED * strongest, 0.02)  # [m/s]
         self._parts = self._laid_out()
@@ -107,7 +107,7 @@ class Picture:
         voyage = panel.voyage
         x, y, psi = instant.reference.tolist()
         camera.look((x, y), self._reach, self._arrow)
-        recent = voyage.state[(voyage.time <= time) & (voyage.time >= time - TRAIL), :2]
+        recent = voyage.state[(voyage.time <= time) & (voyage.time >= time - _TRAIL), :2]
         view = View(
             time=time,
             state=tuple(instant.state.tolist()),
@@ -133,19 +133,19 @@ class Picture:
             (voyage.policy, 13.0, mean, 13.0, 43.0, (MUTED, MUTED)),
         ):
             room = width - 64.0 - canvas.text(value, width - 18.0, y, size=large, color=colors[1], align=1.0)
-            canvas.text(fitted(canvas, name, size, room), 36.0, y, size=size, color=colors[0])
+            canvas.text(_fitted(canvas, name, size, room), 36.0, y, size=size, color=colors[0])
         bar = round_down(0.4 * self._reach)
         length = bar * camera.scale
         canvas.box((14.0, height - 14.0, length, 2.0), INK)
         canvas.text(f"{bar:g} m", 14.0 + 0.5 * length, height - 25.0, size=13.0, align=0.5)
 
 
-def unit_of(width: int, panels: int) -> float:
+def _unit_of(width: int, panels: int) -> float:
     """Return the unit [px] of a film: small enough for what is written in each panel, and legible still."""
     return max(min(max(width / 960.0, 0.65), width / (PANEL * panels)), 0.55)
 
 
-def fitted(canvas: Canvas, text: str, size: float, width: float) -> str:
+def _fitted(canvas: Canvas, text: str, size: float, width: float) -> str:
     """Return a text, shortened where it would be wider than that [units]."""
     if canvas.width_of(text, size) <= width:
         return text

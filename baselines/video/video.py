@@ -27,7 +27,7 @@ FPS = 12
 """Pictures a second where no other number is asked for."""
 SPEED = 4.0
 """How many times faster than the vehicles a film is played where nothing else is said."""
-LABELS = {EXPERT: "expert", ORACLE: "oracle: sees the sea", "nmpc": "EKF + MPC", "ekf": "Kalman filter"}
+_LABELS = {EXPERT: "expert", ORACLE: "oracle: sees the sea", "nmpc": "EKF + MPC", "ekf": "Kalman filter"}
 """What policies are, for those who do not know their names."""
 
 
@@ -71,7 +71,7 @@ class Film:
 
 def label_of(policy: str) -> str:
     """Return what a policy is, in a word or two."""
-    return LABELS.get(policy) or ("trained agent" if agent_folder(policy.partition(":")[0]) else "controller")
+    return _LABELS.get(policy) or ("trained agent" if agent_folder(policy.partition(":")[0]) else "controller")
 
 
 def film(

@@ -21,15 +21,15 @@ from baselines.export.parts import Exported
 
 FOLDER = Path(__file__).parent / "cortex_m4"
 COMPILER = "arm-none-eabi-gcc"  # Debian's gcc-arm-none-eabi, with libnewlib-arm-none-eabi
-SIZE = "arm-none-eabi-size"  # Debian's binutils-arm-none-eabi
+_SIZE = "arm-none-eabi-size"  # Debian's binutils-arm-none-eabi
 EMULATOR = "qemu-system-arm"  # Debian's package of that name
-PROGRAMS = (COMPILER, SIZE, EMULATOR)
+PROGRAMS = (COMPILER, _SIZE, EMULATOR)
 """What must be installed."""
-FLAGS = ("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-std=c99", "-O2", "-Wall", "-Wextra")
+_FLAGS = ("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-std=c99", "-O2", "-Wall", "-Wextra")
 """For a Cortex-M4 with its floating-point unit."""
 INSTRUCTIONS_IN_A_TICK = 40
 """The system timer of the board runs at 25 MHz, and an instruction is made to take 1 ns."""
-PATIENCE = 120.0
+_PATIENCE = 120.0
 """Seconds that a program may take."""
 
 
@@ -70,12 +70,12 @@ def emulated(agent: Exported, observations: NDArray[Any], memories: NDArray[Any]
         situations = f"enum {{ SITUATIONS = {len(observations)} }};\n{tables}"
         (folder / "situations.h").write_text(situations, encoding="utf-8")
         (folder / "agent.c").write_text(_alone(), encoding="utf-8")
-        _run(folder, COMPILER, *FLAGS, "-fstack-usage", "-c", "agent.c", "-o", "agent.o")
-        sizes = _run(folder, SIZE, "agent.o").splitlines()[1].split()
+        _run(folder, COMPILER, *_FLAGS, "-fstack-usage", "-c", "agent.c", "-o", "agent.o")
+        sizes = _run(folder, _SIZE, "agent.o").splitlines()[1].split()
         stack = sum(int(line.split("\t")[1]) for line in (folder / "agent.su").read_text().splitlines())
         source = str(FOLDER / "main.c")
         link = ("-I.", "-nostartfiles", "-T", str(FOLDER / "link.ld"), "-lm")
-        _run(folder, COMPILER, *FLAGS, source, *link, "-o", "agent.elf")
+        _run(folder, COMPILER, *_FLAGS, source, *link, "-o", "agent.elf")
         board = ("-M", "mps2-an386", "-nographic", "-monitor", "none", "-serial", "none", "-icount", "shift=0")
         semihosting = ("-semihosting-config", "enable=on,target=native")
         text = _run(folder, EMULATOR, *board, *semihosting, "-kernel", "agent.elf")
@@ -104,9 +104,9 @@ def _table(name: str, table: NDArray[Any]) -> str:
 def _run(folder: Path, *command: str) -> str:
     """Return what a program writes; raise OSError where it fails."""
     try:
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=PATIENCE, check=True)
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=_PATIENCE, check=True)
     except subprocess.CalledProcessError as error:
         raise OSError(f"{command[0]} fails: {error.stderr.strip()[-500:]}") from error
     except subprocess.TimeoutExpired as error:
-        raise OSError(f"{command[0]} takes longer than {PATIENCE:g} s") from error
+        raise OSError(f"{command[0]} takes longer than {_PATIENCE:g} s") from error
     return done.stdout + done.stderr

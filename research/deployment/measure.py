@@ -32,10 +32,10 @@ from research.deployment.page import page
 from research.deployment.players import HeaderPolicy, onnx_policy
 
 PROGRAM = "python -m research deployment"
-SUITE = "benchmark-v1"  # whose score it is
+_SUITE = "benchmark-v1"  # whose score it is
 CASE = "storm"  # of the episodes in which commands are compared: every disturbance at once
-SEED = 5  # of those episodes
-SITUATIONS = 200  # that the emulated processor decides in
+_SEED = 5  # of those episodes
+_SITUATIONS = 200  # that the emulated processor decides in
 
 
 @dataclass(frozen=True)
@@ -118,14 +118,14 @@ def measured(name: str, episodes: int) -> Measured:
         score=scores["numpy"][0],
         lost32=scores["float32"],
         lost8=scores["int8"],
-        **_on_m4(agent, header, observations[:SITUATIONS]),
+        **_on_m4(agent, header, observations[:_SITUATIONS]),
     )
 
 
 def _moments(agent: Exported, policy: Policy) -> list[Moment]:
     """Return what a policy does in the episodes for comparison."""
     scenario = PRESETS[f"{regime_of(agent.agent.scenarios[0])}-{CASE}"]
-    cell = scenario, drawn(scenario, 4, SEED).episodes
+    cell = scenario, drawn(scenario, 4, _SEED).episodes
     return list(Repeatable(lambda preview: beginning([cell], preview)).play(policy, scenario.steps))
 
 
@@ -158,7 +158,7 @@ def _on_m4(agent: Exported, header: HeaderPolicy, observations: NDArray[Any]) ->
 
 def _scores(name: str, policies: Mapping[str, Policy], episodes: int) -> dict[str, tuple[float, float, float]]:
     """Return the recorded score of an agent as "numpy", and what the policies lose of it, with intervals."""
-    suite = suites.load(SUITE)
+    suite = suites.load(_SUITE)
     kept = [{r.scenario.name: r.measures for r in recorded.read(suite, p)} for p in (*suite.anchors, name)]
     cells = [cell for cell in suite.cells if cell.scenario.name in kept[-1]]
 

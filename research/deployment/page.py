@@ -9,7 +9,7 @@ from typing import Any
 from baselines.evaluation.score import fixed, fixed_ends
 from research.pages import table
 
-TEXT = Template("""# Export
+_TEXT = Template("""# Export
 
 <!-- Made by `python -m research deployment --record`; do not edit. -->
 
@@ -151,7 +151,7 @@ def page(record: Mapping[str, Any]) -> str:
             for a in agents
         ],
     )
-    return TEXT.substitute(episodes=record["episodes"], same=same, small=small, fast=fast, m4=m4)
+    return _TEXT.substitute(episodes=record["episodes"], same=same, small=small, fast=fast, m4=m4)
 
 
 def _lost(triple: tuple[float, float, float], digits: int) -> str:

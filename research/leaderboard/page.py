@@ -14,7 +14,7 @@ from baselines.tools.files import json_text
 from research.leaderboard.board import Board
 
 PROGRAM = "python -m research leaderboard"
-TEXT = f"""# Leaderboard
+_TEXT = f"""# Leaderboard
 
 <!-- Made by `{PROGRAM} page`; do not edit. -->
 
@@ -27,16 +27,16 @@ of their episodes as are named, drawn at random behind the submitter's back; of 
 [Evaluation](metrics.md) has the definitions, [leaderboard.json](leaderboard.json) the same as a table, and
 [Enter](enter.md) says how to get here.
 """
-NONE = "-"  # where nothing is said
+_NONE = "-"  # where nothing is said
 NBSP = "\N{NO-BREAK SPACE}"  # within a line of a cell
 BREAK = "<br>"  # between the lines of a cell
-HEADINGS = ["", "entry<br>by", "score<br>95 %", "tail [m]", "lost", "effort<br>rate", "ms", "training", "verified"]
+_HEADINGS = ["", "entry<br>by", "score<br>95 %", "tail [m]", "lost", "effort<br>rate", "ms", "training", "verified"]
 """Of the page's tables."""
 
 
 def page(boards: Sequence[Board]) -> str:
     """Return the page, Markdown."""
-    parts = [TEXT]
+    parts = [_TEXT]
     for board in boards:
         suite = board.suite
         count = sum(len(cell.episodes) for cell in suite.cells)
@@ -66,8 +66,8 @@ def _table(board: Board, entries: Sequence[Entry]) -> str:
             verification(board, s.name),
         )
         cells = [BREAK.join(line.strip(")").replace(" ", NBSP) for line in lines if line) for lines in figures]
-        rows.append([str(rank), f"`{s.name}`{BREAK}{plain(s.about.author) or NONE}", *cells])
-    lines = [HEADINGS, ["--:", "---", *("--:" for _ in HEADINGS[2:])], *rows]
+        rows.append([str(rank), f"`{s.name}`{BREAK}{plain(s.about.author) or _NONE}", *cells])
+    lines = [_HEADINGS, ["--:", "---", *("--:" for _ in _HEADINGS[2:])], *rows]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
@@ -77,7 +77,7 @@ def _told(s: Submission) -> str:
     words = plain(s.about.description).rstrip(".") or "nothing is said of it"
     return (
         f"- `{s.name}`: {words}.{more} Policy `{s.fingerprint[:12]}`, run on {s.date} with auv_gym "
-        f"{plain(str(s.versions.get('auv_gym', NONE)))}."
+        f"{plain(str(s.versions.get('auv_gym', _NONE)))}."
     )
 
 
@@ -91,7 +91,7 @@ def costs(s: Submission) -> list[str]:
     """Return what a training cost, as its submitter says, in lines."""
     steps, seconds = s.about.training_steps, s.about.training_seconds
     lines = [] if steps is None else [f"{_short(steps)} steps"]
-    return [*lines, *([] if seconds is None else [_time(seconds)])] or [NONE]
+    return [*lines, *([] if seconds is None else [_time(seconds)])] or [_NONE]
 
 
 def _time(seconds: float) -> str:

@@ -30,7 +30,7 @@ def paper_figures(reproduction: Reproduction) -> dict[str, bytes]:
             "fig3_trajectory": to_png(trajectory(response)),
             "fig4_forces": to_png(forces(response)),
             "fig5_velocity_errors": to_png(velocity_errors(response)),
-            "fig6_tracking_errors": to_png(tracking_errors(response)),
+            "fig6_tracking_errors": to_png(_tracking_errors(response)),
             "noise_study": to_png(noise(reproduction.noise)),
         }
 
@@ -120,7 +120,7 @@ def velocity_errors(response: Response) -> Figure:
     return _error_figure(response, 3, (("u_e", "m/s", 1.0), ("v_e", "m/s", 1.0), ("r_e", "rad/s", 1.0)), "Fig. 5")
 
 
-def tracking_errors(response: Response) -> Figure:
+def _tracking_errors(response: Response) -> Figure:
     """Return figure 6: the errors of position and orientation."""
     return _error_figure(response, 0, (("x_e", "m", 1.0), ("y_e", "m", 1.0), ("psi_e", "deg", 180 / np.pi)), "Fig. 6")
 

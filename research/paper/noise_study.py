@@ -18,7 +18,7 @@ POSITION_NOISE = 0.1  # [m]
 HEADING_NOISE = math.radians(1.0)  # [rad], and per second for the yaw rate
 VELOCITY_NOISE = 0.01  # [m/s]
 CUT_OFFS: tuple[float | None, ...] = (None, 1.0, 0.5, 0.3)  # [Hz] of the low-pass; None: no filter
-SEEDS = tuple(range(6))  # of the sensor noise
+_SEEDS = tuple(range(6))  # of the sensor noise
 TRANSIENT = 400  # control steps [0.1 s] left out at the beginning: eight time constants of the slowest eigenvalue
 
 
@@ -52,7 +52,7 @@ def noise_study() -> list[NoiseRun]:
     runs = []
     for cut_off in CUT_OFFS:
         scenario = noise_scenario(cut_off)
-        episodes = [drawn(scenario, 1, seed).episodes[0] for seed in SEEDS]
+        episodes = [drawn(scenario, 1, seed).episodes[0] for seed in _SEEDS]
         begun = beginning([(scenario, episodes)], ())
         moments = list(play(Backstepping(gains="paper"), begun, scenario.steps))[TRANSIENT:]
         limits = np.array((scenario.actuators.F_u_max, scenario.actuators.F_r_max))

@@ -17,7 +17,7 @@ from research.paper.numbers import CHOSEN, SIGNS, Reproduction
 
 Spec = dict[str, Any]
 
-FLOOR = 1e-5  # the errors that the paper's figures end at, in their units
+_FLOOR = 1e-5  # the errors that the paper's figures end at, in their units
 GREY = "#8a8a8a"  # colour of the reference
 ERRORS = (("x_e", "m", 1.0), ("y_e", "m", 1.0), ("psi_e", "deg", 180 / np.pi), ("u_e", "m/s", 1.0), ("v_e", "m/s", 1.0),
           ("r_e", "rad/s", 1.0))  # fmt: skip
@@ -102,7 +102,7 @@ def _chosen(layer: list[Spec], **more: Any) -> Spec:
 
 
 MINE: Spec = {"filter": "datum.start === start"}  # what belongs to the start that is chosen
-LINE: Spec = {"type": "line", "color": COLOURS[0], "strokeWidth": 1.8, "clip": True}
+_LINE: Spec = {"type": "line", "color": COLOURS[0], "strokeWidth": 1.8, "clip": True}
 """The look of a curve."""
 
 
@@ -113,11 +113,11 @@ def _way(circle: Any, x: tuple[float, float], y: tuple[float, float]) -> Spec:
     path = [{"x": a, "y": b, "t": i} for i, (a, b) in enumerate(np.round(circle, 4).tolist())]
     return _chosen(
         [
-            {"mark": {**LINE, "color": COLOURS[5], "strokeWidth": 0.8},
+            {"mark": {**_LINE, "color": COLOURS[5], "strokeWidth": 0.8},
              "encoding": {**axes, **order, "detail": {"field": "start", "type": "nominal"}}},
-            {"data": {"values": path}, "mark": {**LINE, "color": GREY, "strokeDash": [5, 3]},
+            {"data": {"values": path}, "mark": {**_LINE, "color": GREY, "strokeDash": [5, 3]},
              "encoding": {**axes, **order}},
-            {"transform": [MINE], "mark": {**LINE, "strokeWidth": 2.4}, "encoding": {**axes, **order}},
+            {"transform": [MINE], "mark": {**_LINE, "strokeWidth": 2.4}, "encoding": {**axes, **order}},
             {"transform": [MINE, {"filter": "datum.t === 0"}], "mark": {"type": "point", "filled": True, "size": 60,
              "color": COLOURS[0], "clip": True}, "encoding": axes},
         ], width=300, height=300,
@@ -132,7 +132,7 @@ def _over_time(name: str, unit: str, level: float, end: float = 60.0) -> Spec:
                 "mark": {"type": "rule", "color": GREY, "strokeDash": [5, 3]},
                 "encoding": {"y": {"datum": round(level, 5)}},
             },
-            {"transform": [MINE, {"filter": f"datum.t <= {end}"}], "mark": LINE, "encoding": {"x": t, "y": y}},
+            {"transform": [MINE, {"filter": f"datum.t <= {end}"}], "mark": _LINE, "encoding": {"x": t, "y": y}},
         ]
     )
 
@@ -145,8 +145,8 @@ def _magnitude(name: str, unit: str) -> Spec:
     size = {"calculate": f"max(abs(datum['{name}']), 1e-11)", "as": "size"}
     return _chosen(
         [
-            {"mark": {"type": "rule", "color": COLOURS[1]}, "encoding": {"y": {"datum": FLOOR}}},
-            {"transform": [MINE, size], "mark": {**LINE, "strokeWidth": 1.2}, "encoding": {"x": t, "y": y}},
+            {"mark": {"type": "rule", "color": COLOURS[1]}, "encoding": {"y": {"datum": _FLOOR}}},
+            {"transform": [MINE, size], "mark": {**_LINE, "strokeWidth": 1.2}, "encoding": {"x": t, "y": y}},
         ]
     )
 

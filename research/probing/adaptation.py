@@ -30,7 +30,7 @@ from baselines.evaluation.score import LARGEST_TAIL
 from research.probing.changes import BEFORE, CHANGES, LENGTHS, Trial
 from research.probing.tap import acting
 
-WINDOW = 2
+_WINDOW = 2
 """Lengths L that an error is a mean over; windows begin a length apart."""
 WITHIN = (0.2, 0.5)
 """Shares by which an error may be above what it is compared with and count as back."""
@@ -40,7 +40,7 @@ ROD = math.sqrt(12)
 """Lengths L of a uniform rod, whose radius of gyration is L."""
 EPISODES = 40
 """Episodes of each sea."""
-SMALLEST = 1e-4
+_SMALLEST = 1e-4
 """Error [m] that stands for any that is smaller, where errors are compared by their ratio."""
 ENDS = (0.025, 0.975)
 """Quantiles of an interval of 95 %."""
@@ -110,7 +110,7 @@ def lengths_of(trial: Trial) -> Array:
 
 
 def windows(errors: Array, places: Array) -> Array:
-    """Return mean errors over `WINDOW` lengths each, shape (`LENGTHS` - `WINDOW` + 1, n).
+    """Return mean errors over `_WINDOW` lengths each, shape (`LENGTHS` - `_WINDOW` + 1, n).
 
     Args:
         errors: of each step, shape (steps, n).
@@ -118,7 +118,7 @@ def windows(errors: Array, places: Array) -> Array:
     """
     inside = [places == j for j in range(LENGTHS)]
     means = np.array([np.where(here, errors, 0.0).sum(axis=0) / np.maximum(here.sum(axis=0), 1) for here in inside])
-    return np.array([means[j : j + WINDOW].mean(axis=0) for j in range(LENGTHS - WINDOW + 1)])
+    return np.array([means[j : j + _WINDOW].mean(axis=0) for j in range(LENGTHS - _WINDOW + 1)])
 
 
 def course_of(now: Array, all_along: Array, never: Array) -> dict[str, Any]:
@@ -133,11 +133,11 @@ def course_of(now: Array, all_along: Array, never: Array) -> dict[str, Any]:
     """
     (counts,) = resamplings((now.shape[1],))
     shares = counts / counts.sum(axis=1, keepdims=True)
-    mine, theirs = (np.log(np.maximum(errors, SMALLEST)) for errors in (now, all_along))
+    mine, theirs = (np.log(np.maximum(errors, _SMALLEST)) for errors in (now, all_along))
     factor, absolute = np.exp(shares @ (mine - theirs).T), np.exp(shares @ mine.T)
     level = np.exp(shares @ theirs.mean(axis=0))
     return {
-        "never_m": _rounded(np.exp(np.log(np.maximum(never, SMALLEST)).mean()), 5),
+        "never_m": _rounded(np.exp(np.log(np.maximum(never, _SMALLEST)).mean()), 5),
         "level_m": _rounded((level[0], *np.quantile(level[1:], ENDS)), 5),
         "back": [_places(factor, 1 + share) for share in WITHIN],
         "factor": [_rounded(row, 3) for row in (factor[0], *np.quantile(factor[1:], ENDS, axis=0))],

@@ -15,7 +15,7 @@ from auv_gym.scenarios.scenario import Scenario
 from research.probing.collect import at_speed, episodes_of
 from research.probing.transplant import heavier, rougher
 
-SPEED = {"slow": 0.2, "cruise": 1.0}
+_SPEED = {"slow": 0.2, "cruise": 1.0}
 """Nominal speed [m/s] of the paths, so that a length takes about the same time in all episodes of a regime."""
 SEAS = ("noise", "storm")
 """Presets that the vehicle changes in: still water with noisy measurements, and everything at once."""
@@ -74,8 +74,8 @@ class Trial:
     @classmethod
     def of(cls, regime: str, sea: str, episodes: int) -> Trial:
         """Return the trial of a regime in one of `SEAS`."""
-        scenario = at_speed(f"{regime}-{sea}", speed=SPEED[regime])
-        last = SLACK * LENGTHS * scenario.vehicle.length / SPEED[regime]
+        scenario = at_speed(f"{regime}-{sea}", speed=_SPEED[regime])
+        last = SLACK * LENGTHS * scenario.vehicle.length / _SPEED[regime]
         current = replace(scenario.current or RandomCurrent(), shear=(0.0, 0.0))  # so that the current may step
         steps = BEFORE + math.ceil(last / scenario.control_dt)
         scenario = replace(scenario, current=current, steps=steps)

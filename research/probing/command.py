@@ -50,7 +50,7 @@ def _in_seas(name: str, regime: str, episodes: int | None) -> dict[str, Any]:
     return {sea: adapted(name, regime, sea, episodes) for sea in SEAS}
 
 
-PARTS: Mapping[str, Callable[[str, str, int | None], dict[str, Any]]] = {
+_PARTS: Mapping[str, Callable[[str, str, int | None], dict[str, Any]]] = {
     "probe": probed,
     "transplant": transplanted,
     "adaptation": _in_seas,
@@ -72,7 +72,7 @@ class Options:
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
     """Policies by name, or agents by their folder. Memories and training ranges are those of the agents among them.
     Default: those of docs/knows.md."""
-    part: Annotated[tuple[str, ...], arg(metavar="PART [PART ...]", help_behavior_hint="")] = (*PARTS, RANGE)
+    part: Annotated[tuple[str, ...], arg(metavar="PART [PART ...]", help_behavior_hint="")] = (*_PARTS, RANGE)
     """What to look into: probe, transplant, adaptation, outside, told, range."""
     regime: Annotated[tuple[str, ...], arg(metavar="R [R ...]", help_behavior_hint="")] = REGIMES
     """Ranges of speeds: slow, cruise."""
@@ -94,7 +94,7 @@ def main(arguments: Sequence[str]) -> int:
     policies = tuple(list_policies())
     for given, known, what in (
         ([p for p in options.policy if agent_folder(p) is None], policies, "the name of a policy or an agent's folder"),
-        (options.part, (*PARTS, RANGE), "a part"),
+        (options.part, (*_PARTS, RANGE), "a part"),
         (options.regime, REGIMES, "a regime"),
     ):
         if unknown := [name for name in given if name not in known]:
@@ -125,7 +125,7 @@ def _kept(part: str, name: str, options: Options) -> bool:
         else:
             record = load(options.out).get((part, kept), {})
             for regime in options.regime:
-                record[regime] = PARTS[part](name, regime, options.episodes)
+                record[regime] = _PARTS[part](name, regime, options.episodes)
                 print(f"{part}: {name}, {regime}", flush=True)
     except (ValueError, PolicyError) as error:
         print(f"{called(PROGRAM)}: {part} of {name}: {error}", file=sys.stderr)

@@ -15,14 +15,14 @@ from research.probing.adaptation import LARGEST
 from research.probing.changes import CHANGES, SEAS
 from research.probing.outside import parameters_of
 
-ORDER = ("helm", "nmpc", "integral-normalised", "backstepping")
+_ORDER = ("helm", "nmpc", "integral-normalised", "backstepping")
 """Policies in the order of their looks; others come behind."""
-LABELS = {
+_LABELS = {
     "instant": "one instant", "untrained": "untrained network", "inputs": "network's inputs", "ekf": "Kalman filter",
     "memory": "network's memory",
 }  # fmt: skip
 """The sources of a probe, in short."""
-SHORT = {
+_SHORT = {
     "m11": "mass m11", "m22": "mass m22", "m33": "inertia m33", "d11": "drag d11", "d22": "drag d22", "d33": "drag d33",
     "drag": "surge drag at its speed", "quadratic": "quadratic drag", "lag": "actuators' lag", "V_u": "current along",
     "V_v": "current across", "X": "wave force X", "Y": "wave force Y", "N": "wave moment N",
@@ -51,12 +51,12 @@ def probe_figure(record: Mapping[str, Any]) -> bytes:
 
 def _sources(axes: Axes, regime: str, of: Mapping[str, Any]) -> None:
     targets = of["targets"]
-    for i, (source, label) in enumerate(LABELS.items()):
+    for i, (source, label) in enumerate(_LABELS.items()):
         rows = np.array(of["linear"][source][-1], dtype=float)
-        y, point = np.arange(len(targets)) + 0.13 * (i - 2), look(source, list(LABELS)).point
+        y, point = np.arange(len(targets)) + 0.13 * (i - 2), look(source, list(_LABELS)).point
         axes.hlines(y, np.clip(rows[:, 1], -0.1, 1), np.clip(rows[:, 2], -0.1, 1), color=point["color"], lw=1)
         axes.plot(np.clip(rows[:, 0], -0.1, 1), y, **point | {"markersize": 4}, label=label)
-    axes.set_yticks(range(len(targets)), [SHORT[t] for t in targets])
+    axes.set_yticks(range(len(targets)), [_SHORT[t] for t in targets])
     axes.set_xlim(-0.12, 1.02)
     axes.set_xlabel("R^2 of a linear probe, 1: known exactly")
     axes.set_title(f"{regime}-storm, after {of['instants'][-1] * of['dt']:g} s")
@@ -68,7 +68,7 @@ def _courses(axes: Axes, of: Mapping[str, Any]) -> None:
         i = of["targets"].index(target)
         rows = np.array([row[i] for row in of["linear"]["memory"]], dtype=float)
         style = look(target, IN_TIME)
-        axes.plot(time, rows[:, 0], **style.line, marker=style.point["marker"], ms=4, label=SHORT[target])
+        axes.plot(time, rows[:, 0], **style.line, marker=style.point["marker"], ms=4, label=_SHORT[target])
         axes.fill_between(time, rows[:, 1], rows[:, 2], color=style.colour, alpha=0.15, lw=0)
     axes.set_xscale("log")
     axes.set_xticks(time, [f"{t:g}" for t in time], minor=False)
@@ -80,7 +80,7 @@ def _courses(axes: Axes, of: Mapping[str, Any]) -> None:
 def adaptation_figure(own: Mapping[str, Any], regime: str) -> bytes:
     """Return the figure of a regime about changes in mid-run: a row for each sea, a column for each change."""
     figure, axes = panels(len(SEAS), len(CHANGES), (12.5, 6.2), sharex=True, sharey="row")
-    names = ordered(own)
+    names = _ordered(own)
     with styled():
         for line, sea in zip(axes, SEAS, strict=True):
             for ax, change in zip(line, CHANGES, strict=True):
@@ -130,7 +130,7 @@ def range_figure(record: Mapping[str, Any]) -> bytes:
 
 def outside_figure(own: Mapping[str, Any], regime: str) -> bytes:
     """Return the figure of a regime about errors outside of the training: a panel for each parameter."""
-    parameters, names = parameters_of(regime), ordered(own)
+    parameters, names = parameters_of(regime), _ordered(own)
     figure, axes = panels(2, (len(parameters) + 1) // 2, (13.5, 6.2), sharey=True)
     with styled():
         for ax, (key, parameter) in zip([ax for row in axes for ax in row], parameters.items(), strict=False):
@@ -155,9 +155,9 @@ def _errors(axes: Axes, name: str, names: list[str], of: Mapping[str, Any]) -> N
     axes.plot(np.array(of["values"])[lost], np.exp(mean)[lost], "x", color=style.colour, ms=6, mew=1.6)
 
 
-def ordered(own: Mapping[str, Any]) -> list[str]:
+def _ordered(own: Mapping[str, Any]) -> list[str]:
     """Return the policies in the order in which they are drawn: the usual ones first, so that each keeps its look."""
-    return [name for name in ORDER if name in own] + [name for name in own if name not in ORDER]
+    return [name for name in _ORDER if name in own] + [name for name in own if name not in _ORDER]
 
 
 def _below(figure: Figure, axes: Axes, columns: int = 6) -> None:

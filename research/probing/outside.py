@@ -25,7 +25,7 @@ from baselines.evaluation.side_by_side import SideBySide
 from research.probing.collect import at_speed, episodes_of
 from research.probing.tap import acting
 
-EPISODES = 12
+_EPISODES = 12
 """Episodes of each value."""
 CASE = "storm"
 """What is stretched."""
@@ -131,13 +131,13 @@ def stretched(name: str, regime: str, episodes: int | None = None) -> dict[str, 
     Args:
         name: of the policy.
         regime: "slow" or "cruise".
-        episodes: of each value. None: `EPISODES`.
+        episodes: of each value. None: `_EPISODES`.
 
     Raises:
         ValueError: there is no such policy.
         PolicyError: its actions are not finite.
     """
-    count, cap = episodes or EPISODES, LARGEST_TAIL[regime]
+    count, cap = episodes or _EPISODES, LARGEST_TAIL[regime]
     found: dict[str, Any] = {"episodes": count, "cap_m": cap, "parameters": {}}
     for key, parameter in parameters_of(regime).items():
         scenarios = scenarios_of(regime, parameter)

@@ -13,13 +13,13 @@ from research.probing.probes import FLAT, Probed, Read, bent, lead, linear, read
 
 CASES = ("storm", "mismatch")
 """Where memories are read: with everything at once, and where the hull alone is not as it is told."""
-EPISODES = 960
+_EPISODES = 960
 """Episodes of each case."""
 FITTED = 2 / 3
 """Share of the episodes, the first ones, that the probes are fitted to."""
 INSTANTS = (5, 15, 50, 150, 300, 590)
 """Control instants at which memories are read."""
-BASE = "inputs"
+_BASE = "inputs"
 """The source that the memory's lead is over: what is in front of the network without any memory of its own."""
 
 
@@ -29,13 +29,13 @@ def probed(name: str, regime: str, episodes: int | None = None) -> dict[str, Any
     Args:
         name: of the agent.
         regime: "slow" or "cruise".
-        episodes: of each case. None: `EPISODES`.
+        episodes: of each case. None: `_EPISODES`.
 
     Raises:
         ValueError: the policy is unknown, or no agent that remembers.
         PolicyError: its actions are not finite.
     """
-    count = episodes or EPISODES
+    count = episodes or _EPISODES
     found = {}
     for case in CASES:
         scenario = PRESETS[f"{regime}-{case}"]
@@ -56,7 +56,7 @@ def _of(seen: Collected, fitted: int) -> dict[str, Any]:
         last[source] = rows[-1]
         curved = _probe(bent, seen.sources[source][-1], truth[-1], fitted)
         result["bent"][source] = [_plain(r) for r in read(curved)]
-    result["lead"] = [_plain(r) for r in lead(last["memory"], last[BASE])]
+    result["lead"] = [_plain(r) for r in lead(last["memory"], last[_BASE])]
     return result
 
 

@@ -46,7 +46,7 @@ def linear(fitted: Array, truth: Array, test: Array, test_truth: Array) -> Probe
         test: what is read from in the others, shape (m, columns).
         test_truth: what is asked there, shape (m, targets).
     """
-    X, Z = scaled(fitted, test)
+    X, Z = _scaled(fitted, test)
     mean = truth.mean(axis=0)
     U, s, Vt = np.linalg.svd(X, full_matrices=False)
     told = U.T @ (truth - mean)
@@ -62,7 +62,7 @@ def linear(fitted: Array, truth: Array, test: Array, test_truth: Array) -> Probe
 
 def bent(fitted: Array, truth: Array, test: Array, test_truth: Array) -> Probed:
     """Return what a probe with a Gaussian kernel says; arguments as of `linear`."""
-    X, Z = scaled(fitted, test)
+    X, Z = _scaled(fitted, test)
     mean, unit = truth.mean(axis=0), 2.0 * X.shape[1]  # of scaled columns the mean squared distance
     own, others = _distances(X, X) / unit, _distances(Z, X) / unit
     best, chosen = np.full(truth.shape[1], np.inf), np.zeros(test_truth.shape)
@@ -79,7 +79,7 @@ def bent(fitted: Array, truth: Array, test: Array, test_truth: Array) -> Probed:
     return Probed(np.square(test_truth - mean - chosen), np.square(test_truth - mean))
 
 
-def scaled(fitted: Array, test: Array) -> tuple[Array, Array]:
+def _scaled(fitted: Array, test: Array) -> tuple[Array, Array]:
     """Return both with columns of mean 0 and deviation 1 where they are fitted, constant columns left out."""
     mean, deviation = fitted.mean(axis=0), fitted.std(axis=0)
     use = deviation > FLAT

@@ -23,13 +23,13 @@ from baselines.agents.names import agent_folder
 from baselines.tools.files import read_json
 
 HULLS = "baselines.training.hulls"  # the module that draws hulls, for agents that are told them
-LANES = 120
+_LANES = 120
 """Vehicles side by side in the training whose episodes are drawn; each is of one scenario, its hulls take turns."""
-DRAWS = 4000
+_DRAWS = 4000
 """Episodes that are drawn of a training."""
 SHOWN = 600
 """How many of them are kept one by one, to be drawn as points."""
-SLOWEST = 1 / 3
+_SLOWEST = 1 / 3
 """Slowest path of a vehicle of the fleet beside its own speed, as in the presets."""
 RATIOS = {
     "mass": "m22/m11",
@@ -60,7 +60,7 @@ def ratios(v: Vehicle, act: Actuators, lag: float, U: float) -> dict[str, float]
     }
 
 
-def trained(name: str, draws: int = DRAWS) -> Array:
+def trained(name: str, draws: int = _DRAWS) -> Array:
     """Return the ratios of episodes as an agent's training draws them, shape (draws, ratios).
 
     Raises:
@@ -72,14 +72,14 @@ def trained(name: str, draws: int = DRAWS) -> Array:
     if not parts:
         raise ValueError(f"policy {name!r} is no agent whose file says what it was trained on")
     rng, weights = np.random.default_rng(0), np.array([part["weight"] for part in parts])
-    chosen = rng.choice(len(parts), LANES, p=weights / weights.sum()).tolist()
+    chosen = rng.choice(len(parts), _LANES, p=weights / weights.sum()).tolist()
     lanes = [[Scenario.from_dict(parts[i]["scenario"])] for i in chosen]
     if share := config.get("hyperparameters", {}).get("hulls", 0.0):
         lanes = import_module(HULLS).turns([own for (own,) in lanes], share, 0)
     rows = []
     for i in range(draws):
-        own = lanes[i % LANES]
-        scenario = own[i // LANES % len(own)]
+        own = lanes[i % _LANES]
+        scenario = own[i // _LANES % len(own)]
         episode = scenario.draw(rng)
         rows.append(list(ratios(episode.vehicle, scenario.actuators, episode.lag, episode.path.speed).values()))
     return np.array(rows)
@@ -91,10 +91,11 @@ def ranged(name: str, draws: int | None = None) -> dict[str, Any]:
     Raises:
         ValueError: see `trained`.
     """
-    seen = trained(name, draws or DRAWS)
+    seen = trained(name, draws or _DRAWS)
     low, high = seen.min(axis=0), seen.max(axis=0)
     vehicles = {
-        c.name: [_of(c, U) for U in (SLOWEST * c.vehicle.speed, c.vehicle.speed)] for c in [PAPER, *map(craft, fleet())]
+        c.name: [_of(c, U) for U in (_SLOWEST * c.vehicle.speed, c.vehicle.speed)]
+        for c in [PAPER, *map(craft, fleet())]
     }
     return {
         "draws": len(seen),

@@ -32,7 +32,7 @@ NAMES = {
     "told": "Told a wrong hull",
 }
 """The sections and their titles."""
-GOAL = 10
+_GOAL = 10
 """Lengths within which a policy should be back."""
 BORNE = 0.01
 """What a score may be lower where a hull is told wrong."""
@@ -160,11 +160,11 @@ def _verdict(own: Mapping[str, Any]) -> str:
     for name, record in own.items():
         courses = [c for seas in record.values() for of in seas.values() for c in of["changes"].values()]
         places = [[c["back"][i][0] for c in courses] for i in range(len(WITHIN))]
-        counts = [sum(x is not None and x <= limit for x in row) for row in places for limit in (GOAL, GOAL * ROD)]
+        counts = [sum(x is not None and x <= limit for x in row) for row in places for limit in (_GOAL, _GOAL * ROD)]
         never = sum(x is None for x in places[0])
         calm = sum(max(c["factor"][0]) <= LARGEST for c in courses)
         lines.append([f"`{name}`", *(f"{count} of {len(courses)}" for count in (*counts, never, calm))])
-    ways = [f"{100 * share:.0f} % after {way}" for share in WITHIN for way in (f"{GOAL} L", f"{GOAL} hull lengths")]
+    ways = [f"{100 * share:.0f} % after {way}" for share in WITHIN for way in (f"{_GOAL} L", f"{_GOAL} hull lengths")]
     return table(
         ["policy", *(f"within {way}" for way in ways), f"not within 20 % after {LENGTHS} L", "never away"], lines
     )

@@ -26,13 +26,13 @@ from baselines.evaluation.suites import load
 from research.probing.collect import HULL, SEED
 from research.probing.tap import acting
 
-SUITE = "benchmark-v1"
+_SUITE = "benchmark-v1"
 """Whose episodes run, and whose anchors the score has."""
 SIZES = (0.2, 0.4, 0.6)
 """How wrong a parameter is told at most, as a share of it; any error up to that is as likely as another."""
 HULLS = 12
 """Wrong hulls of each size, the same ones for all policies."""
-EPISODES = 12
+_EPISODES = 12
 """Episodes of each case, the first ones of the suite."""
 LESS: Mapping[str, tuple[int, int]] = {RIVAL: (4, 6)}
 """Hulls and episodes of a policy that takes its time, the first ones too; and the largest size alone."""
@@ -85,7 +85,7 @@ def wrong(vehicle: Vehicle, mistaken: Mapping[str, float], size: float, way: Way
 
 def cells_of(regime: str, episodes: int) -> list[Cell]:
     """Return the first episodes of each cell of a regime in the suite."""
-    own = (cell for cell in load(SUITE).cells if regime_of(cell.scenario.name) == regime)
+    own = (cell for cell in load(_SUITE).cells if regime_of(cell.scenario.name) == regime)
     return [Cell(cell.scenario, cell.episodes[:episodes]) for cell in own]
 
 
@@ -95,16 +95,16 @@ def misled(name: str, regime: str, episodes: int | None = None) -> dict[str, Any
     Args:
         name: of the policy; none that looks behind the observation.
         regime: "slow" or "cruise".
-        episodes: of each case. None: `EPISODES`, or fewer of one that takes its time.
+        episodes: of each case. None: `_EPISODES`, or fewer of one that takes its time.
 
     Raises:
         ValueError: there is no such policy.
         PolicyError: its actions are not finite.
     """
-    hulls, usual = LESS.get(name, (HULLS, EPISODES))
+    hulls, usual = LESS.get(name, (HULLS, _EPISODES))
     sizes, cells = SIZES[-1:] if name in LESS else SIZES, cells_of(regime, episodes or usual)
     known, true = cells[0].scenario.vehicle, SideBySide(cells)
-    zero, one = (_recorded(policy, regime, cells) for policy in load(SUITE).anchors)
+    zero, one = (_recorded(policy, regime, cells) for policy in load(_SUITE).anchors)
     right, lost = _tails(name, known, true, regime)
 
     def told(way: Way, size: float) -> dict[str, Any]:
@@ -131,7 +131,7 @@ def misled(name: str, regime: str, episodes: int | None = None) -> dict[str, Any
 
 def _recorded(policy: str, regime: str, cells: Sequence[Cell]) -> list[Array]:
     """Return the capped tails [m] that are recorded of a policy in episodes of the suite, cell by cell."""
-    runs = {run.scenario.name: run.measures for run in recorded.read(load(SUITE), policy)}
+    runs = {run.scenario.name: run.measures for run in recorded.read(load(_SUITE), policy)}
     rows = ((runs[cell.scenario.name], len(cell.episodes)) for cell in cells)
     return [capped(row[:count], regime) for row, count in rows if row is not None]
 

@@ -25,11 +25,11 @@ from baselines.policy import Memory
 from research.probing.collect import agent_of, episodes_of
 from research.probing.tap import HIDDEN, REMEMBERED, Swap, Tapped
 
-AT = 300
+_AT = 300
 """Control instant of the exchange."""
 FOR = 50
 """Control periods behind it whose errors count."""
-EPISODES = 32
+_EPISODES = 32
 """Pairs of twins for each trait."""
 CASE = "storm"
 """Where they run."""
@@ -110,19 +110,19 @@ def transplanted(name: str, regime: str, episodes: int | None = None) -> dict[st
     Args:
         name: of the agent.
         regime: "slow" or "cruise".
-        episodes: pairs for each trait. None: `EPISODES`.
+        episodes: pairs for each trait. None: `_EPISODES`.
 
     Raises:
         ValueError: the policy is unknown, or no agent that remembers.
         PolicyError: its actions are not finite.
     """
-    scenario, count = PRESETS[f"{regime}-{CASE}"], episodes or EPISODES
+    scenario, count = PRESETS[f"{regime}-{CASE}"], episodes or _EPISODES
     drawn = episodes_of(scenario, count)
     every = [trait.change(episode, value) for trait in TRAITS.values() for episode in drawn for value in trait.values]
     usual = _errors(name, scenario, every, {})
     found: dict[str, Any] = {"pairs": count, "seconds": FOR * scenario.control_dt, "traits": {}}
     grown = {
-        how: _errors(name, scenario, every, {AT: lambda m, f=change, p=part: f(m, p)})  # type: ignore[misc]
+        how: _errors(name, scenario, every, {_AT: lambda m, f=change, p=part: f(m, p)})  # type: ignore[misc]
         for how, (change, part) in SWAPS.items()
     }
     for i, trait in enumerate(TRAITS):
@@ -138,8 +138,8 @@ def _errors(name: str, scenario: Scenario, episodes: Sequence[Episode], swaps: M
     policy, _ = agent_of(name, scenario.vehicle)
     begun = beginning([(scenario, episodes)], preview_of(policy))
     squares = np.zeros(len(episodes))
-    for k, moment in enumerate(play(Tapped(policy, swaps=swaps), begun, AT + FOR)):
-        if k >= AT:
+    for k, moment in enumerate(play(Tapped(policy, swaps=swaps), begun, _AT + FOR)):
+        if k >= _AT:
             squares += np.where(moment.running, np.square(moment.error), scenario.lost_distance**2)
     return np.sqrt(squares / FOR)
 

@@ -29,7 +29,7 @@ from research.results.kept import gone, kept_by_the_expert
 from research.results.studies import SHORT
 from research.results.study_files import Study, load_all
 
-BASE = "short-cruise"
+_BASE = "short-cruise"
 """The training from which the other short ones differ in one thing."""
 LEARNERS = ("ppo", "sac", "td3")
 """Families of agents that learn from rewards alone."""
@@ -52,7 +52,7 @@ def findings(found: Sequence[Results], anew: Sequence[Results], studies: Mapping
     by_name, fresh_by_name = (
         {results.suite.name: results for results in kind if RIVAL in results.policies} for kind in (found, anew)
     )
-    parts = [INTRODUCTION]
+    parts = [_INTRODUCTION]
     if (benchmark := by_name.get("benchmark-v2")) is not None:
         parts += [LEADS, _leads(benchmark, fresh_by_name.get("benchmark-v2"), studies)]
         parts += [CASES, *(_by_case(benchmark, studies, regime) for regime in REGIMES)]
@@ -63,7 +63,7 @@ def findings(found: Sequence[Results], anew: Sequence[Results], studies: Mapping
     if (section := kept_by_the_expert(found)) != "":
         parts.append(section)
     if benchmark is not None:
-        parts += [RESIDUAL, SHORTS, _trainings(benchmark, studies, SHORT)]
+        parts += [_RESIDUAL, SHORTS, _trainings(benchmark, studies, SHORT)]
         parts += [REWARDS, _trainings(benchmark, studies, *LEARNERS)]
         parts += [YARDSTICK, _shares(benchmark)]
     return "\n\n".join([*parts, UNTABLED]) + "\n"
@@ -197,7 +197,7 @@ def _shares(results: Results) -> str:
     return table(("regime", *dict.fromkeys(cases)), rows)
 
 
-INTRODUCTION = """## What learning is worth
+_INTRODUCTION = """## What learning is worth
 
 What learning gains over the strongest controller, where it loses, and what each part of the training contributes.
 [Evaluation](metrics.md) defines the score and *lost*."""
@@ -230,14 +230,14 @@ missions of five minutes, slewing actuators, long outages of the position fix, f
 motion they trail, mostly where the fix is out for longer than in their training. They have been trained anew since the
 suite was opened, and chosen on other episodes: for them these are episodes that anybody knows. The first lead is over
 `{RIVAL}`, the second over `{ADVERSE_RIVAL}`."""
-RESIDUAL = """### What the expert is for
+_RESIDUAL = """### What the expert is for
 
 The expert does not make the final score better: `apg-scratch-*`, networks that command alone, end level with the
 corrected expert. What a residual buys instead, when networks fail, worlds change and training has just begun, and how
 little of that a large authority leaves: [What a residual is for](results/residual.md)."""
 SHORTS = f"""### What each part is worth
 
-Trainings of fewer steps and seeds at cruise, each of which differs from `{BASE}` in one thing."""
+Trainings of fewer steps and seeds at cruise, each of which differs from `{_BASE}` in one thing."""
 REWARDS = """### From rewards alone
 
 Agents of Stable-Baselines3, which see the reward and no gradient of the simulator, trained for about as long."""

@@ -26,7 +26,7 @@ from research.results.leads import LEVEL, Estimate, differences, holm
 from research.results.robust import tails_of
 from research.results.study_files import Study, load_all
 
-FIGURE = "results-fronts.png"
+_FIGURE = "results-fronts.png"
 """File of the figure."""
 
 
@@ -111,7 +111,7 @@ def _means(measures: Iterable[Measures]) -> tuple[float, float]:
     return float(whole.effort.mean()), float(whole.smoothness.mean())
 
 
-def regimes_of(fronts: Sequence[Front]) -> list[str]:
+def _regimes_of(fronts: Sequence[Front]) -> list[str]:
     """Return the regimes in which there are fronts."""
     return [regime for regime in REGIMES if any(front.regime == regime for front in fronts)]
 
@@ -125,21 +125,21 @@ def context(_: str) -> dict[str, Any]:
 def figures(_: str) -> dict[str, bytes]:
     """Return the figure of the page as PNG by name."""
     results = results_of("benchmark-v2")
-    return {FIGURE: to_png(figure(load_fronts(), results, load_all()))} if results else {}
+    return {_FIGURE: to_png(figure(load_fronts(), results, load_all()))} if results else {}
 
 
 def section(fronts: Sequence[Front], results: Results, studies: Mapping[str, Study]) -> str:
     """Return the section's text, "" without fronts; the arguments are those of `spenders`."""
     if not fronts:
         return ""
-    parts = [INTRODUCTION, f"![Error against effort and command rate](images/{FIGURE})"]
-    for regime in regimes_of(fronts):
+    parts = [_INTRODUCTION, f"![Error against effort and command rate](images/{_FIGURE})"]
+    for regime in _regimes_of(fronts):
         who = spenders(fronts, results, studies, regime)
         parts += [f"### At equal effort, {regime}", _setting(who), _leads(who)]
     return "\n\n".join(parts)
 
 
-INTRODUCTION = """## At equal effort
+_INTRODUCTION = """## At equal effort
 
 Error can be bought with commands, so here controllers are shown at several prices of theirs
 (`python -m research front`): with the weights of the commands halved, as they ship, twice, four and
@@ -209,7 +209,7 @@ def _kind(leads: Sequence[Estimate], led: Sequence[bool]) -> tuple[str, str, str
 def figure(fronts: Sequence[Front], results: Results, studies: Mapping[str, Study]) -> Figure:
     """Return error over effort and over rate, a row of panels for each regime; the arguments as for `spenders`."""
     with styled():
-        return _drawn(fronts, results, studies, regimes_of(fronts))
+        return _drawn(fronts, results, studies, _regimes_of(fronts))
 
 
 def _drawn(fronts: Sequence[Front], results: Results, studies: Mapping[str, Study], regimes: Sequence[str]) -> Figure:

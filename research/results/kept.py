@@ -43,10 +43,10 @@ def kept_by_the_expert(found: Sequence[Results]) -> str:
             cells = ["-" if count is None else f"{count[0]} / {count[1]}" for count in counts]
             lost, saved, episodes = (sum(parts) for parts in zip(*ran, strict=True))
             rows.append([f"`{name}`", *cells, f"{lost} / {saved}", str(episodes)])
-    return f"{TEXT}\n\n{table(['agent', *(r.suite.name for r in found), 'all', 'episodes'], rows)}" if rows else ""
+    return f"{_TEXT}\n\n{table(['agent', *(r.suite.name for r in found), 'all', 'episodes'], rows)}" if rows else ""
 
 
-TEXT = """### Episodes that the expert keeps
+_TEXT = """### Episodes that the expert keeps
 
 How many episodes an agent loses although the expert alone keeps them, and behind the stroke how many it keeps although
 the expert loses them. The first number is what a correction has to answer for: [Safety](safety.md)."""

@@ -11,7 +11,7 @@ from research.lower_bounds.floor.command import PROGRAM, Floor, kept
 from research.pages import table
 from research.results.collection import Results
 
-FLOOR = "floor"
+_FLOOR = "floor"
 """Stands in the place of a policy."""
 
 
@@ -20,22 +20,22 @@ def what_is_left(results: Results) -> list[str]:
     floors = kept(results.suite.source[1])
     if not floors or results.suite.anchors.one not in results.tails:
         return []
-    parts = [TEXT]
+    parts = [_TEXT]
     for regime in dict.fromkeys(entry.place for entry in results.pooled):
         tails = _tails(results, regime, floors)
         noisy = [case for case in floors if regime_of(case) == regime]
         scores = _scores(tails, *results.suite.anchors)
-        best = max((policy for policy in tails if policy not in (FLOOR, *FORESIGHTED)), key=scores.__getitem__)
+        best = max((policy for policy in tails if policy not in (_FLOOR, *FORESIGHTED)), key=scores.__getitem__)
         shown = [
-            policy for policy in dict.fromkeys((FLOOR, best, RIVAL, results.suite.anchors.zero)) if policy in tails
+            policy for policy in dict.fromkeys((_FLOOR, best, RIVAL, results.suite.anchors.zero)) if policy in tails
         ]
         rows = [
             [
-                policy if policy == FLOOR else f"`{policy}`",
+                policy if policy == _FLOOR else f"`{policy}`",
                 fixed(scores[policy]),
-                NONE if policy == FLOOR else fixed(scores[FLOOR] - scores[policy]),
+                NONE if policy == _FLOOR else fixed(scores[_FLOOR] - scores[policy]),
                 *(f"{1e3 * tails[policy][case]:.1f}" for case in noisy),
-                NONE if policy == FLOOR else " / ".join(f"{tails[policy][c] / tails[FLOOR][c]:.1f}" for c in noisy),
+                NONE if policy == _FLOOR else " / ".join(f"{tails[policy][c] / tails[_FLOOR][c]:.1f}" for c in noisy),
             ]
             for policy in shown
             if policy in tails
@@ -57,7 +57,7 @@ def _tails(results: Results, regime: str, floors: Mapping[str, Floor]) -> dict[s
             found.setdefault(run.policy, {})[run.scenario.name] = results.tails[run.policy][run.scenario.name]
     whole = {policy: own for policy, own in found.items() if len(own) == len(lengths)}
     best = whole[results.suite.anchors.one]
-    return whole | {FLOOR: {c: max(floors[c].tail_m, best[c]) if c in floors else best[c] for c in lengths}}
+    return whole | {_FLOOR: {c: max(floors[c].tail_m, best[c]) if c in floors else best[c] for c in lengths}}
 
 
 def _scores(tails: Mapping[str, Mapping[str, float]], zero: str, one: str) -> dict[str, float]:
@@ -66,7 +66,7 @@ def _scores(tails: Mapping[str, Mapping[str, float]], zero: str, one: str) -> di
     return {policy: (pooled[zero] - own) / (pooled[zero] - pooled[one]) for policy, own in pooled.items()}
 
 
-TEXT = f"""### What is left
+_TEXT = f"""### What is left
 
 A vehicle can be kept no nearer to its reference than it can be located. The *floor* is how near that is for whom
 everything is told but what chance has drawn: the numbers behind the measurement errors, the gusts, the phases of the

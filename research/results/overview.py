@@ -18,7 +18,7 @@ from baselines.tools.figure_style import COLOURS, MARKERS, panels, styled, to_pn
 from research.lower_bounds.floor.command import kept as estimation_bounds
 from research.results.collection import Results, results_of
 
-SUITE = "benchmark-v2"
+_SUITE = "benchmark-v2"
 POLICIES = {
     "backstepping": "the paper's law; the vehicle's parameters",
     "los-pid": "line of sight and PID; tuned gains",
@@ -62,7 +62,7 @@ def figures(_: str = "") -> dict[str, bytes]:
 
 
 def _results() -> Results:
-    results = results_of(SUITE)
+    results = results_of(_SUITE)
     assert results is not None
     return results
 

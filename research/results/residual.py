@@ -26,7 +26,7 @@ def what_it_is_for(groups: Sequence[Group]) -> str:
     """Return the section's text; "" where nothing is kept."""
     if not groups:
         return ""
-    parts = [INTRODUCTION]
+    parts = [_INTRODUCTION]
     for regime in REGIMES:
         shown = _shown(groups, regime)
         if len(shown) > 1:
@@ -37,7 +37,7 @@ def what_it_is_for(groups: Sequence[Group]) -> str:
         bounded(groups),
         MINUTES,
         minutes(groups),
-        CAVEATS,
+        _CAVEATS,
     ]
     return "\n\n".join(part for part in parts if part)
 
@@ -164,7 +164,7 @@ def _range(values: Array, digits: int, unit: str = "") -> str:
     return f"{fixed(float(values.mean()), digits)}{unit} ({fixed_ends([values.min(), values.max()], digits)})"
 
 
-INTRODUCTION = f"""## What a residual is for
+_INTRODUCTION = f"""## What a residual is for
 
 Two ways to use a network: it corrects an expert, here the published law (*residual*), or commands alone (*scratch*).
 Trained long enough they end level ([What learning is worth](results/learning.md#what-the-expert-is-for)), and after a
@@ -189,7 +189,7 @@ MINUTES = """### The first minutes
 What the agents do on validation episodes after so many control steps: mean over seeds, behind it the least and the
 most of a seed. Zero steps of a residual are the law; from scratch a hundred thousand steps still lose everything, and
 after four hundred thousand the two are level."""
-CAVEATS = f"""### What this does not show
+_CAVEATS = f"""### What this does not show
 
 Whatever notices that a network is dead can switch to the law, and save an agent
 from scratch as well; a residual needs nobody to notice. Held, stuck and shuffled outputs are four failures of many, and

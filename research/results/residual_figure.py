@@ -17,11 +17,11 @@ from research.results.residual_file import FILE, RESIDUAL, SCRATCH, STUCK, Group
 from research.robustness.failures import FAILURES, LIMITS
 from research.robustness.situations import NORMAL
 
-REGIME = "cruise"
+_REGIME = "cruise"
 """The regime of the figure: the one in which every authority is trained."""
 TICKS = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)
 """Authorities that are marked on an axis."""
-KINDS = {RESIDUAL: LOOKS[0], SCRATCH: LOOKS[1]}  # how each kind of agent is drawn
+_KINDS = {RESIDUAL: LOOKS[0], SCRATCH: LOOKS[1]}  # how each kind of agent is drawn
 
 
 def context(_: str) -> dict[str, Any]:
@@ -40,16 +40,16 @@ def residual_figure(groups: Sequence[Group]) -> Figure:
     with styled():
         _errors(errors, groups)
         _minutes(first, groups)
-        for kind in KINDS:
-            _failures(below[0], of(groups, REGIME, kind), kind)
+        for kind in _KINDS:
+            _failures(below[0], of(groups, _REGIME, kind), kind)
         _bounds(below[1], groups)
     return figure
 
 
 def _errors(ax: Axes, groups: Sequence[Group]) -> None:
     """Draw the errors as trained over authority: mean with interval, and every seed."""
-    for kind, look in KINDS.items():
-        own = of(groups, REGIME, kind)
+    for kind, look in _KINDS.items():
+        own = of(groups, _REGIME, kind)
         x = np.array([group.authority for group in own], dtype=np.float64)
         scores = [mean_error(group, NORMAL) for group in own]
         ends = 100 * np.array([score.ci95 for score in scores]).reshape(-1, 2)
@@ -66,7 +66,7 @@ def _errors(ax: Axes, groups: Sequence[Group]) -> None:
 
 
 def _law(ax: Axes, groups: Sequence[Group]) -> None:
-    if (alone := law(groups, REGIME)) is not None:
+    if (alone := law(groups, _REGIME)) is not None:
         ax.axhline(100 * mean_error(alone, NORMAL).mean, **REFERENCE, label="the law alone")
 
 
@@ -93,9 +93,9 @@ def _failures(ax: Axes, own: Sequence[Group], kind: str) -> None:
         shares = [lost_share(group, failure) for failure in FAILURES]
         x = np.arange(len(FAILURES)) + (0.12 if kind == SCRATCH else -0.12)
         label = f"{kind}, authority {group.authority:g}"
-        ax.plot(x, [100 * share.mean for share in shares], **KINDS[kind].point, label=label)
+        ax.plot(x, [100 * share.mean for share in shares], **_KINDS[kind].point, label=label)
         for position, share in zip(x, shares, strict=True):
-            ax.plot([position] * 2, [100 * end for end in share.ci95], color=KINDS[kind].colour, linewidth=1.4)
+            ax.plot([position] * 2, [100 * end for end in share.ci95], color=_KINDS[kind].colour, linewidth=1.4)
     ax.set_xticks(range(len(FAILURES)), [name.replace(" at ", "\nat ") for name in FAILURES])
     ax.set_ylim(-4, 104)
     ax.set_ylabel("episodes lost [%]")
@@ -123,8 +123,8 @@ def _bounds(ax: Axes, groups: Sequence[Group]) -> None:
 
 def _minutes(ax: Axes, groups: Sequence[Group]) -> None:
     """Draw the learning curves: mean over seeds, and their range."""
-    for kind, look in KINDS.items():
-        for group in of(groups, REGIME, kind):
+    for kind, look in _KINDS.items():
+        for group in of(groups, _REGIME, kind):
             if group.authority == SHOWN[kind] and group.curves:
                 errors = 100 * np.array([curve[:, 1] for curve in group.curves])
                 steps = group.curves[0][:, 0] / 1e6

@@ -13,17 +13,17 @@ from research.results.collection import Results, results_of
 from research.results.leads import KINDS, LEVEL, WORST, Estimate, holm, ratios
 from research.results.study_files import Study, load_all
 
-LEFT_OUT = (*FORESIGHTED, "open-loop", "backstepping", "integral")
+_LEFT_OUT = (*FORESIGHTED, "open-loop", "backstepping", "integral")
 """What the names of policies without a row begin with: those that nobody can be, and those far behind."""
 
 
 def context(_: str) -> dict[str, Any]:
     """Return the body of the page."""
     results = results_of("benchmark-v2")
-    return {"body": section(results, load_all()) if results else ""}
+    return {"body": _section(results, load_all()) if results else ""}
 
 
-def section(results: Results, studies: Mapping[str, Study]) -> str:
+def _section(results: Results, studies: Mapping[str, Study]) -> str:
     """Return the section's text, "" where the rival is not recorded.
 
     Args:
@@ -32,10 +32,10 @@ def section(results: Results, studies: Mapping[str, Study]) -> str:
     """
     if RIVAL not in results.policies:
         return ""
-    return "\n\n".join([INTRODUCTION, *(_regime(results, studies, regime) for regime in REGIMES)])
+    return "\n\n".join([_INTRODUCTION, *(_regime(results, studies, regime) for regime in REGIMES)])
 
 
-INTRODUCTION = f"""## How robust a lead is
+_INTRODUCTION = f"""## How robust a lead is
 
 The score pools errors, so a few bad episodes can make or unmake a lead. Here are tails over those of `{RIVAL}` in the
 same episodes of the benchmark, none counted above the cap, below 1 is nearer: the ratio of the means over all episodes
@@ -51,7 +51,7 @@ def _regime(results: Results, studies: Mapping[str, Study], regime: str) -> str:
     rival = {case: tail[0] for case, tail in tails_of(RIVAL, results, {}, regime).items()}
     sides = {}
     for policy in results.policies:
-        if policy == RIVAL or policy.startswith(LEFT_OUT):
+        if policy == RIVAL or policy.startswith(_LEFT_OUT):
             continue
         if own := tails_of(policy, results, studies, regime):
             count = {case: min(len(rival[case]), tail.shape[1]) for case, tail in own.items()}

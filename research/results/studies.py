@@ -37,7 +37,7 @@ def section(studies: Mapping[str, Study], found: Sequence[Results]) -> str:
     """Return the section's text for studies and what is recorded of the suites."""
     if not studies:
         return ""
-    parts = [INTRODUCTION]
+    parts = [_INTRODUCTION]
     for regime in dict.fromkeys(study.regime for study in studies.values()):
         own = {name: study for name, study in studies.items() if study.regime == regime}
         parts.append(f"### {regime}")
@@ -51,7 +51,7 @@ def section(studies: Mapping[str, Study], found: Sequence[Results]) -> str:
     return "\n\n".join(parts)
 
 
-INTRODUCTION = f"""## Learned agents, several seeds
+_INTRODUCTION = f"""## Learned agents, several seeds
 
 Each row is one way of training, repeated with several seeds; `python -m research study` makes it. *steps* are
 control steps, summed over vehicles; *score* and its interval are over training seeds and episodes; *lead* is the

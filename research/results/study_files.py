@@ -21,7 +21,7 @@ from baselines.tools.files import versions
 from research import DATA
 
 FOLDER = DATA / "studies"
-CURVE = ("timesteps", "seconds", "score")
+_CURVE = ("timesteps", "seconds", "score")
 """Columns of a learning curve."""
 
 
@@ -82,7 +82,7 @@ class Study:
     date: str  # ISO 8601
     versions: Mapping[str, str]
     suites: Mapping[str, InSuite]
-    curves: tuple[Array, ...]  # of each seed, columns `CURVE`
+    curves: tuple[Array, ...]  # of each seed, columns `_CURVE`
 
     @classmethod
     def of(
@@ -105,7 +105,7 @@ class Study:
             datetime.now(timezone.utc).date().isoformat(),
             versions(),
             {name: InSuite.of(name, own) for name, own in runs.items()},
-            tuple(np.array([[row[key] for key in CURVE] for row in rows]) for rows in curves),
+            tuple(np.array([[row[key] for key in _CURVE] for row in rows]) for rows in curves),
         )
 
 

@@ -14,7 +14,7 @@ from research.results.figures import results_figures
 from research.results.left import what_is_left
 from research.results.navigation import navigation
 
-LEFT_OUT = ("tail_rmse_m.p95", "capped.mean", "error_ratio", "settling_s", "saturation")
+_LEFT_OUT = ("tail_rmse_m.p95", "capped.mean", "error_ratio", "settling_s", "saturation")
 """Columns of the report that the page does not show; results.csv of an evaluation has them."""
 WHAT = {
     "benchmark-v2": "The disturbances that agents are trained on, drawn from other seeds.",
@@ -57,7 +57,7 @@ def _context(results: Results) -> dict[str, Any]:
 
 def _regime(results: Results, regime: str) -> str:
     entries = ranked([entry for entry in results.pooled if entry.place == regime])
-    columns: Sequence[Column] = [column for column in used(entries) if column.key not in LEFT_OUT]
+    columns: Sequence[Column] = [column for column in used(entries) if column.key not in _LEFT_OUT]
     rows = [[f"`{entry.policy}`", *(column.text(entry) for column in columns)] for entry in entries]
     return table(["policy", *(column.heading for column in columns)], rows)
 

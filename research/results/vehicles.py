@@ -40,10 +40,10 @@ from research.results.collection import ROUNDING, Results, results_of
 from research.results.study_files import InSuite, Study, load_all
 
 SUITE = "vehicles-v1"  # what the section is about
-FIGURE = f"results-{SUITE}.png"  # its figure
+_FIGURE = f"results-{SUITE}.png"  # its figure
 CALM = "calm"  # the case without a trouble, whose errors are those of rounding
 LEAST, MOST = 0.1, 10.0  # ratios from which on the figure has its darkest colours
-SMALL = 1e-3  # [m of the paper's vehicle] below which one column takes every error to be as good
+_SMALL = 1e-3  # [m of the paper's vehicle] below which one column takes every error to be as good
 
 
 @dataclass(frozen=True)
@@ -129,8 +129,8 @@ def section(results: Results | None, studies: Mapping[str, Study]) -> str:
     parts = [_introduction(results)]
     for heading, own in ((f"{SUITE}, all cells", whole), *((f"{SUITE}, {r}", pairs[r]) for r in regimes)):
         parts += [f"### {heading}", *_together(results, own), *of_seeds(own[RIVAL].own, studies)]
-    parts += [MAP, f"![Errors by vehicle](images/{FIGURE})"]
-    return "\n\n".join([*parts, _anchors(results), CAVEATS])
+    parts += [MAP, f"![Errors by vehicle](images/{_FIGURE})"]
+    return "\n\n".join([*parts, _anchors(results), _CAVEATS])
 
 
 def context(_: str) -> dict[str, Any]:
@@ -163,17 +163,17 @@ def _introduction(results: Results) -> str:
         f"## {SUITE}\n\n{len(vehicles_of(results))} published vehicles ([Vehicles](vehicles.md)), none of them the "
         f"paper's, each in the eight cases at its own speeds: {len(cells)} cells, {episodes} episodes, SHA-256 "
         f"`{suite.hash}`. Every policy is made for each vehicle, which it is told as the plan knows it. Recorded: "
-        f"{' and '.join(dates)}.\n\n{INTRODUCTION}"
+        f"{' and '.join(dates)}.\n\n{_INTRODUCTION}"
     )
 
 
-INTRODUCTION = f"""### What is compared
+_INTRODUCTION = f"""### What is compared
 
 *error / {RIVAL}*: in each cell, that is a case with one vehicle, the mean tail error over that of
 `{RIVAL}`, which is told each vehicle too, in the same episodes, none counted above the cap; of these ratios the
 geometric mean over cells. It has no unit, and a ship counts no more than a torpedo. In brackets a 95 % interval, by
 bootstrap over the episodes of each cell, the same for both. *without {CALM}* leaves out the cells in which nothing is
-in the way and errors are those of rounding; *at least {1e3 * SMALL:g} mm* takes every mean error below that, in the
+in the way and errors are those of rounding; *at least {1e3 * _SMALL:g} mm* takes every mean error below that, in the
 paper's units, to be as good. *score* is the capped one of all cells together, its distances in lengths
 $\\sqrt{{m_{{33}}/m_{{11}}}}$ of each vehicle. The cap, from which on an episode is *lost*, is as many times the
 paper's vehicle's as the vehicle is as long. *effort* and *rate* are means over all cells, over those of `{RIVAL}`."""
@@ -189,14 +189,14 @@ def _together(results: Results, pairs: Mapping[str, Pair]) -> list[str]:
         rows.append([
             f"`{policy}`",
             *_ratios(pair.error, pair.among(_troubled).error),
-            ratio(pair.error_above(SMALL)),
+            ratio(pair.error_above(_SMALL)),
             f"{score_text(points, 2)} ({interval_text(points, 2)})",
             lost_text(pair.lost, pair.episodes),
             *(ratio(pair.over(what)) for what in ("effort", "smoothness")),
         ])  # fmt: skip
         by_case = (pair.among(lambda name, case=case: _case(name) == case) for case in cases)  # type: ignore[misc]
         more.append([f"`{policy}`", *(ratio(few.error.mean) for few in by_case)])
-    heads = ("policy", *RATIOS, f"at least {1e3 * SMALL:g} mm", "score", "lost", "effort", "rate")
+    heads = ("policy", *_RATIOS, f"at least {1e3 * _SMALL:g} mm", "score", "lost", "effort", "rate")
     about = (
         f"{len(set(map(vehicle_of, names)))} vehicles, {len(names)} cells, {pairs[RIVAL].episodes} episodes; "
         "below, the same ratio case by case."
@@ -226,10 +226,10 @@ def of_seeds(rival: Mapping[str, Measures], studies: Mapping[str, Study]) -> lis
             lost, total = sum(each.losses() for each in own), sum(tails[cell].size for cell in rival)
             rows.append([f"`{agent}`", str(len(next(iter(tails.values())))), *_ratios(*ratios), lost_text(lost, total)])
     text = "Agents of several training seeds; intervals are over seeds and episodes."
-    return [text, table(("agent", "seeds", *RATIOS, "lost"), rows)] if rows else []
+    return [text, table(("agent", "seeds", *_RATIOS, "lost"), rows)] if rows else []
 
 
-RATIOS = (f"error / {RIVAL}", f"without {CALM}")
+_RATIOS = (f"error / {RIVAL}", f"without {CALM}")
 """Heads of the columns that `_ratios` fills."""
 
 
@@ -306,7 +306,7 @@ def _anchors(results: Results) -> str:
     )
 
 
-CAVEATS = """### What the vehicles do not show
+_CAVEATS = """### What the vehicles do not show
 
 The vehicles are as their sources say, in the plane, with sea and sensors scaled
 to their length and speed rather than measured on them; limits and speeds of some are ours ([Vehicles](vehicles.md)).
@@ -316,7 +316,7 @@ Eight vehicles are no sample of all there are."""
 def figures(_: str) -> dict[str, bytes]:
     """Return the figure of the page as PNG by name."""
     results = results_of(SUITE)
-    return {FIGURE: figure(results)} if shown(results) else {}
+    return {_FIGURE: figure(results)} if shown(results) else {}
 
 
 def figure(results: Results) -> bytes:

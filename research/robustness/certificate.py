@@ -37,7 +37,7 @@ from research.seeds import FAILURE_RATE
 
 PROGRAM = "python -m research failure-rate"
 FILE = DATA / "certificates.json"  # what was counted
-EPISODES = 10_000  # of all scenarios that are named together
+_EPISODES = 10_000  # of all scenarios that are named together
 AT_ONCE = 250  # episodes of a scenario that run side by side
 ADVERSE = tuple(f"{regime}-adverse" for regime in REGIMES)
 """Names of the storms in which sensors, commands, actuators and current are not as told."""
@@ -55,7 +55,7 @@ class Options:
     scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = REGIMES
     """Presets, scenario files, slow or cruise for the eight cases of a regime, slow-adverse or cruise-adverse for
     storms in which anything may be wrong."""
-    episodes: int = EPISODES
+    episodes: int = _EPISODES
     """Of each name of --scenario; those of a regime are shared evenly among its cases. Those that were run before
     count."""
     out: Path = FILE if checkout() else Path("runs/certificates.json")
@@ -77,7 +77,7 @@ class Count:
         return Count(self.scenario, self.episodes + episodes, self.lost + lost, worst)
 
 
-def scenarios_of(name: str) -> tuple[Scenario, ...]:
+def _scenarios_of(name: str) -> tuple[Scenario, ...]:
     """Return the scenarios that a word of the command line stands for.
 
     Raises:
@@ -141,7 +141,7 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    named = {name: scenarios_of(name) for name in options.scenario}
+    named = {name: _scenarios_of(name) for name in options.scenario}
     if not (options.episodes >= 1 and FAILURE_RATE.holds(FAILURE_RATE.first, options.episodes)):
         most = FAILURE_RATE.end - FAILURE_RATE.first
         raise UsageError(f"--episodes is {options.episodes}; it must be in [1, {most}]")

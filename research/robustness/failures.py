@@ -18,7 +18,7 @@ from baselines.policy import Memory
 
 SHUFFLE = 0
 """Seed of the order that shuffled weights are in: the same for every agent with a network of that size."""
-CORRECTION = 1
+_CORRECTION = 1
 """Which array of an agent's memory is its last correction, shape (N, ACTIONS)."""
 
 
@@ -121,7 +121,7 @@ class Failing:
             self._steps, self._policy.network = 0, self._agent.network
         if self._steps == self.after:
             n = len(observation)
-            last = np.zeros((n, ACTIONS)) if state is None else state[CORRECTION]
+            last = np.zeros((n, ACTIONS)) if state is None else state[_CORRECTION]
             broken: Any = FAILURES[self.failure](self._agent, last.T.copy(), self._precision)
             self._policy.network = broken
         self._steps += 1

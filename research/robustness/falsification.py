@@ -41,16 +41,16 @@ from research.seeds import FALSIFICATION
 
 PROGRAM = "python -m research falsification"
 FOLDER = DOCS / "seas"  # of the seas that were found
-RECORD = "seas.json"  # file in it of what was found
+_RECORD = "seas.json"  # file in it of what was found
 POPULATION = 12  # directions of a generation
-EPISODES = 3  # of a sea while it is looked for; the one in the middle counts
+_EPISODES = 3  # of a sea while it is looked for; the one in the middle counts
 FIRST = tuple(np.geomspace(0.5, 6.0, 7).tolist())
 """Severities along a direction before a sea is found."""
 AROUND = (0.75, 0.85, 0.93, 1.0, 1.1, 1.25, 1.5)
 """Severities along a direction afterwards, in units of the least one so far."""
 CONFIRMED = 64  # fresh episodes of the sea in the end, of which it loses half or more
-STEPS = 1.03  # by which the severity grows, from one attempt to confirm it to the next
-SEED = 1  # of the evolution strategy
+_STEPS = 1.03  # by which the severity grows, from one attempt to confirm it to the next
+_SEED = 1  # of the evolution strategy
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ def sailed(search: Search, towards: Sequence[Array], severities: Sequence[float]
     for i, direction in enumerate(towards):
         for j, severity in enumerate(severities):
             with suppress(ValueError):  # its path cannot be followed, or its vehicle not be integrated
-                cells[i, j] = drawn(search.scenario(severity, direction), EPISODES, seed)
+                cells[i, j] = drawn(search.scenario(severity, direction), _EPISODES, seed)
     near = np.full((len(towards), len(severities)), math.nan)
     if cells:
         for place, value in zip(cells, closeness(search, list(cells.values()))[0], strict=True):
@@ -155,15 +155,15 @@ def found_by(search: Search, generations: int) -> Found:
         PolicyError: the policy's actions are not finite.
     """
     size = len(names(search.regime, search.kind))
-    options: dict[str, Any] = {"popsize": POPULATION, "seed": SEED, "verbose": -9, "bounds": [-1.0, 1.0]}
+    options: dict[str, Any] = {"popsize": POPULATION, "seed": _SEED, "verbose": -9, "bounds": [-1.0, 1.0]}
     strategy = strategies().CMAEvolutionStrategy(np.full(size, 0.3), 0.5, options | {"CMA_diagonal": True})
     best, ran, direction = math.inf, 0, np.zeros(size)
     for generation in range(generations):
         severities = FIRST if math.isinf(best) else tuple(best * share for share in AROUND)
         towards = [np.asarray(t) / np.max(np.abs(t[:-1])) for t in strategy.ask()]
         towards = [np.append(t[:-1], np.clip(t[-1], -1.0, 1.0)) for t in towards]
-        near = sailed(search, towards, severities, FALSIFICATION.first + generation * EPISODES)
-        ran += EPISODES * int(np.isfinite(near).sum())
+        near = sailed(search, towards, severities, FALSIFICATION.first + generation * _EPISODES)
+        ran += _EPISODES * int(np.isfinite(near).sum())
         values = [crossing(severities, row) for row in near.tolist()]
         strategy.tell(towards, values)
         least = int(np.argmin(values))
@@ -184,7 +184,7 @@ def _confirmed(search: Search, severity: float, towards: Array, ran: int) -> Fou
             *place, direction = names(search.regime, search.kind)
             where = {name: severity * float(x) for name, x in zip(place, towards, strict=False)}
             return Found(digest, severity, {**where, direction: float(towards[-1])}, lost, ran)
-        severity *= STEPS
+        severity *= _STEPS
     return Found(digest, math.inf, {}, 0, ran)
 
 
@@ -194,7 +194,7 @@ def kept(folder: Path = FOLDER) -> dict[str, dict[str, Any]]:
     Raises:
         ValueError: the file is damaged.
     """
-    file = folder / RECORD
+    file = folder / _RECORD
     record = read_json(file) if file.exists() else {}
     if not isinstance(record, dict):
         raise ValueError(f"{file} does not hold what {PROGRAM} writes; delete it, or name another folder with --out")
@@ -233,7 +233,7 @@ def main(arguments: Sequence[str]) -> int:
 def _write(search: Search, found: Found, folder: Path) -> None:
     """Add what was found to a folder, and say it."""
     about = {"policy": search.policy, "regime": search.regime, "sea": search.kind}
-    write_atomically(folder / RECORD, json_text({**kept(folder), search.name: {**about, **asdict(found)}}))
+    write_atomically(folder / _RECORD, json_text({**kept(folder), search.name: {**about, **asdict(found)}}))
     if math.isinf(found.severity):
         print(f"{search.name}: none found in {found.episodes} episodes")
         return

@@ -34,7 +34,7 @@ from research.robustness.situations import NORMAL, episodes_of
 from research.robustness.thresholds import FILE
 
 PROGRAM = "python -m research guards"
-SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1", "sealed-v1")
+_SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1", "sealed-v1")
 """Suites in which somebody is lost."""
 AT_ONCE = 520  # episodes side by side
 PER_CASE = 6  # episodes of each case in which networks fail
@@ -49,7 +49,7 @@ class Options:
 
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ("helm",)
     """Agents by name."""
-    suite: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = SUITES
+    suite: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = _SUITES
     """Frozen suites; none but `failures` for those alone."""
     failures: bool = False
     """Let networks fail, too."""
@@ -119,8 +119,8 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    if unknown := [name for name in options.suite if name not in SUITES]:
-        raise UsageError(f"--suite is {unknown[0]!r}; allowed are {', '.join(SUITES)}")
+    if unknown := [name for name in options.suite if name not in _SUITES]:
+        raise UsageError(f"--suite is {unknown[0]!r}; allowed are {', '.join(_SUITES)}")
     if options.episodes < 1:
         raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more")
     policies = checked_policies(options.policy)

@@ -26,7 +26,7 @@ from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
 KINDS = ("storm", "adverse")
 """What ranges are stretched: those of a regime's storm, on slewing thrusters; or those of its adverse storm too."""
 TOP_SPEED = 2.0  # [m/s] no vehicle is asked to be faster, however severe the sea
-LEAST = 0.2  # [1] smallest factor of a mass, drag or share
+_LEAST = 0.2  # [1] smallest factor of a mass, drag or share
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def ranges(regime: str, kind: str) -> dict[str, Range]:
     assert isinstance(waves, RandomWaves)
     assert isinstance(mismatch, RandomMismatch)
     assert isinstance(path, RandomPath)
-    masses = {name: _symmetric(getattr(mismatch, name), LEAST) for name in ("mass", "m33", "d11", "d22", "d33")}
+    masses = {name: _symmetric(getattr(mismatch, name), _LEAST) for name in ("mass", "m33", "d11", "d22", "d33")}
     lowest = 1.01 * storm.vehicle.m11 / storm.vehicle.m22  # the sway mass stays above the surge mass
     found = {
         "speed": _symmetric(path.speed, 0.05, TOP_SPEED),
@@ -109,8 +109,8 @@ def _wrong(storm: Scenario) -> dict[str, Range]:
         "velocity_bias": _symmetric(s.velocity_bias),
         "yaw_rate_bias": _symmetric(s.yaw_rate_bias),
         "outages": _upwards(s.outages, 60.0),
-        "effectiveness": Range(1.0, 1.0, float(np.min(act.effectiveness)), LEAST),
-        "reach": Range(1.0, 1.0, float(np.min(act.reach)), LEAST),
+        "effectiveness": Range(1.0, 1.0, float(np.min(act.effectiveness)), _LEAST),
+        "reach": Range(1.0, 1.0, float(np.min(act.reach)), _LEAST),
         "delay": _upwards(act.delay, 10.0),
     }
 

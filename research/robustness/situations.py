@@ -31,7 +31,7 @@ FASTER: Mapping[str, tuple[float, float]] = {"slow": (0.3, 0.4), "cruise": (1.5,
 """Speeds [m/s] above those of a regime's training."""
 SLOWER: Mapping[str, tuple[float, float]] = {"slow": (0.05, 0.1), "cruise": (0.2, 0.5)}
 """Speeds [m/s] below those of a regime's training."""
-SLEW = (0.5, 1.0)  # [s] in which thrusters go from zero to full force
+_SLEW = (0.5, 1.0)  # [s] in which thrusters go from zero to full force
 PRECISION = "float32"  # of the networks here: a fifth of the time, and errors that differ by 1e-6
 World = Callable[[Scenario], Scenario]
 
@@ -44,7 +44,7 @@ def _at(speeds: Mapping[str, tuple[float, float]]) -> World:
     return change
 
 
-def slewing(seconds: float) -> World:
+def _slewing(seconds: float) -> World:
     """Return what gives a scenario thrusters that take so long [s] from zero to full force."""
 
     def change(scenario: Scenario) -> Scenario:
@@ -59,7 +59,7 @@ WORLDS: Mapping[str, World] = {
     "as trained": lambda scenario: scenario,
     "faster": _at(FASTER),
     "slower": _at(SLOWER),
-    **{f"slew {seconds:g} s": slewing(seconds) for seconds in SLEW},
+    **{f"slew {seconds:g} s": _slewing(seconds) for seconds in _SLEW},
 }
 """What becomes of each case, by situation; where the network fails it is as trained."""
 NORMAL = "as trained"

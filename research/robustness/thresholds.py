@@ -36,10 +36,10 @@ from research.seeds import GUARD
 
 PROGRAM = "python -m research guard-thresholds"
 FILE = DATA / "guards.json"  # what guards did
-EPISODES = 16  # of each case
+_EPISODES = 16  # of each case
 IN_WORLDS = 48  # of each world in which agents are lost
-FAR = 4.0  # [m] how far off a far start is, on each axis
-USUAL = "as shipped"  # the guard of a name with `:guard`
+_FAR = 4.0  # [m] how far off a far start is, on each axis
+_USUAL = "as shipped"  # the guard of a name with `:guard`
 Guard = Callable[[Policy], Policy]  # puts a guard around a policy
 Lost = NDArray[np.bool_]  # which episodes are lost
 
@@ -56,7 +56,7 @@ def _guard(fallback: str | None = None, **thresholds: float) -> Guard:
 
 GUARDS: Mapping[str, Guard] = {
     "none": lambda policy: policy,
-    USUAL: _guard(),
+    _USUAL: _guard(),
     "to the law as printed": _guard(EXPERT),
     "to `backstepping-normalised`": _guard("backstepping-normalised"),
     "to `ekf-adverse`": _guard("ekf-adverse"),
@@ -82,7 +82,7 @@ class Options:
     """Slow, cruise, or both."""
     guard: Annotated[tuple[str, ...], arg(metavar="G [G ...]", help_behavior_hint="")] = tuple(GUARDS)
     """Guards by name; those that were run before stay."""
-    episodes: int = EPISODES
+    episodes: int = _EPISODES
     """Of each case; three times as many in each world in which agents are lost."""
     out: Path = FILE if checkout() else Path("runs/guards.json")
     """File to which what they do is added."""
@@ -97,13 +97,13 @@ def worlds(regime: str, episodes: int) -> SideBySide:
     hard += [hasty()] if regime == "cruise" else []
     hard += [_far(PRESETS[f"{regime}-storm"]), _patchy(PRESETS[f"{regime}-storm"], OUTAGE_TIMES[regime])]
     cells = [drawn(PRESETS[f"{regime}-{case}"], episodes, GUARD.first) for case in CASES]
-    each = episodes * IN_WORLDS // EPISODES
+    each = episodes * IN_WORLDS // _EPISODES
     return SideBySide([*cells, *(drawn(scenario, each, GUARD.first) for scenario in hard)])
 
 
 def _far(storm: Scenario) -> Scenario:
     """Return the storm with starts from anywhere near: there the energy is large, and nothing is wrong."""
-    start = Start(x_e=(-FAR, FAR), y_e=(-FAR, FAR), psi_e=(-math.pi, math.pi), surge=(0.0, 1.0))
+    start = Start(x_e=(-_FAR, _FAR), y_e=(-_FAR, _FAR), psi_e=(-math.pi, math.pi), surge=(0.0, 1.0))
     return replace(storm, name=f"{storm.name}-far", start=start)
 
 

@@ -26,7 +26,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stab
 POLICIES = ("ekf", "apg-cruise", "lqi")
 """What runs besides the expert."""
 READY = "document.documentElement.dataset.ready === 'charts'"  # in the browser, once everything is drawn
-PATIENCE = 120_000  # milliseconds that a page may take
+_PATIENCE = 120_000  # milliseconds that a page may take
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def _pictures(program: str, pages: Path) -> dict[str, bytes]:
 def _opened(browser: Any, file: Path, width: int = 1100) -> Any:
     page = browser.new_page(viewport={"width": width, "height": 860})
     page.goto(file.resolve().as_uri())
-    page.wait_for_function(READY, timeout=PATIENCE)
+    page.wait_for_function(READY, timeout=_PATIENCE)
     return page
 
 

@@ -29,7 +29,7 @@ FAMILIES = ("line", "circle", "sine", "figure_eight", "random_smooth")
 GENTLE = ("line", "circle", "sine", "random_smooth")
 """Those that every published vehicle can follow: the lobes of a figure-eight turn faster than a rudder or the little
 sway drag of a ship allows."""
-EPISODES = 52  # of a path family in a cell of benchmark-v1 and ood-v1
+_EPISODES = 52  # of a path family in a cell of benchmark-v1 and ood-v1
 VALIDATION_EPISODES = 10  # of a path family in a cell of benchmark-v1-validation
 UNMODELLED_EPISODES = 30  # of a path family in a cell of unmodelled-v1
 SEALED_EPISODES = 64  # in a cell of a sealed suite
@@ -39,16 +39,16 @@ STRONGER = 1.5  # factor out of distribution on current and waves
 FARTHER = 1.3  # factor out of distribution on the range of the mismatch about 1
 
 SWELL = (0.15, 0.45)  # [rad/s] frequencies of waves below the usual band
-LOSS = (0.6, 0.9)  # share of the commanded force that is left
+_LOSS = (0.6, 0.9)  # share of the commanded force that is left
 SLUGGISH = (0.4, 0.7)  # [s] time constants of the actuators
 RAMP = 0.5  # [s] in which sluggish actuators go from zero to the limit
 DELAY = (1.0, 3.0)  # control periods until a command acts
-SHORT = (0.45, 0.75)  # share of the told limits at which the actuators saturate
-OUTAGES = 4.0  # [1/min] how often the position fix fails
-OUTAGE_TIME = {"slow": (0.5, 2.5), "cruise": (0.3, 1.5)}  # [s] how long an outage of the position fix lasts
+_SHORT = (0.45, 0.75)  # share of the told limits at which the actuators saturate
+_OUTAGES = 4.0  # [1/min] how often the position fix fails
+_OUTAGE_TIME = {"slow": (0.5, 2.5), "cruise": (0.3, 1.5)}  # [s] how long an outage of the position fix lasts
 SHEAR = (0.1, 0.25)  # amplitude of a sheared current as a share of the path's speed
-WAVELENGTHS = {"slow": (5.0, 15.0), "cruise": (20.0, 60.0)}  # [m] of a sheared current
-TURN = {"slow": (-0.02, 0.02), "cruise": (-0.05, 0.05)}  # [rad/s] how fast a turning current turns
+_WAVELENGTHS = {"slow": (5.0, 15.0), "cruise": (20.0, 60.0)}  # [m] of a sheared current
+_TURN = {"slow": (-0.02, 0.02), "cruise": (-0.05, 0.05)}  # [rad/s] how fast a turning current turns
 
 PathOf = Callable[[np.random.Generator, RandomPath, float], Path | None]
 """Returns a path for a duration [s], or None to let the scenario draw one."""
@@ -60,7 +60,7 @@ class Recipe:
 
     scenario: Scenario
     families: tuple[str, ...] = FAMILIES
-    episodes: int = EPISODES * len(FAMILIES)
+    episodes: int = _EPISODES * len(FAMILIES)
     path: PathOf = lambda *_: None
 
 
@@ -75,7 +75,7 @@ def _out_of_distribution() -> list[Recipe]:
         current, storm = PRESETS[f"{regime}-current"], PRESETS[f"{regime}-storm"]
         assert current.current is not None
         stronger = replace(current.current, speed=_scaled(current.current.speed, STRONGER))
-        turning = replace(current.current, turn=TURN[regime])
+        turning = replace(current.current, turn=_TURN[regime])
         recipes += [
             Recipe(replace(current, name=f"{regime}-current-x1.5", current=stronger)),
             Recipe(_worse(storm)),
@@ -101,11 +101,11 @@ def _unmodelled() -> list[Recipe]:
             yaw_rate_bias=(-0.005, 0.005),
         )
         swell = replace(waves, band=SWELL)
-        weak = replace(act, effectiveness=LOSS)
+        weak = replace(act, effectiveness=_LOSS)
         slow = replace(act, lag=SLUGGISH, F_u_rate=act.F_u_max / RAMP, F_r_rate=act.F_r_max / RAMP)
-        patchy = replace(storm.sensors, outages=OUTAGES, outage_time=OUTAGE_TIME[regime])
+        patchy = replace(storm.sensors, outages=_OUTAGES, outage_time=_OUTAGE_TIME[regime])
         sheared = _sheared(storm, regime)
-        broken = replace(act, effectiveness=LOSS, delay=DELAY)
+        broken = replace(act, effectiveness=_LOSS, delay=DELAY)
         changes: dict[str, dict[str, Any]] = {
             "bias": {"sensors": biased},
             "swell": {"waves": swell},
@@ -113,7 +113,7 @@ def _unmodelled() -> list[Recipe]:
             "sluggish": {"actuators": slow},
             "dropout": {"sensors": patchy},
             "delay": {"actuators": replace(act, delay=DELAY)},
-            "short-limits": {"actuators": replace(act, reach=SHORT)},
+            "short-limits": {"actuators": replace(act, reach=_SHORT)},
             "shear": {"current": sheared},
             "everything": {"sensors": biased, "waves": swell, "actuators": broken, "current": sheared},
         }
@@ -148,7 +148,7 @@ def _vehicles() -> list[Recipe]:
 def _sheared(scenario: Scenario, regime: str) -> RandomCurrent:
     """Return the scenario's current with a shear."""
     assert isinstance(scenario.current, RandomCurrent)
-    return replace(scenario.current, shear=SHEAR, wavelength=WAVELENGTHS[regime])
+    return replace(scenario.current, shear=SHEAR, wavelength=_WAVELENGTHS[regime])
 
 
 def _worse(storm: Scenario) -> Scenario:
@@ -200,7 +200,7 @@ def waypoints(rng: np.random.Generator, path: RandomPath, duration: float) -> Pa
 
 
 SUITES: dict[str, tuple[int | None, Callable[[], list[Recipe]]]] = {
-    "benchmark-v1": (1_000_001, lambda: _benchmark(EPISODES)),
+    "benchmark-v1": (1_000_001, lambda: _benchmark(_EPISODES)),
     "benchmark-v1-validation": (1_000_002, lambda: _benchmark(VALIDATION_EPISODES)),
     "ood-v1": (1_000_003, _out_of_distribution),
     "unmodelled-v1": (1_000_004, _unmodelled),

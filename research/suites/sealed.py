@@ -24,17 +24,17 @@ from baselines.tools.files import json_text, read_json, write_atomically
 
 SEALS = Path(__file__).parent / "seals.json"
 """The SHA-256 of each secret, and the secrets of the suites that are open."""
-SHORTEST = 16  # characters of a secret
+_SHORTEST = 16  # characters of a secret
 
 BETWEEN = {"slow": (0.3, 0.4), "cruise": (0.4, 0.5)}  # [m/s] speeds between the regimes
 BEYOND = {"slow": (0.05, 0.1), "cruise": (1.6, 2.0)}  # [m/s] speeds outside of them
-MISSION = 300.0  # [s] a mission of five minutes
-SLEW = 2.0  # [s] in which the actuators go from zero to the limit
+_MISSION = 300.0  # [s] a mission of five minutes
+_SLEW = 2.0  # [s] in which the actuators go from zero to the limit
 FIRST: Mapping[str, Any] = {"beyond": {**BEYOND, "cruise": (1.5, 2.0)}, "slew": 1.0}
 """What was otherwise in `sealed-v1`; `helm` and its kin are trained up to 1.6 m/s and with a slew of a second since."""
-OUTAGES = 3.0  # [1/min] how often the position fix fails
+_OUTAGES = 3.0  # [1/min] how often the position fix fails
 LONG = {"slow": (5.0, 10.0), "cruise": (3.0, 6.0)}  # [s] for how long
-FAR = 5.0  # [m] how far off a far start is, on each axis
+_FAR = 5.0  # [m] how far off a far start is, on each axis
 HULL = (0.7, 1.3)  # masses of a hull as shares of the known one's
 DRAG = (0.6, 1.4)  # its drag
 
@@ -107,7 +107,7 @@ def seed(name: str) -> int:
     return seed_of(seal.secret)
 
 
-def worlds(beyond: Mapping[str, tuple[float, float]] = BEYOND, slew: float = SLEW) -> list[tuple[Scenario, bool]]:
+def worlds(beyond: Mapping[str, tuple[float, float]] = BEYOND, slew: float = _SLEW) -> list[tuple[Scenario, bool]]:
     """Return the scenarios of a sealed suite, and whether each follows random waypoints in place of path families.
 
     They lie outside of what agents are trained on (`auv_gym.scenarios.mixtures`) and controllers are tuned on: speeds
@@ -123,13 +123,13 @@ def worlds(beyond: Mapping[str, tuple[float, float]] = BEYOND, slew: float = SLE
         storm = PRESETS[f"{regime}-storm"]
         assert isinstance(storm.path, RandomPath)
         slewing = _slewing(storm, slew)
-        patchy = replace(storm.sensors, outages=OUTAGES, outage_time=LONG[regime])
-        far = Start(x_e=(-FAR, FAR), y_e=(-FAR, FAR), psi_e=(-math.pi, math.pi), surge=(0.0, 1.0))
+        patchy = replace(storm.sensors, outages=_OUTAGES, outage_time=LONG[regime])
+        far = Start(x_e=(-_FAR, _FAR), y_e=(-_FAR, _FAR), psi_e=(-math.pi, math.pi), surge=(0.0, 1.0))
         hulls = _hulls(storm)
         changes: Mapping[str, dict[str, Any]] = {
             "between": {"path": replace(storm.path, speed=BETWEEN[regime])},
             "beyond": {"path": replace(storm.path, speed=beyond[regime])},
-            "mission": {"steps": round(MISSION / storm.control_dt)},
+            "mission": {"steps": round(_MISSION / storm.control_dt)},
             "slew": {"actuators": slewing},
             "outages": {"sensors": patchy},
             "far-start": {"start": far},

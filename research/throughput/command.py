@@ -119,9 +119,9 @@ def main(arguments: Sequence[str]) -> int:
     files["speed.md"] = page(figures, record["machine"], SCENARIO)
     if points:
         files["bench.png"] = to_png(drawn(points))
-    write(options.out, files)
+    _write(options.out, files)
     if docs and points:
-        write(docs, {"images/bench.png": files.pop("bench.png"), **files})
+        _write(docs, {"images/bench.png": files.pop("bench.png"), **files})
     print(f"\nwritten: {', '.join(str(options.out / name) for name in files)}")
     return DONE
 
@@ -133,7 +133,7 @@ def _docs() -> Path:
     return folder / "docs"
 
 
-def write(folder: Path, files: Mapping[str, bytes | str]) -> None:
+def _write(folder: Path, files: Mapping[str, bytes | str]) -> None:
     """Write files into a folder, which is made if it is not there."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, content in files.items():

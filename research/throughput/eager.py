@@ -24,7 +24,7 @@ from baselines.training.hulls import turns
 
 AUTHORITY = (0.3, 0.6)  # largest corrections of surge and yaw
 LOSS = Loss(effort=0.1, rate=0.01)  # weights of the loss
-SEED = 7  # of the episodes
+_SEED = 7  # of the episodes
 
 
 class Setting:
@@ -53,8 +53,8 @@ class Setting:
         self.expert = Zero() if expert == NO_EXPERT else make_policy(expert)
         law, self.exact = law_of(self.expert)
         scenarios = [PRESETS[name] for name in names]
-        hulls = turns(scenarios, 1.0, SEED) if inputs.hull else ()
-        self.fleet = Fleet(scenarios, SEED, steps, inputs.preview, hulls)
+        hulls = turns(scenarios, 1.0, _SEED) if inputs.hull else ()
+        self.fleet = Fleet(scenarios, _SEED, steps, inputs.preview, hulls)
         believer = self.expert if inputs.hull and isinstance(self.expert, Backstepping) else None
         self.loop = ClosedLoop(law, inputs, self.fleet.parts, believer)
         self.net = net

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 SCENARIO = "cruise-storm"  # every disturbance at once
-LARGE = 1000.0  # from here on no digits behind the point are written
-UNITS = (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9))  # of times, and how many of each make a second
+_LARGE = 1000.0  # from here on no digits behind the point are written
+_UNITS = (("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9))  # of times, and how many of each make a second
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ Case: TypeAlias = Callable[[bool], Iterator[Figure]]
 def written(value: float, unit: str) -> str:
     """Return a number with its unit, seconds in a handy multiple."""
     if unit != "s":
-        return f"{value:,.0f} {unit}" if value >= LARGE else f"{value:.3g} {unit}"
-    name, factor = next(((n, f) for n, f in UNITS if abs(value) * f >= 1), UNITS[-1])
+        return f"{value:,.0f} {unit}" if value >= _LARGE else f"{value:.3g} {unit}"
+    name, factor = next(((n, f) for n, f in _UNITS if abs(value) * f >= 1), _UNITS[-1])
     return f"{value * factor:.3g} {name}"
 
 

@@ -32,7 +32,7 @@ from research.throughput.figures import SCENARIO, Figure, faster, takes
 from research.throughput.timing import Run, cpu_time, interleaved, timed, typical, whole
 from research.trainings.trainings import HELM
 
-WINDOW = 32  # control steps that a gradient goes back over
+_WINDOW = 32  # control steps that a gradient goes back over
 GOOD = 0.95
 """Score on the validation episodes at which a training counts as done."""
 
@@ -47,7 +47,7 @@ def on_torch(n: int, steps: int, *, compiled: bool) -> Run:
 
 def torch_cases(quick: bool) -> Iterator[Figure]:
     """The simulator on torch, in a quick run not compiled; the host draws its tapes and plans its paths."""
-    n, steps, rounds = (64, WINDOW, 1) if quick else (4096, EPISODE, 3)
+    n, steps, rounds = (64, _WINDOW, 1) if quick else (4096, EPISODE, 3)
     compiled, plain = interleaved(rounds, on_torch(n, steps, compiled=not quick), track(n, steps))
     yield faster(
         f"torch, N = {n}, {steps} steps with the host's tape, against ours on arrays", whole(compiled), whole(plain)
@@ -68,12 +68,12 @@ def gradient_run(n: int, *, compiled: bool) -> Run:
 
     def run() -> list[float]:
         (observation, _), total, begin = env.reset(seed=0), torch.zeros(()), cpu_time()
-        for _ in range(WINDOW):
+        for _ in range(_WINDOW):
             observation, reward, *_ = env.step(network(observation))
             total = total + reward.mean()
         network.zero_grad()
         total.backward()  # type: ignore[no-untyped-call]
-        return [(cpu_time() - begin) / (WINDOW * n)]
+        return [(cpu_time() - begin) / (_WINDOW * n)]
 
     for _ in range(2):
         run()  # compiles
@@ -85,7 +85,7 @@ def gradient_cases(quick: bool) -> Iterator[Figure]:
     n = 16 if quick else 256
     runs = gradient_run(n, compiled=not quick), gradient_run(n, compiled=False)
     compiled, eager = interleaved(1 if quick else 9, *runs)
-    case = f"gradient through {WINDOW} steps of TorchSimulator, N = {n}, against eager"
+    case = f"gradient through {_WINDOW} steps of TorchSimulator, N = {n}, against eager"
     yield faster(case, typical(compiled), typical(eager))
 
 

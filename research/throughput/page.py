@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from research.pages import table
 from research.throughput.figures import Figure
 
-INTRODUCTION = """# Speed
+_INTRODUCTION = """# Speed
 
 <!-- Made by `python -m research throughput --record`; do not edit. -->
 
@@ -30,5 +30,5 @@ def page(record: Sequence[Figure], machine: str, scenario: str) -> str:
         for figure in record
     ]
     picture = "![Vehicle steps per second against the number of vehicles](images/bench.png)"
-    head = INTRODUCTION.format(scenario=scenario)
+    head = _INTRODUCTION.format(scenario=scenario)
     return f"{head}\n\nMeasured on {machine}.\n\n{picture}\n\n{table(('what', 'measured', 'goal', 'met'), rows)}\n"

@@ -21,7 +21,7 @@ from auv_gym.task.simulation import PARAMETER_ROWS, PLANT, PLANT_ROWS, SAMPLE_RO
 from research.throughput.figures import SCENARIO, Figure, faster, takes
 from research.throughput.timing import cpu_time, interleaved, timed, typical
 
-PARTS = PRESETS[SCENARIO].parts  # what is in use of the simulation
+_PARTS = PRESETS[SCENARIO].parts  # what is in use of the simulation
 MANY = 1024  # vehicles side by side
 
 
@@ -39,7 +39,7 @@ def with_casadi(casadi: Any) -> Any:
     sizes = (PLANT_ROWS, 2, SAMPLE_ROWS, PARAMETER_ROWS)
     given = [casadi.SX.sym(f"a{i}", n) for i, n in enumerate(sizes)]
     plant, action, sample, numbers = map(casadi.vertsplit, given)
-    after, terms, outcome = simulation.step(filled(PLANT, plant), action, sample, Parameters.of(numbers, PARTS), ns)
+    after, terms, outcome = simulation.step(filled(PLANT, plant), action, sample, Parameters.of(numbers, _PARTS), ns)
     return casadi.Function("step", given, [casadi.cse(casadi.vertcat(*leaves(after), *terms, *outcome))])
 
 
@@ -49,11 +49,11 @@ def tracing_cases(quick: bool) -> Iterator[Figure]:
 
     def recorded() -> None:
         step_kernel.cache_clear()
-        step_kernel(PARTS)
+        step_kernel(_PARTS)
 
     def stepping(n: int, calls: int) -> Callable[[], None]:
         lanes = Lanes(n, SCENARIO, None, None)
-        beginning, vehicles = lanes.reset(0, None), Vehicles(PARTS, lanes.samples, lanes.constants)
+        beginning, vehicles = lanes.reset(0, None), Vehicles(_PARTS, lanes.samples, lanes.constants)
         vehicles.place(beginning.lanes, beginning.plant, beginning.seen)
 
         def work() -> None:
@@ -90,5 +90,5 @@ def building() -> list[float]:
     """Return how long compiling a control step takes, into a cache of its own."""
     with tempfile.TemporaryDirectory() as cache, mock.patch.dict(os.environ, {native.CACHE: cache}):
         begin = cpu_time()
-        native.library(f"/* {cache} */\n{step_kernel(PARTS).source}")
+        native.library(f"/* {cache} */\n{step_kernel(_PARTS).source}")
         return [cpu_time() - begin]

@@ -44,7 +44,7 @@ TUNINGS = (
 """What is believed to change, in a rough and a calm sea; of the size that searches for `nmpc`'s filter have found."""
 FORCE_NOISE = 0.02
 """Drift of the actuators' forces after one second, as a share of their limits: nobody is told their lag."""
-STEP = 1e-6  # half width of the central differences of the model, SI units
+_STEP = 1e-6  # half width of the central differences of the model, SI units
 
 
 def model(speed: float, lag: float, vehicle: Vehicle = PAPER_VEHICLE) -> tuple[Array, Array, float]:
@@ -61,8 +61,8 @@ def model(speed: float, lag: float, vehicle: Vehicle = PAPER_VEHICLE) -> tuple[A
     def shown(z: Array) -> Any:
         return measurement(Estimate(*z.tolist()), FLOATS)
 
-    moves = STEP * np.eye(SIZE)
-    A, H = (np.array([np.subtract(f(level + d), f(level - d)) / (2 * STEP) for d in moves]).T for f in (after, shown))
+    moves = _STEP * np.eye(SIZE)
+    A, H = (np.array([np.subtract(f(level + d), f(level - d)) / (2 * _STEP) for d in moves]).T for f in (after, shown))
     return A, H, dt
 
 

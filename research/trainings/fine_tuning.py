@@ -41,7 +41,7 @@ from research.seeds import FINE_TUNING
 from research.trainings.trainings import SHIPPED, request_of
 
 PROGRAM = "python -m research fine-tuning"
-GOAL = 1.05
+_GOAL = 1.05
 """What the error of a tuned agent may be at most, over that of one trained alone."""
 VEHICLES = ("lauv", "otter", "remus100", "cybership2", "nps-auv2")
 """Whom it is measured for."""
@@ -153,7 +153,7 @@ def main(arguments: Sequence[str]) -> int:
         raise UsageError(f"--agent {options.agent} does not ship; allowed are {', '.join(SHIPPED)}")
     if options.episodes < 2:
         raise UsageError(f"--episodes is {options.episodes}; it must be 2 or more")
-    names = options.policy or compared(options.agent)
+    names = options.policy or _compared(options.agent)
     record = begun(options, weights_of(options.agent))
     status = DONE
     for vehicle in options.vehicle:
@@ -203,7 +203,7 @@ def begun(options: Options, weights: str) -> dict[str, Any]:
     return {**record, "weights": weights}
 
 
-def compared(agent: str) -> tuple[str, ...]:
+def _compared(agent: str) -> tuple[str, ...]:
     """Return who is compared where an agent is tuned, in the order of the table."""
     return EXPERT, RIVAL, agent, TUNED, ALONE
 
@@ -239,7 +239,7 @@ def ratio(policy: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[float, f
 
 def section(record: Mapping[str, Any]) -> str:
     """Return what the page says about what was measured."""
-    asked, vehicles = compared(record["agent"]), record["vehicles"].items()
+    asked, vehicles = _compared(record["agent"]), record["vehicles"].items()
     gaps = [f"{name} for {vehicle}" for vehicle, found in vehicles for name in asked if name not in found]
     missing = f" Not measured yet: {', '.join(gaps)}." if gaps else ""
     return (
@@ -258,7 +258,7 @@ def table(record: Mapping[str, Any]) -> str:
         f"| vehicle | policy | typical error [cm] | typical over alone | mean over alone | lost of {count} |",
         "|---|---|---|---|---|---|",
     ]
-    asked = compared(record["agent"])
+    asked = _compared(record["agent"])
     for vehicle, found in record["vehicles"].items():
         length = Units.of(preset(f"cruise-calm@{vehicle}").vehicle).length
         for name in sorted(found, key=lambda name: asked.index(name) if name in asked else -1):
@@ -307,11 +307,11 @@ def verdict(record: Mapping[str, Any]) -> str:
     for vehicle, found in record["vehicles"].items():
         if TUNED in found and ALONE in found:
             shares = [ends for ends in _over_alone(found[TUNED], found) if ends is not None]
-            words = ["within" if high <= GOAL else "beyond" if low > GOAL else "undecided" for _, low, high in shares]
+            words = ["within" if high <= _GOAL else "beyond" if low > _GOAL else "undecided" for _, low, high in shares]
             lines.append(f"`{vehicle}` {words[0]} by the typical error, {words[1]} by the mean one")
     if not lines:
         return ""
     return (
-        f"\nIs a tuned agent within {GOAL:g} times the error of one trained alone? {'; '.join(lines)}. *Within* and "
+        f"\nIs a tuned agent within {_GOAL:g} times the error of one trained alone? {'; '.join(lines)}. *Within* and "
         "*beyond* are said where the whole interval lies there.\n"
     )

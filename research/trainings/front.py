@@ -40,8 +40,8 @@ CONTROLLERS = ("lqi", "ekf", "nmpc")
 """Controllers that have a front, the slowest one last."""
 WEIGHTS = ((0.003, 0.002), (0.02, 0.005), (0.1, 0.01), (0.5, 0.03))
 """What agents pay for effort and rate in training, behind those that ship with the package."""
-STEPS = 3_200_000  # control steps of each of these trainings, far fewer than of an agent that ships
-EPISODES = 40  # of each case, eight of each family of paths
+_STEPS = 3_200_000  # control steps of each of these trainings, far fewer than of an agent that ships
+_EPISODES = 40  # of each case, eight of each family of paths
 
 
 @dataclass(frozen=True)
@@ -57,9 +57,9 @@ class Options:
     """Regimes, a front for each."""
     case: Annotated[tuple[str, ...], arg(metavar="C [C ...]", help_behavior_hint="")] = ()
     """Cases by name, to try it out; without any, all of them."""
-    episodes: int = EPISODES
+    episodes: int = _EPISODES
     """Episodes of each case."""
-    timesteps: int = STEPS
+    timesteps: int = _STEPS
     """Control steps of each training."""
     runs: Path = Path("runs/front")
     """Folder of the trainings."""

@@ -43,19 +43,19 @@ from research.trainings.trainings import SLOW, request_of, training
 
 PROGRAM = "python -m research residual"
 SEEDS = 5  # of each training
-STEPS = 1_000_000  # control steps of each training, an eighth of those of `apg-cruise`
+_STEPS = 1_000_000  # control steps of each training, an eighth of those of `apg-cruise`
 AUTHORITIES: Mapping[str, tuple[float, ...]] = {"cruise": (0.1, 0.25, 0.5, 1.0, 2.0), "slow": (0.5, 1.0)}
 """Authorities of surge and yaw that are trained with, for both kinds."""
 FOLLOWED = {(RESIDUAL, 0.5, "cruise"), (SCRATCH, 1.0, "cruise")}
 """Trainings whose first minutes are looked at."""
-VALIDATIONS = {True: 20, False: 1}  # of a training that is followed, and of another
-EPISODES = 10  # of each case for the agents of the study
+_VALIDATIONS = {True: 20, False: 1}  # of a training that is followed, and of another
+_EPISODES = 10  # of each case for the agents of the study
 EPISODES_SHIPPED = 40  # of each case for a policy of the registry, of which there is one
 POLICIES = (EXPERT, RIVAL, "helm", *(f"{family}-{regime}" for family in AGENTS for regime in REGIMES))
 """Policies of the registry that are measured beside them."""
-BOUNDS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.75, 1.0, 1.5, 2.0)
+_BOUNDS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.75, 1.0, 1.5, 2.0)
 """Authorities of which it is measured what they bound, whatever a network was trained to."""
-OWN = "situations.json"  # file beside an agent of what it does
+_OWN = "situations.json"  # file beside an agent of what it does
 
 
 @dataclass(frozen=True)
@@ -70,12 +70,12 @@ class Setting:
     def training(self) -> TrainOptions:
         """How they are trained, with the first seed."""
         changes: dict[str, Any] = {} if self.regime == "cruise" else dict(SLOW)
-        changes["validations"] = VALIDATIONS[(self.kind, self.authority, self.regime) in FOLLOWED]
+        changes["validations"] = _VALIDATIONS[(self.kind, self.authority, self.regime) in FOLLOWED]
         expert = NO_EXPERT if self.kind == SCRATCH else None
-        return training("apg", self.regime, (self.authority,), expert, STEPS, changes)
+        return training("apg", self.regime, (self.authority,), expert, _STEPS, changes)
 
 
-SETTINGS: Mapping[str, Setting] = {
+_SETTINGS: Mapping[str, Setting] = {
     f"{kind}-{authority}-{regime}": Setting(kind, authority, regime)
     for regime, authorities in AUTHORITIES.items()
     for kind in (RESIDUAL, SCRATCH)
@@ -120,7 +120,7 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    known = (*SETTINGS, STUCK, *list_policies())
+    known = (*_SETTINGS, STUCK, *list_policies())
     if unknown := [name for name in options.name if name not in known]:
         raise UsageError(f"{unknown[0]!r} is no agent of the study and no policy; allowed are {', '.join(known)}")
     for option, value in (("seeds", options.seeds), ("episodes", options.episodes), ("timesteps", options.timesteps)):
@@ -128,8 +128,8 @@ def main(arguments: Sequence[str]) -> int:
             raise UsageError(f"--{option} is {value}; it must be 1 or more")
     workers = checked(partial(Workers.of, options.jobs, None))
     file = FILE if checkout() and not options.tried else options.out / FILE.name
-    for name in options.name or (*SETTINGS, STUCK, *POLICIES):
-        if name in SETTINGS:
+    for name in options.name or (*_SETTINGS, STUCK, *POLICIES):
+        if name in _SETTINGS:
             status, groups = _trained(name, options, workers)
             if status != DONE:
                 return status
@@ -150,15 +150,15 @@ def _line(group: Group) -> str:
 
 def _trained(name: str, options: Options, workers: Workers) -> tuple[int, list[Group]]:
     """Train the agents of a setting and measure them; return the exit status and what came out."""
-    setting = SETTINGS[name]
-    chosen = replace(setting.training, seeds=options.seeds or SEEDS, timesteps=options.timesteps or STEPS)
+    setting = _SETTINGS[name]
+    chosen = replace(setting.training, seeds=options.seeds or SEEDS, timesteps=options.timesteps or _STEPS)
     request = request_of(chosen, options.out / name, options.jobs)
     if not options.finished and (status := train(request)) != DONE:
         return status, []
     folders = [folder for folder in request.folders if (folder / AGENT).exists()]
     if not folders:
         return DONE, []
-    tasks = [(str(f / AGENT), setting.regime, options.episodes or EPISODES, f / OWN) for f in folders]
+    tasks = [(str(f / AGENT), setting.regime, options.episodes or _EPISODES, f / _OWN) for f in folders]
     tails = _measured(tasks, workers)
     curves = [
         np.array([[row[key] for key in CURVE] for row in read_progress(folder) if "score" in row]) for folder in folders
@@ -181,7 +181,7 @@ def _stuck(options: Options) -> list[Group]:
     """Measure the law with a correction that is stuck at its limit from a third of each episode on."""
     groups, episodes, law = [], options.episodes or EPISODES_SHIPPED, fingerprint(EXPERT)
     for regime in REGIMES:
-        for authority in BOUNDS:
+        for authority in _BOUNDS:
             found = {s: outcome(silent(authority), regime, s, episodes).tail[None] for s in LIMITS}
             entries = f"{STUCK}-{authority}", regime, STUCK, authority, _today(), "", found
             groups.append(Group(*entries, fingerprint=law))

@@ -50,17 +50,17 @@ class Variant:
     runs: str = ""  # folder of the runs, where it is not that of the variant's name
 
 
-SEEDS = 5  # of each agent that ships with the package
-SHORT = 3_000_000  # control steps of the trainings that differ from `short-cruise` in one thing
-FEW = 2  # seeds of the trainings that differ from `short-cruise` in one thing
+_SEEDS = 5  # of each agent that ships with the package
+_SHORT = 3_000_000  # control steps of the trainings that differ from `short-cruise` in one thing
+_FEW = 2  # seeds of the trainings that differ from `short-cruise` in one thing
 
 
 def _short(about: str, expert: str | None = None, authority: tuple[float, ...] = (), **changes: Any) -> Variant:
-    each = training("apg", "cruise", authority, expert, SHORT, changes)
-    return Variant(about, "cruise", replace(each, seeds=FEW), ("benchmark-v1",))
+    each = training("apg", "cruise", authority, expert, _SHORT, changes)
+    return Variant(about, "cruise", replace(each, seeds=_FEW), ("benchmark-v1",))
 
 
-FAMILIES: Mapping[str, str] = {
+_FAMILIES: Mapping[str, str] = {
     "apg": "The expert corrected by the analytic gradient, from measurements alone.",
     "apg-preview": "A larger network, which sees the reference ahead and pays nearly nothing for its commands.",
     "apg-adverse": "Trained also where sensors, commands, actuators and current are not as told.",
@@ -80,7 +80,7 @@ BRIEF: Mapping[str, Variant] = {
     f"ppo-3m-{regime}": Variant(
         "The expert corrected by a network without memory, which learns from rewards.",
         regime,
-        replace(training("ppo", weighted(regime, **SPINS), PPO_AUTHORITY[regime]), seeds=SEEDS),
+        replace(training("ppo", weighted(regime, **SPINS), PPO_AUTHORITY[regime]), seeds=_SEEDS),
     )
     for regime in ("cruise", "slow")
 }
@@ -104,10 +104,10 @@ def _shipped(name: str, each: TrainOptions) -> dict[str, Variant]:
     """Return the variants of an agent that ships: one, or one for each regime of an agent for both."""
     family, _, regime = name.rpartition("-")
     if regime in REGIMES:
-        return {name: Variant(FAMILIES[family], regime, replace(each, seeds=SEEDS))}
-    own = replace(each, seeds=SEEDS)
+        return {name: Variant(_FAMILIES[family], regime, replace(each, seeds=_SEEDS))}
+    own = replace(each, seeds=_SEEDS)
     where = SUITES if name == OF_ALL_VEHICLES else OF_THE_PAPER
-    return {f"{name}-{regime}": Variant(FAMILIES[name], regime, own, where, name) for regime in REGIMES}
+    return {f"{name}-{regime}": Variant(_FAMILIES[name], regime, own, where, name) for regime in REGIMES}
 
 
 VARIANTS: Mapping[str, Variant] = {

@@ -72,7 +72,7 @@ EXACT: Mapping[str, Any] = {
     "rate_weight": 0.002,
 }
 """Of the analytic gradient where nothing counts but the error: sight ahead, a larger network, cheap commands."""
-FREE: Mapping[str, Any] = {**EXACT, "effort_weight": 0.0003, "rate_weight": 0.0003}
+_FREE: Mapping[str, Any] = {**EXACT, "effort_weight": 0.0003, "rate_weight": 0.0003}
 """`EXACT` at cruise, where calm commands cost more of the error."""
 SPINS: Mapping[str, float] = {"actuator": 3, "storm": 2}
 """Weights of the cases for PPO: fast vehicles with slow actuators spin under it."""
@@ -99,11 +99,11 @@ BOTH: Mapping[str, Any] = {
 `nmpc`."""
 HELM: Mapping[str, Any] = {**BOTH, **EVEN, "groups": 2, "learning_rate": 0.002, "matrix_learning_rate": 0.013}
 """Of the agent for both regimes."""
-MEAN: Mapping[str, Any] = {**BOTH, "matrix_learning_rate": 0.02, "cut": 12}
+_MEAN: Mapping[str, Any] = {**BOTH, "matrix_learning_rate": 0.02, "cut": 12}
 """Of its kin: shorter windows, and errors count as they are."""
-SMALL: Mapping[str, Any] = {**MEAN, "hidden_size": 11}
+_SMALL: Mapping[str, Any] = {**_MEAN, "hidden_size": 11}
 """Of one for a microcontroller: about 2,000 weights."""
-BLIND: Mapping[str, Any] = {**MEAN, "preview": []}
+BLIND: Mapping[str, Any] = {**_MEAN, "preview": []}
 """Of one that is shown nothing of the reference ahead."""
 ANY_HULL: Mapping[str, Any] = {
     **EVEN,
@@ -122,10 +122,10 @@ SHIPPED: Mapping[str, Options] = {
     "helm": training("apg", "helm", (1.0, 1.6), None, 20_000_000, HELM),
     "helm-any": training("apg", "helm", timesteps=64_000_000, changes=ANY_HULL, from_="helm"),
     "helm-blind": training("apg", "helm", (1.0, 1.6), None, 12_000_000, BLIND),
-    "helm-small": training("apg", "helm", (1.0, 1.6), None, 12_000_000, SMALL),
+    "helm-small": training("apg", "helm", (1.0, 1.6), None, 12_000_000, _SMALL),
     "apg-cruise": training("apg", "cruise"),
     "apg-slow": training("apg", "slow", SLOW_AUTHORITY, changes=SLOW),
-    "apg-preview-cruise": training("apg", weighted("cruise", **HARDEST), (1.0, 1.6), None, 16_000_000, FREE),
+    "apg-preview-cruise": training("apg", weighted("cruise", **HARDEST), (1.0, 1.6), None, 16_000_000, _FREE),
     "apg-preview-slow": training("apg", weighted("slow", **HARDEST), SLOW_AUTHORITY, changes=EXACT),
     "apg-adverse-cruise": training("apg", "cruise-adverse"),
     "apg-adverse-slow": training("apg", "slow-adverse", SLOW_AUTHORITY, changes=SLOW),

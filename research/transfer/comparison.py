@@ -23,7 +23,7 @@ from research.transfer.bodies import bodies
 from research.transfer.installed import Installed
 from research.transfer.worlds import VARIANTS, Own, World
 
-REGIME = "cruise"  # vehicles that fins steer have no other
+_REGIME = "cruise"  # vehicles that fins steer have no other
 SIMULATORS: Mapping[str, Callable[[Any, int], World]] = {"own": Own, "installed": Installed}
 """What moves the vehicles in six degrees of freedom: the equations here, or the user's PythonVehicleSimulator."""
 PLANE = "plane"  # the simulator of three degrees of freedom
@@ -57,7 +57,7 @@ class Task:
     @property
     def cells(self) -> list[Cell]:
         """Scenario and episodes of each case, all with the number of integration steps that the stiffest one needs."""
-        scenarios = [as_scenario(f"{REGIME}-{case}@{self.vehicle}") for case in self.cases]
+        scenarios = [as_scenario(f"{_REGIME}-{case}@{self.vehicle}") for case in self.cases]
         substeps = max(scenario.substeps for scenario in scenarios)
         return [drawn(replace(scenario, substeps=substeps), self.episodes, TRANSFER.first) for scenario in scenarios]
 

@@ -33,9 +33,9 @@ from research.transfer.six_dof import (
     times,
 )
 
-DENSITY = 1025.0  # [kg/m^3] of the water
+_DENSITY = 1025.0  # [kg/m^3] of the water
 FLOW_DENSITY = 1026.0  # [kg/m^3] the same in the source's cross-flow drag
-HULL = 55.0  # [kg]
+_HULL = 55.0  # [kg]
 PAYLOAD = 25.0  # [kg]
 LENGTH = 2.0  # [m]
 BEAM = 1.08  # [m]
@@ -44,13 +44,13 @@ PAYLOAD_CENTRE = (0.05, 0.0, -0.35)  # [m] of the payload's
 PONTOON_BEAM = 0.25  # [m]
 PONTOON_ARM = 0.395  # [m] of pontoons and propellers, from the centre line
 WATERLINE = 0.75  # coefficient of a pontoon's waterline area
-BLOCK = 0.4  # coefficient of its volume
+_BLOCK = 0.4  # coefficient of its volume
 FLOTATION = -0.2  # [m] x of the waterline's centroid
 ADDED = (0.1, 1.5, 1.0, 0.2, 0.8, 1.7)  # added masses as shares of the hull's mass, and of the moments of inertia
-T_SWAY = 1.0  # [s] time constant of linear drag in sway
-T_YAW = 1.0  # [s] in yaw
+_T_SWAY = 1.0  # [s] time constant of linear drag in sway
+_T_YAW = 1.0  # [s] in yaw
 FASTEST = 6 * 0.5144  # [m/s] at which the largest thrust is the drag
-DAMPING = (0.3, 0.2, 0.4)  # relative damping of heave, roll and pitch
+_DAMPING = (0.3, 0.2, 0.4)  # relative damping of heave, roll and pitch
 YAW_DRAG = 10.0  # [s/rad] quadratic drag in yaw over the linear one
 AHEAD = 24.4 * GRAVITY  # [N] largest thrust of both propellers
 ASTERN = 13.6 * GRAVITY  # [N] the same astern
@@ -96,48 +96,48 @@ class Otter:
 
     name: ClassVar[str] = "otter"
     size: ClassVar[int] = len(Motion._fields) + len(Actuators._fields)
-    mass: ClassVar[float] = HULL + PAYLOAD  # [kg]
-    draft: ClassVar[float] = (HULL + PAYLOAD) / DENSITY / (2 * BLOCK * PONTOON_BEAM * LENGTH)  # [m]
+    mass: ClassVar[float] = _HULL + PAYLOAD  # [kg]
+    draft: ClassVar[float] = (_HULL + PAYLOAD) / _DENSITY / (2 * _BLOCK * PONTOON_BEAM * LENGTH)  # [m]
 
     @cached_property
     def centre(self) -> Array:
         """Centre of mass [m], payload included."""
-        return (HULL * np.array(HULL_CENTRE) + PAYLOAD * np.array(PAYLOAD_CENTRE)) / self.mass
+        return (_HULL * np.array(HULL_CENTRE) + PAYLOAD * np.array(PAYLOAD_CENTRE)) / self.mass
 
     @cached_property
     def inertia(self) -> Array:
         """Moments of inertia as the source has them, shape (3, 3)."""
-        own = HULL * np.diag(np.square([0.4 * BEAM, 0.25 * LENGTH, 0.25 * LENGTH]))
+        own = _HULL * np.diag(np.square([0.4 * BEAM, 0.25 * LENGTH, 0.25 * LENGTH]))
         hull, payload = skew(self.centre.tolist()), skew(PAYLOAD_CENTRE)
-        return np.asarray(own - HULL * hull @ hull - PAYLOAD * payload @ payload)
+        return np.asarray(own - _HULL * hull @ hull - PAYLOAD * payload @ payload)
 
     @cached_property
     def masses(self) -> Array:
         """Masses with those added, shape (6, 6)."""
         rigid = np.zeros((6, 6))
         rigid[:3, :3], rigid[3:, 3:] = self.mass * np.eye(3), self.inertia
-        own = np.array([HULL, HULL, HULL, *np.diag(self.inertia)])
+        own = np.array([_HULL, _HULL, _HULL, *np.diag(self.inertia)])
         return shifted(rigid, self.centre.tolist()) + np.diag(np.array(ADDED) * own)
 
     @cached_property
     def stiffness(self) -> Array:
         """Restoring forces and moments of the pontoons per displacement, shape (6, 6); Fossen (2021), section 4.2."""
-        waterline, volume = 2 * WATERLINE * LENGTH * PONTOON_BEAM, self.mass / DENSITY
+        waterline, volume = 2 * WATERLINE * LENGTH * PONTOON_BEAM, self.mass / _DENSITY
         shape = 6 * WATERLINE**3 / ((1 + WATERLINE) * (1 + 2 * WATERLINE))
         across = 2 / 12 * LENGTH * PONTOON_BEAM**3 * shape + waterline * PONTOON_ARM**2
         along = 0.8 * 2 / 12 * PONTOON_BEAM * LENGTH**3
         buoyancy = (5 * self.draft / 2 - 0.5 * volume / (LENGTH * PONTOON_BEAM)) / 3  # of its centre above the keel
         heights = [buoyancy + second / volume - (self.draft - self.centre[2]) for second in (across, along)]
-        roll, pitch = (DENSITY * GRAVITY * volume * height for height in heights)
-        return shifted(np.diag([0, 0, DENSITY * GRAVITY * waterline, roll, pitch, 0]), (FLOTATION, 0.0, 0.0))
+        roll, pitch = (_DENSITY * GRAVITY * volume * height for height in heights)
+        return shifted(np.diag([0, 0, _DENSITY * GRAVITY * waterline, roll, pitch, 0]), (FLOTATION, 0.0, 0.0))
 
     @cached_property
     def damping(self) -> Array:
         """Linear damping, shape (6,), on the diagonal alone."""
         M, G = np.diag(self.masses), np.diag(self.stiffness).copy()
         G[4] -= FLOTATION**2 * G[2]  # about the centre of flotation
-        own = [2 * zeta * math.sqrt(G[i] * M[i]) for zeta, i in zip(DAMPING, (2, 3, 4), strict=True)]
-        return np.array([AHEAD / FASTEST, M[1] / T_SWAY, *own, M[5] / T_YAW])
+        own = [2 * zeta * math.sqrt(G[i] * M[i]) for zeta, i in zip(_DAMPING, (2, 3, 4), strict=True)]
+        return np.array([AHEAD / FASTEST, M[1] / _T_SWAY, *own, M[5] / _T_YAW])
 
     def placed(self, states: Array) -> Array:
         """Return the rows, shape (size, n), of boats that float at rest but for x, y, psi, u, v, r, shape (6, n)."""

@@ -15,7 +15,7 @@ from research.transfer.worlds import Own
 BEGIN = "<!-- elsewhere: written by REFRESH_DOCS=1 python -m pytest tests/research/test_elsewhere.py -->"
 END = "<!-- end of elsewhere -->"
 """What stands before the tables, and behind them."""
-FORCES = (0.1, 0.25, 0.5, 1.0)
+_FORCES = (0.1, 0.25, 0.5, 1.0)
 """Shares of the limits at which straight runs and turns are compared."""
 
 
@@ -32,7 +32,7 @@ def turned(name: str) -> dict[str, list[dict[str, float]]]:
     cruise = own.drag(speed)[0] * speed
     makers = (lambda: in_the_plane(name)), (lambda: Commanded(Own(name, 1), speed=speed))
     straight, turns = [], []
-    for share in FORCES:
+    for share in _FORCES:
         u = [steady(make, share * most.F_u_max, 0.0, speed)[0] for make in makers]
         straight.append({"F_u": share * most.F_u_max, "plane": u[0], "space": u[1]})
         found = [steady(make, cruise, share * most.F_r_max, speed) for make in makers]
@@ -67,7 +67,7 @@ def section(name: str, record: Mapping[str, Any]) -> str:
     runs += [(f"{r['F_r']:.3g} N m in yaw", f"{r['plane']:.3g} m", f"{r['space']:.3g} m") for r in trials["turns"]]
     return "\n\n".join((
         f"### `{name}`",
-        verdict(record),
+        _verdict(record),
         table(head, rows),
         "Rank correlation, by case and over all:",
         table(("case", "Kendall's tau"), ranks),
@@ -78,7 +78,7 @@ def section(name: str, record: Mapping[str, Any]) -> str:
     ))  # fmt: skip
 
 
-def verdict(record: Mapping[str, Any]) -> str:
+def _verdict(record: Mapping[str, Any]) -> str:
     """Return in a sentence how far the two simulators agree, beside what is asked for."""
     policies, tau = record["policies"], record["tau"]["all"]
     grown = [f"`{name}`" for name, own in policies.items() if own["growth"] > GROWTH]

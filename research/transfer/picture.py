@@ -14,7 +14,7 @@ from baselines.policies import make_policy
 from baselines.tools.figure_style import COLOURS, REFERENCE, panels, styled, to_png
 from research.transfer.comparison import PLANE, SPACE, Task
 
-NAMES = {PLANE: "in the plane", SPACE: "in six degrees of freedom"}  # of the simulators, in the legend
+_NAMES = {PLANE: "in the plane", SPACE: "in six degrees of freedom"}  # of the simulators, in the legend
 
 
 def task_track(task: Task, place: str) -> Track:
@@ -41,7 +41,7 @@ def _draw(task: Task, above: Axes, beside: Axes) -> None:
         track = task_track(task, place)
         if place == PLANE:
             above.plot(track.reference[:, 1], track.reference[:, 0], label="reference", **REFERENCE)
-        above.plot(track.position[:, 1], track.position[:, 0], color=colour, label=NAMES[place])
+        above.plot(track.position[:, 1], track.position[:, 0], color=colour, label=_NAMES[place])
         beside.plot(dt * np.arange(len(track.error)), track.error, color=colour)
     title = f"{task.vehicle}: {task.policy}, {task.cases[0]}"
     above.set(title=title, xlabel="y [m], east", ylabel="x [m], north")

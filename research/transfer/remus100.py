@@ -34,7 +34,7 @@ from research.transfer.six_dof import (
     times,
 )
 
-DENSITY = 1026.0  # [kg/m^3] of the water
+_DENSITY = 1026.0  # [kg/m^3] of the water
 LENGTH = 1.6  # [m]
 DIAMETER = 0.19  # [m]
 CG_BELOW = 0.02  # [m] centre of mass below that of buoyancy
@@ -43,11 +43,11 @@ FRONTAL_DRAG = 0.42  # Cd of the frontal area, Allen et al. (2000)
 OSWALD = 0.7  # efficiency of the hull as a wing
 ROLL_ADDED = 0.3  # added moment of inertia in roll as a share of that in air
 T_SURGE = 20.0  # [s] time constant of linear drag in surge
-T_SWAY = 20.0  # [s] in sway and heave
-T_YAW = 1.0  # [s] in yaw
+_T_SWAY = 20.0  # [s] in sway and heave
+_T_YAW = 1.0  # [s] in yaw
 ZETA_ROLL = 0.3  # relative damping of roll
 ZETA_PITCH = 0.8  # relative damping of pitch
-FADING = 3.0  # [s/m] linear drag of surge and sway fades as exp(-3 U)
+_FADING = 3.0  # [s/m] linear drag of surge and sway fades as exp(-3 U)
 FIN_AREA = 2 * 0.00665  # [m^2] of the rudder, and of the stern planes
 RUDDER_LIFT = 0.5  # lift coefficient of the rudder per radian
 PLANE_LIFT = 0.7  # of the stern planes
@@ -55,7 +55,7 @@ FIN_MOST = degrees(15.0)  # [rad]
 FIN_LAG = 0.1  # [s] of rudder and stern planes
 PROPELLER_LAG = 1.0  # [s]
 RPM_MOST = 1525.0  # [1/min]
-PROPELLER = 0.14  # [m] diameter
+_PROPELLER = 0.14  # [m] diameter
 WAKE = 0.944  # advance speed over speed through water, Allen et al. (2000)
 DEDUCTION = 0.1  # thrust deduction number
 KT_0 = 0.4566  # thrust coefficient at advance number 0
@@ -70,7 +70,7 @@ KD_THETA = 2.0  # [s] by pitch rate
 KI_THETA = 0.3  # [1/s] by the integral of pitch
 K_W = 5.0  # [rad s/m] by heave velocity
 
-NOSE = LENGTH / 2  # [m] the spheroid's semi-axis along
+_NOSE = LENGTH / 2  # [m] the spheroid's semi-axis along
 RADIUS = DIAMETER / 2  # [m] and across
 
 
@@ -86,7 +86,7 @@ class Actuators(NamedTuple):
 
 def lamb_factors() -> tuple[float, float, float]:
     """Return Lamb's k1, k2, k' of the spheroid: added mass along, across and in pitch; Fossen (2021), section 8.4.2."""
-    e2 = 1 - (RADIUS / NOSE) ** 2
+    e2 = 1 - (RADIUS / _NOSE) ** 2
     e = math.sqrt(e2)
     stretched = math.log((1 + e) / (1 - e)) / 2
     alpha = 2 * (1 - e2) / e**3 * (stretched - e)
@@ -107,7 +107,7 @@ def propeller(n: Number, advance: Number, at_rest: float, slope: float, ns: Name
         slope: of K.
         ns: the namespace of the numbers.
     """
-    return ns.where(n > 0.0, at_rest * n * n + slope * (advance / PROPELLER) * n, -at_rest * n * n)
+    return ns.where(n > 0.0, at_rest * n * n + slope * (advance / _PROPELLER) * n, -at_rest * n * n)
 
 
 def revolutions(F_u: Number, advance: Number, ns: Namespace) -> Number:
@@ -115,8 +115,8 @@ def revolutions(F_u: Number, advance: Number, ns: Namespace) -> Number:
 
     Ahead, on the branch where more revolutions are more thrust; less than none is asked of a propeller astern.
     """
-    wanted = F_u / ((1 - DEDUCTION) * DENSITY * PROPELLER**4)
-    windmill = -KT_J * advance / PROPELLER  # KT_0 n at which the thrust vanishes
+    wanted = F_u / ((1 - DEDUCTION) * _DENSITY * _PROPELLER**4)
+    windmill = -KT_J * advance / _PROPELLER  # KT_0 n at which the thrust vanishes
     windmill = ns.where(windmill > 0.0, windmill, 0.0)
     pull = ns.where(wanted > 0.0, wanted, 0.0)
     ahead = (windmill + ns.sqrt(windmill * windmill + 4 * KT_0 * pull)) / (2 * KT_0)
@@ -126,7 +126,7 @@ def revolutions(F_u: Number, advance: Number, ns: Namespace) -> Number:
 
 def rudder(F_r: Number, speed: Number, ns: Namespace) -> Number:
     """Return the angle [rad] at which the rudder's yaw moment is F_r [N m], at a speed [m/s] through water."""
-    per_radian = NOSE * 0.5 * DENSITY * FIN_AREA * RUDDER_LIFT * (speed * speed + 1e-6)
+    per_radian = _NOSE * 0.5 * _DENSITY * FIN_AREA * RUDDER_LIFT * (speed * speed + 1e-6)
     return ns.clip(F_r / per_radian, -FIN_MOST, FIN_MOST)
 
 
@@ -149,8 +149,8 @@ class Remus100:
     @cached_property
     def rigid(self) -> Array:
         """Masses in air about the centre of buoyancy, shape (6, 6)."""
-        m = 4 / 3 * math.pi * DENSITY * NOSE * RADIUS**2  # that of the water it takes the place of
-        roll, pitch = 2 / 5 * m * RADIUS**2, 1 / 5 * m * (NOSE**2 + RADIUS**2)
+        m = 4 / 3 * math.pi * _DENSITY * _NOSE * RADIUS**2  # that of the water it takes the place of
+        roll, pitch = 2 / 5 * m * RADIUS**2, 1 / 5 * m * (_NOSE**2 + RADIUS**2)
         return shifted(np.diag([m, m, m, roll, pitch, pitch]), (0.0, 0.0, CG_BELOW))
 
     @cached_property
@@ -186,35 +186,35 @@ class Remus100:
         """Return the forces [N] and moments [N m] of propeller, rudder and stern planes."""
         speed = ns.sqrt(s.u * s.u + s.v * s.v + s.w * s.w)
         level_2, upright_2 = s.u * s.u + s.v * s.v, s.u * s.u + s.w * s.w  # [m^2/s^2] at rudder and planes
-        n, k = a.rpm / 60.0, 0.5 * DENSITY * FIN_AREA
-        T = (1 - DEDUCTION) * DENSITY * PROPELLER**4 * propeller(n, WAKE * speed, KT_0, KT_J, ns)
-        Q = DENSITY * PROPELLER**5 * propeller(n, WAKE * speed, KQ_0, KQ_J, ns)
+        n, k = a.rpm / 60.0, 0.5 * _DENSITY * FIN_AREA
+        T = (1 - DEDUCTION) * _DENSITY * _PROPELLER**4 * propeller(n, WAKE * speed, KT_0, KT_J, ns)
+        Q = _DENSITY * _PROPELLER**5 * propeller(n, WAKE * speed, KQ_0, KQ_J, ns)
         Y = -k * RUDDER_LIFT * level_2 * a.rudder
         Z = -k * PLANE_LIFT * upright_2 * a.plane
         X = T + Y * a.rudder + Z * a.plane
-        return X, self.side_force * Y, Z, TORQUE_SHARE * Q, NOSE * Z, -NOSE * Y
+        return X, self.side_force * Y, Z, TORQUE_SHARE * Q, _NOSE * Z, -_NOSE * Y
 
     def hull(self, s: Motion, d: Deviation, ns: Namespace) -> tuple[Number, ...]:
         """Return drag, lift and restoring forces [N] and moments [N m] of the hull."""
         M, W = np.diag(self.masses), self.stiffness
         speed_2 = s.u * s.u + s.v * s.v + s.w * s.w
-        fading = ns.exp(-FADING * ns.sqrt(speed_2))
+        fading = ns.exp(-_FADING * ns.sqrt(speed_2))
         incidence = ns.arctan2(s.w, s.u)
         aspect = DIAMETER**2 / DRAG_AREA
         lift = math.pi * aspect / (1 + math.sqrt(1 + (aspect / 2) ** 2)) * incidence  # Beard and McLain (2012)
         least = FRONTAL_DRAG * math.pi * RADIUS**2 / DRAG_AREA
-        pressure = 0.5 * DENSITY * speed_2 * DRAG_AREA
+        pressure = 0.5 * _DENSITY * speed_2 * DRAG_AREA
         drag = pressure * (least + lift * lift / (math.pi * OSWALD * aspect))
         c, n, lift = ns.cos(incidence), ns.sin(incidence), pressure * lift
-        Y, N = cross_flow(s.v, s.r, LENGTH, DIAMETER, DIAMETER, DENSITY, self.crossed)
+        Y, N = cross_flow(s.v, s.r, LENGTH, DIAMETER, DIAMETER, _DENSITY, self.crossed)
         roll, pitch = (2 * zeta * math.sqrt(W * M[i]) for zeta, i in ((ZETA_ROLL, 3), (ZETA_PITCH, 4)))
         return (
             d.d_u * (n * lift - c * drag - M[0] / T_SURGE * fading * s.u) - d.X_uu * abs(s.u) * s.u,
-            d.d_v * (Y - M[1] / T_SWAY * fading * s.v) - d.Y_vv * abs(s.v) * s.v,
-            -n * drag - c * lift - M[2] / T_SWAY * s.w,
+            d.d_v * (Y - M[1] / _T_SWAY * fading * s.v) - d.Y_vv * abs(s.v) * s.v,
+            -n * drag - c * lift - M[2] / _T_SWAY * s.w,
             -roll * s.p - W * ns.cos(s.theta) * ns.sin(s.phi),
             -pitch * s.q - W * ns.sin(s.theta),
-            d.d_r * (N - M[5] / T_YAW * s.r) - d.N_rr * abs(s.r) * s.r,
+            d.d_r * (N - M[5] / _T_YAW * s.r) - d.N_rr * abs(s.r) * s.r,
         )
 
     def coriolis(self, nu: Vector, d: Deviation, ns: Namespace) -> list[Number]:

@@ -33,10 +33,10 @@ UNDER_WAY: tuple[Segment, ...] = (
     (240.0, 0.40, 0.60, math.radians(10)),
 )
 """A trial of a vehicle that fins steer: never without a flow."""
-FREE = 0.6
+_FREE = 0.6
 """Share of their limits that two propellers can give ahead and in yaw at the same time, in the trial."""
-TURN = 600.0  # [s] after which a turn is steady
-SAMPLE = 0.1  # [s] between commands
+_TURN = 600.0  # [s] after which a turn is steady
+_SAMPLE = 0.1  # [s] between commands
 
 
 class Commanded:
@@ -87,7 +87,7 @@ def log(name: str, seed: int = 0, current: Current = CURRENT) -> Log:
     if own.actuators.fin:
         trial = Trial(most.F_u_max, most.F_r_max, DURATION[name], UNDER_WAY)
     else:
-        trial = Trial(FREE * most.F_u_max, FREE * most.F_r_max, DURATION[name])
+        trial = Trial(_FREE * most.F_u_max, _FREE * most.F_r_max, DURATION[name])
     return recorded(plant, trial, sensors, np.random.default_rng(seed), current)
 
 
@@ -101,8 +101,8 @@ def steady(make: Callable[[], Plant], F_u: float, F_r: float, speed: float) -> t
         speed: surge velocity [m/s] at the beginning.
     """
     plant, state = make(), (0.0, 0.0, 0.0, speed, 0.0, 0.0)
-    for _ in range(round(TURN / SAMPLE)):
-        state = plant(state, (F_u, F_r), SAMPLE)
+    for _ in range(round(_TURN / _SAMPLE)):
+        state = plant(state, (F_u, F_r), _SAMPLE)
     return state[3], state[4], state[5]
 
 

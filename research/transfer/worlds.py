@@ -17,8 +17,8 @@ from research.transfer.remus100 import REMUS100, REMUS100_VARIANTS
 from research.transfer.six_dof import AS_PUBLISHED, Deviation, Outside, Vector
 
 STEP = 0.02  # [s] longest integration step, that of the source
-LEVEL = 6  # x, y, psi, u, v, r
-FORCES = 2  # F_u, F_r
+_LEVEL = 6  # x, y, psi, u, v, r
+_FORCES = 2  # F_u, F_r
 
 
 class Model(Protocol):
@@ -86,8 +86,8 @@ class World(Protocol):
 RATES_ROWS = {
     "outside": len(Outside._fields),
     "deviation": len(Deviation._fields),
-    "level": LEVEL,
-    "forces": FORCES,
+    "level": _LEVEL,
+    "forces": _FORCES,
 }
 """Rows of the arrays of a `rates_kernel`, but for those that have as many as the vehicle's state."""
 

@@ -37,7 +37,7 @@ VEHICLES = {
 FILE = "identify.json"  # of what was counted, in docs/
 BEGIN = "<!-- coverage -->"  # before the tables in the page
 END = "<!-- end of coverage -->"  # behind them
-NEAR = 0.05  # share of the true value within which a fitted one is near
+_NEAR = 0.05  # share of the true value within which a fitted one is near
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def counted(name: str, logs: int) -> dict[str, Any]:
         good = []
         for e in found:
             inside, error = e.low <= truth[e.name] <= e.high, abs(e.value - truth[e.name])
-            good.append(inside or error <= NEAR * abs(truth[e.name]))
+            good.append(inside or error <= _NEAR * abs(truth[e.name]))
             held[e.name] += inside
             near[e.name] += good[-1]
             unknown[e.name] += e.verdict == UNKNOWN

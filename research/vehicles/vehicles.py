@@ -43,8 +43,8 @@ from baselines.tuning.tunables import TUNABLES
 PROGRAM = "python -m research vehicle-gains"
 FILE = "vehicles.json"  # of what was measured, in docs/
 SCENARIO = "cruise-storm"  # that `scaling` runs
-REGIME = "cruise"  # that `search` tunes for; vehicles with fins have no other
-SCALED = ("integral-normalised", "los-pid", "ekf", "nmpc")
+_REGIME = "cruise"  # that `search` tunes for; vehicles with fins have no other
+_SCALED = ("integral-normalised", "los-pid", "ekf", "nmpc")
 """Policies that `scaling` compares, if none are named."""
 SEARCHED = ("backstepping-tuned", "los-pid", "lqi", "ekf", "nmpc")
 """Controllers whose gains `search` searches, if none are named."""
@@ -83,7 +83,7 @@ def scaling(craft: Craft, names: Sequence[str], episodes: int) -> dict[str, Any]
     """Return what each policy does in the storm, told the vehicle alone (before) and made for it (after)."""
     scenario = changed(PRESETS[SCENARIO], None if craft == PAPER else craft)
     cell, length = drawn(scenario, episodes, VALIDATION_SEED), Units.of(craft.vehicle).length
-    cap = LARGEST_TAIL[REGIME] * length
+    cap = LARGEST_TAIL[_REGIME] * length
 
     def done(make: Callable[[str, Vehicle], Policy], name: str) -> dict[str, float]:
         measures = rollout(make(name, craft.vehicle), scenario, cell.episodes).measures
@@ -100,10 +100,10 @@ def searched(craft: Craft, name: str, options: Options) -> dict[str, Any]:
     """Return what a search for the gains of a controller finds, and how the gains from parameters compare."""
     own, tunable = craft.in_paper_units, TUNABLES[name]
     factory = partial(tunable.factory, vehicle=own.vehicle)
-    start, budget = load_gains(name, REGIME, tunable.names), Budget(options.evaluations, options.episodes)
+    start, budget = load_gains(name, _REGIME, tunable.names), Budget(options.evaluations, options.episodes)
 
     def courses(episodes: int, seed: int) -> Course:
-        return Course(REGIME, episodes, seed, tunable.world, own)
+        return Course(_REGIME, episodes, seed, tunable.world, own)
 
     gains = tune(factory, courses, start, budget) if options.evaluations else dict(start)
     fresh = courses(options.fresh, VALIDATION_SEED)
@@ -130,8 +130,8 @@ def beside(craft: Craft, gains: Mapping[str, float], episodes: int) -> dict[str,
         episodes: how many, those that searches are compared on.
     """
     own, tunable = craft.in_paper_units, TUNABLES[RIVAL]
-    course = Course(REGIME, episodes, VALIDATION_SEED, tunable.world, own)
-    start = load_gains(RIVAL, REGIME, tunable.names)
+    course = Course(_REGIME, episodes, VALIDATION_SEED, tunable.world, own)
+    start = load_gains(RIVAL, _REGIME, tunable.names)
     controllers = (tunable.factory(dict(each), vehicle=own.vehicle) for each in (start, gains))
     ended = [course.tails(policy) for policy in (*controllers, make_policy(AGENT, vehicle=own.vehicle))]
     return {
@@ -168,7 +168,7 @@ def main(arguments: Sequence[str]) -> int:
     record = read_json(options.out) if options.out.exists() else {}
     for craft in crafts:
         if options.what == "scaling":
-            found = {"scaling": {craft.name: scaling(craft, options.policy or SCALED, options.fresh)}}
+            found = {"scaling": {craft.name: scaling(craft, options.policy or _SCALED, options.fresh)}}
             record = _merged(record, found, options.out)
             continue
         if options.what == "agent":

@@ -18,9 +18,9 @@ from research.vehicles.vehicles import AGENT, NEAR, SCENARIO, SIDES
 BEGIN = "<!-- gains: written by REFRESH_DOCS=1 python -m pytest tests/research/test_vehicle_gains.py -->"
 """The line before what is written, in the page."""
 END = "<!-- end of gains -->"  # the line behind it
-SHARES = (1 / 30, 1 / 15, 0.1, 0.2, 0.25, 0.3, 1 / 3, 0.5, 2 / 3, 5 / 6, 1.0)
+_SHARES = (1 / 30, 1 / 15, 0.1, 0.2, 0.25, 0.3, 1 / 3, 0.5, 2 / 3, 5 / 6, 1.0)
 """Path speeds at which the expert is examined, as shares of the design speed."""
-SLOW = 1 / 3
+_SLOW = 1 / 3
 """Share of the design speed below which turns are those of slow motion, a third as fast."""
 LOBES = 1.75  # times as fast as a path's turn rate that the lobes of a figure-eight turn at most
 
@@ -35,8 +35,8 @@ def worst_growth(vehicle: Craft, policy: str = "backstepping") -> float:
     time = Units.of(vehicle.vehicle).time
     turn_rate = LOBES * (0.12 / time if vehicle.turn_rate is None else vehicle.turn_rate)
     motions = [
-        (share * top, turn * (turn_rate if share > SLOW else SLOW * turn_rate))
-        for share in SHARES
+        (share * top, turn * (turn_rate if share > _SLOW else _SLOW * turn_rate))
+        for share in _SHARES
         for turn in (0.0, 0.5, 1.0)
         if share * top >= vehicle.slowest
     ]
@@ -55,7 +55,7 @@ def stability_table() -> str:
     for c in (PAPER, *map(craft, fleet())):
         growth, top = worst_growth(c), c.vehicle.speed
         word = f"halves in {math.log(2) / -growth:.3g} s" if growth < 0 else "grows"
-        rows.append([f"`{c.name}`", f"{max(SHARES[0] * top, c.slowest):.2g} ... {top:.3g}", word])
+        rows.append([f"`{c.name}`", f"{max(_SHARES[0] * top, c.slowest):.2g} ... {top:.3g}", word])
     return table(["vehicle", "speeds [m/s]", "the slowest small error"], rows)
 
 

@@ -26,7 +26,7 @@ POWERS: Mapping[str, Mapping[str, tuple[float, float]]] = {
 }  # fmt: skip
 """Powers of length and time in the dimensions of a scenario's entries; those that have none, or a rule of their own,
 are left out."""
-LIMITS = {"F_u_max": "N", "F_r_max": "N m", "F_u_rate": "N/s", "F_r_rate": "N m/s", "fin": "kg"}
+_LIMITS = {"F_u_max": "N", "F_r_max": "N m", "F_u_rate": "N/s", "F_r_rate": "N m/s", "fin": "kg"}
 """SI units of what bounds an actuator."""
 
 
@@ -56,5 +56,5 @@ def scaled_part(name: str, part: Any, units: Units) -> Any:
 
 def actuators_in(units: Units, actuators: Actuators) -> Actuators:
     """Return actuators in the paper's units: limits and lag over the factors of these units."""
-    limits = {name: getattr(actuators, name) / units.factor(*UNITS[unit]) for name, unit in LIMITS.items()}
+    limits = {name: getattr(actuators, name) / units.factor(*UNITS[unit]) for name, unit in _LIMITS.items()}
     return replace(actuators, **limits, lag=scaled(actuators.lag, 1 / units.time))

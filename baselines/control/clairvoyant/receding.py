@@ -26,8 +26,8 @@ class Window(NamedTuple):
 
 WINDOWS = Window(80, 40), Window(160, 40)
 """Windows that are tried in turn: 8 s and 16 s at the cruise of the paper's vehicle."""
-FADING = 0.5  # share of the last command that the periods after a window begin with
-MOST_STEPS = 20  # in a window
+_FADING = 0.5  # share of the last command that the periods after a window begin with
+_MOST_STEPS = 20  # in a window
 
 
 def foreseeing(window: Window, problem: Problem) -> Array:
@@ -36,9 +36,9 @@ def foreseeing(window: Window, problem: Problem) -> Array:
     for first in range(0, steps, window.kept):
         end = min(first + window.ahead, steps)
         part = problem.between(first, end, begun)
-        course = refined(part, part.standing(commands[first:end].copy()), MOST_STEPS)
+        course = refined(part, part.standing(commands[first:end].copy()), _MOST_STEPS)
         commands[first:end] = course.commands
-        commands[end : end + window.kept] = FADING * course.commands[-1]
+        commands[end : end + window.kept] = _FADING * course.commands[-1]
         if end == steps:
             break
         begun = course.states[window.kept]

@@ -18,7 +18,7 @@ from baselines.control.nmpc.problem import replaced, taken
 TOLERANCE = 1e-5
 """[m of the paper's vehicle] of the tail's root mean square: an episode is solved when a step that is hardly damped
 gains less."""
-LENGTHS = (1.0, 0.5, 0.2, 0.05, 0.01)
+_LENGTHS = (1.0, 0.5, 0.2, 0.05, 0.01)
 """Parts of a step that are tried until one lowers the cost."""
 DAMPING = 1e-6  # [m^2 of the paper's vehicle] at the start
 LEAST_DAMPING = 1e-12  # [m^2 of the paper's vehicle]
@@ -27,7 +27,7 @@ HARDLY_DAMPED = 1e-9
 """[m^2 of the paper's vehicle] damping up to which a step that gains nothing means that nothing is left to gain."""
 STIFFER = 10.0  # factor on the damping where no part of a step lowers the cost
 LOOSER = 0.1  # factor on the damping where all of a step does
-MOST_STEPS = 200  # for an episode
+_MOST_STEPS = 200  # for an episode
 GOOD = 0.002
 """[m of the paper's vehicle] tail from which other commands to begin with are tried."""
 
@@ -53,7 +53,7 @@ def solved(problem: Problem, guess: Array, others: Sequence[Callable[[Problem], 
     return best
 
 
-def refined(problem: Problem, course: Course, most: int = MOST_STEPS) -> Course:
+def refined(problem: Problem, course: Course, most: int = _MOST_STEPS) -> Course:
     """Return a course after as many steps as each episode takes, at most so many."""
     damping, few = np.full(len(course.cost), DAMPING), np.arange(len(course.cost))
     for _ in range(most):
@@ -75,12 +75,12 @@ def _stepped(problem: Problem, course: Course, way: Way) -> tuple[Course, NDArra
     """Return the course after the longest part of a step that lowers the cost, and whether that is all of it."""
     best, whole = course, np.zeros(len(course.cost), dtype=bool)
     few = np.arange(len(course.cost))
-    for length in LENGTHS:
+    for length in _LENGTHS:
         now, part = taken(course, few), problem.taken(few)
         trial = part.played(now, taken(way, few), length)
         better = trial.cost < now.cost
         best = replaced(best, few[better], taken(trial, np.flatnonzero(better)))
-        whole[few[better]] = length == LENGTHS[0]
+        whole[few[better]] = length == _LENGTHS[0]
         few = few[~better]
         if not few.size:
             break

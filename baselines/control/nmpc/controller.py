@@ -43,7 +43,7 @@ from baselines.policy import Memory, Remembering
 
 PREVIEW = (1, 2, 4, 6, 8, 11, 14, 17, 20, 24, 28, 32, 36, 40, 45, 50)
 """Where the stages of the horizon end, in control periods: 5 s ahead at cruise, 10 s in slow motion."""
-STEPS = 6  # most Gauss-Newton steps at an instant
+_STEPS = 6  # most Gauss-Newton steps at an instant
 FIRST_STEPS = 12  # most Gauss-Newton steps at the first instant of an episode
 COST_GAINS = ("huber", "surge", "yaw", "sway", "terminal")  # names of the gains that are fields of `CostWeights`
 NMPC_GAINS = (*COST_GAINS, *TUNING)
@@ -99,7 +99,7 @@ class PredictiveControl:
         ahead = horizon(terms, z, aim, share, acting)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             guess = self._guess(z, o, np.einsum("jk,nki->jin", self._next, planned), fresh, ahead)
-            plan = self._solve(guess, ahead, np.where(fresh, FIRST_STEPS, STEPS))
+            plan = self._solve(guess, ahead, np.where(fresh, FIRST_STEPS, _STEPS))
         # A vehicle that spins too fast for the prediction is left to the law that is safe from that.
         law = np.array(tracking_forces(o, self.vehicle, GAINS["normalised"], ARRAYS))
         commands = np.where(np.isfinite(plan.cost), plan.commands, law)

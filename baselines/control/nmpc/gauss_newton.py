@@ -43,10 +43,10 @@ from baselines.control.nmpc.problem import (
 )
 from baselines.estimation.sea_model import AT, HULL
 
-LENGTHS = (1.0, 0.3, 0.05)
+_LENGTHS = (1.0, 0.3, 0.05)
 """Parts of a step that are tried until one lowers the cost; where none does, the commands stay as they are."""
-TOLERANCE = 0.2  # steps go on while they break their promise by more than this share of the cost
-NEGLIGIBLE = 1e-6  # [m^2 s] added to the cost in that comparison, so that steps end where nothing is left to gain
+_TOLERANCE = 0.2  # steps go on while they break their promise by more than this share of the cost
+_NEGLIGIBLE = 1e-6  # [m^2 s] added to the cost in that comparison, so that steps end where nothing is left to gain
 
 
 def solved(problem: OptimalControl, plan: Plan, ahead: Horizon, steps: Integers) -> Plan:
@@ -56,7 +56,7 @@ def solved(problem: OptimalControl, plan: Plan, ahead: Horizon, steps: Integers)
         before = taken(plan, few)
         after, promise = improved(problem, before, taken(ahead, few))
         plan = replaced(plan, few, after)
-        broken = np.abs(before.cost - after.cost - promise) > TOLERANCE * (after.cost + NEGLIGIBLE)
+        broken = np.abs(before.cost - after.cost - promise) > _TOLERANCE * (after.cost + _NEGLIGIBLE)
         few = few[broken & (i + 1 < steps[few])]
         if not few.size:
             break
@@ -67,7 +67,7 @@ def improved(problem: OptimalControl, plan: Plan, ahead: Horizon) -> tuple[Plan,
     """Return the plan after one Gauss-Newton step, or a part of one where the whole raises the cost; its promise."""
     way, best = descent(problem, plan, ahead), plan
     few = np.arange(len(plan.cost))
-    for length in LENGTHS:
+    for length in _LENGTHS:
         old, change = taken(plan, few), taken(way, few)
         trial = problem.planned(old.states[0], old.commands + length * change.step, taken(ahead, few), old, change)
         better = trial.cost <= old.cost
@@ -180,7 +180,7 @@ def feedback_law(
     Q_u, Q_uu, Q_ux = Q_1[n:], [row[n:] for row in Q_2[n:]], [row[:n] for row in Q_2[n:]]
     low, high = [-limit - c for limit, c in zip(limits, command, strict=True)], _sum(limits, [-c for c in command])
     k, free = bounded_minimum((Q_uu[0][0], Q_uu[0][1], Q_uu[1][1]), Q_u, low, high, SYMBOLS)
-    K = feedback_of(Q_uu, Q_ux, free)
+    K = _feedback_of(Q_uu, Q_ux, free)
     gained = -dot(_sum(Q_u, [0.5 * dot(row, k) for row in Q_uu]), k)
     Q_xu, followed = list(zip(*Q_ux, strict=True)), list(zip(*K, strict=True))
     V_x = [q + dot(row, k) for q, row in zip(Q_1[:n], Q_xu, strict=True)]
@@ -262,7 +262,7 @@ def _on_the_edge(
     return best_u, best_r
 
 
-def feedback_of(Q_uu: Matrix, Q_ux: Matrix, free: tuple[Any, Any]) -> list[list[Any]]:
+def _feedback_of(Q_uu: Matrix, Q_ux: Matrix, free: tuple[Any, Any]) -> list[list[Any]]:
     """Return how the free commands follow the state, `COMMANDS` rows of `STATES`; on symbols."""
     where, (free_u, free_r) = SYMBOLS.where, free
     first, second = [where(free_u, q, 0.0) for q in Q_ux[0]], [where(free_r, q, 0.0) for q in Q_ux[1]]

@@ -52,7 +52,7 @@ class CostWeights:
             check_number(f"weight {field.name}", getattr(self, field.name), least, 1e6)
 
 
-WEIGHTS = tuple(field.name for field in fields(CostWeights))
+_WEIGHTS = tuple(field.name for field in fields(CostWeights))
 """Names of the fields of `CostWeights`."""
 
 
@@ -168,13 +168,13 @@ def counted(known: Stage, weights: CostWeights) -> Number:
     return known.dt + known.last * weights.terminal
 
 
-CONSTANTS = VEHICLE_ROWS + len(WEIGHTS)
+CONSTANTS = VEHICLE_ROWS + len(_WEIGHTS)
 """How many rows tell a kernel of the problem: vehicle, then weights."""
 
 
 def constants(rows: Sequence[Any]) -> tuple[Coefficients, Any]:
     """Return coefficients and weights from the `CONSTANTS` rows of a kernel."""
-    weights = SimpleNamespace(**dict(zip(WEIGHTS, rows[VEHICLE_ROWS:], strict=True)))
+    weights = SimpleNamespace(**dict(zip(_WEIGHTS, rows[VEHICLE_ROWS:], strict=True)))
     return Coefficients(*rows[:VEHICLE_ROWS]), weights
 
 

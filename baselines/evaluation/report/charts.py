@@ -10,9 +10,9 @@ from baselines.tools.figure_style import DASHES, OUTLINES, look
 
 Spec = dict[str, Any]
 
-ROWS = {"name": "rows"}  # the data set that the page fills
-LINE: Spec = {"type": "line", "strokeWidth": 1.8}  # the look of a curve
-NAMED = [{"field": "policy", "title": "policy"}]  # what a line says when it is pointed at
+_ROWS = {"name": "rows"}  # the data set that the page fills
+_LINE: Spec = {"type": "line", "strokeWidth": 1.8}  # the look of a curve
+_NAMED = [{"field": "policy", "title": "policy"}]  # what a line says when it is pointed at
 QUIET = "#8a8a8a"  # colour of what only helps to read
 
 
@@ -90,7 +90,7 @@ def _told(*fields: tuple[str, str]) -> list[Spec]:
 
 
 def _frame(layer: list[Spec], **more: Any) -> Spec:
-    return {"data": ROWS, "width": "container", "layer": layer, **more}
+    return {"data": _ROWS, "width": "container", "layer": layer, **more}
 
 
 def _intervals(looks: _Looks, value: str, group: str, title: str, least: float) -> Spec:
@@ -150,7 +150,7 @@ def _shares(looks: _Looks) -> Spec:
                 "encoding": {
                     "x": _number("tail", "tail error of an episode [m]; dotted: lost", log=True),
                     "y": {"field": "share", "type": "quantitative", **share},
-                    "tooltip": NAMED,
+                    "tooltip": _NAMED,
                     **looks.of("color", "strokeDash"),
                 },
             },
@@ -180,7 +180,7 @@ def _bands(looks: _Looks) -> Spec:
                     "x": t,
                     "y": error,
                     **looks.of("color", "strokeDash"),
-                    "tooltip": NAMED,
+                    "tooltip": _NAMED,
                 },
             },
             {
@@ -205,7 +205,7 @@ def _errors(looks: _Looks) -> Spec:
                     "x": t,
                     "y": error,
                     **looks.of("color", "strokeDash"),
-                    "tooltip": NAMED,
+                    "tooltip": _NAMED,
                 },
             },
             {

@@ -19,7 +19,7 @@ from baselines.tools.files import versions
 
 FIRST = ("score", "lost", "tail", "effort", "smoothness", "decision_ms", "settling", "saturation", "capped")
 """The columns in the order in which a page has them, by the beginning of their keys; the others come behind."""
-LEAST = -0.2
+_LEAST = -0.2
 """Score at the left end of the intervals that are drawn in the leaderboard."""
 
 
@@ -136,12 +136,12 @@ def _interval(score: Score | None) -> dict[str, float] | None:
     if score is None or not math.isfinite(score.mean):
         return None
     low, high = score.ci95 if math.isfinite(score.ci95[0]) else (score.mean, score.mean)
-    return {"low": _place(low), "high": _place(high), "mean": _place(score.mean), "below": float(score.mean < LEAST)}
+    return {"low": _place(low), "high": _place(high), "mean": _place(score.mean), "below": float(score.mean < _LEAST)}
 
 
 def _place(score: float) -> float:
     """Return the place of a score in the picture of an interval, which is 120 wide."""
-    return round(4 + 108 * (min(max(score, LEAST), 1.06) - LEAST) / (1.0 - LEAST), 1)
+    return round(4 + 108 * (min(max(score, _LEAST), 1.06) - _LEAST) / (1.0 - _LEAST), 1)
 
 
 def _lead(order: Sequence[Entry]) -> str:

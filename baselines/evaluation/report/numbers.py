@@ -31,7 +31,7 @@ from baselines.evaluation.score import (
 
 Case = Mapping[str, Measures]
 """What was measured in a scenario, by policy, in metres of the paper's vehicle, see `score.in_paper_units`."""
-PAPER = "paper"  # names the paper's vehicle where there are others
+_PAPER = "paper"  # names the paper's vehicle where there are others
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def _places(scenarios: Sequence[str]) -> dict[str, list[str]]:
         if own:
             found[regime] = own
         for vehicle in vehicles if len(vehicles) > 1 else ():
-            found[f"{regime}{AT}{vehicle or PAPER}"] = [name for name in own if vehicle_of(name) == vehicle]
+            found[f"{regime}{AT}{vehicle or _PAPER}"] = [name for name in own if vehicle_of(name) == vehicle]
     return found
 
 

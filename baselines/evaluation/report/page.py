@@ -23,7 +23,7 @@ from baselines.tools.files import finite, write_atomically
 
 WEB = Path(__file__).parent / "web"
 """The templates, the style and the scripts."""
-MISSING = f"pages need Jinja2 and vl-convert: {install('eval')}"  # said where they are not there
+_MISSING = f"pages need Jinja2 and vl-convert: {install('eval')}"  # said where they are not there
 _WORST, _MIDDLE, _BEST = (217, 128, 50), (250, 250, 248), (60, 130, 190)  # colours of -1, 0 and 1
 _SNIPPET = "window.vegaEmbed = vegaEmbed;"  # what the pages need of the library
 
@@ -43,7 +43,7 @@ def render(template: str, data: Any, scripts: tuple[str, ...] = (), **context: A
     try:
         import jinja2
     except ImportError as error:
-        raise ImportError(MISSING) from error
+        raise ImportError(_MISSING) from error
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(WEB), autoescape=True, undefined=jinja2.StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
@@ -52,7 +52,7 @@ def render(template: str, data: Any, scripts: tuple[str, ...] = (), **context: A
         style=_own("page.css"),
         script="\n".join(_own(name) for name in ("page.js", *scripts)),
         library=_library(),
-        data=packed(json.dumps(finite(data), separators=(",", ":"), allow_nan=False)),
+        data=_packed(json.dumps(finite(data), separators=(",", ":"), allow_nan=False)),
         **context,
     )
 
@@ -64,7 +64,7 @@ def mixed(share: float) -> str:
     return "#{:02x}{:02x}{:02x}".format(*(round(a + (b - a) * abs(share)) for a, b in zip(_MIDDLE, end, strict=True)))
 
 
-def packed(text: str) -> str:
+def _packed(text: str) -> str:
     """Return a text compressed, in characters that mean nothing to HTML; the same text gives the same characters."""
     return base64.b64encode(gzip.compress(text.encode(errors="backslashreplace"), mtime=0)).decode("ascii")
 
@@ -84,7 +84,7 @@ def _library() -> str:
     try:
         import vl_convert
     except ImportError as error:
-        raise ImportError(MISSING) from error
+        raise ImportError(_MISSING) from error
     version = f"{metadata.version('vl-convert-python')} {_SNIPPET}"
     name = f"charts-{hashlib.sha256(version.encode()).hexdigest()[:16]}.txt"
     folders = list(cache_folders())
@@ -93,7 +93,7 @@ def _library() -> str:
             code = (folder / name).read_text(encoding="ascii")
             gzip.decompress(base64.b64decode(code))
             return code
-    code = packed(vl_convert.javascript_bundle(_SNIPPET))
+    code = _packed(vl_convert.javascript_bundle(_SNIPPET))
     with suppress(OSError):  # it is made again the next time
         folders[0].mkdir(parents=True, exist_ok=True, mode=0o700)
         write_atomically(folders[0] / name, code)

@@ -26,7 +26,7 @@ INSTANTS = 120
 """Most instants of an error over time."""
 FRAMES = 150
 """Most instants of an episode that is played."""
-LEAST = 1e-9
+_LEAST = 1e-9
 """Smallest error [m] on a logarithmic axis."""
 LARGEST_TRACES = 60_000
 """Most instants of all episodes together: with many policies in many scenarios fewer episodes are played."""
@@ -123,7 +123,7 @@ def _interval(mean: float, ci95: tuple[float, float], form: Any, form_ends: Any)
 
 def _positive(interval: dict[str, Any]) -> dict[str, Any]:
     """Return an interval that a logarithmic axis can show."""
-    return {key: value if key == "text" else max(value, LEAST) for key, value in interval.items()}
+    return {key: value if key == "text" else max(value, _LEAST) for key, value in interval.items()}
 
 
 def _distribution(values: Array) -> list[list[float]]:
@@ -131,14 +131,14 @@ def _distribution(values: Array) -> list[list[float]]:
     few = len(values) <= len(LEVELS)
     shares = np.arange(1, len(values) + 1) / len(values) if few else LEVELS
     levels = np.sort(values) if few else np.quantile(values, LEVELS)
-    return [_shortened(np.maximum(levels, LEAST)), _shortened(shares)]
+    return [_shortened(np.maximum(levels, _LEAST)), _shortened(shares)]
 
 
 def _band(result: Result, scenario: Scenario) -> dict[str, Any]:
     """Return the band of the position error over time, one value of each few steps."""
     assert result.run.bands is not None
     kept = _kept(result.run.bands.shape[1], INSTANTS)
-    low, middle, high = (_shortened(np.maximum(row[kept], LEAST)) for row in result.run.bands)
+    low, middle, high = (_shortened(np.maximum(row[kept], _LEAST)) for row in result.run.bands)
     t = _shortened(scenario.control_dt * (kept + 1))
     return {"policy": result.run.policy, "t": t, "low": low, "middle": middle, "high": high}
 
@@ -160,7 +160,7 @@ def _vehicle(track: Track, kept: Array) -> dict[str, Any]:
     current = [_shortened(row, 2) for row in track.current[own].T]
     pose = _pose(track.position, track.heading[:, 0], own)
     still = not np.any(track.current)
-    return {**pose, "error": _shortened(np.maximum(track.error[own], LEAST)), "current": None if still else current}
+    return {**pose, "error": _shortened(np.maximum(track.error[own], _LEAST)), "current": None if still else current}
 
 
 def _pose(position: Array, heading: Array, kept: Array) -> dict[str, Any]:

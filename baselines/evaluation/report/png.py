@@ -13,7 +13,7 @@ from baselines.evaluation.report.page_data import page_data
 from baselines.evaluation.score import FORESIGHTED
 
 WIDTH = 640  # [px] of a chart, without its axis
-SCALE = 2.0  # pixels of the file for each pixel of the chart
+_SCALE = 2.0  # pixels of the file for each pixel of the chart
 
 
 def charts_png(results: Sequence[Result], pooled: Sequence[Entry]) -> dict[str, bytes]:
@@ -46,7 +46,7 @@ def charts_png(results: Sequence[Result], pooled: Sequence[Entry]) -> dict[str, 
 def _png(spec: Spec, rows: Iterable[Any], others: Mapping[str, Any] | None = None) -> bytes:
     """Return a chart with its rows and a legend as a PNG file."""
     filled = {**_with_legend(spec), "width": WIDTH, "datasets": {"rows": list(rows), **(others or {})}}
-    picture: bytes = vl_convert.vegalite_to_png(filled, scale=SCALE)
+    picture: bytes = vl_convert.vegalite_to_png(filled, scale=_SCALE)
     return picture
 
 

@@ -22,7 +22,7 @@ Law = Callable[[Sequence[Number], Vehicle, Gains, Namespace], Force]
 
 COARSE_STEP = 1e-3
 """Half width of the differences of a policy, whose actions have single precision: an error of about 1e-4."""
-LIMITS = 1024.0
+_LIMITS = 1024.0
 """Limits [N] and [N m] that a policy is told where it is to be linearised: far from any force."""
 
 
@@ -48,12 +48,12 @@ def feedback_of(policy: Policy, dt: float) -> tuple[Feedback, float]:
 
     def feedback(o: Sequence[Array]) -> Force:
         n = len(o[0])
-        one, zero, limit = np.ones(n), np.zeros(n), np.full(n, LIMITS)
-        rest = (one, zero, limit, limit, o[9] / LIMITS, o[10] / LIMITS, np.full(n, dt))
+        one, zero, limit = np.ones(n), np.zeros(n), np.full(n, _LIMITS)
+        rest = (one, zero, limit, limit, o[9] / _LIMITS, o[10] / _LIMITS, np.full(n, dt))
         actions, memory = policy.predict(encode((*o, *rest), ARRAYS, span=1).T, None, np.ones(n, dtype=bool))
         if memory is not None:
             raise ValueError("it has a memory; the map is of policies without one")
-        F_u, F_r = LIMITS * np.asarray(actions, dtype=np.float64).T
+        F_u, F_r = _LIMITS * np.asarray(actions, dtype=np.float64).T
         return F_u, F_r
 
     return feedback, COARSE_STEP

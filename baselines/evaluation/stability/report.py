@@ -37,11 +37,11 @@ CERTIFIED_SPEEDS = (0.1, 0.3, 1.0, 2.0)  # [m/s] path speeds of the certificates
 LIMITS: dict[str, tuple[float, float]] = {"without limits": (8192.0, 4096.0), "250 N, 120 N m": (250.0, 120.0)}
 """Limits of the actuators [N], [N m] that success is sampled with; none means the largest that can be set."""
 STARTS = 200  # number of random starts
-STEPS = 2000  # control steps from each start
-SUBSTEPS = 10  # integration steps in each: a vehicle without limits can spin fast
-FINE = 1e-4  # relative width of the interval in which the limiting speed of a policy without memory is found
-COARSE = 1e-2  # the same of one with memory
-SETTLED = 0.05  # [m] position error below which a start has converged after `STEPS`
+_STEPS = 2000  # control steps from each start
+_SUBSTEPS = 10  # integration steps in each: a vehicle without limits can spin fast
+_FINE = 1e-4  # relative width of the interval in which the limiting speed of a policy without memory is found
+_COARSE = 1e-2  # the same of one with memory
+_SETTLED = 0.05  # [m] position error below which a start has converged after `_STEPS`
 
 
 def examine(name: str) -> Stability:
@@ -112,7 +112,7 @@ def limits_of_speed(policy: Policy, stable: Sequence[bool], memory: bool) -> lis
         if below == above:
             continue
         a, b = low, high
-        while b - a > (COARSE if memory else FINE) * b:
+        while b - a > (_COARSE if memory else _FINE) * b:
             middle = 0.5 * (a + b)
             a, b = (middle, b) if at(middle) == below else (a, middle)
         found.append(0.5 * (a + b))
@@ -130,12 +130,12 @@ def success(policy: Policy, limits: tuple[float, float], starts: int) -> float:
         name="random-starts",
         actuators=Actuators(*limits),
         start=Start(x_e=offset, y_e=offset, psi_e=(-math.pi, math.pi)),
-        steps=STEPS,
-        substeps=SUBSTEPS,
+        steps=_STEPS,
+        substeps=_SUBSTEPS,
         lost_distance=64.0,
     )
     result = rollout(policy, scenario, drawn(scenario, starts, 0).episodes, math.inf)
-    return float(np.mean(result.errors[-1] < SETTLED))
+    return float(np.mean(result.errors[-1] < _SETTLED))
 
 
 def report(names: Sequence[str], out: Path, command: str) -> int:

@@ -35,28 +35,28 @@ VEHICLE = 8
 """How many entries of z are not memory: six errors and the last action."""
 SETTLING = 200.0
 """Seconds that a policy gets to settle."""
-HEADINGS = 12
+_HEADINGS = 12
 """At how many headings of a circle the Jacobian is computed: Fourier's series then has five harmonics."""
-EXACT = 2e-6
+_EXACT = 2e-6
 """Difference of an action from the plan's that is none: it has single precision."""
 PRIVILEGED = "it looks behind the observation, at the sea itself: a steady motion in still water says nothing about it"
 """Said of a policy that cannot be examined."""
 AWAY = 5.0
 """Distance [m] from the reference beyond which there is no steady motion about it."""
 WATCHED = 80.0  # [s] how long a nudge is watched, in several parts
-PARTS = 8  # of that time
-FAINT = 1e-6  # [m] below which a nudge is forgotten
+_PARTS = 8  # of that time
+_FAINT = 1e-6  # [m] below which a nudge is forgotten
 REST = 1e-4
 """Distance [m] that a vehicle at rest relative to its reference may move."""
 NUDGE = (0.02, 0.02, 0.02, 0.01, 0.01, 0.01)  # [m], [rad], [m/s], [rad/s]: shows what of a memory feels the vehicle
 NUDGED = 40  # control steps that this takes
-SHARE = 0.02  # half width of differences as a share of what the nudge moved a memory by
-ROUNDING = 1e-9
+_SHARE = 0.02  # half width of differences as a share of what the nudge moved a memory by
+_ROUNDING = 1e-9
 """Relative change of a memory that is none."""
 WIDTH = np.array((1e-3,) * 6 + (1e-4,) * 2)  # half width of the differences of the vehicle's own part, SI units
 SLIGHT = 1e-3
 """Entry of the Jacobian, in units of the differences, that is none: actions have single precision."""
-BLOCK = 4096  # most vehicles at once
+_BLOCK = 4096  # most vehicles at once
 LEADING = 12  # how many multipliers are iterated together
 REVOLUTIONS = 4  # of the iteration
 
@@ -204,7 +204,7 @@ def _headings(loop: _Loop) -> list[int]:
     if not loop.velocities[2]:
         return [0]
     revolution = 2 * math.pi / abs(loop.velocities[2] * loop.dt)
-    return [round(i * revolution / HEADINGS) for i in range(HEADINGS)]
+    return [round(i * revolution / _HEADINGS) for i in range(_HEADINGS)]
 
 
 def _followed(loop: _Loop, advance: Callable[..., tuple[Array, Memory]]) -> _Orbit:
@@ -236,7 +236,7 @@ def _pinned(loop: _Loop) -> _Orbit | None:
 
     orbit = _followed(loop, advance)
     action, _ = loop.acted(loop.observed(orbit.own, orbit.psi)[1], orbit.memory)
-    return orbit if np.abs(action - loop.steady_action[:, None]).max() < EXACT else None
+    return orbit if np.abs(action - loop.steady_action[:, None]).max() < _EXACT else None
 
 
 def _flat(memory: Memory, count: int) -> Array:
@@ -262,7 +262,7 @@ def _widths(loop: _Loop, orbit: _Orbit) -> Array:
         difference = _flat(moved[1], len(psi)) - _flat(still[1], len(psi))
         felt = np.maximum(felt, np.abs(difference).max(axis=1, initial=0.0))
     size = np.abs(_flat(orbit.memory, len(orbit.psi))).max(axis=1, initial=0.0)
-    return np.concatenate((WIDTH, np.where(felt > ROUNDING * size, SHARE * felt, 0.0)))
+    return np.concatenate((WIDTH, np.where(felt > _ROUNDING * size, _SHARE * felt, 0.0)))
 
 
 def _of_a_nudge(loop: _Loop, orbit: _Orbit, rate: float) -> float:
@@ -270,17 +270,17 @@ def _of_a_nudge(loop: _Loop, orbit: _Orbit, rate: float) -> float:
 
     A filter's covariance has directions that grow and that no motion of the vehicle ever reaches.
     """
-    psi, n = orbit.psi[:1], math.ceil(WATCHED / loop.dt / PARTS)
+    psi, n = orbit.psi[:1], math.ceil(WATCHED / loop.dt / _PARTS)
     still = orbit.own[:, :1], tuple(a[:1] for a in orbit.memory)
-    moved, farthest = (still[0] + np.array((*NUDGE, 0.0, 0.0))[:, None], still[1]), np.zeros((PARTS, n))
-    for k in range(PARTS * n):
+    moved, farthest = (still[0] + np.array((*NUDGE, 0.0, 0.0))[:, None], still[1]), np.zeros((_PARTS, n))
+    for k in range(_PARTS * n):
         farthest[k // n, k % n] = np.abs(moved[0] - still[0])[:2].max()
         if not farthest[k // n, k % n] < AWAY:
             return rate
         still, moved = loop.moved(*still, psi), loop.moved(*moved, psi)
         psi = psi + loop.dt * loop.velocities[2]
-    first, *_, last = (part.max() for part in farthest if part.max() > FAINT)
-    parts = sum(part.max() > FAINT for part in farthest) - 1
+    first, *_, last = (part.max() for part in farthest if part.max() > _FAINT)
+    parts = sum(part.max() > _FAINT for part in farthest) - 1
     return math.log(last / first) / (parts * n * loop.dt) if last < 0.5 * first else rate
 
 
@@ -302,8 +302,8 @@ def _jacobians(loop: _Loop, orbit: _Orbit) -> Array:
 def _applied(loop: _Loop, z: Array, orbit: _Orbit, psi: float) -> Array:
     """Return F of many states, shape (n, N), at one heading."""
     found = []
-    for a in range(0, z.shape[1], BLOCK):
-        part = z[:, a : a + BLOCK]
+    for a in range(0, z.shape[1], _BLOCK):
+        part = z[:, a : a + _BLOCK]
         count = part.shape[1]
         memory = _shaped(part[VEHICLE:], orbit.memory) if orbit.memory else None
         own, after = loop.moved(part[:VEHICLE], memory, np.full(count, psi))
@@ -326,7 +326,7 @@ def _floquet(loop: _Loop, orbit: _Orbit, jacobians: Array) -> float:
     """Return the spectral radius of a control period, the mean over a revolution of a circle."""
     turn = loop.dt * loop.velocities[2]
     steps = round(2 * math.pi / abs(turn))
-    modes = np.arange(-(HEADINGS // 2) + 1, HEADINGS // 2)
+    modes = np.arange(-(_HEADINGS // 2) + 1, _HEADINGS // 2)
     waves = np.exp(1j * np.outer(orbit.psi, modes))
     coefficients = np.linalg.lstsq(waves, jacobians.reshape(len(jacobians), -1).astype(complex), rcond=None)[0]
     n = jacobians.shape[1]

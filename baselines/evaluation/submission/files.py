@@ -28,7 +28,7 @@ from baselines.evaluation.suites import Suite, list_suites, load
 from baselines.tools.command_line import printable
 from baselines.tools.files import checked_plain
 
-FORMAT = 1
+_FORMAT = 1
 """Version of the file's layout."""
 LARGEST = 200_000
 """Most bytes of a file."""
@@ -66,7 +66,7 @@ class Submission:
     def stored(self) -> Stored:
         """What its file holds."""
         record = {key: getattr(self, key) for key in ("name", "policy", "fingerprint", "date", "command")}
-        record |= {"format": FORMAT, "suite": self.suite.name, "suite_hash": self.suite.hash}
+        record |= {"format": _FORMAT, "suite": self.suite.name, "suite_hash": self.suite.hash}
         record |= {"about": asdict(self.about), "versions": dict(self.versions)}
         record |= {"cells": [run.scenario.name for run in self.runs]}
         record |= {"episodes": [len(run.measures or ()) for run in self.runs]}
@@ -128,8 +128,8 @@ def read(file: Path) -> Submission:
 def _checked(stored: Stored) -> Submission:
     """Return the submission that a file's content is; ValueError where it is none."""
     record = checked_plain(dict(stored.record))
-    if record.get("format") != FORMAT or set(record) != KEYS:
-        raise ValueError(f"its record must be of format {FORMAT} with {', '.join(sorted(KEYS))}, and nothing else")
+    if record.get("format") != _FORMAT or set(record) != KEYS:
+        raise ValueError(f"its record must be of format {_FORMAT} with {', '.join(sorted(KEYS))}, and nothing else")
     if set(stored.arrays) != set(MEASURED):
         raise ValueError(f"its arrays are {', '.join(sorted(stored.arrays))}; they must be {', '.join(MEASURED)}")
     for key in ("policy", "command"):

@@ -24,7 +24,7 @@ from baselines.policy import U_R, V_R, BySpeed, is_fast
 
 NEAR = 2.0  # error in units of its scale where the loss turns from a parabola into a logarithm
 CURVE = 0.3  # weight of the squared error, in units of its scale, in the parabola
-TINY = 1e-6  # added to the squared error, in units of the scale's square: the distance has no slope at zero
+_TINY = 1e-6  # added to the squared error, in units of the scale's square: the distance has no slope at zero
 
 Rows = Sequence[Number]
 """Components, each a number of every vehicle."""
@@ -52,7 +52,7 @@ class Loss(NamedTuple):
             dt: control period [s].
             ns: the namespace of the numbers.
         """
-        e = ns.sqrt(squared_error / (scale * scale) + TINY)
+        e = ns.sqrt(squared_error / (scale * scale) + _TINY)
         near, far = ns.clip(e, 0.0, NEAR), ns.clip(e, NEAR, math.inf)
         slope = NEAR * (1 + 2 * CURVE * NEAR)
         error = near + CURVE * near * near + slope * ns.log(far / NEAR)

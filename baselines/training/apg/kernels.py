@@ -35,7 +35,7 @@ class Chosen(NamedTuple):
     share: Number  # of a vehicle's control step in the window's loss
 
 
-SEEN = {"observation": SIZE, "correction": ACTIONS}
+_SEEN = {"observation": SIZE, "correction": ACTIONS}
 """What the features are made of, rows by array, but for what is remembered, `ahead` and the expert's action."""
 _STEERED = (*Observation._fields[:ERRORS], "cos_psi", "sin_psi", "F_r_max", "a_u", "a_r")
 STEERED = tuple(map(Observation._fields.index, _STEERED))
@@ -160,7 +160,7 @@ class LoopKernels:
     def _seen(self) -> dict[str, int]:
         inputs = self.loop.inputs
         known = {"known": KNOWN_ROWS} if inputs.hull else {}
-        return SEEN | {"integrals": inputs.memory, "ahead": 2 * len(inputs.preview)} | known
+        return _SEEN | {"integrals": inputs.memory, "ahead": 2 * len(inputs.preview)} | known
 
     def _moved(
         self,

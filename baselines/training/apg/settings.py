@@ -25,8 +25,8 @@ from baselines.training.config import Config
 from baselines.training.run_folder import VALIDATIONS
 
 PAIR = 2  # vehicles in a row that are of one group: one of them has drawn hulls where half of all do
-SHARES = ("final_share", "warm_up", "average", "cruise_share", "hulls", "evenness")  # settings in [0, 1]
-WEIGHTS = ("cut", "hull_weight", "effort_weight", "rate_weight", "cruise_effort_weight", "cruise_rate_weight")
+_SHARES = ("final_share", "warm_up", "average", "cruise_share", "hulls", "evenness")  # settings in [0, 1]
+_WEIGHTS = ("cut", "hull_weight", "effort_weight", "rate_weight", "cruise_effort_weight", "cruise_rate_weight")
 """Settings of 0 or more; those of cruise may be None."""
 
 
@@ -69,9 +69,9 @@ class Settings:
                 raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")
         for name in ("learning_rate", "max_grad_norm"):
             check_number(name, getattr(self, name), 1e-9, 1e6)
-        for name in (*SHARES, "matrix_learning_rate", "weight_decay"):
+        for name in (*_SHARES, "matrix_learning_rate", "weight_decay"):
             check_number(name, getattr(self, name), 0, 1)
-        for name in WEIGHTS:
+        for name in _WEIGHTS:
             if getattr(self, name) is not None or not name.startswith("cruise"):
                 check_number(name, getattr(self, name), 0, 1e6)
         if self.groups > (most := max(1, self.n_envs // PAIR)):

@@ -34,8 +34,8 @@ class Steering(Protocol):
 
 SMALLEST = 0.002
 """Mean error, in units of its scale, far below which errors count as equal where they are compared by ratios."""
-LARGEST = 1000.0  # likewise, for those of vehicles that are lost altogether
-SHARE = Chosen._fields.index("share")  # row of what a vehicle's loss counts for
+_LARGEST = 1000.0  # likewise, for those of vehicles that are lost altogether
+_SHARE = Chosen._fields.index("share")  # row of what a vehicle's loss counts for
 CARRIED = ("d_state", "d_observation", "d_integrals", "d_correction")
 """Derivatives that go from one control instant back to the one before."""
 
@@ -186,7 +186,7 @@ class Window:
             self._forward(act)
             if back:
                 if evenness := self.objective.evenness:
-                    self._chosen[SHARE] = evened(self._shares, self._errors(), evenness) / self.steps
+                    self._chosen[_SHARE] = evened(self._shares, self._errors(), evenness) / self.steps
                 self._backward()
         with np.errstate(all="ignore"):  # of vehicles that are lost altogether
             mean, error = self._mean_loss(), float(np.sqrt(self._squared, dtype=np.float64).mean())
@@ -247,7 +247,7 @@ def evened(shares: Array, errors: Array, evenness: float) -> Array:
         errors: of the vehicles, in units of their scales, shape (N,).
         evenness: 0 ... 1.
     """
-    bounded = np.minimum(errors, LARGEST) + SMALLEST
+    bounded = np.minimum(errors, _LARGEST) + SMALLEST
     even = np.where(np.isfinite(errors), shares * bounded**-evenness, 0.0)
     total = even.sum()
     return even * (shares.sum() / total) if total > 0 else shares

@@ -68,7 +68,7 @@ class Settings:
         return Rma(len(self.gradient.inputs.features), (size, size), self.latent, self.channels)
 
 
-OWN = tuple(f.name for f in fields(Settings) if f.name != "gradient")
+_OWN = tuple(f.name for f in fields(Settings) if f.name != "gradient")
 """Hyper-parameters beside those of the analytic gradient."""
 
 
@@ -78,13 +78,13 @@ def check(config: Config) -> Settings:
     Raises:
         ValueError: a hyper-parameter is unknown or wrong, or the expert is no law without memory.
     """
-    allowed = (*OWN, *(f.name for f in fields(Gradient) if f.name not in ("memory", "groups")))
+    allowed = (*_OWN, *(f.name for f in fields(Gradient) if f.name not in ("memory", "groups")))
     if unknown := [name for name in config.hyperparameters if name not in allowed]:
         raise ValueError(f"unknown hyper-parameter {unknown[0]!r} of rma; allowed are {', '.join(allowed)}")
     if not law_of(config.make_expert())[1]:
         raise ValueError(f"expert {config.expert!r} computes on NumPy; rma corrects laws alone, such as backstepping")
-    own = {name: value for name, value in config.hyperparameters.items() if name in OWN}
-    rest = {name: value for name, value in config.hyperparameters.items() if name not in OWN}
+    own = {name: value for name, value in config.hyperparameters.items() if name in _OWN}
+    rest = {name: value for name, value in config.hyperparameters.items() if name not in _OWN}
     return Settings(**own, gradient=check_gradient(replace(config, hyperparameters=rest | {"memory": False})))
 
 

@@ -25,7 +25,7 @@ from research.lower_bounds.floor.filter import Located, located
 from research.lower_bounds.floor.model import Model, has_floor
 
 PROGRAM = "python -m research estimation-bound"
-SUITE = "benchmark-v1"  # whose episodes have a floor
+_SUITE = "benchmark-v1"  # whose episodes have a floor
 FILE = DATA / "floor.json"  # what is kept
 AT_ONCE = 52  # episodes that are looked at together: few enough for the memory
 FIRST = 2
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str]) -> int:
     options = parse(Options, arguments, PROGRAM)
     if options.episodes is not None and options.episodes < 1:
         raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more")
-    suite, found = suites.load(SUITE), {}
+    suite, found = suites.load(_SUITE), {}
     for cell in suite.cells:
         if has_floor(cell.scenario):
             floor = found[cell.scenario.name] = Floor.of(cell.scenario, cell.episodes[: options.episodes])

@@ -6,7 +6,7 @@ drawn: of the start, of the gusts, of the waves' phases and of the measurement e
 about the way that the vehicle really takes where it is kept on its path, see `control.clairvoyant`.
 
 The state z of an episode is what is off by (`POSE`) x, y [m], psi [rad], u, v [m/s], r [rad/s], velocities relative to
-the water; (`GUSTS`) the gusts' process n and its filter s on each axis, in units of sigma, see
+the water; (`_GUSTS`) the gusts' process n and its filter s on each axis, in units of sigma, see
 `auv_gym.scenarios.exogenous`; and from `PHASES` on the phases [rad] of the waves' components, axis by axis:
 
     z_(k+1) = F_k z_k + Gamma w_k,    y_k = C_k z_k + e_k
@@ -36,10 +36,10 @@ from baselines.control.clairvoyant.problem import ACTIONS, STATES, Course, Probl
 from baselines.control.clairvoyant.solver import solved
 
 POSE = slice(0, 6)  # the part of z that is the pose
-GUSTS = slice(6, 10)  # the part of z that is the gusts
+_GUSTS = slice(6, 10)  # the part of z that is the gusts
 PHASES = 10  # where the phases begin in z
 DRIVEN = 2  # numbers that drive the gusts in a control period
-SEA = (*range(CURRENT.start, CURRENT.stop), *range(LOAD.start, LOAD.stop))
+_SEA = (*range(CURRENT.start, CURRENT.stop), *range(LOAD.start, LOAD.stop))
 """Numbers of a sample that the sea supplies: V_x, V_y [m/s], X, Y [N], N [N m]."""
 AXES = 3  # that waves act on
 ANY_PHASE = math.pi**2 / 3  # [rad^2] variance of a phase of which nothing is known
@@ -101,7 +101,7 @@ class Model:
 
     def passed(self, rows: Array, z: Array) -> Array:
         """Return F z for columns z, shape (N, n, columns); `rows` are those of F of `POSE`."""
-        return np.concatenate((rows @ z, self.gusts @ z[:, GUSTS], z[:, PHASES:]), axis=1)
+        return np.concatenate((rows @ z, self.gusts @ z[:, _GUSTS], z[:, PHASES:]), axis=1)
 
     def output(self, k: int) -> Array:
         """Return C at instant k, shape (N, 6, n)."""
@@ -121,7 +121,7 @@ def has_floor(scenario: Scenario) -> bool:
 def slopes(problem: Problem, course: Course) -> tuple[Array, Array]:
     """Return the derivatives of the pose behind each period by that before it and by the sea, see `Model`."""
     steps, _, n = course.commands.shape
-    found = np.empty((steps, 6 * (6 + len(SEA)), n))
+    found = np.empty((steps, 6 * (6 + len(_SEA)), n))
     slope_kernel(problem.parts).bound(
         state=np.ascontiguousarray(course.states[:-1]),
         command=course.commands,
@@ -129,7 +129,7 @@ def slopes(problem: Problem, course: Course) -> tuple[Array, Array]:
         parameters=problem.parameters,
         slopes=found,
     )(0, steps)
-    table = found.reshape(steps, 6, 6 + len(SEA), n).transpose(0, 3, 1, 2)
+    table = found.reshape(steps, 6, 6 + len(_SEA), n).transpose(0, 3, 1, 2)
     return np.ascontiguousarray(table[..., :6]), np.ascontiguousarray(table[..., 6:])
 
 
@@ -140,7 +140,7 @@ def slope_kernel(parts: Parts) -> Kernel:
     def equation(state: Any, command: Any, sample: Any, parameters: Any) -> Mapping[str, Sequence[Any]]:
         p = Parameters.of(parameters, parts)
         pose, _ = moved(tuple(state[:6]), (state[6], state[7]), (command[0], command[1]), sample, p, SYMBOLS)
-        inputs = [*state[:6], *(sample[i] for i in SEA)]
+        inputs = [*state[:6], *(sample[i] for i in _SEA)]
         return {"slopes": [slope for row in jacobian(list(pose), inputs) for slope in row]}
 
     rows = {"state": STATES, "command": ACTIONS, "sample": SAMPLE_ROWS, "parameters": PARAMETER_ROWS}
@@ -188,7 +188,7 @@ def _begun(start: Start, u_R: Array, phases: int) -> Array:
     for i, interval in enumerate((start.x_e, start.y_e, start.psi_e)):
         begun[:, i, i] = _variance(interval)
     begun[:, 3, 3] = _variance(start.surge) * u_R**2
-    begun[:, GUSTS, GUSTS] = np.tile(np.eye(2), (2, 2))  # the filter begins where the process does
+    begun[:, _GUSTS, _GUSTS] = np.tile(np.eye(2), (2, 2))  # the filter begins where the process does
     begun[:, range(PHASES, PHASES + phases), range(PHASES, PHASES + phases)] = ANY_PHASE
     return begun
 

@@ -40,7 +40,7 @@ from research.site.live.equations import COMPONENTS, shape_of
 
 SPEEDS = {"slow": 0.2, "cruise": 1.0}
 """Speed [m/s] of the page's paths, by regime."""
-FAMILIES = {"figure_eight": 3, "random_smooth": 8, "circle": 4, "sine": 2, "line": 1}
+_FAMILIES = {"figure_eight": 3, "random_smooth": 8, "circle": 4, "sine": 2, "line": 1}
 """Families of the page's paths, with the seed of the member."""
 TITLES = {
     "figure_eight": "Figure eight",
@@ -50,7 +50,7 @@ TITLES = {
     "line": "Straight",
 }
 """Names of the families on the page."""
-SEEDS = 8
+_SEEDS = 8
 """Episodes of each regime: starts, true vehicles, waves and a direction of the current."""
 STEPS = 600
 """Control steps of an episode."""
@@ -99,7 +99,7 @@ def scenario_of(regime: str, case: str, path: Path) -> Scenario:
 def path_of(regime: str, family: str) -> Path:
     """Return a path of the page."""
     drawn = PRESETS[f"{regime}-calm"].path
-    rng, cls = np.random.default_rng(FAMILIES[family]), PATHS[family]
+    rng, cls = np.random.default_rng(_FAMILIES[family]), PATHS[family]
     path: Path = cls.drawn(SPEEDS[regime], drawn.turn_rate, rng.random)  # type: ignore[union-attr, attr-defined]
     return path
 
@@ -112,7 +112,7 @@ def episode_of(regime: str, case: str, path: Path, seed: int) -> Episode:
 def regime_record(regime: str, ahead: int) -> dict[str, Any]:
     """Return what the page knows of a regime, with the references up to `ahead` control periods beyond the end."""
     calm = PRESETS[f"{regime}-calm"]
-    paths = {family: path_of(regime, family) for family in FAMILIES}
+    paths = {family: path_of(regime, family) for family in _FAMILIES}
     line = paths["line"]
     return {
         "dt": calm.control_dt,
@@ -120,7 +120,7 @@ def regime_record(regime: str, ahead: int) -> dict[str, Any]:
         "errorScale": calm.error_scale,
         "lost": calm.lost_distance,
         "cases": {case: case_record(regime, case) for case in CASES},
-        "seeds": [seed_record(regime, line, seed) for seed in range(SEEDS)],
+        "seeds": [seed_record(regime, line, seed) for seed in range(_SEEDS)],
         "paths": {
             family: {"title": TITLES[family], **path_record(regime, path, ahead)} for family, path in paths.items()
         },

@@ -24,7 +24,7 @@ from baselines.export.parts import Exported, network_program
 
 COMPONENTS = 6
 """Sines that the waves are made of."""
-PARTS = Parts()
+_PARTS = Parts()
 """What the page's simulation uses: what the presets do, one integration step and no further trouble."""
 LAWS: Mapping[str, Law] = {"backstepping": Backstepping(), "openLoop": OpenLoop()}
 """Laws without memory by the names of their functions on the page."""
@@ -56,8 +56,8 @@ def printed(name: str, kernel: Kernel, results: Mapping[str, Sequence[Symbol]] |
 def kernels() -> dict[str, Kernel]:
     """Return the kernels of what every vehicle needs, by the names of their functions."""
     return {
-        "start": start_kernel(PARTS),
-        "step": step_kernel(PARTS),
+        "start": start_kernel(_PARTS),
+        "step": step_kernel(_PARTS),
         "sea": sea_kernel(COMPONENTS),
         "decoded": Kernel.traced(lambda seen: {"terms": decode(seen, SYMBOLS)}, {"seen": SIZE}),
         "forcesToAction": Kernel.traced(_action, {"terms": SIZE, "force": 2}),
