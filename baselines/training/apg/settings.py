@@ -106,6 +106,10 @@ class Settings:
         shares = np.where(drawn or False, self.hull_weight, 1.0) * (share if both else np.ones(len(fast)))
         return Objective(loss, shares / shares.sum(), self.cut, self.evenness)
 
+    def windows(self, timesteps: int) -> int:
+        """Return how many windows of all vehicles there are in so many control steps, summed over vehicles."""
+        return math.ceil(timesteps / (self.n_envs * self.n_steps))
+
     def share_at(self, progress: float) -> float:
         """Return the share of the learning rates that is left after a share `progress` of the run."""
         risen = min(1.0, progress / self.warm_up) if self.warm_up else 1.0
