@@ -28,7 +28,7 @@ class Command(NamedTuple):
 
 COMMANDS = {
     "evaluate": Command("baselines.evaluation.entry", "eval"),
-    "train": Command("baselines.training.entry", "train"),
+    "train": Command("baselines.training.options", "train"),
     "tune": Command("baselines.tuning.command", "tuning"),
     "identify": Command("baselines.identification.command", "eval"),
     "export": Command("baselines.export.command", "export"),

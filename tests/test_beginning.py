@@ -13,7 +13,6 @@ import torch
 import yaml
 from kept_pages import compare_between
 
-import train
 from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.fitting import changed
@@ -32,6 +31,7 @@ from baselines.training.apg.torch_network import weights_of
 from baselines.training.apg.trainer import Trainer
 from baselines.training.beginning import OF_AGENT, fitted, in_own_units
 from baselines.training.hyperparameters import ENV_ID, TUNING, load_hyperparameters, shipped
+from baselines.training.options import PROGRAM, main
 from baselines.training.run_folder import Run, read_config, read_progress
 from research.trainings import fine_tuning
 from research.trainings.trainings import SHIPPED
@@ -70,7 +70,7 @@ def caller(folder, patch):
 
     def call(*arguments):
         patch.setattr(sys, "argv", ["train.py", *map(str, arguments)])
-        return run(train.main, train.PROGRAM)
+        return run(main, PROGRAM)
 
     return call
 

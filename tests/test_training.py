@@ -20,7 +20,6 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import train
 from auv_gym.installation import install
 from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES
 from auv_gym.scenarios.scenario import Scenario
@@ -34,7 +33,7 @@ from baselines.training import command, request
 from baselines.training.config import ALGORITHMS, LARGEST_SEED, Config
 from baselines.training.hyperparameters import ENV_ID, changes_of, load_hyperparameters, words_of
 from baselines.training.hyperparameters import shipped as shipped_file
-from baselines.training.options import Options
+from baselines.training.options import PROGRAM, Options, main
 from baselines.training.run_folder import Run, locked, read_config, read_progress
 from baselines.training.validation import Validation, Verdict
 from research.trainings import shipped
@@ -70,7 +69,7 @@ def call(monkeypatch, tmp_path):
 
     def call(*arguments):
         monkeypatch.setattr(sys, "argv", ["train.py", *map(str, arguments)])
-        return run(train.main, train.PROGRAM)
+        return run(main, PROGRAM)
 
     return call
 

@@ -1,12 +1,15 @@
-"""The command line of `train.py`: each option once, as a field with its help."""
+"""Train agents that correct an expert: `auv-gym train --help`, in a checkout also `python train.py --help`."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import arg
+
+from baselines.tools.command_line import parse, typed
 
 PROGRAM = "train.py"
 
@@ -25,7 +28,7 @@ class Options:
     scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ()
     """What to train on: names of presets, .toml and .json files, or a regime, "cruise" or "slow", for all of its cases
     (storms three times, noise and slow actuators twice as often), or "cruise-adverse" or "slow-adverse", for these and
-    storms in which sensors, commands, actuators and current are not as told, or "helm", for both regimes and slewing
+    storms in which sensors, commands, actuators and current are not as known, or "helm", for both regimes and slewing
     actuators, as the agent of that name; NAME:WEIGHT weighs one against the others.
     Default: cruise, or what the agent was trained on that it begins with."""
     expert: Annotated[str | None, arg(metavar="E", help_behavior_hint="")] = None
@@ -60,3 +63,17 @@ class Options:
     that it begins with in place of these, and -VEHICLE behind."""
     resume: bool = False
     """Go on with the run that the same options have begun in the folder, from its last checkpoint."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Train as the arguments say and return the exit status.
+
+    Raises:
+        ModuleNotFoundError: what training needs is not installed.
+        UsageError: the arguments do not make sense.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    from baselines.training.command import train
+    from baselines.training.request import Request
+
+    return train(Request.of(options, typed(PROGRAM, arguments)))

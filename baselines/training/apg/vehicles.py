@@ -44,8 +44,8 @@ class TrainingVehicles:
     ) -> None:
         """Make the vehicles; `window` control steps are run between beginnings.
 
-        With `turns` each vehicle's episodes are of those scenarios in place of its only one. What `known` returns for an
-        episode's known vehicle is known in its place; plans and the true vehicle stay what they are.
+        With `turns` each vehicle's episodes are of those scenarios in place of its only one. What `known` returns for
+        an episode's known vehicle is known in its place; plans and the true vehicle stay what they are.
         """
         n = len(scenarios)
         self._turns = turns or [[scenario] for scenario in scenarios]
