@@ -63,7 +63,7 @@ def test_groups_share_all_vehicles_and_what_they_count_for():
 def test_half_of_each_group_has_drawn_hulls(monkeypatch):
     monkeypatch.setattr(vehicle_models, "SEVERAL", 2)
     for group in divided(*grouped(n_envs=8, groups=2, hull=True, hulls=0.5)):
-        assert sorted(len(own) for own in group.hulls) == [1, 1, 2, 2]
+        assert sorted(len(own) for own in group.variants) == [1, 1, 2, 2]
 
 
 @pytest.mark.slow

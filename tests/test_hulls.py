@@ -121,7 +121,7 @@ def test_rows_of_hulls_are_told_what_each_vehicle_alone_is():
     """The expert, the filters and the features of a loop with several hulls are those of policies made for each."""
     known = [PAPER_VEHICLE, OTHER]
     expert = Backstepping()
-    loop = ClosedLoop(law_of(expert)[0], TOLD, believer=expert)
+    loop = ClosedLoop(law_of(expert)[0], TOLD, informed=expert)
     rows = np.array([v.coefficients for v in known]).T
     env = UnderactuatedAUVTrackVectorEnv(2, [replace(PRESETS["cruise-storm"], vehicle=v, substeps=3) for v in known])
     observation, _ = env.reset(seed=0)
@@ -192,9 +192,9 @@ def test_an_expert_that_cannot_be_told_each_hull_is_refused():
     settings = {"n_envs": 4, "n_steps": 10, "hull": True, "hulls": 0.5}
     for expert in ("backstepping", "backstepping-normalised", "none"):
         check(Config(scenarios=scenarios, expert=expert, hyperparameters=settings))
-    with pytest.raises(ValueError, match="so the network must be told them"):
+    with pytest.raises(ValueError, match="so the network must see them"):
         check(Config(scenarios=scenarios, hyperparameters=settings | {"hull": False}))
-    with pytest.raises(ValueError, match="hulls are drawn, so the expert must be"):
+    with pytest.raises(ValueError, match="vehicles are drawn, so the expert must be"):
         check(Config(scenarios=scenarios, expert="lqi", hyperparameters=settings))
 
 

@@ -83,7 +83,7 @@ class Config:
 
     @property
     def vehicle(self) -> Vehicle | None:
-        """The vehicle that all scenarios know and the expert believes in, in their units; None where they differ."""
+        """The vehicle that all scenarios and the expert have as the known model, in their units; None where they differ."""
         return common_vehicle([scenario for scenario, _ in self.scenarios])
 
     @property

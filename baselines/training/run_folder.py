@@ -129,7 +129,7 @@ class Run:
         return self._earlier + time.monotonic() - self._begin
 
     def log(self, timesteps: int, **values: float) -> None:
-        """Add a row to progress.csv and TensorBoard, and tell how far the run is.
+        """Add a row to progress.csv and TensorBoard, and report how far the run is.
 
         Args:
             timesteps: control steps so far, summed over vehicles; a second row at the same number joins the first.
@@ -148,7 +148,7 @@ class Run:
         self.report(timesteps)
 
     def report(self, timesteps: int) -> None:
-        """Tell how far the run is."""
+        """Report how far the run is."""
         self._on_state(self._state(timesteps))
 
     def validate(self, agent: Agent, timesteps: int) -> None:

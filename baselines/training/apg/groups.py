@@ -43,9 +43,7 @@ class Members:
     """Which vehicles a group has."""
 
     scenarios: Sequence[Scenario]  # one for each
-    hulls: Sequence[
-        Sequence[Scenario]
-    ]  # those that each goes through, see `vehicle_models.variants_of`; none: the only one
+    variants: Sequence[Sequence[Scenario]]  # those that each goes through, see `variants_of`; none: the only one
     objective: Objective  # the shares are those in the mean over the vehicles of all groups
     seed: int  # of their episodes
 
@@ -53,12 +51,13 @@ class Members:
 def divided(config: Config, settings: Settings) -> list[Members]:
     """Return the vehicles of a training in its groups, which differ as little as can be in what they learn on."""
     lanes = config.lanes(settings.n_envs)
-    hulls = variants_of(lanes, settings.hulls, config.episode_seed) if settings.draws_hulls(config.vehicle) else []
-    objective = settings.objective([scenario.name for scenario in lanes], [len(own) > 1 for own in hulls])
+    draws = settings.draws_vehicles(config.vehicle)
+    variants = variants_of(lanes, settings.hulls, config.episode_seed) if draws else []
+    objective = settings.objective([scenario.name for scenario in lanes], [len(own) > 1 for own in variants])
     group, seed, found = np.arange(len(lanes)) // PAIR % settings.groups, config.episode_seed, list[Members]()
     for k in range(settings.groups):
         mine = (group == k).nonzero()[0]
-        own = [hulls[i] for i in mine] if hulls else []
+        own = [variants[i] for i in mine] if variants else []
         found.append(Members([lanes[i] for i in mine], own, objective.of(mine), seed))
         seed += len(mine)
     return found
@@ -76,16 +75,16 @@ class Group:
     def __init__(self, config: Config, settings: Settings, members: Members) -> None:
         self._expert = config.make_expert()
         preview, self._seen, self._seen_by_expert = shared_preview(settings.preview, preview_of(self._expert))
-        known = with_model_error if members.hulls else None
+        known = with_model_error if members.variants else None
         self.vehicles = TrainingVehicles(
-            members.scenarios, members.seed, settings.n_steps, preview, members.hulls, known
+            members.scenarios, members.seed, settings.n_steps, preview, members.variants, known
         )
         self.carried = self.vehicles.reset(settings.network.memory, settings.inputs.memory)
         self._memory: Memory | None = None  # of an expert on NumPy
         self._network = torch_network(settings.network)
         law, self._exact = law_of(self._expert)
-        believer = self._expert if settings.hull and isinstance(self._expert, Backstepping) else None
-        kernels = LoopKernels(ClosedLoop(law, settings.inputs, self.vehicles.parts, believer), self._exact)
+        informed = self._expert if settings.hull and isinstance(self._expert, Backstepping) else None
+        kernels = LoopKernels(ClosedLoop(law, settings.inputs, self.vehicles.parts, informed), self._exact)
         self._part = len(members.scenarios) / settings.n_envs
         sizes = len(members.scenarios), settings.n_steps
         self._window = Window(kernels, self._network, *sizes, config.authority, members.objective)

@@ -28,7 +28,7 @@ PATIENCE = 50  # updates in a row that may be skipped for a gradient that is not
 
 
 def train(run: Run) -> Agent:
-    """Train an agent and return the one that is kept: of the best validation, or where hulls are drawn of the last one.
+    """Train an agent and return the one that is kept: of the best validation, or of the last one where models are drawn.
 
     Raises:
         OSError: the run's folder cannot be written to.
@@ -175,7 +175,7 @@ class Trainer(Descent):
     def __init__(self, run: Run, groups: Groups) -> None:
         """Begin a run with these vehicles, or take it up."""
         self.groups, settings, config = groups, groups.settings, run.config
-        run.keeps_last = settings.draws_hulls(config.vehicle)  # of validations, which are of that vehicle alone
+        run.keeps_last = settings.draws_vehicles(config.vehicle)  # of validations, which are of that vehicle alone
         torch.manual_seed(config.seed)
         network, total = torch_network(settings.network), settings.windows(config.timesteps)
         if config.origin:

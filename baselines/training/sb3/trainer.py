@@ -200,7 +200,7 @@ class Tracker(BaseCallback):
     """Logs and validates a model at the start, `VALIDATIONS` times a run and at the end; each time keeps a checkpoint.
 
     Args:
-        run: where it is told.
+        run: that is logged to.
         state: the checkpoint that the model has been put back to, if any.
     """
 
