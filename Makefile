@@ -9,22 +9,22 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo film test lint typecheck format bench train train-all results verify examples docs package cluster-test clean
+.PHONY: help demo video test lint typecheck format bench train train-all pages verify examples docs package cluster-test clean
 
 help: ## list the verbs
 	@echo 'make COMMAND [ARGS="more options"] [PYTHON=python3.12]'
 	@sed -n 's/^\([a-z-]*\):.*## /  \1            /p' $(MAKEFILE_LIST) | sed 's/^\(.\{13\}\) */\1/'
 
-demo: $(VENV)/eval.stamp $(VENV)/render.stamp ## recompute the paper, run every preset, film agent and expert; in runs/demo
+demo: $(VENV)/eval.stamp $(VENV)/render.stamp ## recompute the paper, run every preset, record agent and expert as a video; in runs/demo
 	$(BIN)/python -m research paper --out runs/demo/paper
 	$(BIN)/python evaluate.py --suite presets --out runs/demo/scenarios $(ARGS)
 	$(BIN)/python evaluate.py --policy helm --scenario cruise-storm --jobs 1 --out runs/demo/storm $(ARGS)
 	$(BIN)/python -m baselines video --policy backstepping helm --scenario cruise-storm --episodes 20 \
-	  --jobs 1 --size 640x400 --speed 6 --fps 10 --out runs/demo/storm/film.webp $(ARGS)
-	@echo 'Open in a browser: the tables, runs/demo/*/report.html, and the film, runs/demo/storm/film.webp'
+	  --jobs 1 --size 640x400 --speed 6 --fps 10 --out runs/demo/storm/video.webp $(ARGS)
+	@echo 'Open in a browser: the tables, runs/demo/*/report.html, and the video, runs/demo/storm/video.webp'
 
 # Twenty storms, as many as an evaluation draws; the one whose errors are the most usual is shown.
-film: $(VENV)/eval.stamp $(VENV)/render.stamp ## film expert, EKF + MPC and agent in a usual storm, for the README
+video: $(VENV)/eval.stamp $(VENV)/render.stamp ## record expert, EKF + MPC and agent in a usual storm as a video, for the README
 	$(BIN)/python -m baselines video --policy backstepping nmpc helm --scenario cruise-storm --episodes 20 \
 	  --size 820x470 --speed 6 --fps 10 --out docs/images/storm.webp $(ARGS)
 
@@ -41,8 +41,8 @@ test: lint typecheck ## lint, typecheck and run the tests
 
 # What runs equations runs once more as on a machine without a compiler, but for what has nothing to do with that, and
 # for long runs of what shorter ones show.
-EQUATIONS = $(addprefix tests/test_,$(addsuffix .py,agent analytic_gradient codegen controllers disturbances elementary \
-  env estimators evaluation kernels nmpc planner vector_env))
+EQUATIONS = $(foreach name,agent analytic_gradient codegen controllers disturbances elementary env estimators evaluation \
+  kernels nmpc planner vector_env,$(wildcard tests/*/test_$(name).py))
 UNCOMPILED = not (16384 or torch or frames or report_is_one_page or interrupted or number_of_jobs or as_a_process or \
   finished_work or long_runs or steers_alike)
 
@@ -62,8 +62,8 @@ format: $(VENV)/dev.stamp ## mend the style and the format
 bench: $(VENV)/dev.stamp ## measure the speed of the environments
 	$(BIN)/python -m research throughput $(ARGS)
 
-results: $(VENV)/eval.stamp ## write docs/results.md and its figures from the recorded rows
-	$(BIN)/python -m research results $(ARGS)
+pages: $(VENV)/eval.stamp ## write the pages of results and their figures from what was measured
+	$(BIN)/python -m research pages $(ARGS)
 
 verify: $(VENV)/eval.stamp ## run all that is recorded again, an hour: does every number repeat? ARGS="--policy lqi"
 	$(BIN)/python -m research suites verify $(ARGS)

@@ -24,7 +24,6 @@ COMMANDS = {
     "paper": Command("research.paper.command", "eval"),
     "probing": Command("research.probing.command", "eval"),
     "residual": Command("research.trainings.residual", "train"),
-    "results": Command("research.results.command", "eval"),
     "screenshots": Command("research.site.screenshots", "dev"),
     "study": Command("research.trainings.study", "train"),
     "suites": Command("research.suites.command", "eval"),

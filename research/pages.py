@@ -6,8 +6,9 @@ Rendering is deterministic: a page that differs from its template and data is st
 
 from __future__ import annotations
 
+import re
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -23,8 +24,19 @@ from research import DOCS
 
 PROGRAM = "python -m research pages"
 TEMPLATES = Path(__file__).parent / "templates"
-PAGES: Mapping[str, str] = {}
-"""The module whose `context()` returns the values of a page's template, by the page's name."""
+SUITE_PAGES = ("benchmark-v2", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v1")
+PAGES: Mapping[str, str] = {
+    "results": "research.results.overview",
+    **{f"results/{suite}": "research.results.suite_page" for suite in SUITE_PAGES},
+    "results/vehicles-v1": "research.results.vehicles",
+    "results/learning": "research.results.findings",
+    "results/leads": "research.results.robust",
+    "results/fronts": "research.results.fronts",
+    "results/residual": "research.results.residual_figure",
+    "results/studies": "research.results.studies",
+}
+"""The module of each page: `context(page)` returns the values of its template, `figures(page)`, if there is one, its
+figures as PNG by name."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +61,21 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 
 
 def render(page: str) -> str:
-    """Return a page as its template and the measurements make it."""
-    context: Callable[[], Mapping[str, Any]] = import_module(PAGES[page]).context
-    return _environment().get_template(f"{page}.md.jinja").render(context())
+    """Return a page as its template and the measurements make it.
+
+    A module whose context has a `body`, the text of a section that links to other pages of docs/, needs no template.
+    """
+    context = dict(import_module(PAGES[page]).context(page))
+    if "body" in context:
+        context |= {"template": "body", "body": _moved(context["body"], page)}
+    return _environment().get_template(f"{context.get('template', page)}.md.jinja").render(context)
+
+
+def _moved(text: str, page: str) -> str:
+    """Return the text of a section as a page of its own: headings one level up, links from its folder."""
+    title, _, rest = re.sub(r"^#(#+ )", r"\1", text, flags=re.MULTILINE).partition("\n")
+    rest = re.sub(r"\]\((?!https?:|#|\.\./)", "](" + "../" * page.count("/"), rest)
+    return f"{title}\n\n<!-- Made by `{PROGRAM} {page}`; do not edit. -->\n{rest}"
 
 
 @cache
@@ -82,7 +106,13 @@ def main(arguments: Sequence[str]) -> int:
         if not file.exists() or file.read_text(encoding="utf-8") != text:
             stale.append(page)
             if not options.check:
+                file.parent.mkdir(parents=True, exist_ok=True)
                 write_atomically(file, text)
+        module = import_module(PAGES[page])
+        if not options.check and hasattr(module, "figures"):
+            for name, png in module.figures(page).items():
+                (options.out / "images").mkdir(parents=True, exist_ok=True)
+                write_atomically(options.out / "images" / name, png)
     done = "stale" if options.check else "wrote"
     print(f"{done}: {', '.join(stale)}" if stale else "all pages are up to date", file=sys.stdout)
     return FAILED if stale and options.check else DONE

@@ -19,7 +19,7 @@ from baselines.evaluation.report.columns import COLUMNS, ranked
 from baselines.evaluation.report.numbers import Entry, compare
 from baselines.evaluation.score import regime_of
 from baselines.evaluation.suites import load as load_suite
-from research.results.page import table
+from research.pages import table
 
 SHOWN = ("tail [m]", "p95 [m]", "score", "lost", "settled [s]", "effort")
 """Columns of the evaluation that a page has."""

@@ -138,7 +138,7 @@ def _show(folder: Path) -> None:
     """Print where the results are, and write page and figures beside them unless they are the package's own."""
     found = load(folder)
     if folder.resolve() == FOLDER.resolve():
-        print("now: REFRESH_DOCS=1 python -m pytest tests/test_knows.py writes them into docs/knows.md")
+        print("now: REFRESH_DOCS=1 python -m pytest tests/research/test_knows.py writes them into docs/knows.md")
         return
     for name, picture in pictures(found).items():
         write_atomically(folder / name, picture)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.metrics import Measures
@@ -81,3 +81,9 @@ def collected(name: str) -> tuple[Results | None, dict[str, str]]:
     found = recorded.load(suite)
     complete = set(suite.anchors) <= {run_.policy for run_ in found.runs}
     return Results.of(suite, found.runs) if complete else None, found.refused
+
+
+@cache
+def results_of(name: str) -> Results | None:
+    """Return what is recorded of a suite; None without its anchors."""
+    return collected(name)[0]

@@ -1,8 +1,9 @@
-"""The page of findings, docs/findings.md: what the recorded rows, the fresh episodes and the studies say, in tables."""
+"""What learning is worth, docs/results/learning.md: the recorded rows, held-out episodes and studies in tables."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -22,10 +23,10 @@ from baselines.evaluation.score import (
 )
 from research.pages import table
 from research.results import fresh
-from research.results.collection import Results
+from research.results.collection import SUITES, Results, results_of
 from research.results.kept import gone, kept_by_the_expert
 from research.results.studies import SHORT
-from research.results.study_files import Study
+from research.results.study_files import Study, load_all
 
 BASE = "short-cruise"
 """The training from which the other short ones differ in one thing."""
@@ -33,8 +34,14 @@ LEARNERS = ("ppo", "sac", "td3")
 """Families of agents that learn from rewards alone."""
 
 
+def context(_: str) -> dict[str, Any]:
+    """Return the body of the page."""
+    found = [results for results in map(results_of, SUITES) if results is not None]
+    return {"body": findings(found, fresh_results(), load_all())}
+
+
 def findings(found: Sequence[Results], anew: Sequence[Results], studies: Mapping[str, Study]) -> str:
-    """Return the text of docs/findings.md.
+    """Return the text of docs/results/learning.md.
 
     Args:
         found: what is recorded of the frozen suites.
@@ -189,16 +196,11 @@ def _shares(results: Results) -> str:
     return table(("regime", *dict.fromkeys(cases)), rows)
 
 
-INTRODUCTION = """# Findings
+INTRODUCTION = """## What learning is worth
 
-<!-- Made by `python -m research results`; do not edit. -->
-
-What learning buys here, where it does not, and what each part of the training is worth. `make results` writes every
-number of this page from what is kept in `baselines/evaluation/data/`: the recorded rows of the frozen suites, the
-studies with several seeds (`python -m research study`) and fresh episodes
-(`python -m research held-out`). [Evaluation](metrics.md) defines score and *lost*; [Results](results.md) has
-all policies and every suite."""
-LEADS = f"""## Against the strongest controller
+What learning gains over the strongest controller, where it loses, and what each part of the training contributes.
+[Evaluation](metrics.md) defines the score and *lost*."""
+LEADS = f"""### Against the strongest controller
 
 `{RIVAL}`, the strongest controller that does not learn, has a filter, a model of the sea and a preview of the path.
 *score* and *lead* are those of all training seeds on the frozen `benchmark-v2`, *fresh lead* that of the one shipped
@@ -210,7 +212,7 @@ CASES = f"""### Where an agent leads, and where it trails
 A score is made of means. Episode by episode the picture is another one: the share of the episodes of each case, on the
 frozen benchmark, in which the shipped agent's tail error is smaller than that of `{RIVAL}`. Below 50 % the agent trails
 in most episodes, whatever its mean: so do the agents without a preview in storms."""
-UNMODELLED = f"""## Where all is not as told
+UNMODELLED = f"""### Where all is not as told
 
 `unmodelled-v1`, in the same columns. The rival here is `{ADVERSE_RIVAL}`, predictive control on a filter that estimates
 biased sensors and weak, late actuators too, tuned in the mixture of troubles in which `apg-adverse-*` were trained.
@@ -218,7 +220,7 @@ Intervals are wide, since a few episodes that go badly wrong weigh much.
 `helm`, `helm-any` and `apg-adverse-*` were trained on these kinds of trouble, all at once and in slightly wider ranges,
 and on the sheared current of `ood-v1`: for them this is no test of the unforeseen. The others had met none of it. What
 robustness costs where nothing is wrong is the distance between `apg-adverse-*` and `apg-*` above."""
-SEALED = f"""## In worlds that nobody had seen
+SEALED = f"""### In worlds that nobody had seen
 
 `sealed-v1`: its episodes were drawn from a secret of which only the hash was known until everything was frozen, and
 policies ran in them once, 512 episodes a regime, one shipped agent each. Speeds between and beyond the regimes,
@@ -227,23 +229,23 @@ missions of five minutes, slewing actuators, long outages of the position fix, f
 motion they trail, mostly where the fix is out for longer than in their training. They have been trained anew since the
 suite was opened, and chosen on other episodes: for them these are episodes that anybody knows. The first lead is over
 `{RIVAL}`, the second over `{ADVERSE_RIVAL}`."""
-RESIDUAL = """## What the expert is for
+RESIDUAL = """### What the expert is for
 
 The expert does not make the final score better: `apg-scratch-*`, networks that command alone, end level with the
 corrected expert. What a residual buys instead, when networks fail, worlds change and training has just begun, and how
-little of that a large authority leaves: [What a residual is for](results.md#what-a-residual-is-for)."""
-SHORTS = f"""## What each part is worth
+little of that a large authority leaves: [What a residual is for](results/residual.md)."""
+SHORTS = f"""### What each part is worth
 
 Trainings of fewer steps and seeds at cruise, each of which differs from `{BASE}` in one thing."""
-REWARDS = """## From rewards alone
+REWARDS = """### From rewards alone
 
 Agents of Stable-Baselines3, which see the reward and no gradient of the simulator, trained for about as long."""
-YARDSTICK = """## What the score weighs
+YARDSTICK = """### What the score weighs
 
 The score pools errors over cases, so a case counts by the error that the expert leaves in it. The share of each case in
 the distance from 0 to 1: to reject a current is most of the task, and a policy that is best in noise or waves
 alone gains little by it. Read the single cases beside the pooled score."""
-UNTABLED = """## What no table shows
+UNTABLED = """### What no table shows
 
 - **An authority is no safety bound** where it is large: a correction of the whole limit can undo any command. Only a
   small one leaves the expert in charge.

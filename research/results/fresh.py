@@ -1,7 +1,7 @@
 """Run policies on held-out episodes, which nothing was trained or chosen on: `python -m research held-out --help`.
 
 `python -m research held-out` draws them from seeds of their own, runs the strongest policies through them and
-keeps what they did in `research/data/fresh/`. `make results` reads from it how far leads on the frozen
+keeps what they did in `research/data/fresh/`. `make pages` reads from it how far leads on the frozen
 episodes hold on others.
 """
 

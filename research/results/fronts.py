@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,14 +15,15 @@ from auv_gym.scenarios.presets import REGIMES
 from baselines.control import POLICIES
 from baselines.evaluation.metrics import Array, Measures
 from baselines.evaluation.score import EXPERT, fixed, fixed_ends
-from baselines.tools.figure_style import COLOURS, MARKERS, panels, styled
+from baselines.tools.figure_style import COLOURS, MARKERS, panels, styled, to_png
 from research.pages import table
-from research.results.collection import Results
+from research.results.collection import Results, results_of
 from research.results.fresh import AGENTS
 from research.results.front_files import Front
+from research.results.front_files import load_all as load_fronts
 from research.results.leads import LEVEL, Estimate, differences, holm
 from research.results.robust import tails_of
-from research.results.study_files import Study
+from research.results.study_files import Study, load_all
 
 FIGURE = "results-fronts.png"
 """File of the figure."""
@@ -113,6 +115,18 @@ def regimes_of(fronts: Sequence[Front]) -> list[str]:
     return [regime for regime in REGIMES if any(front.regime == regime for front in fronts)]
 
 
+def context(_: str) -> dict[str, Any]:
+    """Return the body of the page."""
+    results = results_of("benchmark-v2")
+    return {"body": section(load_fronts(), results, load_all()) if results else ""}
+
+
+def figures(_: str) -> dict[str, bytes]:
+    """Return the figure of the page as PNG by name."""
+    results = results_of("benchmark-v2")
+    return {FIGURE: to_png(figure(load_fronts(), results, load_all()))} if results else {}
+
+
 def section(fronts: Sequence[Front], results: Results, studies: Mapping[str, Study]) -> str:
     """Return the section's text, "" without fronts; the arguments are those of `spenders`."""
     if not fronts:
@@ -120,7 +134,7 @@ def section(fronts: Sequence[Front], results: Results, studies: Mapping[str, Stu
     parts = [INTRODUCTION, f"![Error against effort and command rate](images/{FIGURE})"]
     for regime in regimes_of(fronts):
         who = spenders(fronts, results, studies, regime)
-        parts += [f"### At equal effort, {regime}", _setting(who), _leads(who), _spent(who)]
+        parts += [f"### At equal effort, {regime}", _setting(who), _leads(who)]
     return "\n\n".join(parts)
 
 
@@ -189,17 +203,6 @@ def _kind(leads: Sequence[Estimate], led: Sequence[bool]) -> tuple[str, str, str
     least = min(leads, key=lambda lead: lead.value)
     ends = [1e3 * end for end in least.ci95]
     return f"{sum(led)} of {len(led)}", fixed(1e3 * least.value, 2), fixed_ends(ends, 2)
-
-
-def _spent(who: Spenders) -> str:
-    """Return the table of what the points of the figure are."""
-    rows = [
-        [point.text, fixed(1e3 * point.error, 2), fixed(point.effort, 2), fixed(point.rate, 2)]
-        for fronts in (who.controllers, who.agents)
-        for points in fronts.values()
-        for point in points
-    ]
-    return table(("point", "error [mm]", "effort", "rate"), rows)
 
 
 def figure(fronts: Sequence[Front], results: Results, studies: Mapping[str, Study]) -> Figure:

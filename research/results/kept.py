@@ -46,7 +46,7 @@ def kept_by_the_expert(found: Sequence[Results]) -> str:
     return f"{TEXT}\n\n{table(['agent', *(r.suite.name for r in found), 'all', 'episodes'], rows)}" if rows else ""
 
 
-TEXT = """## Episodes that the expert keeps
+TEXT = """### Episodes that the expert keeps
 
 How many episodes an agent loses although the expert alone keeps them, and behind the stroke how many it keeps although
 the expert loses them. The first number is what a correction has to answer for: [Safety](safety.md)."""

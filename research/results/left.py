@@ -71,6 +71,7 @@ TEXT = f"""### What is left
 A vehicle can be kept no nearer to its reference than it can be located. The *floor* is how near that is for whom
 everything is told but what chance has drawn: the numbers behind the measurement errors, the gusts, the phases of the
 waves and the start; vehicle, lag and statistics of the sea are known, and commands are free and unlimited
-(`{PROGRAM}`; [Evaluation](metrics.md#the-floor-of-measurement-noise) says how it is computed). Where measurements are
+(`{PROGRAM}`;
+[Evaluation](../metrics.md#the-floor-of-measurement-noise) says how it is computed). Where measurements are
 exact, in six of the eight cases, it is the bound. *Left* is the score between a policy and the floor. The floor itself
 is out of reach: nobody is told vehicle, lag and waves, and commands are limited."""

@@ -1,4 +1,4 @@
-"""The first section of the results page, docs/results.md: what a residual is for, from what its study has kept."""
+"""What a residual is for, docs/results/residual.md: the tables of what its study has measured."""
 
 from __future__ import annotations
 
@@ -36,10 +36,8 @@ def what_it_is_for(groups: Sequence[Group]) -> str:
         bounded(groups),
         MINUTES,
         minutes(groups),
-        BY_AUTHORITY,
-        *(_overview(groups, r, (RESIDUAL, SCRATCH)) for r in REGIMES),
+        CAVEATS,
     ]
-    parts += [SHIP, *(_overview(groups, regime, (SHIPPED,)) for regime in REGIMES), CAVEATS]
     return "\n\n".join(part for part in parts if part)
 
 
@@ -165,26 +163,11 @@ def _range(values: Array, digits: int, unit: str = "") -> str:
     return f"{fixed(float(values.mean()), digits)}{unit} ({fixed_ends([values.min(), values.max()], digits)})"
 
 
-def _overview(groups: Sequence[Group], regime: str, kinds: Sequence[str]) -> str:
-    """Return the error as trained, and the share lost in every situation, a row for each group."""
-    own = [group for kind in kinds for group in of(groups, regime, kind)]
-    columns = [s for s in SITUATIONS if any(s in group.tails for group in own)]
-    rows = [
-        [
-            f"`{group.name}`" if group.kind == SHIPPED else _title(group),
-            str(len(group.tails[NORMAL])),
-            _error_text(group, NORMAL),
-            *(share_text(lost_share(group, s)) if s in group.tails else "-" for s in columns),
-        ]
-        for group in own
-    ]
-    return table((regime, "seeds", "error [cm]", *(f"{name}: lost" for name in columns)), rows) if rows else ""
-
-
 INTRODUCTION = f"""## What a residual is for
 
 Two ways to use a network: it corrects an expert, here the published law (*residual*), or commands alone (*scratch*).
-Trained long enough they end level ([Findings](findings.md#what-the-expert-is-for)), and after a million control steps
+Trained long enough they end level ([What learning is worth](results/learning.md#what-the-expert-is-for)), and after a
+million control steps
 seeds from scratch lie on both sides of those with an expert: a residual buys no better score. What it buys shows when
 something goes wrong, and how much of that is left is a matter of its authority, the largest correction as a share of
 the vehicle's limits. `python -m research residual` trains both kinds, alike but for expert and authority, for
@@ -205,12 +188,6 @@ MINUTES = """### The first minutes
 What the agents do on validation episodes after so many control steps: mean over seeds, behind it the least and the
 most of a seed. Zero steps of a residual are the law; from scratch a hundred thousand steps still lose everything, and
 after four hundred thousand the two are level."""
-BY_AUTHORITY = """### Every agent of the study
-
-Error as trained, and how many episodes are lost. Of a single seed the intervals are over its episodes alone."""
-SHIP = """### What ships
-
-The same for policies of the registry, one seed each. Without a network there is nothing that could fail."""
 CAVEATS = f"""### What this does not show
 
 Whatever notices that a network is dead can switch to the law, and save an agent

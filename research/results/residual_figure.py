@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,9 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
 from auv_gym.scenarios.presets import REGIMES
-from baselines.tools.figure_style import COLOURS, DASHES, LOOKS, REFERENCE, panels, styled
-from research.results.residual import SHOWN, law, lost_share, mean_error, of
-from research.results.residual_file import RESIDUAL, SCRATCH, STUCK, Group
+from baselines.tools.figure_style import COLOURS, DASHES, LOOKS, REFERENCE, panels, styled, to_png
+from research.results.residual import FIGURE, SHOWN, law, lost_share, mean_error, of, what_it_is_for
+from research.results.residual_file import FILE, RESIDUAL, SCRATCH, STUCK, Group, load
 from research.robustness.failures import FAILURES, LIMITS
 from research.robustness.situations import NORMAL
 
@@ -21,6 +22,16 @@ REGIME = "cruise"
 TICKS = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)
 """Authorities that are marked on an axis."""
 KINDS = {RESIDUAL: LOOKS[0], SCRATCH: LOOKS[1]}  # how each kind of agent is drawn
+
+
+def context(_: str) -> dict[str, Any]:
+    """Return the body of the page about residuals."""
+    return {"body": what_it_is_for(load(FILE))}
+
+
+def figures(_: str) -> dict[str, bytes]:
+    """Return the figure of the page as PNG by name."""
+    return {FIGURE: to_png(residual_figure(load(FILE)))}
 
 
 def residual_figure(groups: Sequence[Group]) -> Figure:

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from auv_gym.scenarios.presets import REGIMES
 from baselines.evaluation.metrics import Array
 from baselines.evaluation.score import FORESIGHTED, RIVAL, capped, fixed, regime_of
 from research.pages import table
-from research.results.collection import Results
+from research.results.collection import Results, results_of
 from research.results.leads import KINDS, LEVEL, WORST, Estimate, holm, ratios
-from research.results.study_files import Study
+from research.results.study_files import Study, load_all
 
 LEFT_OUT = (*FORESIGHTED, "open-loop", "backstepping", "integral")
 """What the names of policies without a row begin with: those that nobody can be, and those far behind."""
+
+
+def context(_: str) -> dict[str, Any]:
+    """Return the body of the page."""
+    results = results_of("benchmark-v2")
+    return {"body": section(results, load_all()) if results else ""}
 
 
 def section(results: Results, studies: Mapping[str, Study]) -> str:

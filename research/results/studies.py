@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -11,14 +12,25 @@ from matplotlib.ticker import LogLocator
 from baselines.evaluation.metrics import Array
 from baselines.evaluation.report.columns import lost_text
 from baselines.evaluation.score import EXPERT, RIVAL, capped, interval_text, lead, score_text, seeds_score, waters_of
-from baselines.tools.figure_style import LOOKS, REFERENCE, panels
+from baselines.tools.figure_style import LOOKS, REFERENCE, panels, to_png
 from research.pages import table
-from research.results.collection import Results
-from research.results.study_files import InSuite, Study
+from research.results.collection import Results, results_of
+from research.results.study_files import InSuite, Study, load_all
 
 """The strongest of the controllers that do not learn."""
 SHORT = "short-"
 """Begins the names of short trainings that differ in one thing; their learning curves have a figure of their own."""
+
+
+def context(_: str) -> dict[str, Any]:
+    """Return the body of the page."""
+    results = results_of("benchmark-v2")
+    return {"body": section(load_all(), [results] if results else [])}
+
+
+def figures(_: str) -> dict[str, bytes]:
+    """Return the learning curves as PNG by name."""
+    return {name: to_png(curves_figure(own)) for name, own in figures_of(load_all()).items()}
 
 
 def section(studies: Mapping[str, Study], found: Sequence[Results]) -> str:
@@ -36,7 +48,6 @@ def section(studies: Mapping[str, Study], found: Sequence[Results]) -> str:
             ]
             if rows:
                 parts.append(f"On {results.suite.name}:\n\n{table(_NAMES, rows)}")
-        parts.append("\n".join(_made(name, study) for name, study in own.items()))
     return "\n\n".join(parts)
 
 
@@ -98,10 +109,6 @@ def _tails(results: Results, policy: str, own: InSuite, cut: bool = False) -> li
     by_case = {r.scenario.name: r.measures for r in results.runs if r.policy == policy and r.measures is not None}
     tails = (capped(by_case[cell], waters_of(cell)) if cut else by_case[cell].tail for cell in own.cells)
     return [tail[: ran.shape[1]] for tail, ran in zip(tails, own.tails, strict=True)]
-
-
-def _made(name: str, study: Study) -> str:
-    return f"- `{name}`: {study.about} {_last(study, 1) / 60:.1f} minutes: `{study.command}`"
 
 
 def _last(study: Study, column: int) -> float:

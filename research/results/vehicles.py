@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeGuard
+from typing import Any, TypeGuard
 
 import numpy as np
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 
 from baselines.evaluation.metrics import Array, Measures
-from baselines.evaluation.report.columns import NONE, lost_text
+from baselines.evaluation.report.columns import lost_text
 from baselines.evaluation.report.numbers import measures_of
 from baselines.evaluation.score import (
     BOUND,
     EXPERT,
+    FORESIGHTED,
     RIVAL,
     Score,
     capped,
@@ -30,13 +33,15 @@ from baselines.evaluation.score import (
     vehicle_of,
     waters_of,
 )
+from baselines.tools.figure_style import panels, styled, to_png
 from research.pages import table
-from research.results.collection import ROUNDING, Results
-from research.results.study_files import InSuite, Study
+from research.results.collection import ROUNDING, Results, results_of
+from research.results.study_files import InSuite, Study, load_all
 
 SUITE = "vehicles-v1"  # what the section is about
 FIGURE = f"results-{SUITE}.png"  # its figure
 CALM = "calm"  # the case without a trouble, whose errors are those of rounding
+LEAST, MOST = 0.1, 10.0  # ratios from which on the figure has its darkest colours
 SMALL = 1e-3  # [m of the paper's vehicle] below which one column takes every error to be as good
 
 
@@ -123,9 +128,13 @@ def section(results: Results | None, studies: Mapping[str, Study]) -> str:
     parts = [_introduction(results)]
     for heading, own in ((f"{SUITE}, all cells", whole), *((f"{SUITE}, {r}", pairs[r]) for r in regimes)):
         parts += [f"### {heading}", *_together(results, own), *of_seeds(own[RIVAL].own, studies)]
-    parts += [TABLES, f"![Errors by vehicle](images/{FIGURE})"]
-    parts += [_vehicle(results, vehicle, pairs) for vehicle in vehicles_of(results)]
+    parts += [MAP, f"![Errors by vehicle](images/{FIGURE})"]
     return "\n\n".join([*parts, _anchors(results), CAVEATS])
+
+
+def context(_: str) -> dict[str, Any]:
+    """Return the body of the page."""
+    return {"body": section(results_of(SUITE), load_all())}
 
 
 def vehicles_of(results: Results) -> list[str]:
@@ -251,31 +260,9 @@ def _score(results: Results, policy: str, names: Sequence[str]) -> Score:
     return score(*zip(*cut, strict=True))
 
 
-TABLES = f"""### Vehicle by vehicle
+MAP = f"""### Vehicle by vehicle
 
-The same for each vehicle alone, over its cases: error over that of `{RIVAL}`, the capped score between
-that vehicle's own anchors, lost episodes, effort and rate over those of `{RIVAL}`. In the figure blue is nearer."""
-
-
-def _vehicle(results: Results, vehicle: str, pairs: Mapping[str, Mapping[str, Pair]]) -> str:
-    """Return the table of one vehicle."""
-    own = [regime for regime, by_policy in pairs.items() if vehicle in map(vehicle_of, by_policy[RIVAL].own)]
-    rows: dict[str, list[str]] = {}
-    for i, regime in enumerate(own):
-        for policy, pair in pairs[regime].items():
-            few = pair.among(lambda name: vehicle_of(name) == vehicle)
-            error, points = few.error, _score(results, policy, list(few.own))
-            cells = rows.setdefault(policy, [f"`{policy}`", *[NONE] * 5 * i])
-            cells += [
-                f"{ratio(error.mean)} ({fixed_ends(error.ci95, 2)})",
-                score_text(points, 2),
-                f"{few.lost} of {few.episodes}",
-                *(ratio(few.over(what)) for what in ("effort", "smoothness")),
-            ]
-    width = 1 + 5 * len(own)
-    whole = [[*cells, *[NONE] * (width - len(cells))] for cells in rows.values()]
-    heads = [f"{r}: {name}" for r in own for name in (f"error / {RIVAL}", "score", "lost", "effort", "rate")]
-    return table((f"{vehicle}", *heads), whole)
+Error over that of `{RIVAL}` for each vehicle; blue is below 1, red above."""
 
 
 def nearer(results: Results) -> list[tuple[str, int, str, float]]:
@@ -306,7 +293,7 @@ def _anchors(results: Results) -> str:
         name, episode, policy, gain = better[0]
         told = (
             f"In {len({entry[0] for entry in better})} cells somebody is, most in episode {episode} of `{name}`: "
-            f"`{policy}`, by {1e3 * gain:.2g} mm. Where limits bind the bound is a local optimum, and `make results` "
+            f"`{policy}`, by {1e3 * gain:.2g} mm. Where limits bind the bound is a local optimum, and `make pages` "
             "fails only if somebody is nearer in the mean of a cell"
         )
     else:
@@ -323,3 +310,41 @@ CAVEATS = """### What the vehicles do not show
 The vehicles are as their sources say, in the plane, with sea and sensors scaled
 to their length and speed rather than measured on them; limits and speeds of some are ours ([Vehicles](vehicles.md)).
 Eight vehicles are no sample of all there are."""
+
+
+def figures(_: str) -> dict[str, bytes]:
+    """Return the figure of the page as PNG by name."""
+    results = results_of(SUITE)
+    return {FIGURE: figure(results)} if shown(results) else {}
+
+
+def figure(results: Results) -> bytes:
+    """Return the section's figure as PNG."""
+    with styled():
+        return to_png(_drawn(results))
+
+
+def _drawn(results: Results) -> Figure:
+    """Return a map of the errors over the rival's: a row for each policy, a column a vehicle, a panel a regime."""
+    regimes = list(dict.fromkeys(regime_of(cell.scenario.name) or "" for cell in results.suite.cells))
+    vehicles = vehicles_of(results)
+    own = {regime: {p: pair for p, pair in pairs_of(results, regime).items() if p not in FORESIGHTED}
+           for regime in regimes}  # fmt: skip
+    rows = max(map(len, own.values()))
+    fig, [axes] = panels(1, len(regimes), (9.6, 1.6 + 0.27 * rows))
+    for ax, regime in zip(axes, regimes, strict=True):
+        shown = [v for v in vehicles if any(vehicle_of(n) == v for n in next(iter(own[regime].values())).own)]
+        values = np.array([
+            [pair.among(lambda name, v=v: vehicle_of(name) == v).error.mean for v in shown]  # type: ignore[misc]
+            for pair in own[regime].values()
+        ])  # fmt: skip
+        image = ax.imshow(values, aspect="auto", cmap="RdBu_r", norm=LogNorm(LEAST, MOST))
+        for (i, j), value in np.ndenumerate(values):
+            colour = "white" if abs(np.log10(value)) > 0.7 else "black"
+            ax.text(j, i, ratio(value), ha="center", va="center", fontsize=7, color=colour)
+        ax.set_xticks(range(len(shown)), shown, rotation=40, ha="right", rotation_mode="anchor")
+        ax.set_yticks(range(len(own[regime])), list(own[regime]))
+        ax.set_title(regime)
+        ax.grid(visible=False)
+    fig.colorbar(image, ax=axes, label=f"error / {RIVAL}", shrink=0.9)
+    return fig

@@ -2,7 +2,7 @@
 
 Agents that correct the expert and agents that command alone are trained with several authorities and seeds. They and
 policies of the registry then run in every situation of `research.robustness.situations`, and what they do is kept in
-`research/data/residual.json`, from which `make results` writes the first section of the results.
+`research/data/residual.json`, from which `make pages` writes the first section of the results.
 """
 
 from __future__ import annotations

@@ -12,8 +12,9 @@ from research.transfer.comparison import GROWTH, TAU
 from research.transfer.trials import Commanded, in_the_plane, limits, steady
 from research.transfer.worlds import Own
 
-BEGIN = "<!-- elsewhere: written by REFRESH_DOCS=1 python -m pytest tests/test_elsewhere.py -->"  # before the tables
-END = "<!-- end of elsewhere -->"  # behind them
+BEGIN = "<!-- elsewhere: written by REFRESH_DOCS=1 python -m pytest tests/research/test_elsewhere.py -->"
+END = "<!-- end of elsewhere -->"
+"""What stands before the tables, and behind them."""
 FORCES = (0.1, 0.25, 0.5, 1.0)
 """Shares of the limits at which straight runs and turns are compared."""
 

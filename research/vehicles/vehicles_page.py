@@ -15,7 +15,7 @@ from baselines.evaluation.stability.analysis import linearise_policy
 from baselines.policies import make_policy
 from research.vehicles.vehicles import AGENT, NEAR, SCENARIO, SIDES
 
-BEGIN = "<!-- gains: written by REFRESH_DOCS=1 python -m pytest tests/test_vehicle_gains.py -->"
+BEGIN = "<!-- gains: written by REFRESH_DOCS=1 python -m pytest tests/research/test_vehicle_gains.py -->"
 """The line before what is written, in the page."""
 END = "<!-- end of gains -->"  # the line behind it
 SHARES = (1 / 30, 1 / 15, 0.1, 0.2, 0.25, 0.3, 1 / 3, 0.5, 2 / 3, 5 / 6, 1.0)

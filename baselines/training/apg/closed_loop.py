@@ -80,9 +80,7 @@ class ClosedLoop:
     law: Forces
     inputs: Inputs = STANDARD  # of the network
     parts: Parts = Parts()  # noqa: RUF009 - a tuple; of the simulation, what is in use
-    informed: Backstepping | None = (
-        None  # the expert, where each vehicle has its own known model: `law` for any of them
-    )
+    informed: Backstepping | None = None  # the expert, where known models differ: its `law` for any of them
 
     def expert(
         self, observation: Rows, ns: Namespace, known: Rows = PAPER_VEHICLE.coefficients

@@ -2,7 +2,7 @@
 
 For each episode of benchmark-v1 whose measurements are noisy it computes how well the vehicle can be located by whom
 everything is told but the numbers that were drawn, see `model` and `filter`, and keeps the means over the episodes of
-each case in `research/data/floor.json`, from which `make results` writes what is left to gain.
+each case in `research/data/floor.json`, from which `make pages` writes what is left to gain.
 """
 
 from __future__ import annotations

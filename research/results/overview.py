@@ -1,0 +1,149 @@
+"""The summary of the results, docs/results.md: who wins in the benchmark, by how much, and what it costs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import LogNorm
+
+from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES
+from auv_gym.scenarios.scenario import RandomPath
+from baselines.evaluation.metrics import Array, bootstrap_interval
+from baselines.evaluation.report.columns import COLUMNS, lost_text
+from baselines.evaluation.report.numbers import Entry
+from baselines.evaluation.score import BOUND
+from baselines.tools.figure_style import COLOURS, MARKERS, panels, styled, to_png
+from research.lower_bounds.floor.command import kept as estimation_bounds
+from research.results.collection import Results, results_of
+
+SUITE = "benchmark-v2"
+POLICIES = {
+    "backstepping": "the paper's law; the vehicle's parameters",
+    "los-pid": "line of sight and PID; tuned gains",
+    "lqi": "linear-quadratic regulator with integrals; tuned gains",
+    "ekf": "extended Kalman filter, the law on its estimates; tuned gains",
+    "nmpc": "the same filter and predictive control; a preview of the path",
+    "ppo-{}": "an agent for each speed range, trained with PPO",
+    "apg-{}": "an agent for each speed range, trained by the simulator's gradient",
+    "helm": "one agent, trained by the simulator's gradient; a preview of the path",
+}
+"""The policies of the summary and what each needs; {} stands for the speed range."""
+FIGURES = "results-overview.png", "results-disturbances.png"
+
+
+def context(_: str = "") -> dict[str, Any]:
+    """Return the values of the page's template."""
+    results = _results()
+    rows = []
+    for name, needs in POLICIES.items():
+        slow, cruise = (_entry(results, name.format(regime), regime) for regime in REGIMES)
+        episodes = sum(entry.summary.episodes for entry in (slow, cruise) if entry.summary is not None)
+        rates = " / ".join(_text(entry, "smoothness_ratio") for entry in (slow, cruise))
+        times = " / ".join(_text(entry, "decision_ms") for entry in (slow, cruise))
+        lost = lost_text(slow.lost + cruise.lost, episodes)
+        errors = (_error(_tails(results, name.format(regime), regime)) for regime in REGIMES)
+        rows.append([f"`{name.format('*')}`", *errors, lost, rates, times, needs])
+    return {
+        "rows": rows,
+        "episodes": sum(len(cell.episodes) for cell in results.suite.cells),
+        "speeds": {regime: " to ".join(f"{speed:g}" for speed in _speeds(regime)) for regime in REGIMES},
+        "ratios": {regime: _mean(results, "helm", regime) / _mean(results, "nmpc", regime) for regime in REGIMES},
+        "optimum": {regime: 1e3 * _mean(results, BOUND, regime) for regime in REGIMES},
+        "estimation": {regime: 1e3 * _estimation(results, regime) for regime in REGIMES},
+    }
+
+
+def figures(_: str = "") -> dict[str, bytes]:
+    """Return the two figures as PNG by name: errors with intervals, and a heat map of policies by disturbance."""
+    with styled():
+        return {FIGURES[0]: to_png(_errors(_results())), FIGURES[1]: to_png(_heat_map(_results()))}
+
+
+def _results() -> Results:
+    results = results_of(SUITE)
+    assert results is not None
+    return results
+
+
+def _entry(results: Results, policy: str, regime: str) -> Entry:
+    return next(entry for entry in results.pooled if (entry.policy, entry.place) == (policy, regime))
+
+
+def _text(entry: Entry, key: str) -> str:
+    return next(column for column in COLUMNS if column.key == key).text(entry)
+
+
+def _tails(results: Results, policy: str, regime: str) -> Array:
+    """Return the steady-state errors [m] of all episodes of a speed range, shape (M,)."""
+    return np.concatenate([m.tail for m in results.measures(policy, regime)])
+
+
+def _mean(results: Results, policy: str, regime: str) -> float:
+    return float(_tails(results, policy, regime).mean())
+
+
+def _speeds(regime: str) -> tuple[float, float]:
+    """Return the smallest and the largest speed [m/s] of a speed range."""
+    path = PRESETS[f"{regime}-calm"].path
+    assert isinstance(path, RandomPath)
+    assert isinstance(path.speed, tuple)
+    return path.speed
+
+
+def _estimation(results: Results, regime: str) -> float:
+    """Return the estimation lower bound [m], the mean over cases; where measurements are exact it is the optimum's."""
+    bounds, best = estimation_bounds(results.suite.source[1]), results.tails[BOUND]
+    names = [f"{regime}-{case}" for case in CASES]
+    return float(np.mean([max(bounds[name].tail_m, best[name]) if name in bounds else best[name] for name in names]))
+
+
+def _error(tails: Array) -> str:
+    """Return the mean error [mm] with its interval."""
+    mean, low, high = (f"{1e3 * value:.3g}" for value in (tails.mean(), *bootstrap_interval(tails)))
+    return f"{mean} ({low} to {high})"
+
+
+def _errors(results: Results) -> Any:
+    figure, [axes] = panels(1, 2, (8.2, 3.4), sharey=True)
+    names = list(POLICIES)
+    for ax, regime in zip(axes, REGIMES, strict=True):
+        for i, name in enumerate(names):
+            tails = 1e3 * _tails(results, name.format(regime), regime)
+            ax.plot(bootstrap_interval(tails), [i, i], color=COLOURS[0], linewidth=2)
+            ax.plot(tails.mean(), i, color=COLOURS[0], marker=MARKERS[0], markersize=5)
+        for value, label, style in (
+            (1e3 * _mean(results, BOUND, regime), "full-information optimum", "-"),
+            (1e3 * _estimation(results, regime), "estimation lower bound", "--"),
+        ):
+            ax.axvline(value, color=COLOURS[1], linestyle=style, linewidth=1.2, label=label)
+        ax.set_xscale("log")
+        ax.set_title(f"{regime}: mean steady-state error [mm]")
+    axes[0].set_yticks(range(len(names)), [name.format("*") for name in names])
+    axes[0].set_ylim(len(names) - 0.5, -0.5)
+    figure.legend(*axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8)
+    return figure
+
+
+def _heat_map(results: Results) -> Any:
+    names = [f"{regime}-{case}" for regime in REGIMES for case in CASES]
+    values = np.array([
+        [1e3 * results.tails[policy.format(name.partition("-")[0])][name] for name in names] for policy in POLICIES
+    ])  # fmt: skip
+    figure, [[ax]] = panels(1, 1, (9.4, 3.6))
+    image = ax.imshow(values, aspect="auto", cmap="viridis_r", norm=LogNorm(0.1, 1000))
+    for (i, j), value in np.ndenumerate(values):
+        ax.text(
+            j,
+            i,
+            f"{value:.0f}" if value >= 10 else f"{value:.2g}",
+            ha="center",
+            va="center",
+            fontsize=7,
+            color="white" if value > 20 else "black",
+        )
+    ax.set_xticks(range(len(names)), names, rotation=40, ha="right", rotation_mode="anchor")
+    ax.set_yticks(range(len(POLICIES)), [name.format("*") for name in POLICIES])
+    ax.grid(visible=False)
+    figure.colorbar(image, ax=ax, label="mean steady-state error [mm]")
+    return figure

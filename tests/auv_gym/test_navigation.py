@@ -1,0 +1,330 @@
+"""Dead reckoning between position fixes: against its own equations, formulas of its drift, on every back end."""
+
+import cmath
+import dataclasses
+import math
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+
+from auv_gym.envs.torch_sim import TorchSimulator, simulate
+from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
+from auv_gym.physics.navigation import FixFilter, RandomReckoning, Reckoning, heading_errors
+from auv_gym.physics.sensors import Sensors
+from auv_gym.planning.paths import Circle, Line
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.task.observation import decode_observation
+from auv_gym.task.simulation import NOISE, SAMPLE
+from baselines import make_policy
+from baselines.agents.features import FEATURES
+from baselines.agents.networks import Gru
+from baselines.control.truth import samples
+from baselines.evaluation import suites
+from baselines.evaluation.rollout import rollout
+from baselines.evaluation.runner import Cell, Recorded, run_all
+from baselines.evaluation.score import BY_ORACLE, LARGEST_TAIL, regime_of, waters_of
+from baselines.training.apg.torch_network import torch_network
+from research.results.collection import Results
+from research.results.navigation import navigation
+from research.suites.deep import (
+    INSTRUMENTS,
+    MISSION,
+    OUTAGE_TIME,
+    OUTAGES,
+    navigation_errors,
+    navigation_tails,
+    worlds,
+)
+from research.throughput.eager import Setting
+
+TRACK = "auv_gym:UnderactuatedAUVTrack-v0"
+DEEP = {scenario.name: scenario for scenario in worlds()}
+OFTEN = RandomReckoning(
+    interval=(1.0, 3.0), scale=(-0.1, 0.1), misalignment=(-0.1, 0.1), drift=(-0.01, 0.01), walk=0.01
+)
+ROUGH = dataclasses.replace(  # all errors at once, large enough to be seen in a few seconds
+    PRESETS["cruise-storm"],
+    name="rough",
+    steps=150,
+    sensors=Sensors(0.5, 0.1, 0.2, 0.01, 0.2, (-0.1, 0.1), 0.1, 0.0, 10.0, (1.0, 4.0), OFTEN),
+)
+
+
+def world(observation, reference):
+    """Return measured position as a complex number."""
+    o = decode_observation(observation)
+    return complex(o.e_x, o.e_y) * complex(o.cos_psi, o.sin_psi) + complex(reference.x, reference.y)
+
+
+def test_the_measured_position_is_reckoned_and_corrected():
+    """Against complex numbers, from the true positions and what the tape says of sensors and fixes."""
+    env, rng = UnderactuatedAUVTrackEnv(ROUGH), np.random.default_rng(0)
+    episode = dataclasses.replace(ROUGH.draw(rng), outages=((5.0, 9.0),))
+    tape, dt = samples(ROUGH, [episode])[:, :, 0], ROUGH.control_dt
+    observation, _ = env.reset(options={"episode": episode})
+    before, estimate, shares = complex(*env.state[:2]), None, []
+    log = (1 + episode.reckoning.scale) * cmath.exp(1j * episode.reckoning.misalignment)
+    for k, row in enumerate(tape):
+        position, psi = complex(*env.state[:2]), env.state[2]
+        fix, n = position + complex(row[SAMPLE.n_x], row[SAMPLE.n_y]), complex(row[SAMPLE.n_u], row[SAMPLE.n_v])
+        turn, share = cmath.exp(1j * row[SAMPLE.n_psi]), row[SAMPLE.fix]
+        reckoned = (
+            fix if estimate is None else estimate + turn * (log * (position - before) + n * cmath.exp(1j * psi) * dt)
+        )
+        estimate, before = reckoned + share * (fix - reckoned), position
+        assert world(observation, env.reference) == pytest.approx(estimate, abs=1e-9), k
+        shares.append(share)
+        V = complex(*env.state[3:5]) * log + n
+        o = decode_observation(observation)
+        assert complex(o.u_e + env.reference.u, o.v_e + env.reference.v) == pytest.approx(V, abs=1e-9)
+        if k < ROUGH.steps:
+            observation, *_ = env.step(rng.uniform(-0.5, 0.5, 2))
+    times = dt * np.flatnonzero(shares)
+    expected = [t for t in episode.reckoning.fixes if not 5.0 <= math.ceil(t / dt - 1e-9) * dt < 9.0 - 1e-9]
+    np.testing.assert_allclose(times[1:], np.ceil(np.array(expected) / dt - 1e-9) * dt, atol=1e-9)
+    assert shares[0] == 1.0
+    assert all(0 < share < 1 for share in shares if share not in (0.0, 1.0))
+
+
+@pytest.mark.parametrize(("scale", "angle"), [(0.01, 0.0), (0.0, 0.02), (-0.02, -0.01)])
+def test_on_a_straight_line_the_error_grows_with_the_way(scale, angle):
+    """By |(1 + scale) exp(i angle) - 1| of it, whether it is the log or the gyro that is turned."""
+    sensors = Sensors(reckoning=RandomReckoning(1e4, scale, angle / 2, 0.0, 0.0), heading_bias=angle / 2)
+    scenario = Scenario(path=Line(1.0), sensors=sensors, steps=500)
+    errors = navigation_errors(scenario, [scenario.draw(np.random.default_rng(0))])[:, 0]
+    share = abs((1 + scale) * cmath.exp(1j * angle) - 1)
+    np.testing.assert_allclose(errors, share * 0.1 * np.arange(501), atol=1e-9)
+
+
+def test_on_a_circle_the_error_comes_back():
+    sensors = Sensors(reckoning=RandomReckoning(1e4, 0.02, 0.0, 0.0, 0.0))
+    scenario = Scenario(path=Circle(0.5, 0.05), sensors=sensors, steps=round(20 * math.pi / 0.05))
+    errors = navigation_errors(scenario, [scenario.draw(np.random.default_rng(0))])[:, 0]
+    assert errors.max() == pytest.approx(0.02 * 20.0, rel=1e-3)
+    assert errors[-1] < 1e-3
+
+
+def test_the_heading_walks_and_drifts():
+    """Its mean is drift * t, its variance walk^2 * t, and increments of different times have nothing in common."""
+    rng, dt, n = np.random.default_rng(1), 0.2, 501
+    errors = np.array([heading_errors(0.002, 0.03, dt, n, rng) for _ in range(4000)])
+    assert (errors[:, 0] == 0).all()
+    for k in (50, 200, 500):
+        assert errors[:, k].mean() == pytest.approx(0.002 * k * dt, abs=4 * 0.03 * math.sqrt(k * dt / 4000))
+        assert errors[:, k].var() == pytest.approx(0.03**2 * k * dt, rel=0.1)
+    halves = errors[:, 250], errors[:, 500] - errors[:, 250]
+    assert abs(np.corrcoef(*halves)[0, 1]) < 0.06
+
+
+def test_noise_of_the_log_makes_the_position_walk():
+    """Variance velocity^2 * dt * t on each axis."""
+    sensors = Sensors(velocity=0.05, reckoning=RandomReckoning(1e4, 0.0, 0.0, 0.0, 0.0))
+    scenario = Scenario(path=Circle(0.5, 0.05), sensors=sensors, steps=400)
+    rng = np.random.default_rng(2)
+    squares = (navigation_errors(scenario, [scenario.draw(rng) for _ in range(800)]) ** 2).mean(axis=1)
+    for k in (100, 400):
+        assert squares[k] == pytest.approx(2 * 0.05**2 * 0.1 * 0.1 * k, rel=0.15)
+
+
+def test_fixes_come_as_often_as_they_should():
+    reckoning, rng = RandomReckoning(), np.random.default_rng(3)
+    drawn = [reckoning.draw(rng, 300.0) for _ in range(300)]
+    gaps = np.concatenate([np.diff((0.0, *d.fixes)) for d in drawn])
+    assert 10.0 <= gaps.min() < gaps.max() <= 30.0
+    assert max(d.fixes[-1] for d in drawn) <= 300.0
+    assert np.mean([len(d.fixes) for d in drawn]) == pytest.approx(300 / 20 - 0.46, abs=0.15)  # renewal theory
+    for name in ("scale", "misalignment", "drift"):
+        values, (_, high) = [getattr(d, name) for d in drawn], getattr(reckoning, name)
+        assert np.mean(np.square(values)) == pytest.approx(high**2 / 3, rel=0.2)
+
+
+WAYS, TIMES = (20.0, 11.0, 28.0, 15.0, 60.0, 12.0), (20.0, 11.0, 28.0, 15.0, 60.0, 12.0)
+
+
+def test_the_filter_knows_its_error():
+    """The variance P before each fix, K = P / (P + fix^2), is that of 200,000 errors that go through it."""
+    fix, drift, bias, noise = 1.5, 2e-4, 1e-5, 1e-3
+    gains, rng = FixFilter(fix, drift, bias, noise).gains(WAYS, TIMES), np.random.default_rng(4)
+    constant, error = rng.standard_normal(200_000), fix * rng.standard_normal(200_000)
+    for way, time, K in zip(WAYS, TIMES, gains, strict=True):
+        error += math.hypot(math.sqrt(drift) * way, math.sqrt(bias) * time) * constant
+        error += math.sqrt(noise * time) * rng.standard_normal(200_000)
+        assert error.var() == pytest.approx(K / (1 - K) * fix**2, rel=0.02)
+        after = [(error + k * (fix * rng.standard_normal(200_000) - error)).var() for k in (0.8 * K, K, 1.2 * K)]
+        assert after[1] < min(after[0], after[2])  # no other gain is better at this fix
+        error += K * (fix * rng.standard_normal(200_000) - error)
+
+
+def test_gains_in_the_limits():
+    assert FixFilter(2.0, 0.0, 0.0, 0.0).gains(WAYS, TIMES) == pytest.approx([1 / k for k in range(2, 8)])  # a mean
+    assert FixFilter(0.0, 0.0, 0.0, 0.0).gains(WAYS, TIMES) == [1.0] * 6  # fixes without an error
+    assert FixFilter(1e-9, 1e-4, 0.0, 0.0).gains(WAYS, TIMES) == pytest.approx([1.0] * 6)
+
+
+def test_the_filter_is_told_how_good_the_sensors_are():
+    sensors = dataclasses.replace(INSTRUMENTS, reckoning=RandomReckoning(20.0, 0.03, 0.0, 0.0, 0.0), heading_bias=0.04)
+    assert sensors.fix_filter(0.1, 100.0) == FixFilter(
+        1.5, pytest.approx(0.05**2 / 2), pytest.approx(0.005**2 / 3), pytest.approx(0.01**2 * 0.1)
+    )
+    drifting = RandomReckoning(20.0, 0.0, 0.0, (0.0, 3e-4), 1e-3)
+    assert drifting.mean_square_drift(0.0, 100.0) == pytest.approx((9e-8 / 3 * 100**2 / 3 + 1e-6 * 50) / 2)
+
+
+def test_all_back_ends_reckon_the_same():
+    """Beside vehicles with outages and with neither, which are what they are alone."""
+    patchy = dataclasses.replace(PRESETS["cruise-storm"], sensors=Sensors(position=0.1, outages=20.0))
+    mixed = [ROUGH, DEEP["cruise-deep-storm"], patchy, PRESETS["cruise-storm"]]
+    arrays = gym.make_vec(TRACK, 4, vectorization_mode="vector_entry_point", scenario=mixed)
+    tensors, scalars = (
+        TorchSimulator(4, mixed, dtype="float64", compiled=False),
+        [gym.make(TRACK, scenario=s) for s in mixed],
+    )
+    seen, rng = [arrays.reset(seed=5)[0], tensors.reset(seed=5)[0]], np.random.default_rng(5)
+    alone = np.array([env.reset(seed=5 + i)[0] for i, env in enumerate(scalars)])
+    for _ in range(140):
+        np.testing.assert_allclose(seen[0], alone, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(seen[1], alone, rtol=0, atol=1e-10)
+        actions = rng.uniform(-0.5, 0.5, (4, 2)).astype(np.float32)
+        seen = [env.step(given)[0] for env, given in ((arrays, actions), (tensors, torch.from_numpy(actions)))]
+        alone = np.array([env.step(a)[0] for env, a in zip(scalars, actions, strict=True)])
+
+
+def test_training_differentiates_it(monkeypatch):
+    """The gradient of the compiled loop is torch's own, and a step's that of finite differences."""
+    monkeypatch.setitem(PRESETS, "rough", ROUGH)
+    torch.manual_seed(0)
+    net = torch_network(Gru(len(FEATURES), 8, 8, 8)).to(torch.float64)
+    torch.nn.init.normal_(net.head.weight, std=0.5)
+    mine, theirs = (Setting(["rough", "cruise-storm"], net, steps=12) for _ in range(2))
+    assert mine.fleet.parts.reckoned
+    value, _ = mine.run()
+    found = torch.cat([p.grad.ravel() for p in net.parameters()])
+    net.zero_grad()
+    expected = theirs.by_torch()
+    expected.backward()
+    gradient = torch.cat([p.grad.ravel() for p in net.parameters()])
+    assert value == pytest.approx(float(expected.detach()), rel=1e-9)
+    assert float((found - gradient).norm()) <= 1e-9 * float(gradient.norm())
+
+    sim = TorchSimulator(2, ROUGH, dtype="float64", compiled=False)
+    sim.reset(seed=0)
+    for _ in range(30):
+        sim.step(torch.full((2, 2), 0.2))
+    state, action = sim.state.detach().clone().requires_grad_(), torch.zeros((2, 2), dtype=torch.float64)
+
+    def outputs(x):
+        step = simulate(x, action, sim._samples[31], sim._constants, ROUGH.parts)
+        return step.state, step.observation
+
+    assert torch.autograd.gradcheck(outputs, (state,), eps=1e-6, atol=1e-6, rtol=1e-5)
+
+
+def test_nothing_else_of_an_episode_changes():
+    plain = dataclasses.replace(ROUGH, sensors=dataclasses.replace(ROUGH.sensors, reckoning=None))
+    mine, theirs = (s.draw(np.random.default_rng(6)) for s in (ROUGH, plain))
+    assert dataclasses.replace(mine, reckoning=None) == theirs
+    tapes = samples(ROUGH, [mine]), samples(plain, [theirs])
+    kept = [i for i in range(tapes[0].shape[1]) if i not in (SAMPLE.n_psi, SAMPLE.fix)]
+    np.testing.assert_array_equal(tapes[0][:, kept], tapes[1][:, kept])
+    assert np.abs(tapes[0][:, NOISE] - tapes[1][:, NOISE]).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"interval": 0.5}, r"reckoning interval is 0.5; it must be a number in \[1, 10000\]"),
+        ({"interval": (30.0, 10.0)}, "low must not be above high"),
+        ({"scale": 0.6}, r"reckoning scale is 0.6; it must be a number in \[-0.5, 0.5\]"),
+        ({"misalignment": 2.0}, "reckoning misalignment is 2.0"),
+        ({"drift": math.nan}, "reckoning drift is nan"),
+        ({"walk": -1e-4}, r"reckoning walk is -0.0001; it must be a number in \[0, 1\]"),
+    ],
+)
+def test_bad_reckonings_are_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        RandomReckoning(**changes)
+
+
+def test_mistakes_are_told():
+    with pytest.raises(ValueError, match="sensors reckoning is 20; it must be a RandomReckoning or None"):
+        Sensors(reckoning=20)
+    with pytest.raises(ValueError, match="reckoning has no entry 'fixes'; allowed are interval, scale"):
+        Scenario.from_dict({"sensors": {"reckoning": {"fixes": 3}}})
+    episode = dataclasses.replace(Scenario().draw(np.random.default_rng(0)), reckoning=Reckoning())
+    with pytest.raises(ValueError, match="the episode has a dead reckoning, which scenario 'custom' has not"):
+        Scenario().parameters(episode)
+
+
+@pytest.mark.parametrize("suffix", ["json", "toml"])
+def test_files_hold_it(tmp_path, suffix):
+    for scenario in (ROUGH, Scenario(sensors=Sensors(reckoning=RandomReckoning()))):
+        scenario.save(tmp_path / f"deep.{suffix}")
+        assert Scenario.load(tmp_path / f"deep.{suffix}") == scenario
+
+
+def test_the_deep_suite_is_what_it_says():
+    suite = suites.load("deep-v1")
+    assert [cell.scenario for cell in suite.cells] == list(DEEP.values())
+    assert [f"{r}-{c}" for r in ("slow", "cruise") for c in ("deep", "deep-current", "deep-storm")] == list(DEEP)
+    for cell in suite.cells:
+        assert len(cell.episodes) == 60
+        assert cell.scenario.duration >= 240.0
+        assert min(len(e.reckoning.fixes) for e in cell.episodes) >= 8
+        assert any(e.outages for e in cell.episodes) == cell.scenario.name.endswith("storm")
+        assert LARGEST_TAIL[waters_of(cell.scenario.name)] == 5.0
+        assert waters_of(cell.scenario.name) != regime_of(cell.scenario.name)
+    assert [waters_of(name) for name in ("slow-storm", "cruise-deeper", "deep", "harbour")] == [
+        "slow",
+        "cruise",
+        None,
+        None,
+    ]
+
+
+def test_who_keeps_its_estimate_on_the_reference_has_the_error_of_the_navigation():
+    cell = suites.load("deep-v1").cells[3]
+    episodes = [dataclasses.replace(e, initial_error=(0.0, 0.0, 0.0), surge=1.0) for e in cell.episodes[:6]]
+    floor = navigation_tails(Cell(cell.scenario, episodes))
+    tails = rollout(make_policy("backstepping"), cell.scenario, episodes).measures.tail
+    np.testing.assert_allclose(tails, floor, rtol=0.25)
+    assert np.corrcoef(tails, floor)[0, 1] > 0.9
+
+
+def test_the_page_tells_the_instruments():
+    text = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text(encoding="utf-8")
+    s, r = INSTRUMENTS, INSTRUMENTS.reckoning
+    for words in (
+        f"every {r.interval[0]:g} to {r.interval[1]:g} s, {s.position:g} m on each axis",
+        f"scale error up to {100 * r.scale[1]:g} %, bias up to {s.velocity_bias[1]:g} m/s, noise {s.velocity:g} m/s",
+        f"misaligned by up to {r.misalignment[1]:g} rad",
+        f"aligned to {s.heading_bias[1]:g} rad, drifts up to {r.drift[1]:g} rad/s",
+        f"({math.degrees(3600 * r.drift[1]):.0f} deg/h)",
+        f"walks {r.walk:g} rad/sqrt(s)",
+        f"in storms {OUTAGES:g} a minute, each {OUTAGE_TIME[0]:g} to {OUTAGE_TIME[1]:g} s long",
+        f"in missions of {MISSION['slow']:g} s and {MISSION['cruise']:g} s",
+        f"from a tail of {LARGEST_TAIL['deep']:g} m",
+    ):
+        assert words in text
+
+
+def test_results_begin_with_the_error_of_the_navigation():
+    suite = suites.load("deep-v1")
+    few = dataclasses.replace(
+        suite,
+        anchors=BY_ORACLE,
+        cells=tuple(Cell(c.scenario, c.episodes[:4]) for c in suite.cells if c.scenario.name == "slow-deep"),
+    )
+    runs = run_all(("backstepping", "oracle", "open-loop"), few.cells)
+    results = Results.of(few, [dataclasses.replace(r, recorded=Recorded("2000-01-01", {})) for r in runs])
+    text = "\n\n".join(navigation(results, ["slow"]))
+    floor = navigation_tails(few.cells[0]).mean()
+    rows = [line.strip("| ").split(" | ") for line in text.split("### Navigation")[1].split("###")[0].splitlines()]
+    shown = {row[0].strip("`"): [float(x) for x in row[1:3]] for row in rows if len(row) == 4 and row[1][-1].isdigit()}
+    assert shown["navigation"] == pytest.approx([floor, floor], abs=5e-4)
+    for run in (runs[0], runs[2]):
+        assert shown.pop(run.policy)[0] == pytest.approx(run.measures.tail.mean() - floor, abs=5e-4)
+    assert list(shown) == ["navigation"]  # the oracle needs none

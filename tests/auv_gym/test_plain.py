@@ -1,0 +1,110 @@
+"""Graphs and networks as plain functions: the numbers of where they come from, in C and JavaScript."""
+
+import ctypes
+import json
+import math
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from auv_gym.codegen import native
+from auv_gym.codegen.elementary import hyperbolic_tangent
+from auv_gym.codegen.graph import SYMBOLS, Graph
+from auv_gym.codegen.plain import JAVASCRIPT_DIALECT, c_dialect, plain_function, tangent_function
+from auv_gym.codegen.vectors import Program, plain_program
+from auv_gym.physics.namespaces import FLOATS
+
+
+def test_hyperbolic_tangent_is_within_a_rounding_error_of_one():
+    for x in (0.0, 1e-9, 0.3, -0.7, 2.0, -5.0, 19.0, 40.0, 800.0, -math.inf, math.inf):
+        assert hyperbolic_tangent(x, "float64", FLOATS) == pytest.approx(math.tanh(x), abs=3e-16)
+    assert math.isnan(hyperbolic_tangent(math.nan, "float64", FLOATS))
+
+
+def shared(source, precision):
+    """Return the library of functions that are static in a header."""
+    real = {"float32": "float", "float64": "double"}[precision]
+    library = native.library(f"#include <math.h>\ntypedef {real} real;\n{source.replace('static void', 'void')}")
+    if library is None:
+        pytest.skip("plain functions run compiled")
+    return library
+
+
+def address(array):
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_an_array_may_be_read_and_written_at_once(precision):
+    graph = Graph()
+    a, b = graph.input("pair_0"), graph.input("pair_1")
+    results = {"pair": [b, a + b], "seen": [a < b, SYMBOLS.clip(a, -1.0, 1.0), SYMBOLS.sin(b)]}
+    unused = [graph.input("idle_0")]
+    source = plain_function("swap", graph, {"pair": [a, b], "idle": unused, "none": []}, results, c_dialect(precision))
+    assert "none" not in source
+    pair, seen = np.array([3.0, 5.0], precision), np.zeros(3, precision)
+    shared(source, precision).swap(address(pair), address(np.zeros(1, precision)), address(seen))
+    assert pair.tolist() == [5.0, 8.0]
+    np.testing.assert_allclose(seen, [1.0, 1.0, math.sin(5.0)], atol=1e-6 if precision == "float32" else 1e-15)
+
+
+W, COLUMN = np.arange(12.0).reshape(4, 3) / 7 - 0.8, np.array([[0.1], [-0.2], [0.3], [0.0]])
+
+
+def network(x, h):
+    """Compute with everything that is recorded, in place too."""
+    y = np.dot(W, x)
+    y += COLUMN
+    np.tanh(y, y)
+    low, high = np.maximum(y[:2], 0.0), y[2:]
+    high *= 0.5
+    h = h - np.clip(low, -1.0, 0.1)
+    h += high * 2.0
+    return h, np.maximum(y[1:2], -0.05)
+
+
+PROGRAM = Program.traced(network, {"W": W, "column": COLUMN}, {"x": 3, "h": 2}, ("next", "out"))
+X, H = np.array([0.3, -0.5, 0.9]), np.array([0.4, -0.6])
+EXPECTED = np.concatenate(network(X[:, None], H[:, None])).ravel()
+
+
+def test_a_network_runs_as_loops_in_c():
+    tables = "".join(
+        f"static const double {name}[] = {{{', '.join(map(repr, array.ravel().tolist()))}}};\n"
+        for name, array in PROGRAM.constants.items()
+    )
+    dialect = c_dialect("float64")
+    source = tables + tangent_function("tangent", dialect) + plain_program("run", PROGRAM, "tangent", dialect, {})
+    after, out = np.zeros(2), np.zeros(1)
+    shared(source, "float64").run(*map(address, (X, H, after, out)))
+    np.testing.assert_allclose([*after, *out], EXPECTED, atol=1e-15)
+
+
+def test_a_network_runs_as_loops_in_javascript():
+    if shutil.which("node") is None:
+        pytest.skip("no node; tests/research/test_live.py runs the same printer in a browser")
+    tables = "".join(f"const {name} = {array.ravel().tolist()};" for name, array in PROGRAM.constants.items())
+    dialect = JAVASCRIPT_DIALECT
+    source = tables + tangent_function("tangent", dialect) + plain_program("run", PROGRAM, "tangent", dialect, {})
+    call = f"const a = [], b = []; run({X.tolist()}, {H.tolist()}, a, b); console.log(JSON.stringify([...a, ...b]));"
+    printed = subprocess.run(["node", "-e", source + call], capture_output=True, text=True, check=True).stdout
+    np.testing.assert_allclose(json.loads(printed), EXPECTED, atol=1e-15)
+
+
+@pytest.mark.parametrize("function", [np.exp, np.sum, np.add.reduce])
+def test_what_is_not_recorded_is_refused(function):
+    with pytest.raises(TypeError, match="of a vector is not recorded"):
+        Program.traced(lambda x: [function(x)], {}, {"x": 3}, ["y"])
+
+
+def test_a_vector_is_not_read_where_a_part_of_it_was_changed():
+    def function(x):
+        y = x + 1.0
+        part = y[1:]
+        part *= 2.0
+        return (y[:2],)
+
+    with pytest.raises(ValueError, match="part was changed in place"):
+        Program.traced(function, {}, {"x": 3}, ["y"])

@@ -1,0 +1,324 @@
+"""train.py --from and --vehicle: where a training begins, in whose units it takes place, and what contradicts it."""
+
+import json
+import re
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from kept_pages import compare_between
+
+from auv_gym.physics.units import Units
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.mixtures import MIXTURES
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.vehicles import craft
+from baselines import make_policy
+from baselines.agents.agent import Agent
+from baselines.evaluation.rollout import rollout
+from baselines.evaluation.runner import drawn
+from baselines.tools.command_line import run
+from baselines.training.apg.groups import Groups
+from baselines.training.apg.settings import Settings, check
+from baselines.training.apg.torch_network import weights_of
+from baselines.training.apg.trainer import Trainer
+from baselines.training.beginning import OF_AGENT, fitted, in_own_units
+from baselines.training.hyperparameters import ENV_ID, TUNING, load_hyperparameters, shipped
+from baselines.training.options import PROGRAM, main
+from baselines.training.run_folder import Run, read_config, read_progress
+from research.trainings import fine_tuning
+from research.trainings.trainings import SHIPPED
+
+torch.set_num_threads(1)
+SMALL = replace(PRESETS["cruise-current"], name="cruise-small", steps=15)
+SLOW = replace(PRESETS["slow-current"], name="slow-small", steps=15)
+TINY = {"n_envs": 8, "n_steps": 5, "hidden_size": 8, "effort_weight": 0.25, "validations": 2}
+STEPS = 160
+ROOT = Path(__file__).parents[2]
+BEGUN = ("--from", "runs/train/apg-small-slow", "--vehicle", "otter", "--timesteps", STEPS)
+FOUND = Path("runs/train/apg-small-slow-otter")
+"""The folder of that training."""
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """Return a folder with a small agent of both regimes, trained for the paper's vehicle."""
+    folder = tmp_path_factory.mktemp("trained")
+    SMALL.save(folder / "small.toml")
+    SLOW.save(folder / "slow.toml")
+    tables = {ENV_ID: {**TINY, "n_timesteps": STEPS}, TUNING: {"n_timesteps": STEPS, "learning_rate": 1e-3}}
+    (folder / "apg.yml").write_text(yaml.safe_dump(tables), encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        called = caller(folder, patch)
+        assert called("--scenario", "small.toml", "slow.toml") == 0
+        assert called(*BEGUN) == 0
+    return folder
+
+
+def caller(folder, patch):
+    patch.chdir(folder)
+    patch.setattr("baselines.training.validation.EPISODES", 3)
+    patch.setattr("baselines.training.apg.trainer.LOGS", 5)
+    patch.setattr("baselines.training.request.shipped", lambda algo: Path(f"{algo}.yml"))
+
+    def call(*arguments):
+        patch.setattr(sys, "argv", ["train.py", *map(str, arguments)])
+        return run(main, PROGRAM)
+
+    return call
+
+
+@pytest.fixture
+def call(trained, tmp_path, monkeypatch):
+    shutil.copytree(trained, tmp_path, dirs_exist_ok=True)
+    return caller(tmp_path, monkeypatch)
+
+
+def weights(folder):
+    return dict(Agent.load(folder).weights)
+
+
+def at_the_end(folder):
+    """Return the weights at the end of a run; its agent has those that did best, perhaps those of its beginning."""
+    return {k: w.numpy() for k, w in Run(read_config(folder), folder).load_checkpoint()["modules"]["network"].items()}
+
+
+def same(a, b):
+    return a.keys() == b.keys() and all(np.array_equal(a[name], b[name]) for name in a)
+
+
+def test_it_begins_with_the_agents_weights_for_a_vehicle_and_remembers_both(call):
+    config, agent = read_config(FOUND), Agent.load(FOUND / "agent")
+    begun = Trainer(Run(config, Path("new")), Groups(config, check(config)))
+    assert same(weights_of(begun.network), weights("runs/train/apg-small-slow/agent"))
+    assert same(weights_of(begun.averaged.module), weights("runs/train/apg-small-slow/agent"))
+    assert not same(weights_of(begun.network), at_the_end(FOUND))
+    assert config.origin.agent == "runs/train/apg-small-slow"
+    assert config.steers == craft("otter").vehicle
+    assert config.names == agent.scenarios == ("cruise-small@otter", "slow-small@otter")
+    assert Units.of(config.vehicle) == Units()
+    assert config.vehicle.m22 / config.vehicle.m11 == pytest.approx(config.steers.m22 / config.steers.m11)
+    assert config.hyperparameters["hidden_size"] == 8
+    assert config.hyperparameters["effort_weight"] == 0.25
+    assert agent.training["config"]["steers"]["m11"] == config.steers.m11
+
+
+def test_what_it_validates_in_the_vehicles_units_is_what_the_agent_does_in_metres(call):
+    """The similarity from end to end: an evaluation in SI units knows nothing of how an agent was trained."""
+    folder, config = FOUND, read_config(FOUND)
+    here = config.scenarios[0][0]
+    there = replace(changed(SMALL, "otter"), substeps=here.substeps)
+    length = Units.of(there.vehicle).length
+    policies = make_policy(str(folder), there.vehicle), Agent.load(folder / "agent").policy(vehicle=config.vehicle)
+    tails = [
+        rollout(policy, scenario, drawn(scenario, 3, 7).episodes).measures.tail
+        for policy, scenario in zip(policies, (there, here), strict=True)
+    ]
+    np.testing.assert_allclose(tails[0] / length, tails[1], rtol=1e-4)
+    assert tails[1].min() > 1e-3
+
+
+def test_it_goes_on_as_if_it_had_not_been_interrupted(call, monkeypatch, capsys):
+    keep = Run.save_checkpoint
+
+    def interrupted(self, state):
+        keep(self, state)
+        if state["timesteps"] >= STEPS / 2:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Run, "save_checkpoint", interrupted)
+        assert call(*BEGUN, "--out", "out") == 1
+    assert call(*BEGUN, "--out", "out", "--resume") == 0
+    assert same(weights("out/agent"), weights(FOUND / "agent"))
+    assert same(at_the_end(Path("out")), at_the_end(FOUND))
+    assert len(read_progress(Path("out"))) == len(read_progress(FOUND))
+    capsys.readouterr()
+    agent = Agent.load("runs/train/apg-small-slow/agent")
+    replace(agent, weights={k: 2 * w for k, w in agent.weights.items()}).save("runs/train/apg-small-slow/agent")
+    assert call(*BEGUN, "--out", "out", "--resume") == 2
+    assert "a run with other origin" in capsys.readouterr().err
+
+
+def test_it_goes_on_with_what_was_trained_for_a_vehicle(call, capsys):
+    again = ("--from", FOUND, "--timesteps", 40, "--out", "again")
+    assert call(*again) == 0
+    assert read_config(Path("again")).scenarios == read_config(FOUND).scenarios
+    assert read_config(Path("again")).steers == craft("otter").vehicle
+    capsys.readouterr()
+    assert call(*again, "--vehicle", "lauv") == 2
+    assert "has a vehicle of its own, so it cannot be made to fit another one" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--from", "nobody"), "there is no agent 'nobody' to begin with; allowed are the folder of one, or apg-"),
+        (("--from", "ppo-cruise"), "agent 'ppo-cruise' was trained by ppo; a training can begin with one of apg"),
+        (("--algo", "ppo"), "--from goes on by the analytic gradient, not by ppo; leave out --algo"),
+        (("--expert", "lqi"), "corrects backstepping; leave out --expert lqi"),
+        (("--authority", "0.1"), "has the authority (0.5, 0.5); leave out --authority"),
+        (("--set", "hidden_size=64"), "was trained with hidden_size 8; leave out hidden_size=64"),
+        (("--set", "fine=true"), "has another network, or other inputs, than is asked for"),
+        (("--vehicle", "submarine"), "unknown vehicle 'submarine'; allowed are a Vehicle, a dict, a .toml file"),
+        (("--vehicle", "none.toml"), "cannot read none.toml"),
+        (("--vehicle", "lauv", "--scenario", "slow-calm"), "whose fins steer it from 0.25 m/s on"),
+        (("--scenario", "paper-circle"), "has one path of its own, which cannot be seen in the units of its vehicle"),
+        (("--hyperparameters", "other.yml"), "other.yml has no table of hyper-parameters under fine-tuning"),
+    ],
+)
+def test_contradictions_are_one_line_and_leave_nothing_behind(arguments, message, call, capsys):
+    Path("other.yml").write_text(yaml.safe_dump({ENV_ID: TINY}), encoding="utf-8")
+    before = set(Path().rglob("*"))
+    assert call(*BEGUN, "--out", "out", *arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert message in err.splitlines()[-1]
+    assert set(Path().rglob("*")) == before
+
+
+def test_a_vehicle_without_an_agent_to_begin_with_is_trained_for_alone(call):
+    assert call("--vehicle", "otter", "--scenario", "small.toml", "--timesteps", 40) == 0
+    config = read_config(Path("runs/train/apg-small-otter"))
+    assert (config.origin, config.steers) == (None, craft("otter").vehicle)
+
+
+def test_scenarios_that_fins_are_too_slow_for_are_left_out():
+    mixture, reasons = fitted(MIXTURES["helm"], craft("lauv"))
+    assert len(mixture) + len(reasons) == len(MIXTURES["helm"])
+    assert {scenario.name.partition("-")[0] for scenario, _ in mixture} == {"cruise"}
+    own, steers = in_own_units(mixture)
+    assert steers == craft("lauv").vehicle
+    assert len({scenario.substeps for scenario, _ in own}) == 1
+    assert [weight for _, weight in own] == [weight for _, weight in mixture]
+
+
+def test_the_papers_vehicle_is_trained_for_as_ever():
+    mixture = MIXTURES["cruise"]
+    assert in_own_units(mixture) == (mixture, None)
+    twice = ((Scenario("a"), 1.0), (Scenario("b", vehicle=replace(PAPER_VEHICLE, m22=300.0)), 1.0))
+    assert in_own_units(twice) == (twice, None)
+
+
+def test_rates_rise_and_fall():
+    shares = [Settings(warm_up=0.25, final_share=0.1).share_at(x) for x in np.linspace(0, 1, 101)]
+    assert shares[0] == 0.0
+    assert np.argmax(shares) == 25
+    assert shares[25:] == [Settings(final_share=0.1).share_at(x) for x in np.linspace(0, 1, 101)[25:]]
+    with pytest.raises(ValueError, match="warm_up is 2"):
+        Settings(warm_up=2)
+
+
+def test_the_shipped_table_leaves_an_agent_what_it_is():
+    """Of the residual environment's table, only how fast and how long is other."""
+    values = load_hyperparameters(shipped("apg"), TUNING)
+    assert not {*values.values} & {*OF_AGENT, "effort_weight", "rate_weight", "cut"}
+    assert values.timesteps < load_hyperparameters(shipped("apg")).timesteps
+    json.dumps(dict(values.values))
+
+
+@pytest.mark.parametrize("page", ["training", "tutorials/log-to-agent"])
+def test_documented_commands_run(page, call, monkeypatch):
+    """In their order, with a small agent in the place of the one that ships; vehicle.toml is that of the tutorial."""
+    monkeypatch.setattr("baselines.training.beginning.agent_folder", lambda _: Path("runs/train/apg-small-slow/agent"))
+    monkeypatch.setattr("baselines.training.run_folder.validation_cell", lambda s, _: drawn(replace(s, steps=15), 1, 0))
+    tutorial = (ROOT / "docs" / "tutorials" / "log-to-agent.md").read_text(encoding="utf-8")
+    Path("vehicle.toml").write_text(
+        re.search(r"^```toml\n(.*?)^```$", tutorial, re.MULTILINE | re.DOTALL)[1], encoding="utf-8"
+    )
+    text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
+    lines = [line for line in re.findall(r"^python train.py ([^#\n]*)", text, re.MULTILINE) if "--vehicle" in line]
+    assert lines
+    for line in lines:
+        scenario = () if "--scenario" in line else ("--scenario", "small.toml")
+        assert call(*line.split(), *scenario, "--timesteps", 40) == 0, line
+
+
+def test_what_fine_tuning_is_worth_is_measured(tmp_path, monkeypatch, capsys):
+    """A quick form of the command, whose agents have learned nothing."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(fine_tuning, "CASES", ("calm", "noise"))
+    words = ["--vehicle", "otter", "--episodes", "2", "--out", "new.json", "--policy", "backstepping", "helm"]
+    assert run(fine_tuning.main, fine_tuning.PROGRAM, words) == 0
+    record = json.loads(Path("new.json").read_text(encoding="utf-8"))
+    own = record["vehicles"]["otter"]
+    assert [len(own["helm"][name]) for name in ("tails", "lost")] == [2, 2]
+    own["alone"] = {"tails": [[2 * x for x in case] for case in own["helm"]["tails"]], "lost": [0, 0]}
+    assert fine_tuning.ratio(own["helm"], own["alone"]) == pytest.approx((0.5, 0.5, 0.5))
+    assert "the agent as it is | " in fine_tuning.table(record)
+    assert "| 0.50 (0.50 ... 0.50) | 0.50 (0.50 ... 0.50) |" in fine_tuning.table(record)
+    assert fine_tuning.verdict(record) == ""
+    own["tuned"] = {"tails": [own["helm"]["tails"][0], [5 * x for x in own["helm"]["tails"][1]]], "lost": [0, 0]}
+    assert "`otter` beyond by the typical error, beyond by the mean one" in fine_tuning.verdict(record)
+    assert fine_tuning.worth(record) == ""
+    own["nmpc"] = {"tails": [[4 * x for x in case] for case in own["tuned"]["tails"]], "lost": [0, 0]}
+    worth = fine_tuning.worth({**record, "agent": "helm"})
+    assert "for `otter` 2.24 (2.24 ... 2.24) times that of the agent as it is and 0.25 (0.25 ... 0.25) times" in worth
+    capsys.readouterr()
+    assert run(fine_tuning.main, fine_tuning.PROGRAM, words) == 0
+    assert capsys.readouterr().out == ""  # all is there
+
+
+def test_rows_of_an_agent_with_other_weights_do_not_count(tmp_path, monkeypatch):
+    rows = {name: {"tails": [[1.0]], "lost": [0]} for name in ("helm", "backstepping", "tuned", "alone")}
+    options = replace(fine_tuning.Options(), agent="helm", episodes=1, out=tmp_path / "kept.json")
+    record = {"agent": "helm", "weights": "old", "episodes": 1, "vehicles": {"otter": rows}}
+    options.out.write_text(json.dumps(record), encoding="utf-8")
+    assert fine_tuning.begun(options, "old") == record
+    found = fine_tuning.begun(options, "new")
+    assert found["weights"] == "new"
+    assert set(found["vehicles"]["otter"]) == {"backstepping", "alone"}
+    for name in ("alone", "tuned"):
+        rows[name]["set"] = ["another"]
+        options.out.write_text(json.dumps(record), encoding="utf-8")
+        assert set(fine_tuning.begun(options, "old")["vehicles"]["otter"]) == set(rows) - {name}
+        rows[name]["set"] = fine_tuning.recipe(name, "helm", "otter")
+    options.out.write_text(json.dumps(record), encoding="utf-8")
+    assert fine_tuning.begun(options, "old") == record
+    with monkeypatch.context() as changed:
+        changed.setattr(fine_tuning, "LENGTH", 2 * fine_tuning.LENGTH)
+        assert set(fine_tuning.begun(options, "old")["vehicles"]["otter"]) == set(rows) - {"alone"}
+    tried = fine_tuning.begun(replace(options, timesteps=40), "old")
+    assert set(tried["vehicles"]["otter"]) == {"helm", "backstepping"}
+    assert fine_tuning.begun(replace(options, episodes=2), "old")["vehicles"] == {}
+
+
+def test_the_agent_whose_tuning_the_page_shows_is_the_one_that_ships():
+    """And it is tuned, and others are trained alone, as the hyper-parameters say."""
+    kept = json.loads((ROOT / "docs" / fine_tuning.FILE).read_text(encoding="utf-8"))
+    for vehicle, found in kept["vehicles"].items():
+        for name in ("tuned", "alone"):
+            assert found[name]["set"] == fine_tuning.recipe(name, kept["agent"], vehicle), name
+    assert kept["weights"] == fine_tuning.weights_of(kept["agent"]), "run python -m research fine-tuning"
+
+
+def test_page_shows_what_fine_tuning_is_worth():
+    kept = json.loads((ROOT / "docs" / fine_tuning.FILE).read_text(encoding="utf-8"))
+    page = ROOT / "docs" / "training.md"
+    compare_between(page, fine_tuning.BEGIN, fine_tuning.END, fine_tuning.section(kept))
+
+
+def _named(words):
+    return dict(word.split("=") for word in words)
+
+
+def test_the_two_trainings_differ_in_where_they_begin():
+    own, helms = fine_tuning.trainings("helm", "lauv"), _named(SHIPPED["helm"].set)
+    assert (own["tuned"].from_, own["tuned"].vehicle, own["tuned"].timesteps) == ("helm", "lauv", None)
+    assert (own["alone"].from_, own["alone"].vehicle) == (None, "lauv")
+    assert own["alone"].timesteps == fine_tuning.LENGTH
+    assert _named(own["alone"].set) == {**helms, "groups": "1", "validations": str(fine_tuning.PIECES)}
+    any_hull = fine_tuning.trainings("helm-any", "lauv")["alone"]
+    assert any_hull.timesteps == fine_tuning.LENGTH
+    made, anys = _named(any_hull.set), _named(SHIPPED["helm-any"].set)
+    assert {name: made[name] for name in fine_tuning.SHARED} == {name: anys[name] for name in fine_tuning.SHARED}
+    rates = [name for name in helms if name.endswith(("rate", "weight", "size"))]
+    assert len(rates) > 4
+    assert {name: made[name] for name in rates} == {name: helms[name] for name in rates}

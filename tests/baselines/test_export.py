@@ -1,0 +1,273 @@
+"""Exported agents do what the agents do: as an ONNX model, as a C header, and on an emulated Cortex-M4."""
+
+import ctypes
+import json
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from auv_gym.codegen import native
+from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.presets import PRESETS, as_scenario
+from auv_gym.task.observation import SIZE, decode_observation
+from auv_gym.task.preview import Preview
+from baselines import make_policy
+from baselines.agents.names import agent_folder, shipped_agents
+from baselines.evaluation.rollout import Repeatable, beginning
+from baselines.evaluation.runner import drawn
+from baselines.export import command
+from baselines.export.c_header import c_header
+from baselines.export.onnx_model import onnx_model
+from baselines.export.parts import exported, network_program, quantised
+from baselines.tools.command_line import UsageError
+from research.deployment import emulator
+from research.deployment.page import page
+from research.deployment.players import HeaderPolicy, onnx_policy
+
+DOCS = Path(__file__).parents[2] / "docs"
+KINDS = ("apg-cruise", "apg-preview-slow", "apg-scratch-slow", "ppo-cruise", "sac-slow", "ppo-lstm-slow", "rma-cruise")
+KINDS += ("helm",)
+"""An agent of each kind: recurrent, filters, a preview, no expert, tanh and relu layers, long memory, a student."""
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wshadow", "-Wmissing-prototypes", "-O2")
+
+
+def needed(*programs):
+    """Skip the test where a program is not installed, but on CI, where it must be."""
+    if lacking := [name for name in programs if shutil.which(name) is None]:
+        (pytest.fail if os.environ.get("CI") else pytest.skip)(f"not installed: {', '.join(lacking)}")
+
+
+def ran(folder, *words):
+    """Return what a program prints; it must not fail."""
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def compiled():
+    if native.compiler() is None or not native.wanted():
+        pytest.skip("a header runs compiled")
+
+
+def episodes(name):
+    """Return two episodes with every disturbance at once, which policies run in closed loops of their own."""
+    scenario = PRESETS[f"{'cruise' if 'cruise' in name else 'slow'}-storm"]
+    cell = scenario, drawn(scenario, 2, seed=11).episodes
+    return Repeatable(lambda preview: beginning([cell], preview))
+
+
+def commands(repeatable, policy):
+    return np.array([moment.command for moment in repeatable.play(policy, 600)])
+
+
+@pytest.mark.parametrize("name", shipped_agents())
+def test_the_model_and_the_header_steer_whole_episodes_as_the_agent_does(name):
+    compiled()
+    agent, run = exported(name), episodes(name)
+    expected = commands(run, make_policy(name))
+    assert expected.shape == (600, 2, 2)
+    for policy in (onnx_policy(agent), HeaderPolicy(agent, "float64")):
+        assert np.abs(commands(run, policy) - expected).max() < 1e-6
+
+
+@pytest.mark.parametrize("name", ["apg-preview-cruise", "helm-any"])
+def test_for_another_vehicle_they_do_what_the_agent_does_for_it(name):
+    """Whether the agent is told the vehicle or not, in the vehicle's own SI units."""
+    compiled()
+    scenario = as_scenario("cruise-storm@lauv")
+    agent = exported(name, scenario.vehicle)
+    cell = scenario, drawn(scenario, 2, seed=11).episodes
+    policy, memory, theirs, past = make_policy(name, scenario.vehicle), None, None, [None, None]
+    players = onnx_policy(agent), HeaderPolicy(agent, "float64")
+    for moment in Repeatable(lambda preview: beginning([cell], preview)).play(policy, 80):
+        theirs, memory = policy.predict(moment.observation, memory)
+        for i, player in enumerate(players):
+            mine, past[i] = player.predict(moment.observation, past[i])
+            np.testing.assert_allclose(mine, theirs, atol=1e-6)
+    slower = scenario.vehicle.time / PAPER_VEHICLE.time
+    assert agent.periods == pytest.approx([slower * dt for dt in exported(name).periods])
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_in_single_precision_each_decision_is_the_same_but_for_rounding(name):
+    compiled()
+    agent, numpy, memory = exported(name), make_policy(name), None
+    model, header = onnx_policy(agent, "float32"), HeaderPolicy(agent)
+    for moment in episodes(name).play(make_policy(name), 60):
+        parts = [a.astype(np.float32) for a in memory or () if a.size]
+        rows = (np.hstack([*parts, np.zeros((2, 2), np.float32)]),) if parts else None  # the last command is not read
+        decided = [
+            model.predict(moment.observation, tuple(parts) or None)[0],
+            header.predict(moment.observation, rows)[0],
+        ]
+        expected, memory = numpy.predict(moment.observation, memory)
+        np.testing.assert_array_equal(expected, moment.command)
+        for action in decided:
+            assert np.abs(action - expected).max() < 5e-6
+
+
+def test_one_observation_is_decided_as_a_batch_is_and_memory_begins_anew():
+    compiled()
+    agent, observations = exported("apg-cruise"), np.random.default_rng(0).uniform(-0.5, 0.5, (3, 18))
+    observations[:, [13, 14, 17]] = 3.125, 3.125, 0.8
+    for policy in (onnx_policy(agent), HeaderPolicy(agent)):
+        batch, memory = policy.predict(observations)
+        for row, action in zip(observations, batch, strict=True):
+            np.testing.assert_allclose(policy.predict(row)[0], action, atol=1e-6)
+        later, _ = policy.predict(observations, memory, np.array([True, False, False]))
+        np.testing.assert_allclose(later[0], batch[0], atol=1e-6)
+        assert np.abs(later[1:] - batch[1:]).max() > 1e-3
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize(
+    ("precision", "weights"), [("float32", "float32"), ("float64", "float32"), ("float32", "int8")]
+)
+def test_headers_compile_without_a_warning(tmp_path, compiler, precision, weights):
+    needed(compiler)
+    large = compiler == "gcc" and precision == weights  # takes longer
+    names = ("apg-preview-slow" if large else "apg-slow", "sac-slow", "ppo-lstm-slow", "rma-cruise")
+    for i, name in enumerate(names):  # all in one program
+        (tmp_path / f"{name}.h").write_text(c_header(exported(name), precision, weights, f"agent{i}"), encoding="utf-8")
+    both = [f'#define AGENT{i}_IMPLEMENTATION\n#include "{name}.h"\n' for i, name in enumerate(names)]
+    (tmp_path / "agents.c").write_text("".join(both), encoding="utf-8")
+    use = '#include "sac-slow.h"\nint main(void) { agent1_memory m; agent1_start(&m); return m.command[0] != 0; }\n'
+    (tmp_path / "main.c").write_text(use, encoding="utf-8")
+    ran(tmp_path, compiler, *STRICT, "agents.c", "main.c", "-o", "program", "-lm")
+    ran(tmp_path, tmp_path / "program")
+    ran(tmp_path, compiler, *STRICT, "-c", "agents.c", "-o", "agents.o")
+    called = set(re.findall(r"\bU (\w+)", ran(tmp_path, "nm", "agents.o")))
+    assert called <= {
+        "_GLOBAL_OFFSET_TABLE_",
+        "__stack_chk_fail",
+        "memcpy",
+        "memset",
+        "floor",
+        "floorf",
+        "sqrt",
+        "sqrtf",
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "vehicle"), [("apg-cruise", "paper"), ("apg-preview-cruise", "paper"), ("helm-any", "supply")]
+)
+def test_measurements_in_si_units_are_observed_as_the_environment_does(name, vehicle):
+    """A supply ship looks farther ahead than an observation of the paper's vehicle could say."""
+    compiled()
+    agent, scenario = exported(name, vehicle), changed(as_scenario("cruise-storm"), vehicle)
+    source = f"#define AUV_AGENT_IMPLEMENTATION\n{c_header(agent, 'float64')}"
+    library = native.library(source)
+    library.auv_agent_observe.restype = None
+    env = UnderactuatedAUVTrackEnv(scenario, preview=agent.preview)
+    ahead, rng = Preview(1, agent.preview, 600), np.random.default_rng(2)
+    observation, _ = env.reset(seed=4)
+    ahead.load((0,), (env._planned[0],), (scenario.control_dt,))
+    assert np.abs(observation[SIZE:]).max(initial=0) > 64 or vehicle == "paper"
+    last, seen = np.zeros(2), np.zeros(len(agent.columns))
+    memory = np.zeros(sum(agent.memory.values()) + 2)
+    for k in range(20):
+        o, R = decode_observation(observation), env.reference
+        turn = np.array([[o.cos_psi, -o.sin_psi], [o.sin_psi, o.cos_psi]])
+        x, y = np.array([R.x, R.y]) + turn @ (o.e_x, o.e_y)
+        measured = x, y, np.arctan2(o.sin_psi, o.cos_psi), R.u + o.u_e, R.v + o.v_e, R.r + o.r_e
+        ways = ahead.ahead((0,), k).ravel() if agent.preview else ()
+        setting = o.F_u_max, o.F_r_max, o.dt
+        view = np.array([*measured, R.x, R.y, R.psi, R.u, R.v, R.r, R.F_u, R.F_r, *setting, *ways])
+        memory[-2:] = last
+        library.auv_agent_observe(*(ctypes.c_void_p(a.ctypes.data) for a in (memory, view, seen)))
+        np.testing.assert_allclose(seen, observation, rtol=1e-12, atol=1e-10 if agent.span > 1 else 1e-12)
+        last = rng.uniform(-1, 1, 2).astype(np.float32).astype(np.float64)
+        observation, *_ = env.step(last)
+
+
+def test_the_model_says_what_it_is():
+    agent = exported("apg-preview-cruise")
+    model = onnx_model(agent, "float32")
+    facts = {p.key: p.value for p in model.metadata_props}
+    record = json.loads((agent_folder("apg-preview-cruise") / "agent.json").read_text())
+    assert facts["name"] == "apg-preview-cruise"
+    assert facts["expert"] == "backstepping"
+    assert facts["authority"] == "1, 1.6"
+    assert facts["control_period_s"] == "0.1"
+    assert facts["weights_sha256"] == record["weights_sha256"]
+    assert facts["observation"].split("; ")[2] == "psi_e [rad] / 0.5"
+    assert facts["observation"].split("; ")[-1] == "ahead_40_y [m]"
+    shapes = {i.name: i.type.tensor_type.shape.dim[1].dim_value for i in model.graph.input}
+    assert shapes == {"observation": 26, "integrals": 4, "correction": 2, "hidden": 128}
+    assert [o.name for o in model.graph.output] == ["action", "next_integrals", "next_correction", "next_hidden"]
+
+
+def test_integers_are_within_half_a_step_of_the_weights():
+    weight = network_program(exported("apg-slow").agent).constants["weight1"]
+    integers, scale = quantised(weight)
+    assert integers.dtype == np.int8
+    assert np.abs(integers).max() == 127
+    assert (np.abs(integers * scale[:, None] - weight) <= 0.5001 * scale[:, None]).all()
+    assert quantised(np.zeros((1, 2)))[0].tolist() == [[0, 0]]
+
+
+@pytest.mark.parametrize("name", ["apg-preview-slow", "sac-slow"])
+def test_an_emulated_cortex_m4_gives_the_same_commands(name):
+    compiled()
+    needed(*emulator.PROGRAMS)
+    agent = exported(name)
+    policy, memory = HeaderPolicy(agent), None
+    observations, memories, expected = [], [], []
+    for moment in episodes(name).play(make_policy(name), 20):
+        observations.append(moment.observation[0])
+        memories.append(np.zeros(policy.numbers) if memory is None else memory[0][0])
+        action, memory = policy.predict(observations[-1], memory)
+        expected.append(action)
+    there = emulator.emulated(agent, np.array(observations), np.array(memories))
+    assert np.abs(there.commands - np.array(expected)).max() < 1e-6
+    multiplications = sum(a.size for a in agent.network.constants.values())
+    assert multiplications < there.instructions < 20 * multiplications + 20_000
+    assert there.code > 4 * multiplications > 0
+    assert there.memory == 4 * policy.numbers
+
+
+def test_the_command_writes_both_files(tmp_path, capsys):
+    assert command.main(["sac-slow", "--out", str(tmp_path)]) == 0
+    assert {file.name for file in tmp_path.iterdir()} == {"sac-slow.h", "sac-slow.onnx"}
+    assert '#include "sac-slow.h"' in (tmp_path / "sac-slow.h").read_text()
+    assert str(tmp_path / "sac-slow.onnx") in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["ekf"], "'ekf' is no agent; there are apg-adverse-cruise"),
+        (["apg-cruise:fade"], "leave out :fade"),
+        (["apg-cruise", "--prefix", "No"], "prefix is 'No'"),
+        (["apg-cruise", "--format", "pdf"], "invalid choice"),
+    ],
+)
+def test_mistakes_are_answered_in_a_line(tmp_path, words, said):
+    with pytest.raises(UsageError, match=re.escape(said)):
+        command.main([*words, "--out", str(tmp_path)])
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_missing_library_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "onnx", None)
+    with pytest.raises(UsageError, match=r"pip install .*\[export\]'"):
+        command.main(["sac-slow", "--out", str(tmp_path)])
+    assert command.main(["sac-slow", "--format", "c", "--out", str(tmp_path)]) == 0
+
+
+def test_the_page_is_that_of_the_measurements_kept_beside_it():
+    record = json.loads((DOCS / "export.json").read_text(encoding="utf-8"))
+    assert (DOCS / "export.md").read_text(encoding="utf-8") == page(record)
+    assert [entry["name"] for entry in record["agents"]] == shipped_agents()
+    for entry in record["agents"]:
+        assert max(entry["onnx64"], entry["c64"]) < 1e-6
+        assert entry["m4"] < 1e-6
+        assert abs(entry["lost32"][0]) < 1e-3

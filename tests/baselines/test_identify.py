@@ -1,0 +1,297 @@
+"""Identification: a plant with equations of its own, what a log does not show, wrong input, figures, the command."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from kept_pages import compare_between
+from scipy.integrate import solve_ivp
+
+from auv_gym.physics.actuators import Actuators
+from auv_gym.physics.sensors import Sensors
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.vehicles import as_vehicle
+from baselines.identification import Log, command, identify
+from baselines.identification.command import PROGRAM, main
+from baselines.identification.figures import Approach, figures
+from baselines.identification.fit import IDENTIFIED, UNREACHED, ZERO
+from baselines.identification.least_squares import Left
+from baselines.identification.log import COLUMNS
+from baselines.identification.model import HULL, PARAMETERS, Model
+from baselines.identification.trials import CURRENT, Trial, example, recorded
+from baselines.identification.uncertainty import covariance
+from baselines.tools.command_line import run
+from research.vehicles import coverage
+
+ROOT = Path(__file__).parents[2]
+NOISE = Sensors(position=0.05, heading=0.015, velocity=0.02, yaw_rate=0.005)
+HULL_TRUE = {"m11": 180.0, "m22": 260.0, "m33": 95.0, "d11": 45.0, "d22": 120.0, "d33": 60.0}
+DRAG_TRUE = {"X_uu": 25.0, "Y_vv": 90.0, "N_rr": 30.0}
+LAG, LIMITS = 0.3, (380.0, 190.0)
+TRUE = {**dict.fromkeys(HULL, 0.0), **HULL_TRUE, **DRAG_TRUE, "F_u_max": 380.0, "F_r_max": 190.0, "lag": LAG}
+TRUE |= dict(zip(("V_x", "V_y"), CURRENT, strict=True))
+
+
+class Independent:
+    """The vehicle as the paper prints it, with continuous lag, by another integrator."""
+
+    def __init__(self):
+        self.force = np.zeros(2)
+
+    def __call__(self, state, command, dt):
+        h, d, wanted = HULL_TRUE, DRAG_TRUE, np.clip(command, -np.array(LIMITS), np.array(LIMITS))
+
+        def slope(_, z):
+            _, _, psi, u, v, r, X, N = z
+            drag_u, drag_v = (h["d11"] + d["X_uu"] * abs(u)) * u, (h["d22"] + d["Y_vv"] * abs(v)) * v
+            drag_r = (h["d33"] + d["N_rr"] * abs(r)) * r
+            return [
+                u * math.cos(psi) - v * math.sin(psi) + CURRENT[0],
+                u * math.sin(psi) + v * math.cos(psi) + CURRENT[1],
+                r,
+                (X + h["m22"] * v * r - drag_u) / h["m11"],
+                (-h["m11"] * u * r - drag_v) / h["m22"],
+                (N + (h["m11"] - h["m22"]) * u * v - drag_r) / h["m33"],
+                (wanted[0] - X) / LAG,
+                (wanted[1] - N) / LAG,
+            ]
+
+        end = solve_ivp(slope, (0.0, dt), [*state, *self.force], "DOP853", rtol=1e-7, atol=1e-8).y[:, -1]
+        self.force = end[6:]
+        return tuple(end[:6].tolist())
+
+
+@pytest.fixture(scope="module")
+def log():
+    return recorded(Independent(), Trial(*LIMITS), NOISE, np.random.default_rng(5), CURRENT)
+
+
+@pytest.fixture(scope="module")
+def found(log):
+    return identify(log)
+
+
+@pytest.fixture(scope="module")
+def straight():
+    """Return a log of surge steps alone: nothing turns."""
+    t = np.arange(0.0, 40.0, 0.1)
+    commands = np.column_stack((np.where(t % 20 < 10, 80.0, 20.0), np.zeros_like(t)))
+    u, x, rows = 0.0, 0.0, []
+    noise = np.random.default_rng(0).standard_normal((len(t), 6)) * np.array(NOISE.noise)
+    for k in range(len(t)):
+        rows.append(np.array((x, 0.0, 0.0, u, 0.0, 0.0)) + noise[k])
+        for _ in range(20):
+            x, u = x + 0.005 * u, u + 0.005 * (commands[k, 0] - 70.0 * u) / 215.0
+    return Log(t, np.array(rows), commands)
+
+
+@pytest.fixture(scope="module")
+def ahead(straight):
+    return identify(straight)
+
+
+def test_a_minute_of_noise_shows_every_parameter_of_an_independent_plant(found):
+    for e in found.estimates:
+        near = abs(e.value - TRUE[e.name]) <= 0.05 * abs(TRUE[e.name])
+        assert near or e.low <= TRUE[e.name] <= e.high, e
+        assert e.verdict == IDENTIFIED or (e.verdict == ZERO and TRUE[e.name] == 0), e
+    inside = [e.low <= TRUE[e.name] <= e.high for e in found.estimates]
+    assert sum(inside) >= len(inside) - 3
+    np.testing.assert_allclose(found.noise, NOISE.noise, rtol=0.15)
+    assert found["m11"].high - found["m11"].low < 0.1 * TRUE["m11"]
+
+
+def test_derivatives_are_those_of_the_prediction(log):
+    model = Model(log, np.array([0, 200, 400]))
+    values = np.array([TRUE[name] for name in PARAMETERS])
+    states = log.measured[model.starts]
+    exact = model.predict(values, states)
+    for j, name in enumerate(PARAMETERS):
+        h = 1e-5 * max(1.0, abs(values[j]))
+        ends = [model.predict(values + side * h * np.eye(len(values))[j], states).seen for side in (1, -1)]
+        numeric = (ends[0] - ends[1]) / (2 * h)
+        np.testing.assert_allclose(exact.by_value[:, :, j], numeric, atol=1e-5 * (1 + abs(numeric).max()), err_msg=name)
+    moved = states.copy()
+    moved[1, 4] += 1e-6
+    numeric = (model.predict(values, moved).seen - exact.seen) / 1e-6
+    np.testing.assert_allclose(exact.by_start[200:400, :, 4], numeric[200:400], atol=1e-3)
+    assert not numeric[:200].any()
+    assert not numeric[400:].any()
+
+
+def test_what_a_straight_run_does_not_show_has_no_number(ahead):
+    found = ahead
+    assert found["m11"].verdict == found["d11"].verdict == IDENTIFIED
+    assert found["m11"].low <= 215 <= found["m11"].high
+    assert found["d11"].low <= 70 <= found["d11"].high
+    assert {"m33", "d33"} <= set(found.unknown)
+    assert math.isnan(found["m33"].value)
+    assert found["F_u_max"].verdict == UNREACHED
+    assert found["F_u_max"].low <= 80 < found["F_u_max"].high == math.inf
+    assert figures(found, Approach(1.0, 10.0)) == ()
+    with pytest.raises(ValueError, match=r"the log does not show .*; a zig-zag or a turning circle under way would"):
+        found.vehicle()
+    filled = found.vehicle(PAPER_VEHICLE)
+    assert (filled.m33, filled.m11) == (80.0, found["m11"].value)
+
+
+def test_terms_are_chosen_and_checked(log):
+    with pytest.raises(ValueError, match="'m11' is no optional parameter of a vehicle; allowed are X_uu, Y_vv, N_rr"):
+        identify(log, ("m11",))
+    with pytest.raises(ValueError, match=r"a segment is 50 s; for this log it must be in \[2, 20\] s"):
+        identify(log, (), segment=50.0)
+
+
+def test_related_residuals_widen_the_intervals():
+    """The slope of a line through errors of an autoregressive process: against drawing it again and again."""
+    T, rho, rng = 2000, 0.7, np.random.default_rng(1)
+    slopes = np.zeros((T, 6, 1))
+    slopes[:, 3, 0] = np.cos(np.arange(T) / 150)
+    errors = np.zeros((400, T))
+    for k in range(1, T):
+        errors[:, k] = rho * errors[:, k - 1] + math.sqrt(1 - rho**2) * rng.standard_normal(400)
+    estimates = errors @ slopes[:, 3, 0] / (slopes[:, 3, 0] @ slopes[:, 3, 0])
+    own = np.zeros((T, 6))
+    own[:, 3] = errors[0]
+    spread = covariance(Left(np.zeros((1, 6)), own, slopes, slopes), np.array([0]))[0, 0]
+    assert spread == pytest.approx(estimates.var(), rel=0.4)
+    assert spread > 3 / (slopes[:, 3, 0] @ slopes[:, 3, 0])
+
+
+def test_turning_circle_is_that_of_another_integrator(found):
+    begin, p = Approach(0.6, 25.0), {name: found[name].value for name in HULL}
+    thrust = (p["d11"] + p["X_uu"] * begin.speed) * begin.speed
+
+    def slope(t, z):
+        _, _, psi, u, v, r = z
+        N = begin.moment * -math.expm1(-t / found["lag"].value)
+        return [
+            u * math.cos(psi) - v * math.sin(psi),
+            u * math.sin(psi) + v * math.cos(psi),
+            r,
+            (thrust + p["m22"] * v * r - (p["d11"] + p["X_uu"] * abs(u)) * u) / p["m11"],
+            (-p["m11"] * u * r - (p["d22"] + p["Y_vv"] * abs(v)) * v) / p["m22"],
+            (N + (p["m11"] - p["m22"]) * u * v - (p["d33"] + p["N_rr"] * abs(r)) * r) / p["m33"],
+        ]
+
+    events = [lambda t, z, a=a: z[2] - a for a in (math.pi / 2, math.pi)]
+    done = solve_ivp(slope, (0, 60), [0, 0, 0, begin.speed, 0, 0], "DOP853", rtol=1e-9, atol=1e-9, events=events)
+    quarter, half = (z[0] for z in done.y_events)
+    known = {f.name: f for f in figures(found, begin)}
+    assert known["advance"].value == pytest.approx(quarter[0], rel=0.03)
+    assert known["transfer"].value == pytest.approx(quarter[1], rel=0.05)
+    assert known["tactical diameter"].value == pytest.approx(half[1], rel=0.03)
+    for figure in known.values():
+        assert figure.low <= figure.value <= figure.high
+    assert known["second overshoot, zig-zag at 10 degrees"].value > 0
+
+
+def columns(log, **changes):
+    """Return a log's columns by name, some of them replaced by functions of themselves."""
+    table = dict(zip(COLUMNS, log.table.T, strict=True))
+    return table | {name: change(table[name]) for name, change in changes.items()}
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"psi": np.degrees}, "psi turns 57 times as fast as r says: it looks like degrees"),
+        ({"r": np.degrees}, "r is 57 times as fast as psi turns: it looks like degrees"),
+        ({"psi": np.degrees, "r": np.degrees}, "psi looks like degrees"),
+        ({"psi": np.negative, "r": np.negative}, "psi looks counted the other way round"),
+        ({"u": lambda u: u / 0.5144, "v": lambda v: v / 0.5144}, "u and v look like knots"),
+        ({"t": lambda t: t[::-1]}, r"t goes from 60 to 59.9 s in data row 2; time must increase"),
+        ({"x": lambda x: np.where(np.arange(len(x)) == 4, np.nan, x)}, "x in data row 5 is nan; every entry must be"),
+        ({"F_u": lambda F: 0 * F, "F_r": lambda F: 0 * F}, "is 0 throughout"),
+        ({"t": lambda t: t + 30 * (t > 30)}, "t has a gap of 30.1 s"),
+    ],
+)
+def test_a_log_that_cannot_be_is_refused(log, changes, says):
+    table = np.column_stack(list(columns(log, **changes).values()))
+    with pytest.raises(ValueError, match=says):
+        Log(table[:, 0], table[:, 1:7], table[:, 7:])
+
+
+def test_interchanged_axes_and_short_logs_are_refused(log):
+    swapped = log.measured[:, [1, 0, 2, 3, 4, 5]]
+    with pytest.raises(ValueError, match="x and y look interchanged"):
+        Log(log.t, swapped, log.commands)
+    with pytest.raises(ValueError, match="the log has 40 rows; it must have 50 to"):
+        Log(log.t[:40], log.measured[:40], log.commands[:40])
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "there is no column 't'; the first line must name t [s], x [m]"),
+        ("t,x,y,psi,u,v,r,F_u\n", "there is no column 'F_r'"),
+        ("t,x,y,psi [deg],u,v,r,F_u,F_r\n", "psi is in [deg]; it must be in [rad]"),
+        ("t,x,y,psi,u,v,r,F_u,F_r\n0,0,0,east,0,0,0,0,0\n", "psi in data row 1 is 'east'; it must be a number"),
+        ("t,x,y,psi,u,v,r,F_u,F_r\n0,0\n", "y in data row 1 is ''; it must be a number"),
+    ],
+)
+def test_a_wrong_file_is_one_line(text, says, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("log.csv").write_text(text, encoding="utf-8")
+    assert run(main, PROGRAM, ["log.csv"]) == 2
+    err = capsys.readouterr().err
+    assert says in err
+    assert err.count("\n") == 1
+
+
+def test_the_command_writes_a_vehicle_that_scenarios_take(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run(main, PROGRAM, ["log.csv", "--example", "--seed", "3"]) == 0
+    assert Log.load("log.csv").duration == pytest.approx(60)
+    assert run(main, PROGRAM, ["log.csv", "--terms", "X_uu", "--out", "out"]) == 0
+    printed = capsys.readouterr().out
+    assert "m11" in printed
+    vehicle = as_vehicle("out/vehicle.toml")
+    assert vehicle.m11 == pytest.approx(215, rel=0.05)
+    scenario = Scenario.load("out/scenario.toml")
+    assert scenario.vehicle.m22 == pytest.approx(vehicle.m22, rel=1e-5)
+    assert scenario.actuators.lag == pytest.approx(0.4, abs=0.05)
+    text = Path("out/report.md").read_text(encoding="utf-8")
+    for said in ("tactical diameter", "second overshoot, zig-zag at 20 degrees", "fit.png", "| m11 "):
+        assert said in text
+    assert run(main, PROGRAM, ["none.csv"]) == 1
+    assert run(main, PROGRAM, ["log.csv", "--like", "canoe"]) == 2
+    assert "unknown vehicle 'canoe'" in capsys.readouterr().err
+
+
+def test_a_log_without_a_turn_gives_a_report_and_no_vehicle(straight, ahead, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "identify", lambda *_: ahead)
+    straight.save("log.csv")
+    assert run(main, PROGRAM, ["log.csv", "--out", "out"]) == 1
+    assert "no vehicle.toml: the log does not show" in capsys.readouterr().out
+    assert {p.name for p in Path("out").iterdir()} == {"report.md", "fit.png", "residuals.png"}
+    assert "None: the log does not show" in Path("out/report.md").read_text(encoding="utf-8")
+    assert run(main, PROGRAM, ["log.csv", "--like", "paper", "--out", "out"]) == 0
+    assert "m33 = 80.0  # [kg m^2] not from the log" in Path("out/vehicle.toml").read_text(encoding="utf-8")
+
+
+def test_speeds_through_the_water_serve_too():
+    log = example(PAPER_VEHICLE, Actuators(lag=0.4), NOISE, 1)
+    c, s = np.cos(log.measured[:, 2]), np.sin(log.measured[:, 2])
+    V_x, V_y = CURRENT
+    measured = log.measured.copy()
+    measured[:, 3] -= c * V_x + s * V_y
+    measured[:, 4] -= c * V_y - s * V_x
+    found = identify(replace(log, measured=measured), (), over_ground=False)
+    assert found["V_x"].value == pytest.approx(V_x, abs=0.01)
+    assert found["m22"].value == pytest.approx(265, rel=0.02)
+
+
+def test_coverage_counts_and_its_tables_are_what_the_page_shows(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(coverage, "VEHICLES", {"the paper's vehicle": PAPER_VEHICLE})
+    assert run(coverage.main, coverage.PROGRAM, ["--logs", "1", "--out", "new.json"]) == 0
+    record = json.loads(Path("new.json").read_text(encoding="utf-8"))["the paper's vehicle"]
+    assert sum(row["near"] for row in record["parameters"].values()) >= len(PARAMETERS) - 1
+    shown = "\n".join(coverage.section(*kept) for kept in coverage.load(ROOT / "docs" / "identify.json").items())
+    compare_between(ROOT / "docs" / "identify.md", coverage.BEGIN, coverage.END, shown)

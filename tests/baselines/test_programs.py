@@ -1,0 +1,290 @@
+"""Policies that are programs: the documentation's examples in every language, and whatever goes wrong, in one line."""
+
+import gc
+import json
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import evaluate
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.task.observation import TERMS
+from baselines import make_policy
+from baselines.agents import programs
+from baselines.agents.names import agent_folder, is_path
+from baselines.agents.programs import Program, ProgramError
+from baselines.evaluation.fingerprints import fingerprint
+from baselines.evaluation.rollout import make_env, rollout
+from baselines.evaluation.runner import drawn, run_all
+from baselines.tools.command_line import UsageError
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "enter.md").read_text(encoding="utf-8")
+PYTHON = shlex.quote(sys.executable)
+COMPILED = ("cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-O2", "-o", "my_controller", "my_controller.c", "-lm")
+EXAMPLES = {
+    f"cmd:{PYTHON} my_controller_alone.py": sys.executable,
+    "cmd:node my_controller.js": "node",
+    "cmd:./my_controller": "cc",
+}
+"""The programs of the page, and what each of them needs."""
+LOOP = """
+import json, sys
+hello = json.loads(sys.stdin.readline())
+print("{}", flush=True)
+for k, line in enumerate(sys.stdin):
+    n = len(json.loads(line)["observations"])
+    answer = {"actions": [[0.0, 0.0]] * n}
+"""
+"""The beginning of a program that answers with zeros, once it prints."""
+TELL = "    print(json.dumps(answer), flush=True)\n"
+
+
+def written():
+    """Write the named blocks of the page into the working directory."""
+    for _, text in re.findall(r"^```(\w+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL):
+        if name := re.match(r"(?:#|//|/\*) (\w+\.\w+)", text):
+            Path(name[1]).write_text(text, encoding="utf-8")
+
+
+def program(text, name="program.py"):
+    """Return the name of a policy that is a program of this text."""
+    Path(name).write_text(text, encoding="utf-8")
+    return f"cmd:{PYTHON} {name}"
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def alive(pid):
+    """Return whether a process runs."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def gone(*pids):
+    """Return whether processes end within a while."""
+    for _ in range(100):
+        if not any(map(alive, pids)):
+            return True
+        time.sleep(0.05)
+    return False
+
+
+@pytest.mark.parametrize("name", EXAMPLES, ids=["python", "node", "c"])
+def test_the_examples_do_what_the_class_does(name):
+    if shutil.which(EXAMPLES[name]) is None:
+        (pytest.fail if os.environ.get("CI") else pytest.skip)(f"{EXAMPLES[name]} is not installed")
+    written()
+    if EXAMPLES[name] == "cc":
+        subprocess.run(COMPILED, check=True)
+    scenario = PRESETS["cruise-storm"]
+    episodes = drawn(scenario, 4, seed=0).episodes
+    expected, found = (rollout(make_policy(p), scenario, episodes) for p in ("my_controller.py:Controller", name))
+    np.testing.assert_allclose(found.measures.tail, expected.measures.tail, rtol=1e-5)
+    np.testing.assert_allclose(found.measures.effort, expected.measures.effort, rtol=1e-5)
+    assert found.decision_seconds > 0
+
+
+def test_the_page_names_them():
+    names = re.findall(r'"(cmd:[^"]*my_[^"]*)"', PAGE.partition("In Python, without any package")[2])
+    assert [name.replace("python3", PYTHON) for name in names] == list(EXAMPLES)
+    assert " ".join(COMPILED).replace(" -std=c99 -Wall -Wextra -Werror", "") in PAGE
+
+
+def test_the_greeting_says_what_an_observation_is():
+    name = program(LOOP.replace("print", "json.dump(hello, open('hello.json', 'w'))\nprint", 1) + TELL)
+    heavy = Vehicle(m11=600.0, m22=840.0, m33=300.0, d11=160.0, d22=320.0, d33=180.0, X_uu=40.0)
+    policy = make_policy(name, heavy)
+    action, _ = policy.predict(make_env(PRESETS["slow-calm"]).reset(seed=0)[0])
+    assert (action.shape, action.dtype) == ((2,), np.float32)
+    assert policy.predict(np.zeros((3, 18)))[0].shape == (3, 2)
+    hello = json.loads(Path("hello.json").read_text())
+    assert hello["auv_gym"] == programs.PROTOCOL
+    assert [term["scale"] for term in hello["observation"]] == [term.scale for term in TERMS]
+    assert [term["name"] for term in hello["action"]] == ["a_u", "a_r"]
+    assert hello["vehicle"]["m11"] == 600.0
+    assert hello["vehicle"]["X_uu"] == 40.0
+
+
+def test_it_is_told_where_episodes_start():
+    text = LOOP + "    begins = [float(s) for s in json.loads(line)['starts']]\n"
+    policy = make_policy(program(text + "    answer = {'actions': [[b, -1.0] for b in begins]}\n" + TELL))
+    rows = np.zeros((3, 18))
+
+    def starts(*memory):
+        action, state = policy.predict(rows, *memory)
+        assert (action[:, 1] == -1).all()
+        return action[:, 0].tolist(), state
+
+    first, state = starts(None, np.ones(3, dtype=bool))
+    assert first == [1, 1, 1]
+    assert starts(state, np.array([False, True, False]))[0] == [0, 1, 0]
+    assert starts(state)[0] == [0, 0, 0]
+    assert starts()[0] == [1, 1, 1]
+    with pytest.raises(ValueError, match="state is of 3 vehicles, the observation of 2"):
+        policy.predict(np.zeros((2, 18)), state)
+    with pytest.raises(ValueError, match=r"it must be \(18,\) or \(N, 18\)"):
+        policy.predict(np.zeros((2, 20)))
+
+
+def test_it_sees_ahead_if_it_wants():
+    """Its columns are those that the environment shows to any policy with that preview."""
+    text = LOOP.replace('"{}"', "'{\"preview\": [10, 20]}'")
+    text += "    ahead = [row[18:] for row in json.loads(line)['observations']]\n"
+    policy = make_policy(program(text + "    answer = {'actions': [[a[0] / 64, a[3] / 64] for a in ahead]}\n" + TELL))
+    assert policy.preview == (10, 20)
+    observation = np.arange(22.0)
+    np.testing.assert_allclose(policy.predict(observation)[0], [18 / 64, 21 / 64])
+    assert rollout(policy, PRESETS["cruise-calm"], drawn(PRESETS["cruise-calm"], 1, 0).episodes).errors.shape[1] == 1
+
+
+WRONG = {
+    "no words": ("cmd:", "there is no word behind cmd:"),
+    "open quotation": ("cmd:./a 'b", "No closing quotation"),
+    "no such program": ("cmd:./nothing --option", r"cannot start cmd:\./nothing --option: No such file"),
+    "ends": ("import sys\nsys.exit(3)", "it has ended with status 3"),
+    "fails": ("1 / 0", "ended with status 1; its last words: ZeroDivisionError"),
+    "is killed": ("import os\nos.kill(os.getpid(), 9)", "ended by signal SIGKILL"),
+    "is silent": ("import time\ntime.sleep(60)", "it has not answered for 0.5 s"),
+    "closes": ("import os, time\nos.close(1)\ntime.sleep(60)", "closed its standard output"),
+    "babbles": ("while True: print('ready')", "more than one line|'ready'|answers ready"),
+    "remarks": (
+        "print('ready')\nimport time\ntime.sleep(9)",
+        "answers ready, which is no JSON; remarks belong on stderr",
+    ),
+    "no table": ("print(3)\ninput()\ninput()", "answers 3, which is no table"),
+    "deep": ("print('[' * 10**5)\ninput()\ninput()", "which is no JSON"),
+    "without end": ("import sys\nwhile True: sys.stdout.write('a' * 2**16)", "longer than 4194304 bytes"),
+    "another greeting": ("print('{\"hello\": 1}')\ninput()\ninput()", "greets with 'hello'; known is 'preview'"),
+    "no preview": ("print('{\"preview\": [3, 2]}')\ninput()\ninput()", "preview is .*ascending"),
+    "says why": (LOOP + "    answer = {'error': 'no licence'}\n" + TELL, "it says: no licence"),
+    "too many": (LOOP + "    answer['actions'] *= 2\n" + TELL, "answers 2 actions for 1 observations"),
+    "no pair": (LOOP + "    answer['actions'][0] = [1]\n" + TELL, r"action 0 of 1 is \[1\]; it must be two numbers"),
+    "null": (LOOP + "    answer['actions'][0] = [None, 1]\n" + TELL, r"\[null, 1\]; it must be two numbers"),
+    "true": (LOOP + "    answer['actions'][0] = [True, 1]\n" + TELL, "must be two numbers"),
+    "text": (LOOP + "    answer['actions'][0] = ['1', 1]\n" + TELL, "must be two numbers"),
+    "more": (LOOP + "    answer['step'] = 3\n" + TELL, "it must be {'actions'"),
+    "two lines": (LOOP + TELL.replace("answer)", "answer) + '\\n{}'"), "more than one line"),
+}
+"""Programs that do not answer as they should, or commands; and what is said of them."""
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_mistakes_are_one_line(case, monkeypatch):
+    text, says = WRONG[case]
+    monkeypatch.setattr(programs, "START", 0.5 if case in ("is silent", "closes") else 20.0)
+    name = text if text.startswith("cmd:") else program(f"import os\nopen('pid', 'w').write(str(os.getpid()))\n{text}")
+    with pytest.raises(UsageError, match=says) as caught:
+        evaluate.main(["--policy", name, "--scenario", "cruise-calm", "--episodes", "1", "--jobs", "1", "--out", "out"])
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 700
+    if Path("pid").exists():
+        assert gone(int(Path("pid").read_text()))
+    assert not Path("out").exists()
+
+
+def test_one_that_fails_on_the_way_costs_its_own_row():
+    """By its end, its silence, or actions that are no numbers, in the middle of an episode."""
+    late = "    if k == 50: {}\n" + TELL
+    for i, what in enumerate(("sys.exit('out of fuel')", "answer = {'actions': [[float('nan'), 1e999]]}")):
+        name = program(LOOP + late.format(what), f"late{i}.py")
+        runs = run_all(("open-loop", name), [drawn(PRESETS["cruise-calm"], 1, 0)])
+        assert runs[0].error is None
+        assert ("out of fuel", "it must be two finite numbers")[i] in runs[1].error
+
+
+def test_the_time_of_an_answer_is_bounded(monkeypatch):
+    name = program(LOOP + "    if k == 5: import time; time.sleep(60)\n" + TELL)
+    policy, scenario = make_policy(name), PRESETS["cruise-calm"]
+    monkeypatch.setattr(programs, "START", 0.4)
+    since = time.monotonic()
+    with pytest.raises(ProgramError, match=r"has not answered for 0\.6 s"):
+        rollout(policy, scenario, drawn(scenario, 2, 0).episodes, step_limit=0.1)
+    assert time.monotonic() - since < 30
+
+
+def test_slow_ones_are_refused_as_other_policies_are():
+    name = program(LOOP + "    import time; time.sleep(0.02)\n" + TELL)
+    policy, scenario = make_policy(name), PRESETS["cruise-calm"]
+    with pytest.raises(Exception, match=r"a decision takes .* allowed are 0\.001 s"):
+        rollout(policy, scenario, drawn(scenario, 2, 0).episodes, step_limit=0.001)
+
+
+STUBBORN = """
+import os, signal, subprocess
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+child = subprocess.Popen(["sleep", "1000"])
+open("pids", "w").write(f"{os.getpid()} {child.pid}")
+""" + LOOP + TELL + "while True: signal.pause()\n"  # fmt: skip
+
+
+def test_no_process_is_left_behind():
+    """Not even of a program that stays when its input ends, and has started another one."""
+    policy = make_policy(program(STUBBORN))
+    pids = [int(pid) for pid in Path("pids").read_text().split()]
+    assert all(map(alive, pids))
+    del policy
+    gc.collect()
+    assert gone(*pids)
+
+
+def test_none_is_left_where_evaluate_is_ended(tmp_path):
+    """By SIGTERM, with the program in a worker process."""
+    name = program(LOOP.replace("hello =", "import os; open(f'pid{os.getpid()}', 'w'); hello =", 1) + TELL)
+    command = [sys.executable, str(ROOT / "evaluate.py"), "--policy", name, "--scenario", "slow-calm", "cruise-calm"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    run = [*command, "--episodes", "500", "--jobs", "2", "--out", str(tmp_path / "out")]
+    process = subprocess.Popen(run, env=environment, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    try:
+        for _ in range(3000):  # the first one is the rehearsal's
+            if len(list(tmp_path.glob("pid*"))) >= 3 or process.poll() is not None:
+                break
+            time.sleep(0.05)
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.wait(30)
+    pids = [int(file.name.removeprefix("pid")) for file in tmp_path.glob("pid*")]
+    assert len(pids) >= 3
+    assert gone(*pids)
+
+
+def test_its_fingerprint_is_the_command_and_its_files():
+    name = program(LOOP + TELL)
+    before = fingerprint(name)
+    assert fingerprint(f"{name} --option") != before == fingerprint(name)
+    program(LOOP + TELL + "# another\n")
+    assert fingerprint(name) != before
+
+
+def test_its_name_is_no_path_of_another_kind():
+    for name in ("cmd:a.py:b", "cmd:model.zip", "cmd:x.onnx", "cmd:x:fade", "cmd:" + "x" * 5000):
+        assert is_path(name)
+        assert agent_folder(name) is None
+        with pytest.raises(ProgramError, match="cannot start"):
+            make_policy(name)
+    with pytest.raises(ValueError, match="takes no option 'gains'"):
+        make_policy("cmd:true", gains="paper")
+
+
+def test_a_large_batch_passes_through_the_pipes():
+    """Larger than any pipe's buffer, both ways, and in the digits that were sent."""
+    text = LOOP + "    answer = {'actions': [row[:2] for row in json.loads(line)['observations']]}\n" + TELL
+    policy = make_policy(program(text))
+    assert isinstance(policy, Program)
+    rows = np.random.default_rng(0).uniform(-1, 1, (4096, 18))
+    np.testing.assert_array_equal(policy.predict(rows)[0], rows[:, :2].astype(np.float32))

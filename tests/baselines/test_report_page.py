@@ -1,0 +1,209 @@
+"""The pages of an evaluation in a browser: on a desk, on a telephone, in print, without a script, and under attack."""
+
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from browser import opened
+
+import evaluate
+from baselines import list_policies
+from baselines.evaluation.options import Options
+from baselines.evaluation.report.html import report_html
+from baselines.evaluation.report.numbers import compare, pool
+from baselines.evaluation.report.page_data import FEW
+from baselines.evaluation.request import Request
+from baselines.evaluation.runner import run_all
+from baselines.tools.figure_style import LOOKS
+
+ROOT = Path(__file__).parents[2]
+LARGEST = 1_500_000  # bytes of a page
+HOSTILE = '</script><img src=x onerror="window.caught=1"><b>&{{7*7}}\\'
+PATIENCE = 60_000  # milliseconds that a busy machine may take
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory):
+    """Pages by name: the whole benchmark, and a run of a few policies, one of them of a hostile name."""
+    folder = tmp_path_factory.mktemp("pages")
+    request = Request.of(Options(suite="benchmark-v2", out=folder / "out"))
+    cells = [replace(cell, episodes=cell.episodes[:3]) for cell in request.cells]
+    live = run_all(
+        ("backstepping",), cells, step_limit=PATIENCE
+    )  # three episodes of each case; the recorded ones are whole
+    order = [cell.scenario.name for cell in cells]
+    runs = sorted((*request.earlier, *live), key=lambda run: order.index(run.scenario.name))
+    texts = {"benchmark": report_html(request, compare(runs), pool(runs))}
+    few = Request.of(Options(scenario=("cruise-storm", "slow-current"), episodes=3, out=folder / "out"))
+    runs = run_all(("backstepping", "lqi", "open-loop"), few.cells, step_limit=PATIENCE)
+    runs = [replace(run, policy=HOSTILE) if run.policy == "open-loop" else run for run in runs]
+    texts["few"] = report_html(
+        replace(few, command=f"python evaluate.py --policy {HOSTILE}"), compare(runs), pool(runs)
+    )
+    (folder / "suite").mkdir()
+    (folder / "suite" / "report.html").write_text(texts["benchmark"], encoding="utf-8")
+    (folder / "few.html").write_text(texts["few"], encoding="utf-8")
+    return folder
+
+
+def ready(page):
+    page.wait_for_function("document.documentElement.dataset.ready === 'charts'", timeout=PATIENCE)
+
+
+def policies_of(chart):
+    """The policies that are named beside a chart's lines."""
+    return set(chart.locator(".mark-text.role-axis-label text").all_text_contents()) & {*list_policies(), HOSTILE}
+
+
+def test_looks_differ_for_thirty_policies():
+    assert len(LOOKS) >= 30
+    assert len({(look.colour, look.dash) for look in LOOKS}) == len(LOOKS)
+    assert len({(look.colour, look.marker) for look in LOOKS}) == len(LOOKS)
+
+
+def test_the_whole_benchmark_is_small(pages):
+    text = (pages / "suite" / "report.html").read_text(encoding="utf-8")
+    assert len(text.encode()) < LARGEST
+    assert all(policy in text for policy in list_policies())
+
+
+@pytest.mark.parametrize("width", [1200, 390])
+def test_the_benchmark_in_a_browser(browser, pages, width):
+    with opened(browser, pages / "suite" / "report.html", width, mobile=width < 500) as page:
+        ready(page)
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        board = page.locator("#leaderboard .panel.current")
+        slow = [policy for policy in list_policies() if not policy.endswith("-cruise")]
+        assert board.locator("tbody tr").count() == len(slow)
+        headings = [text.strip() for text in board.locator("thead th").all_inner_texts()]
+        scores = [
+            float(cell)
+            for cell in board.locator(f"tbody td:nth-child({headings.index('score') + 1})").all_inner_texts()
+        ]
+        assert scores == sorted(scores, reverse=True)
+        assert len(policies_of(page.locator("#tails"))) <= FEW
+        page.get_by_role("button", name="all", exact=True).click()
+        count = len(list_policies())
+        page.wait_for_function(f"document.getElementById('count').textContent === '{count} of {count} shown'")
+        page.wait_for_function("document.getElementById('tails').textContent.includes('open-loop')", timeout=PATIENCE)
+        assert len(policies_of(page.locator("#tails"))) >= len(slow) - 1  # the bound lies beyond the axis
+        assert page.locator("#scores svg").count() >= 2
+
+
+def test_sort_filter_and_scenario(browser, pages):
+    with opened(browser, pages / "suite" / "report.html") as page:
+        ready(page)
+        board = page.locator("#leaderboard .panel.current tbody")
+        page.locator("#leaderboard .panel.current th", has_text="effort").click()
+        headings = page.locator("#leaderboard .panel.current thead th").all_inner_texts()
+        place = [heading.strip() for heading in headings].index("effort") + 1
+        efforts = [float(row) for row in board.locator(f"td:nth-child({place})").all_inner_texts() if row != "-"]
+        assert efforts == sorted(efforts)
+        page.fill("#filter", "nmpc")
+        assert board.locator("tr:visible").count() == sum("nmpc" in policy for policy in list_policies())
+        page.locator("#cases th", has_text="storm").first.click()
+        page.wait_for_function("document.getElementById('scenarios').selectedOptions[0].textContent === 'slow-storm'")
+        assert page.locator("#scenario .panel.current h3").text_content() == "slow-storm"
+
+
+def test_switch_a_policy_off_and_play(browser, pages):
+    with opened(browser, pages / "few.html") as page:
+        ready(page)
+        assert page.evaluate("window.caught") is None
+        assert HOSTILE in page.locator("#leaderboard .panel.current tbody").inner_text()
+        for chart, lines in (
+            ("tails", ".mark-symbol path"),
+            ("errors", ".mark-line path"),
+            ("bands", ".mark-line path"),
+        ):
+            assert page.locator(f"#{chart} {lines}").count() == 3, chart
+        page.locator('#leaderboard .panel.current tr[data-policy="lqi"] input').uncheck()
+        page.wait_for_function("document.querySelectorAll('#errors .mark-line path').length === 2", timeout=PATIENCE)
+        assert "lqi" not in policies_of(page.locator("#tails"))
+        assert page.locator("#now div").count() == 2
+        image = "document.getElementById('sea').toDataURL()"
+        before = page.evaluate(image)
+        page.click("#play")
+        page.wait_for_function("Number(document.getElementById('time').value) > 5", timeout=PATIENCE)
+        page.click("#play")
+        assert page.evaluate(image) != before
+        assert re.match(r"\d+\.\d of \d+ s", page.locator("#clock").text_content())
+        rule = page.locator("#errors .mark-rule line").last
+        at = rule.get_attribute("transform")
+        page.evaluate(
+            "s => { s.value = 1; s.dispatchEvent(new Event('input')); }", page.locator("#time").element_handle()
+        )
+        page.wait_for_function(
+            f"[...document.querySelectorAll('#errors .mark-rule line')].at(-1).getAttribute('transform') !== '{at}'"
+        )
+
+
+def test_in_print_every_table_is_there(browser, pages):
+    with opened(browser, pages / "few.html") as page:
+        ready(page)
+        assert page.locator("#scenario .panel:visible").count() == 1
+        page.emulate_media(media="print")
+        assert page.locator("#scenario .panel:visible").count() == 2
+        assert page.locator("#leaderboard .panel:visible").count() == 2
+        assert page.locator(".controls:visible").count() == 0
+        assert len(page.pdf(format="A4")) > 20_000
+
+
+def test_without_a_script_there_are_the_tables(browser, pages):
+    context = browser.new_context(java_script_enabled=False)
+    page = context.new_page()
+    page.goto((pages / "few.html").resolve().as_uri())
+    assert page.locator("#scenario .panel:visible").count() == 2
+    assert page.locator(".script:visible").count() == 0
+    assert HOSTILE in page.locator("body").inner_text()
+    context.close()
+
+
+def test_the_same_run_makes_the_same_page(pages, tmp_path):
+    request = Request.of(Options(scenario=("slow-calm",), episodes=2, out=tmp_path))
+    runs = [
+        replace(run, seconds=1.0, decision_seconds=1e-5)
+        for run in run_all(("backstepping",), request.cells, step_limit=PATIENCE)
+    ]
+    assert report_html(request, compare(runs), pool(runs)) == report_html(request, compare(runs), pool(runs))
+
+
+@pytest.fixture(scope="module")
+def others(pages, paper):
+    """The pages about stability and about the paper."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("baselines.evaluation.stability.report.STARTS", 2)
+        patch.setattr("baselines.evaluation.stability.report.SPEEDS", (0.2, 1.0))
+        words = ["--stability", "--policy", "open-loop", "integral", "--out", str(pages / "stability")]
+        assert evaluate.main(words) == 0
+    shutil.copytree(paper, pages / "paper")
+    return pages
+
+
+def test_other_pages(browser, others):
+    for name, charts in (("stability", 1), ("paper", 19)):
+        file = others / name / f"{name}.html"
+        assert file.stat().st_size < LARGEST
+        with opened(browser, file, 390, mobile=True) as page:
+            ready(page)
+            assert page.evaluate("document.documentElement.scrollWidth") <= 390
+            assert page.locator(".chart svg.marks").count() == charts
+            before = page.locator(".chart svg.marks").first.inner_html()
+            page.locator("[data-param] button").last.click()
+            changed = "before => document.querySelector('.chart svg.marks').innerHTML !== before"
+            page.wait_for_function(changed, arg=before, timeout=PATIENCE)
+
+
+def test_pictures_of_the_pages(browser, others, tmp_path):
+    """In a process of its own: Playwright runs once in each."""
+    del browser  # it is there
+    words = ["-m", "research", "screenshots", "--pages", str(others), "--out", str(tmp_path)]
+    subprocess.run([sys.executable, *words], check=True, cwd=ROOT)
+    shown = re.findall(r"images/(report-.+?\.png)", (ROOT / "docs" / "report.md").read_text(encoding="utf-8"))
+    assert sorted(shown) == sorted(file.name for file in tmp_path.iterdir())
+    for name in shown:
+        assert 5_000 < (ROOT / "docs" / "images" / name).stat().st_size < 250_000

@@ -1,0 +1,421 @@
+"""Submissions: files that are whole and true or refused, episodes that run again, the leaderboard and its tutorial."""
+
+import dataclasses
+import html
+import json
+import re
+import shlex
+import shutil
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from markdown_it import MarkdownIt
+
+import evaluate
+from baselines.evaluation import recorded, request, suites
+from baselines.evaluation.about import About
+from baselines.evaluation.fingerprints import fingerprint
+from baselines.evaluation.report.numbers import pool
+from baselines.evaluation.runner import Cell, Recorded, run_all
+from baselines.evaluation.score import BY_BOUND, EXPERT
+from baselines.evaluation.store import Stored
+from baselines.evaluation.store import write as write_stored
+from baselines.evaluation.submission import command as submit
+from baselines.evaluation.submission import files
+from baselines.evaluation.submission.files import LARGEST, MEASURED, read, save, submission_of
+from baselines.evaluation.submission.reproduction import cells_of, chosen, mismatches, smallest_caught
+from baselines.evaluation.submission.scores import entries, yardsticks
+from baselines.evaluation.suites import Suite
+from baselines.tools.command_line import DONE, FAILED, UsageError
+from baselines.tools.files import versions
+from research.leaderboard import board, command
+from research.leaderboard.board import boards, enter, stamp
+from research.leaderboard.page import NBSP, leaderboard_json, page, plain
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "enter.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+LINES = [line for language, text in BLOCKS if language == "bash" for line in text.splitlines()]
+QUICK = {"--episodes": "1", "--share": "1"}
+"""Options of the page's lines that are run with other values here."""
+CASES = ("slow-calm", "cruise-storm")
+
+
+@pytest.fixture(scope="module")
+def suite():
+    """Two cases of the benchmark with three episodes each, under its name."""
+    cells = [cell for cell in suites.load("benchmark-v2").cells if cell.scenario.name in CASES]
+    few = tuple(Cell(cell.scenario, cell.episodes[:3]) for cell in cells)
+    return Suite("benchmark-v2", "5" * 64, few, (), BY_BOUND)
+
+
+@pytest.fixture(scope="module")
+def rows(suite):
+    """What its anchors do in it, as if it was recorded."""
+    when = Recorded("2026-01-31", versions())
+    return tuple(dataclasses.replace(run, recorded=when) for run in run_all(suite.anchors, suite.cells))
+
+
+@pytest.fixture
+def small(suite, rows, tmp_path, monkeypatch):
+    """A place where the suite is that one, with the files of the page."""
+    for module in (suites, request, files):
+        monkeypatch.setattr(module, "load", lambda _: suite)
+    monkeypatch.setattr(recorded, "load", lambda _: recorded.Found(rows, {}))
+    monkeypatch.chdir(tmp_path)
+    for language, text in BLOCKS:
+        if language == "python":
+            Path(text.split("\n", 1)[0].removeprefix("# ")).write_text(text, encoding="utf-8")
+
+
+@pytest.fixture
+def made(small, suite, rows):
+    """The expert's submission, and its file."""
+    own = [dataclasses.replace(run, fingerprint="0" * 64) for run in rows if run.policy == EXPERT]
+    made = submission_of(
+        suite, own, "expert", About("Ada", "https://example.org/a", "The law."), versions(), "no command"
+    )
+    save(made, Path("expert.npz"))
+    return made
+
+
+def typed(line):
+    """Run a line of the page in its quick form and return the exit status."""
+    words = shlex.split(line)
+    for option, value in QUICK.items():
+        if option in words:
+            words[words.index(option) + 1] = value
+    for before, main in (
+        (["python", "evaluate.py"], evaluate.main),
+        (["auv-gym", "submit"], submit.main),
+        (["python", "-m", "research", "leaderboard"], command.main),
+    ):
+        if words[: len(before)] == before:
+            return main([*words[len(before) :], "--jobs", "1"])
+    raise AssertionError(line)
+
+
+@pytest.mark.usefixtures("small")
+def test_the_tutorial_leads_to_the_leaderboard(capsys):
+    """Its lines, one after the other: in the end the controller is on the page, with the scores of evaluate.py."""
+    for line in LINES:
+        if "cmd:" not in line:  # a program, see test_programs.py
+            assert typed(line) == DONE, line
+    out = capsys.readouterr().out
+    assert Path("runs/evaluate/my-controller.npz").stat().st_size < LARGEST
+    assert "Reproduced: all 24 numbers" in out
+    assert "6 of 6 episodes again, chosen by --seed" in out
+    results = json.loads(Path("runs/evaluate/results.json").read_text())
+    found = json.loads(Path("docs/leaderboard.json").read_text())["suites"]["benchmark-v2"]
+    assert found["hash"] == results["suite_hash"]
+    own = {row["regime"]: row for row in results["pooled"] if row["policy"] == "my_controller.py:Controller"}
+    assert [row["regime"] for row in found["entries"]] == ["slow", "cruise"]
+    for row in found["entries"]:
+        assert row["name"] == "my-controller"
+        assert row["author"] == "Ada"
+        assert row["score"]["mean"] == pytest.approx(own[row["regime"]]["score"]["mean"], rel=1e-5)
+        assert row["lost"] == own[row["regime"]]["lost"]
+        assert row["verified"]["episodes"] >= 2
+    text = Path("docs/leaderboard.md").read_text()
+    assert "| 1 | `my-controller`<br>Ada |" in text
+
+
+@pytest.mark.usefixtures("small")
+def test_an_agent_enters_in_its_regime_alone(suite, capsys):
+    policy = ["--policy", "apg-slow", "--submit", "mine", "--training-steps", "8e6", "--training-seconds", "300"]
+    assert evaluate.main([*policy, "--jobs", "1", "--out", "out"]) == DONE
+    found = read(Path("out/mine.npz"))
+    assert [run.scenario.name for run in found.runs] == ["slow-calm"]
+    assert (found.policy, found.about.training_steps) == ("apg-slow", 8e6)
+    assert found.fingerprint == fingerprint("apg-slow")
+    assert "--submit mine" in found.command
+    assert "8 M steps<br>5 min".replace(" ", NBSP) in page(
+        [board.Board(suite, (found,), tuple(entries([found], yardsticks(suite))), {})]
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("--submit a --scenario slow-calm --policy lqi", "needs a frozen suite"),
+        ("--submit a --suite presets --policy lqi", "needs a frozen suite"),
+        ("--submit a", "needs one policy, --policy P; there are 0"),
+        ("--submit a --policy lqi ekf", "there are 2"),
+        ("--submit a --policy lqi --episodes 3", "leave out --episodes"),
+        ("--submit ../a --policy lqi", "lower-case letters"),
+        ("--submit A --policy lqi", "lower-case letters"),
+        (f"--submit a --policy lqi --author {'a' * 81}", "at most 80"),
+        ("--submit a --policy lqi --link javascript:alert(1)", "begins with https://"),
+        ("--submit a --policy lqi --training-steps nan", "training_steps is nan"),
+        ("--policy lqi --author Ada", "for --submit NAME"),
+    ],
+)
+def test_what_cannot_be_submitted_is_refused_before_anything_runs(words, says, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError, match=re.escape(says)):
+        evaluate.main(shlex.split(words))
+    assert not list(tmp_path.iterdir())
+
+
+def test_one_that_failed_is_not_submitted(small, capsys):
+    Path("late.py").write_text("class Law:\n    def predict(self, *_):\n        raise KeyError('x')\n")
+    assert evaluate.main(["--policy", "late.py:Law", "--submit", "a", "--jobs", "1", "--out", "out"]) == FAILED
+    assert "no submission: late.py:Law failed in slow-calm: KeyError" in capsys.readouterr().err
+    assert not Path("out/a.npz").exists()
+
+
+def test_a_file_is_what_was_run(made):
+    found = read(Path("expert.npz"))
+    assert (found.name, found.about, found.date) == ("expert", made.about, "2026-01-31")
+    for old, new in zip(made.runs, found.runs, strict=True):
+        assert old.scenario == new.scenario
+        for key in MEASURED:
+            np.testing.assert_array_equal(getattr(old.measures, key), getattr(new.measures, key))
+    with np.load("expert.npz", allow_pickle=False) as arrays:
+        assert arrays["tail"].shape == (6,)
+
+
+@pytest.mark.parametrize("name", ["benchmark-v1", "benchmark-v2"])
+def test_scores_are_those_of_the_recorded_rows(name):
+    """The whole benchmark, through a file that is small enough, with the anchors of either suite."""
+    suite = suites.load(name)
+    found = recorded.load(suite)
+    kept = [run for run in found.runs if run.policy in (*suite.anchors, "lqi")]
+    expected = {entry.place: entry for entry in pool(kept) if entry.policy == "lqi"}
+    for entry in entries([command.own_submission(name, "lqi")], yardsticks(suite)):
+        assert entry.score.mean == pytest.approx(expected[entry.place].score.mean, rel=1e-6)
+        assert entry.score.ci95 == pytest.approx(expected[entry.place].score.ci95, rel=1e-6)
+        assert entry.lost == expected[entry.place].lost
+        assert entry.effort_ratio == pytest.approx(expected[entry.place].effort_ratio, rel=1e-6)
+
+
+def changed(made, arrays=(), **record):
+    """Write the submission with another record or other arrays; None leaves an entry out."""
+    stored = made.stored
+    both = {**stored.record, **record}, {**stored.arrays, **dict(arrays)}
+    write_stored(Path("bad.npz"), Stored(*({k: v for k, v in part.items() if v is not None} for part in both)))
+    return Path("bad.npz")
+
+
+TAIL = np.full(6, 0.01, dtype=np.float32)
+WRONG = {
+    "format": ({"format": 2}, {}, "must be of format 1"),
+    "less": ({"command": None}, {}, "must be of format 1 with"),
+    "more": ({"score": 3.0}, {}, "and nothing else"),
+    "name": ({"name": "a/b"}, {}, "lower-case letters"),
+    "policy": ({"policy": "a\x1b[2J"}, {}, "its policy is"),
+    "fingerprint": ({"fingerprint": "abc"}, {}, "its fingerprint is 'abc'"),
+    "date": ({"date": "2026-02-30"}, {}, "day"),
+    "versions": ({"versions": {"auv_gym": "<b>"}}, {}, "its auv_gym is"),
+    "suite": ({"suite": "paper"}, {}, "its suite is 'paper'; there are"),
+    "hash": ({"suite_hash": "6" * 64}, {}, "it is of another benchmark-v2"),
+    "about": ({"about": {"email": "a"}}, {}, "must be a table with some of author"),
+    "link": ({"about": {"link": "https://a)[b](c"}}, {}, "begins with https://"),
+    "cells": ({"cells": ["slow-calm", "slow-storm"]}, {}, "its cells are not those of"),
+    "order": ({"cells": ["cruise-storm", "slow-calm"]}, {}, "its cells are not those of"),
+    "no cells": ({"cells": []}, {}, "its cells are not those of"),
+    "cells of a kind": ({"cells": [["slow-calm"]]}, {}, "its cells are not those of"),
+    "episodes": ({"episodes": [3, 2]}, {}, "all of them must be run"),
+    "seconds": ({"decision_seconds": [0.1, -1.0]}, {}, "not a time for each cell"),
+    "true": ({"decision_seconds": [True, 0.1]}, {}, "not a time for each cell"),
+    "short": ({}, {"tail": TAIL[:5]}, "its tail is float32 of shape (5,)"),
+    "double": ({}, {"tail": TAIL.astype(float)}, "its tail is float64"),
+    "missing": ({}, {"tail": None}, "its arrays are effort, lost, smoothness;"),
+    "nan": ({}, {"tail": TAIL * np.float32(np.nan)}, "its tail is not within [0, 1e+06]"),
+    "negative": ({}, {"effort": -TAIL}, "its effort is not within [0, 1]"),
+    "far": ({}, {"tail": TAIL + 35, "lost": np.zeros(6, dtype=bool)}, "the episode did not end"),
+    "wild": ({}, {"effort": TAIL, "smoothness": TAIL * 5}, "commands change by more than"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_contradicts_itself_is_refused(case, made):
+    record, arrays, says = WRONG[case]
+    with pytest.raises(ValueError, match=re.escape(says)):
+        read(changed(made, arrays, **record))
+    assert submit.main(["bad.npz"]) == FAILED
+
+
+def test_damaged_files_are_refused_whatever_is_wrong(made):
+    whole, rng, file = Path("expert.npz").read_bytes(), np.random.default_rng(0), Path("a.npz")
+    for i in range(120):
+        data = bytearray(whole)
+        data[rng.integers(len(data))] ^= 1 << int(rng.integers(8))
+        file.write_bytes(data if i % 3 else data[: rng.integers(len(data))])
+        try:
+            assert read(file).episodes == 6
+        except ValueError as error:
+            assert "a.npz is damaged" in str(error)  # noqa: PT017
+
+
+def test_no_file_is_too_large_or_runs_anything(made, tmp_path):
+    Path("long.npz").write_bytes(bytes(LARGEST + 1))
+    with zipfile.ZipFile("bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("tail.npy", bytes(files.LARGEST_CONTENT + 1))
+    np.savez("pickle.npz", record=np.array("{}"), tail=np.array([{}], dtype=object))
+    for name, says in (("long", "larger than"), ("bomb", "unpacked"), ("pickle", "allow_pickle")):
+        with pytest.raises(ValueError, match=says):
+            read(Path(f"{name}.npz"))
+    big = dataclasses.replace(made, command="".join(map(chr, np.random.default_rng(0).integers(33, 126, 300_000))))
+    with pytest.raises(ValueError, match="allowed are"):
+        save(big, Path("big.npz"))
+    assert not Path("big.npz").exists()
+
+
+@pytest.mark.parametrize(("measure", "by"), [("tail", 1.01), ("smoothness", 0.9), ("effort", 1.01)])
+def test_what_was_made_up_is_named_with_both_numbers(measure, by, made, capsys):
+    values = made.stored.arrays[measure].copy()
+    true = float(values[4])
+    values[4] *= by
+    file = changed(made, {measure: values})
+    assert submit.main([str(file), EXPERT, "--share", "1", "--jobs", "1"]) == FAILED
+    out = capsys.readouterr().out
+    assert "NOT REPRODUCED: 1 of 6 episodes differ" in out
+    unit = " m" if measure == "tail" else ""
+    assert f"episode 1 of cruise-storm: {measure} {true * by:.6g}{unit} submitted, {true:.6g}{unit} found" in out
+
+
+def test_another_policy_does_not_reproduce_it(made, capsys):
+    assert submit.main(["expert.npz", "lqi", "--share", "1", "--jobs", "1"]) == FAILED
+    captured = capsys.readouterr()
+    assert "NOT REPRODUCED: 6 of 6" in captured.out
+    assert "lqi is not the policy that was submitted" in captured.err
+
+
+def test_a_policy_that_fails_does_not_reproduce_it(made, capsys):
+    Path("late.py").write_text("class Law:\n    def predict(self, *_):\n        raise KeyError('x')\n")
+    assert submit.main(["expert.npz", "late.py:Law", "--jobs", "1"]) == FAILED
+    assert "late.py:Law fails in slow-calm: KeyError" in capsys.readouterr().err
+
+
+def test_which_episodes_run_again_is_chance(made):
+    whole = own_submission_like(made, 200)
+    a, b = chosen(whole, 0.05, 1), chosen(whole, 0.05, 2)
+    assert {name: len(own) for name, own in a.items()} == dict.fromkeys(CASES, 10)
+    assert any((a[name] != b[name]).any() for name in CASES)
+    np.testing.assert_equal(a, chosen(whole, 0.05, 1))
+    counts = sum(np.bincount(chosen(whole, 0.1, seed)["slow-calm"], minlength=200) for seed in range(500))
+    assert 15 < counts.min() <= counts.max() < 95  # each has 50 on average, with a deviation of 6.7
+    assert (1 - smallest_caught(208)) ** 208 == pytest.approx(0.05)
+
+
+def own_submission_like(made, count):
+    """Return a submission with that many episodes in each cell."""
+    runs = [dataclasses.replace(run, measures=run.measures[np.zeros(count, dtype=int)]) for run in made.runs]
+    return dataclasses.replace(made, runs=tuple(runs))
+
+
+def test_numbers_on_the_edge(made, rows):
+    """Up to a thousandth and a little counts as the same, no more; whether an episode was lost counts to the letter."""
+    episodes = chosen(made, 1.0, 0)
+    again = [run for run in rows if run.policy == EXPERT]
+    assert mismatches(made, episodes, again) == []
+    assert [len(cell.episodes) for cell in cells_of(made, episodes)] == [3, 3]
+    run = again[1]
+    for key, values, count in (
+        ("tail", run.measures.tail * 1.0009, 0),
+        ("tail", run.measures.tail * 1.002 + 1e-5, 3),
+        ("tail", run.measures.tail * np.nan, 3),
+        ("lost", ~run.measures.lost, 3),
+    ):
+        other = dataclasses.replace(run, measures=dataclasses.replace(run.measures, **{key: values}))
+        found = mismatches(made, episodes, [again[0], other])
+        assert [m.measure for m in found] == [key] * count
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("leaderboard enter a b", "enter takes FILE"),
+        ("leaderboard reproduce a", "reproduce takes FILE POLICY; given are 1 words"),
+        ("leaderboard page a", "page takes no file"),
+        ("leaderboard page", "no submission in --folder leaderboard"),
+        ("leaderboard invent", "invent"),
+        ("submit none.npz", "cannot read none.npz"),
+        ("submit expert.npz backstepping --share 0", "--share is 0.0"),
+        ("submit expert.npz backstepping --share nan", "--share is nan"),
+        ("submit expert.npz backstepping --seed -1", "--seed is -1"),
+        ("submit expert.npz backstepping --jobs 0", "--jobs and --step-limit must be positive"),
+        ("submit expert.npz nobody", "unknown policy 'nobody'"),
+    ],
+)
+def test_wrong_usage(words, says, made):
+    name, *arguments = shlex.split(words)
+    with pytest.raises(UsageError, match=re.escape(says)):
+        {"leaderboard": command, "submit": submit}[name].main(arguments)
+
+
+def test_an_entry_is_not_replaced_by_chance(made, capsys):
+    arguments = ["enter", "expert.npz", "--out", "pages"]
+    assert command.main(arguments) == DONE
+    with pytest.raises(UsageError, match="is there already; choose another name, or --replace it"):
+        command.main(arguments)
+    assert command.main([*arguments, "--replace"]) == DONE
+    assert "1 entries" in capsys.readouterr().out
+
+
+def test_what_was_verified_is_that_very_file(made):
+    folder = Path("board")
+    file = enter(made, folder)
+    stamp(file, folder, 5, 6, 7)
+    assert boards(folder)[0].verified["expert"]["episodes"] == 5
+    other = dataclasses.replace(made, command="another")
+    enter(other, folder, replace=True)
+    assert boards(folder)[0].verified == {}
+    with pytest.raises(ValueError, match="enter it first"):
+        stamp(Path("expert.npz"), folder, 5, 6, 7)
+    for record in ("[]", '{"a": 3}', '{"benchmark-v2/expert": {"sha256": "a"}}', "no json"):
+        (folder / board.STAMPS).write_text(record)
+        with pytest.raises(ValueError, match=board.STAMPS):
+            boards(folder)
+
+
+def test_strays_on_the_leaderboard_are_named(made):
+    folder = Path("board")
+    file = enter(made, folder)
+    shutil.copy(file, file.with_name("other.npz"))
+    with pytest.raises(ValueError, match=r"other\.npz holds expert in benchmark-v2"):
+        boards(folder)
+    file.with_name("other.npz").unlink()
+    (folder / "mine").mkdir()
+    shutil.copy(file, folder / "mine")
+    with pytest.raises(ValueError, match="lies in the folder of no suite"):
+        boards(folder)
+
+
+def test_words_of_strangers_are_no_markup():
+    for text in (
+        "<script>alert(1)</script>",
+        "a | b `c` *d* _e_ [f](g) ![h](i)",
+        "# a & &lt; ~~b~~ {ref}`c` $x$ \\",
+        "é: € x",
+    ):
+        assert MarkdownIt("gfm-like", {"linkify": False}).renderInline(plain(text)) == html.escape(
+            text, quote=False
+        ).replace('"', "&quot;")
+
+
+def test_scores_need_rows_that_count(made, monkeypatch):
+    monkeypatch.setattr(recorded, "load", lambda _: recorded.Found((), {EXPERT: "they changed"}))
+    with pytest.raises(ValueError, match="rows of backstepping in benchmark-v2, which scores need, do not count: they"):
+        yardsticks(made.suite)
+
+
+def test_the_page_is_what_the_command_makes():
+    """If this fails after rows were recorded anew: `python -m research leaderboard own`."""
+    found = boards(ROOT / "leaderboard")
+    assert (ROOT / "docs" / command.PAGE).read_text(encoding="utf-8") == page(found)
+    assert (ROOT / "docs" / command.TABLE).read_text(encoding="utf-8") == leaderboard_json(found)
+    own = {submission.name for submission in found[0].submissions}
+    assert set(command.OWN) <= own
+    assert set(command.OWN) <= set(found[0].verified)
+
+
+def test_own_entries_are_the_recorded_rows_as_they_are_now():
+    for policy, file in command.own_files(ROOT / "leaderboard"):
+        kept, now = read(file), command.own_submission(command.SUITE, policy)
+        assert kept.fingerprint == now.fingerprint
+        for old, new in zip(kept.runs, now.runs, strict=True):
+            np.testing.assert_array_equal(old.measures.tail, new.measures.tail)

@@ -1,0 +1,605 @@
+"""train.py: mistakes in one line, the run folder, and the same agent however often a run was interrupted."""
+
+import errno
+import json
+import math
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from auv_gym.installation import install
+from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES
+from auv_gym.scenarios.scenario import Scenario
+from baselines.agents.agent import Agent
+from baselines.agents.names import agent_folder
+from baselines.evaluation.runner import drawn
+from baselines.tools import command_line
+from baselines.tools.command_line import UsageError, parse, run
+from baselines.tools.seeds import TRAINING
+from baselines.training import command, request
+from baselines.training.config import ALGORITHMS, LARGEST_SEED, Config
+from baselines.training.hyperparameters import ENV_ID, changes_of, load_hyperparameters, words_of
+from baselines.training.hyperparameters import shipped as shipped_file
+from baselines.training.options import PROGRAM, Options, main
+from baselines.training.run_folder import Run, locked, read_config, read_progress
+from baselines.training.validation import Validation, Verdict
+from research.trainings import shipped
+from research.trainings.trainings import SHIPPED, training
+
+torch.set_num_threads(1)
+ROOT = Path(__file__).parents[2]
+SMALL = replace(PRESETS["cruise-current"], name="small", steps=15)
+OFF_POLICY = {"buffer_size": 2000, "batch_size": 16, "learning_starts": 0, "train_freq": 8, "gradient_steps": 1}
+SMOOTH = {"use_sde": True, "policy_kwargs": {"clip_mean": 0.0}}
+TINY = {
+    "apg": {"n_steps": 5, "hidden_size": 8},
+    "ppo": {"n_steps": 16, "batch_size": 32, "learning_rate": "lin_0.01", "use_sde": True, "sde_sample_freq": 4},
+    "ppo_lstm": {"n_steps": 16, "batch_size": 32, "use_sde": True, "policy_kwargs": {"lstm_hidden_size": 8}},
+    "rma": {"n_steps": 5, "hidden_size": 8, "adaptation_batches": 2},
+    "sac": OFF_POLICY | SMOOTH | {"callback": [{"baselines.training.sb3.callbacks.ZeroCorrection": {"std": 0.1}}]},
+    "td3": OFF_POLICY | {"noise_type": "ornstein-uhlenbeck", "noise_std": 0.1},
+    "tqc": OFF_POLICY | {"callback": [{"baselines.training.sb3.callbacks.FrozenActor": {"steps": 100}}]},
+}
+STEPS = 320
+
+
+@pytest.fixture
+def call(monkeypatch, tmp_path):
+    """Run the script in-process in an empty folder and return its exit status."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("baselines.training.validation.EPISODES", 4)
+    for name in ("sb3.trainer.VALIDATIONS", "apg.trainer.LOGS"):
+        monkeypatch.setattr(f"baselines.training.{name}", 5)
+    SMALL.save("small.toml")
+    for algo, values in TINY.items():
+        Path(f"{algo}.yml").write_text(yaml.safe_dump({ENV_ID: {"n_envs": 8, **values}}), encoding="utf-8")
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["train.py", *map(str, arguments)])
+        return run(main, PROGRAM)
+
+    return call
+
+
+def tiny(algo, *more):
+    words = ("--algo", algo, "--scenario", "small.toml", "--hyperparameters", f"{algo}.yml", "--timesteps", STEPS)
+    return (*words, "--out", "out", *more)
+
+
+def weights(folder):
+    return dict(Agent.load(folder).weights)
+
+
+def same(a, b):
+    return a.keys() == b.keys() and all(np.array_equal(a[name], b[name]) for name in a)
+
+
+@pytest.mark.parametrize("algo", ALGORITHMS)
+def test_every_algorithm_trains_and_goes_on_after_an_interruption_as_if_there_had_been_none(
+    algo, call, capsys, monkeypatch
+):
+    assert call(*tiny(algo)) == 0
+    out, err = capsys.readouterr()
+    assert out.count("\n") == 1
+    assert "agent: out/agent" in out
+    assert err.splitlines()[-1].startswith("100%")
+    assert {"agent", "checkpoint.pt", "config.json", "learning_curve.png", "progress.csv", "tensorboard"} < {
+        file.name for file in Path("out").iterdir()
+    }
+    assert any(Path("out/tensorboard").iterdir())
+    rows = read_progress(Path("out"))
+    assert [row["timesteps"] for row in rows] == sorted({row["timesteps"] for row in rows})
+    assert rows[-1]["timesteps"] >= STEPS
+
+    keep = Run.save_checkpoint
+
+    def interrupted(self, state):
+        keep(self, state)
+        if state["timesteps"] > STEPS / 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Run, "save_checkpoint", interrupted)
+    assert call(*tiny(algo), "--out", "other") == 1
+    assert "--resume goes on" in capsys.readouterr().err
+    assert not Path("other/agent").exists()
+    assert call(*tiny(algo), "--out", "other") == 2
+    assert "unfinished; add --resume" in capsys.readouterr().err
+    monkeypatch.setattr(Run, "save_checkpoint", keep)
+    assert call(*tiny(algo), "--out", "other", "--resume") == 0
+    assert same(weights("other/agent"), weights("out/agent"))
+    again = read_progress(Path("other"))
+    for row in (*rows, *again):
+        del row["seconds"]
+    assert again == rows
+
+
+def test_folder_of_a_run_is_used_for_nothing_else(call, capsys):
+    assert call(*tiny("ppo")) == 0
+    before = {file: file.stat().st_mtime_ns for file in Path("out").rglob("*")}
+    capsys.readouterr()
+    for more, message in (
+        ((), "finished; choose another folder, or delete it"),
+        (("--seed", 1), "a run with other seed: 0 instead of 1"),
+        (("--seed", 1, "--resume"), "a run with other seed: 0 instead of 1"),
+        (("--authority", 0.1), "a run with other authority: [0.5, 0.5] instead of [0.1, 0.1]"),
+        (("--scenario", "small.toml:2"), "a run with other scenarios; choose"),
+    ):
+        assert call(*tiny("ppo"), *more) == 2
+        err = capsys.readouterr().err
+        assert message in err
+        assert err.count("\n") == 1
+    assert call(*tiny("ppo"), "--resume") == 0
+    assert "holds the finished agent" in capsys.readouterr().out
+    assert before == {file: file.stat().st_mtime_ns for file in Path("out").rglob("*")}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--algo", "dqn"), "unknown algorithm 'dqn'; allowed are apg, ppo"),
+        (
+            ("--scenario", "cruse"),
+            "unknown scenario 'cruse'; allowed are a .toml or .json file, or one of helm, slow-slew",
+        ),
+        (("--scenario", "none.toml"), "cannot read none.toml: No such file"),
+        (("--scenario", "cruise:much"), "'cruise:much' has weight 'much'; it must be a positive number"),
+        (("--scenario", "cruise", "cruise-calm"), "scenario 'cruise-calm' is given twice"),
+        (("--expert", "pid"), "unknown policy 'pid'; allowed are backstepping"),
+        (("--expert", "oracle"), "expert 'oracle' looks behind the observation"),
+        (("--expert", "mine.py:Mine"), "must be a policy's name"),
+        (("--authority", "3"), "authority is (3.0, 3.0); it must be a number in (0, 2]"),
+        (("--authority", "0"), "authority is (0.0, 0.0)"),
+        (("--authority", "1", "1", "1"), "authority is (1.0, 1.0, 1.0)"),
+        (("--seed", "-1"), "seed is -1; it must be an integer in [0, 10000]"),
+        (("--seeds", "0"), "--seeds is 0; it must be 1 or more"),
+        (("--seed", str(LARGEST_SEED), "--seeds", "2"), "seed is 10001"),
+        (("--jobs", "0"), "--jobs is 0"),
+        (("--timesteps", "0"), "timesteps is 0; it must be an integer"),
+        (("--timesteps", "many"), "see train.py --help"),
+        (("--hyperparameters", "none.yml"), "cannot read none.yml"),
+        (("--hyperparameters", "small.toml"), "small.toml has no table of hyper-parameters"),
+        (("--hyperparameters", "broken.yml"), "broken.yml is not valid YAML"),
+        (("--scenario", "small.toml", "--hyperparameters", "sac.yml"), "'buffer_size' of ppo; allowed are batch_size"),
+        (("--set", "gamma"), "--set 'gamma' sets nothing; it must be NAME=VALUE"),
+        (("--set", "=1"), "--set '=1' sets nothing"),
+        (("--set", "gamma=["), "--set 'gamma=[' sets nothing"),
+        (("--set", "gama=0.9"), "unknown hyper-parameter 'gama' of ppo; allowed are batch_size"),
+        (("--out", "small.toml/run"), "is not a folder that can be written to"),
+        (("--out", "full"), "--out full is not empty and holds no run"),
+        (("--speed", "1"), "see train.py --help"),
+    ],
+)
+def test_mistakes_are_one_line_and_leave_nothing_behind(arguments, message, call, capsys):
+    Path("broken.yml").write_text("a: [", encoding="utf-8")
+    Path("full").mkdir()
+    Path("full/file").touch()
+    before = set(Path().rglob("*"))
+    assert call("--algo", "ppo", "--out", "out", *arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert message in err
+    assert err.count("\n") == 1
+    assert set(Path().rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"n_envs": 0}, "n_envs is 0"),
+        ({"n_envs": 2}, "2 vehicles are too few for 8 scenarios"),
+        ({"n_envs": 8, "policy": "CnnPolicy"}, "it must be MlpPolicy"),
+        ({"n_envs": 8, "vec_env_wrapper": "os.system"}, "unknown vec_env_wrapper 'os.system'; allowed are"),
+        ({"n_envs": 8, "callback": "os.system"}, "unknown callback 'os.system'; allowed are"),
+        ({"n_envs": 8, "callback": [{"baselines.training.sb3.callbacks.FrozenActor": {"step": 1}}]}, "it takes steps"),
+        ({"n_envs": 8, "learning_rate": "3e-4"}, "a number, or lin_NUMBER falling to zero"),
+        ({"n_envs": 8, "batch_size": 1000}, "hyper-parameters of ppo: You have specified a mini-batch size of 1000"),
+        ({"n_envs": 8, "policy_kwargs": {"net": 1}}, "hyper-parameters of ppo: "),
+        ({"n_envs": 8, "env_kwargs": 1}, "env_kwargs is 1; it must be a table"),
+        ({"n_envs": 8, "env_kwargs": {"expert": 3}}, "expert is 3; an agent's expert must be a policy's name"),
+        ({"n_envs": 8, "env_kwargs": {"authority": "all"}}, "authority is 'all'"),
+        ({"n_envs": 8, "n_timesteps": "1e6"}, "timesteps is '1e6'; it must be an integer"),
+        ({"n_envs": 8, "noise_type": "pink"}, "noise is 'pink'"),
+    ],
+)
+def test_impossible_hyperparameters_are_one_line(values, message, call, capsys):
+    Path("h.yml").write_text(yaml.safe_dump({ENV_ID: values}), encoding="utf-8")
+    assert call("--algo", "ppo", "--hyperparameters", "h.yml", "--out", "out") == 2
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1
+    assert not Path("out").exists()
+
+
+@pytest.mark.parametrize("algo", ["ppo", "td3"])
+def test_divergence_is_one_line(algo, call, capsys):
+    values = TINY[algo] | {"learning_rate": 1e30, "n_envs": 8}
+    Path(f"{algo}.yml").write_text(yaml.safe_dump({ENV_ID: values}), encoding="utf-8")
+    assert call(*tiny(algo)) == 1
+    err = capsys.readouterr().err
+    assert err.splitlines()[-1].startswith("training diverged after ")
+    assert "Traceback" not in err
+
+
+def test_full_disk_is_one_line_and_leaves_the_last_checkpoint_whole(call, capsys, monkeypatch):
+    replace_file, count = Path.replace, 0
+
+    def full(self, target):
+        nonlocal count
+        count += target.name == "checkpoint.pt"
+        if count == 3:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return replace_file(self, target)
+
+    monkeypatch.setattr(Path, "replace", full)
+    assert call(*tiny("ppo")) == 1
+    assert capsys.readouterr().err.splitlines()[-1] == "cannot write to out: No space left on device"
+    monkeypatch.setattr(Path, "replace", replace_file)
+    assert call(*tiny("ppo"), "--resume") == 0
+    assert call(*tiny("ppo"), "--out", "other") == 0
+    assert same(weights("out/agent"), weights("other/agent"))
+
+
+def test_kill_in_the_middle_of_a_write_leaves_a_folder_to_go_on_with(call, capsys):
+    assert call(*tiny("ppo")) == 0
+    (Path("out/agent")).rename("agent")
+    Path("out/.checkpoint.pt.1.tmp").write_bytes(b"half")
+    assert call(*tiny("ppo"), "--resume") == 0
+    assert not list(Path("out").glob(".*.tmp"))
+    assert same(weights("out/agent"), weights("agent"))
+    Path("out/agent").rename("again")
+    Path("out/checkpoint.pt").write_bytes(Path("out/checkpoint.pt").read_bytes()[:1000])
+    capsys.readouterr()
+    assert call(*tiny("ppo"), "--resume") == 1
+    assert "cannot go on from out/checkpoint.pt" in capsys.readouterr().err
+
+
+def test_seeds_differ_and_each_has_a_folder(call, capsys):
+    assert call(*tiny("ppo"), "--seed", 3, "--seeds", 2, "--jobs", 1) == 0
+    assert "seed-3: 100%" in capsys.readouterr().err
+    assert {file.name for file in Path("out").iterdir()} == {"seed-3", "seed-4", "learning_curve.png"}
+    assert not same(weights("out/seed-3/agent"), weights("out/seed-4/agent"))
+    assert [read_config(Path(f"out/seed-{i}")).seed for i in (3, 4)] == [3, 4]
+    assert call(*tiny("ppo"), "--seed", 3, "--out", "one") == 0
+    assert same(weights("out/seed-3/agent"), weights("one/agent"))
+
+
+def test_a_cluster_trains_what_this_machine_does(call, ray, capsys):
+    common = (*tiny("ppo"), "--seeds", 2, "--jobs", 1)
+    assert call(*common) == 0
+    assert call(*common, "--out", "there", "--cluster", "local") == 0
+    assert ray.addresses == ["local"]
+    assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()] == ["seed-0", "seed-1"] * 2
+    for seed in ("seed-0", "seed-1"):
+        assert same(weights(f"out/{seed}/agent"), weights(f"there/{seed}/agent"))
+    assert Path("there/learning_curve.png").exists()
+
+
+def test_a_cluster_that_is_lost_is_one_line(call, ray, capsys, monkeypatch):
+    def lost(_):
+        raise RuntimeError("gone")
+
+    monkeypatch.setattr(ray, "wait", lost)
+    assert call(*tiny("ppo"), "--cluster", "local") == 1
+    err = "the Ray cluster failed, with 1 tasks left: RuntimeError: gone; the same command with --resume goes on\n"
+    assert capsys.readouterr().err == err
+
+
+def test_a_folder_in_use_is_refused_and_left_alone(call, capsys):
+    with locked(Path("out")):
+        assert call(*tiny("ppo")) == 2
+        assert capsys.readouterr().err == "another training writes to out; wait for it, or choose another folder\n"
+        assert [file.name for file in Path("out").iterdir()] == [".lock"]
+    assert call(*tiny("ppo")) == 0
+
+
+@pytest.mark.parametrize("damage", [b"\xff", b"timesteps\n1,2"])
+def test_damaged_progress_is_one_line(damage, call, capsys):
+    assert call(*tiny("ppo"), "--seeds", 2, "--jobs", 1) == 0
+    Path("out/seed-1/progress.csv").write_bytes(damage)
+    Path("out/seed-1/validation.json").write_bytes(damage)
+    capsys.readouterr()
+    assert call(*tiny("ppo"), "--seeds", 2, "--jobs", 1, "--resume") == 2
+    assert re.fullmatch(r"train\.py: out/seed-1/progress\.csv .*\n", capsys.readouterr().err)
+    shutil.rmtree("out/seed-1/agent")
+    assert call(*tiny("ppo"), "--seeds", 2, "--jobs", 1, "--resume") == 1
+    err = capsys.readouterr().err
+    assert err.startswith("seed-1: cannot go on from out/seed-1/checkpoint.pt: out/seed-1/progress.csv")
+    assert err.count("\n") == 1
+
+
+def test_a_damaged_yardstick_is_made_again(call):
+    assert call(*tiny("ppo")) == 0
+    before = Path("out/validation.json").read_text()
+    text = before.replace('expert_m": ', 'expert_m": "a", "x": ')
+    for damage in (b"[1]", b"[" * 10**5, b"{}", b"\xff", text.encode()):
+        Path("out/validation.json").write_bytes(damage)
+        Run(read_config(Path("out")), Path("out")).validation  # noqa: B018
+        assert Path("out/validation.json").read_text() == before
+
+
+@pytest.mark.parametrize("missing", ["yaml", "filelock", "stable_baselines3"])
+def test_without_what_training_needs_it_says_so(missing):
+    code = f"import sys; sys.modules[{missing!r}] = None; sys.argv = ['train.py', '--algo', 'ppo']; import runpy\n"
+    code += f"runpy.run_path({str(ROOT / 'train.py')!r}, run_name='__main__')"
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    process = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    assert (process.returncode, process.stdout) == (2, "")
+    assert process.stderr == f"train.py needs {missing}: {install('train')}\n"
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    st.builds(
+        Options,
+        algo=st.sampled_from(list(ALGORITHMS)),
+        scenario=st.lists(st.sampled_from(["cruise", "slow-storm:2", "a b.toml"]), min_size=1).map(tuple),
+        expert=st.none() | st.sampled_from(["none", "lqi"]),
+        authority=st.lists(st.floats(0.1, 2.0), min_size=1, max_size=2).map(tuple) | st.just(()),
+        from_=st.none() | st.sampled_from(["helm", "runs/a b"]),
+        vehicle=st.none() | st.sampled_from(["lauv", "a b.toml"]),
+        seed=st.integers(0, LARGEST_SEED),
+        jobs=st.none() | st.integers(1, 9),
+        cluster=st.none() | st.just("HOST:1"),
+        timesteps=st.none() | st.integers(1, 10**9),
+        hyperparameters=st.none() | st.just(Path("h.yml")),
+        set=st.lists(st.sampled_from(["gamma=0.5", "preview=[5, 10]", "e={net: {pi: [8]}}"])).map(tuple),
+        out=st.none() | st.just(Path("runs/a b")),
+        resume=st.booleans(),
+    )
+)
+def test_options_and_words_of_a_command_line_are_the_same(options):
+    assert parse(Options, command_line.words_of(options, Options()), "train.py") == options
+
+
+def test_an_interruption_ends_all_seeds(call, capsys, monkeypatch):
+    def interrupted(self, state):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Run, "save_checkpoint", interrupted)
+    assert call(*tiny("ppo"), "--seeds", 2, "--jobs", 1) == 1
+    assert capsys.readouterr().err.splitlines()[-1] == "interrupted; the same command with --resume goes on"
+    assert not any(Path("out/seed-1").iterdir())
+
+
+def test_agent_says_where_it_comes_from(call):
+    assert call(*tiny("ppo"), "--authority", 0.2, 0.4, "--expert", "none") == 0
+    agent = Agent.load("out/agent")
+    assert (agent.expert, agent.authority, agent.scenarios) == ("none", (0.2, 0.4), ("small",))
+    assert Config.from_dict(agent.training["config"]) == read_config(Path("out"))
+    assert agent.training["command"].startswith("python train.py --algo ppo")
+    scores = [row["score"] for row in read_progress(Path("out")) if "score" in row]
+    assert agent.training["validation"]["score"] == max(scores)
+
+
+@pytest.mark.parametrize("drawn_hulls", [0.0, 0.5])
+def test_an_agent_and_its_score_are_of_one_validation(call, monkeypatch, drawn_hulls):
+    """The best one; where hulls are drawn, which are not validated, the last one."""
+    monkeypatch.setattr("baselines.training.vehicle_models.SEVERAL", 1)
+    measured, scores = Validation.run, iter(np.linspace(0.9, 0.1, 17))
+    monkeypatch.setattr(Validation, "run", lambda *given: replace(measured(*given), score=float(next(scores))))
+    assert call(*tiny("apg"), "--set", "hull=true", f"hulls={drawn_hulls}", "validations=2") == 0
+    first, *_, last = (row for row in read_progress(Path("out")) if "score" in row)
+    kept = Agent.load("out/agent").training
+    assert kept["validation"] == {name: (last if drawn_hulls else first)[name] for name in kept["validation"]}
+    assert kept["scores"] == {"validation episodes": round(kept["validation"]["score"], 3)}
+    assert bool(weights("out/agent")["head.weight"].any()) == bool(drawn_hulls)  # the first network corrects nothing
+
+
+@pytest.mark.parametrize(("keeps_last", "expected"), [(False, [1, 0, 1, 0, 0, 1]), (True, [1] * 6)])
+def test_the_first_of_the_best_is_kept_or_the_last(tmp_path, keeps_last, expected):
+    run, kept = Run(configuration(), tmp_path), []
+    run.keeps_last = keeps_last
+    agent = Agent.load(agent_folder("ppo-cruise"))
+    for k, score in enumerate([0.5, 0.2, 0.7, math.nan, 0.7, 0.9]):
+        run.validation = SimpleNamespace(run=lambda policy, score=score: Verdict(score, 1.0, 0.0, ()))
+        run.log(10 * k, loss=1.0)
+        mine = replace(agent, weights=dict(agent.weights))
+        run.validate(mine, 10 * k)
+        kept.append(run.weights is mine.weights)
+    assert kept == expected
+    assert run.validated["timesteps"] == 50
+
+
+def configuration(**changes):
+    return Config(**{"scenarios": ((SMALL, 1.0),), "algo": "ppo"} | changes)
+
+
+def test_configuration_survives_json():
+    config = configuration(
+        scenarios=((SMALL, 2.0), (Scenario("other", steps=100), 0.5)),
+        expert="lqi",
+        authority=(0.3, 2.0),
+        seed=7,
+        timesteps=12345,
+        hyperparameters={"gamma": 0.9, "net": {"pi": [3, 4]}, "lr": "lin_0.1"},
+    )
+    assert Config.from_dict(json.loads(json.dumps(config.to_dict()))) == config
+
+
+@pytest.mark.parametrize(
+    ("record", "message"),
+    [
+        ({"scenarios": []}, "no scenario to train on"),
+        ({"scenarios": [{"scenario": {"name": "a"}}]}, "a list of scenario and weight"),
+        ({"scenarios": [{"scenario": {"name": "a"}, "weight": 0}]}, "weight of scenario a is 0"),
+        ({"scenarios": 3}, "a list of scenario and weight"),
+        ({"speed": 3}, "no entry 'speed'"),
+        ({"hyperparameters": {"a": float("nan")}}, "must be numbers, strings, lists and tables"),
+        ({"seed": True}, "seed is True"),
+    ],
+)
+def test_damaged_configuration_is_refused(record, message):
+    with pytest.raises(ValueError, match=message):
+        Config.from_dict(configuration().to_dict() | record)
+
+
+LEAF = st.none() | st.booleans() | st.integers(-3, 200) | st.integers() | st.just(10**309) | st.floats() | st.text()
+FLAT = LEAF | st.lists(LEAF, max_size=4) | st.dictionaries(st.text() | st.just("kind"), LEAF, max_size=4)
+JSON = FLAT | st.lists(FLAT, max_size=3) | st.dictionaries(st.text() | st.just("kind"), FLAT, max_size=3)
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.data())
+def test_no_value_in_a_configuration_raises_anything_but_a_refusal(tmp_path_factory, data):
+    """One entry of config.json is any JSON."""
+    file = tmp_path_factory.getbasetemp() / "config.json"
+    record = configuration(hyperparameters={"n_envs": 8}).to_dict()
+    (entry,) = record["scenarios"]
+    table = data.draw(st.sampled_from([record, entry, entry["scenario"]]))
+    table[data.draw(st.sampled_from([*table, "more"]))] = data.draw(JSON)
+    file.write_text(json.dumps(record))
+    try:
+        read_config(file.parent)
+    except ValueError as error:
+        assert str(file) in str(error)  # noqa: PT017, some values are fine
+        assert "\n" not in str(error)  # noqa: PT017
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.sampled_from(list(ALGORITHMS)), st.data())
+def test_no_hyperparameter_raises_anything_but_a_refusal(algo, data):
+    """One of the shipped ones, or another, is anything."""
+    values = {**load_hyperparameters(shipped_file(algo)).values, "n_envs": 8}
+    name = data.draw(st.sampled_from([*values, "policy_kwargs", "preview", "noise_std", "more"]))
+    value = data.draw(JSON.filter(lambda x: not isinstance(x, int) or abs(x) < 10**4 or 10**15 < abs(x) < 10**300))
+    try:
+        request.check(configuration(algo=algo, hyperparameters={**values, name: value}))
+    except ValueError as error:
+        assert "\n" not in str(error)  # noqa: PT017, some values are fine
+
+
+def test_vehicles_are_shared_out_by_weight():
+    regime = request.resolved(["cruise:0.5"])
+    config = configuration(scenarios=regime)
+    counts = [config.lanes(120).count(PRESETS[f"cruise-{case}"]) for case in CASES]
+    assert counts == [10, 20, 10, 10, 10, 10, 20, 30]
+    assert sum(weight for _, weight in regime) == 6.0
+    assert {s.name for s in config.lanes(8)} == {f"cruise-{case}" for case in CASES}
+    with pytest.raises(ValueError, match="7 vehicles are too few for 8 scenarios"):
+        config.lanes(7)
+
+
+@given(st.lists(st.integers(1, 1000), min_size=1, max_size=8), st.integers(0, 200))
+def test_every_scenario_has_a_vehicle_and_heavier_ones_no_fewer(weights, more):
+    scenarios = tuple((replace(SMALL, name=f"s{i}"), weight) for i, weight in enumerate(weights))
+    lanes = configuration(scenarios=scenarios).lanes(len(weights) + more)
+    counts = [lanes.count(scenario) for scenario, _ in scenarios]
+    assert sum(counts) == len(lanes) == len(weights) + more
+    assert min(counts) >= 1
+    assert lanes == sorted(lanes, key=lambda s: s.name)
+    for (_, a), m in zip(scenarios, counts, strict=True):
+        for (_, b), n in zip(scenarios, counts, strict=True):
+            assert m >= n - (a == b) or a < b
+        share = len(lanes) * a / sum(weights)
+        assert m <= max(1, share + 1)
+
+
+@given(st.sampled_from(["cruise", "slow", "cruise-calm", "slow-adverse"]), st.floats(0.001, 1000.0))
+def test_a_weight_multiplies_what_it_stands_behind(name, weight):
+    plain, heavy = request.resolved([name]), request.resolved([f"{name}:{weight!r}"])
+    assert [s for s, _ in plain] == [s for s, _ in heavy]
+    assert [w * weight for _, w in plain] == pytest.approx([w for _, w in heavy])
+
+
+@given(st.text(max_size=12))
+def test_words_that_name_no_scenario_are_refused(word):
+    if word.rpartition(":")[0] in (*PRESETS, "cruise", "slow") or word in PRESETS:
+        return
+    with pytest.raises(UsageError):
+        request.resolved([f"no-{word}"])
+
+
+def test_runs_draw_from_seeds_of_their_own():
+    assert TRAINING.holds(configuration().episode_seed)
+    assert TRAINING.holds(configuration(seed=LARGEST_SEED).episode_seed)
+    assert configuration(seed=1).episode_seed - configuration().episode_seed >= 2**20
+
+
+@pytest.mark.parametrize("algo", ALGORITHMS)
+def test_shipped_hyperparameters_are_used_as_they_are(algo):
+    found = load_hyperparameters(shipped_file(algo))
+    assert found.timesteps >= 100_000
+    for regime in ("slow", "cruise"):
+        scenarios = request.resolved([regime])
+        config = Config(algo, scenarios, authority=found.authority, hyperparameters=found.values)
+        request.check(config)
+
+
+def test_hyperparameters_are_set_one_by_one(tmp_path):
+    words = ["a=3e-4", "b=lin_0.1", "c=[5,10]", "d=true", "e={net: {pi: [8]}}"]
+    changes = changes_of(words)
+    assert changes == {"a": 3e-4, "b": "lin_0.1", "c": [5, 10], "d": True, "e": {"net": {"pi": [8]}}}
+    assert changes_of(words_of(changes)) == changes
+    given = request.Request.of(Options("ppo", ("cruise-storm",), set=("gamma=0.5",), out=tmp_path / "run"))
+    plain = load_hyperparameters(shipped_file("ppo")).values
+    assert given.configs[0].hyperparameters == {**plain, "gamma": 0.5}
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_agents_can_be_trained_again(name, call, monkeypatch, tmp_path):
+    made = []
+    monkeypatch.setattr(shipped, "train", lambda r: made.append(r) or 1)
+    assert shipped.main([name, "--timesteps", "100", "--out", "out"]) == 1
+    [config] = made[0].configs
+    regimes = {scenario.name.split("-")[0] for scenario, _ in config.scenarios}
+    if name.startswith("helm"):
+        assert (config.algo, regimes) == ("apg", set(REGIMES))
+    else:
+        family, regime = name.rsplit("-", 1)
+        assert family.startswith(config.algo.replace("_", "-"))
+        assert {regime} == regimes
+    if (agent_folder(name) / "agent.json").exists():  # the one in the package came from just this
+        record = json.loads((agent_folder(name) / "agent.json").read_text(encoding="utf-8"))
+        theirs = Config.from_dict(record["training"]["config"])
+        assert theirs == replace(config, timesteps=theirs.timesteps)
+    monkeypatch.setattr(command, "train", lambda r: made.append(r) or 0)
+    assert call(*shlex.split(made[0].command)[2:], "--out", tmp_path / "again") == 0
+    assert made[1].configs == (config,)
+
+
+def test_shipped_agents_are_installed_and_unknown_ones_refused(call, monkeypatch, tmp_path):
+    monkeypatch.setattr(shipped, "AGENTS", tmp_path / "agents")
+    monkeypatch.setattr(shipped, "SHIPPED", {"ppo-small": training("ppo", "small.toml")})
+    monkeypatch.setattr(request, "shipped", lambda algo: tmp_path / f"{algo}.yml")
+    assert shipped.main(["--timesteps", "64", "--install"]) == 0
+    assert same(weights("agents/ppo-small"), weights("runs/shipped/ppo-small/agent"))
+    with pytest.raises(UsageError, match="no agent 'dqn-small' ships with the package; allowed are ppo-small"):
+        shipped.main(["dqn-small"])
+
+
+@pytest.mark.parametrize("page", ["install", "training", "tutorials/first-agent", "tutorials/vehicle", "../README"])
+def test_documented_commands_run(page, call, monkeypatch):
+    """In their order, in one folder, with small networks for a moment; hyper-parameter files are those of the page."""
+    monkeypatch.setattr("baselines.training.run_folder.validation_cell", lambda s, _: drawn(replace(s, steps=15), 1, 0))
+    monkeypatch.setattr(request, "shipped", lambda algo: Path(f"{algo}.yml"))
+    text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
+    for name, content in re.findall(r"^```(?:toml|yaml)\n# (\S+)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+        Path(name).write_text(content, encoding="utf-8")
+    found = re.findall(r"^(?:python train.py|auv-gym train) ?([^#\n]*)", text, re.MULTILINE)
+    others = ("--cluster", "--from", "--vehicle")  # test_a_cluster_trains_what_this_machine_does, test_beginning.py
+    lines = [line for line in found if not any(option in line for option in others)]
+    assert lines
+    for line in lines:
+        assert call(*line.split(), "--timesteps", STEPS, "--jobs", 1) == 0, line
+
+
+def test_actor_that_no_agent_can_be_is_refused_before_training(call, capsys):
+    Path("h.yml").write_text(yaml.safe_dump({ENV_ID: {"n_envs": 8, "use_sde": True}}), encoding="utf-8")
+    assert call("--algo", "sac", "--hyperparameters", "h.yml", "--out", "out") == 2
+    err = capsys.readouterr().err
+    assert "set clip_mean to 0" in err
+    assert err.count("\n") == 1
+    assert not Path("out").exists()

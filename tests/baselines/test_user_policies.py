@@ -1,0 +1,309 @@
+"""Policies from users' own files: the documented examples, and mistakes in one line."""
+
+import contextlib
+import json
+import re
+import shutil
+import zipfile
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import evaluate
+from auv_gym.physics.units import in_paper_units
+from auv_gym.physics.vehicle import Vehicle
+from auv_gym.scenarios.fitting import changed
+from auv_gym.scenarios.presets import PRESETS
+from baselines import make_policy, make_residual_vector_env
+from baselines.agents.agent import Agent
+from baselines.agents.features import FEATURES
+from baselines.agents.loading import caution
+from baselines.agents.networks import Gru
+from baselines.control.backstepping import Backstepping
+from baselines.evaluation.fingerprints import fingerprint
+from baselines.evaluation.options import Options
+from baselines.evaluation.request import Request
+from baselines.evaluation.rollout import rollout
+from baselines.evaluation.runner import drawn, run_all
+from baselines.policies import common_vehicle
+from baselines.tools.command_line import UsageError
+from baselines.training.config import Config
+
+PAGE = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text(encoding="utf-8")
+COMMON = ("--scenario", "cruise-calm", "--episodes", "2", "--jobs", "1", "--out", "out")
+
+
+@pytest.fixture
+def example(tmp_path, monkeypatch):
+    """The module of the documentation, in the working directory."""
+    monkeypatch.chdir(tmp_path)
+    text = re.search(r"^```python\n(# my_policy.py\n.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)[1]
+    (tmp_path / "my_policy.py").write_text(text)
+    return re.search(r"--policy (my_policy.py:\w+) --scenario cruise-calm", PAGE)[1]
+
+
+def test_documented_module(example, tmp_path):
+    assert evaluate.main(["--policy", example, *COMMON]) == 0
+    rows = json.loads((tmp_path / "out" / "results.json").read_text())["results"]
+    assert [row["policy"] for row in rows] == ["backstepping", example]
+    assert rows[1]["tail_rmse_m"]["mean"] < 0.5
+
+
+def test_factory_takes_options(example):
+    assert make_policy("my_policy.py:LineOfSight", ahead=7.0).ahead == 7.0
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("missing.py:f", "cannot read missing.py"),
+        ("missing.zip", "cannot read missing.zip"),
+        ("my_policy.py:nothing", "no function or class 'nothing'"),
+        ("my_policy.py:np", "no function or class 'np'"),
+        ("broken.py:f", "broken.py cannot be imported: SyntaxError"),
+        ("other.py:fails", "fails of other.py fails: KeyError"),
+        ("other.py:number", "has no method predict"),
+        ("text.zip", "is no model of Stable-Baselines3"),
+        ("unknown.zip", "known are those of"),
+    ],
+)
+def test_mistakes(example, name, says, tmp_path, capsys):
+    Path("broken.py").write_text("def f(:")
+    Path("other.py").write_text("def fails():\n    {}['x']\n\n\ndef number():\n    return 3\n")
+    Path("text.zip").write_text("no zip")
+    with zipfile.ZipFile("unknown.zip", "w") as archive:
+        archive.writestr("data", json.dumps({"policy_class": {"__module__": "mine"}}))
+    with pytest.raises(UsageError, match=re.escape(says)):
+        evaluate.main(["--policy", name, *COMMON])
+    assert not Path("out").exists()
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory):
+    """Untrained models of Stable-Baselines3 by the name of their file."""
+    sb3 = pytest.importorskip("stable_baselines3")
+    env = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="cruise-calm")
+    folder = tmp_path_factory.mktemp("models")
+    contrib = pytest.importorskip("sb3_contrib")
+    for algorithm in MODELS:
+        package = contrib if hasattr(contrib, algorithm) else sb3
+        kind = "MlpLstmPolicy" if algorithm == "RecurrentPPO" else "MlpPolicy"
+        getattr(package, algorithm)(kind, env, device="cpu").save(folder / f"{algorithm}.zip")
+    other = gym.make("auv_gym:UnderactuatedAUVTrackResidual-v0", scenario="cruise-calm")
+    sb3.PPO("MlpPolicy", other, device="cpu").save(folder / "residual.zip")
+    sb3.PPO("MlpPolicy", gym.make("Pendulum-v1"), device="cpu").save(folder / "pendulum.zip")
+    return folder
+
+
+MODELS = ("PPO", "RecurrentPPO", "SAC", "TD3", "CrossQ", "ARS")
+
+
+def test_documented_zip(models, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert evaluate.main(["--policy", str(models / "PPO.zip"), *COMMON]) == 0
+    assert "can run any code" in capsys.readouterr().err
+    assert json.loads(Path("out/results.json").read_text())["results"][1]["error"] is None
+
+
+@pytest.mark.parametrize("algorithm", MODELS)
+def test_zip_acts_as_its_model(models, algorithm):
+    action, _ = make_policy(str(models / f"{algorithm}.zip")).predict(np.zeros((3, 18)), deterministic=True)
+    assert action.shape == (3, 2)
+
+
+def test_zip_with_memory_remembers_what_its_model_does(models):
+    """Step after step, with an episode that begins in between."""
+    contrib = pytest.importorskip("sb3_contrib")
+    policy, model = make_policy(str(models / "RecurrentPPO.zip")), contrib.RecurrentPPO.load(models / "RecurrentPPO")
+    rng, mine, theirs = np.random.default_rng(0), None, None
+    for k in range(6):
+        row, first = rng.uniform(-0.5, 0.5, (3, 18)).astype(np.float32), np.array([k == 0, k in (0, 3), k == 0])
+        action, mine = policy.predict(row, mine, first)
+        expected, theirs = model.predict(row, theirs, first, deterministic=True)
+        np.testing.assert_array_equal(action, expected)
+    assert not np.array_equal(policy.predict(row)[0], action)
+
+
+def test_zip_of_another_task(models):
+    with pytest.raises(ValueError, match=r"takes observations \(3,\) and gives actions \(1,\)"):
+        make_policy(str(models / "pendulum.zip"))
+
+
+def test_zip_of_the_residual_environment_corrects_the_expert(models):
+    """It does in the tracking environment what it does in its own."""
+    sb3 = pytest.importorskip("stable_baselines3")
+    policy, model = make_policy(str(models / "residual.zip")), sb3.PPO.load(models / "residual.zip", device="cpu")
+    own = gym.make("auv_gym:UnderactuatedAUVTrackResidual-v0", scenario="cruise-calm")
+    track = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="cruise-calm")
+    seen, observed = own.reset(seed=3)[0], track.reset(seed=3)[0]
+    for _ in range(20):
+        seen = own.step(model.predict(seen, deterministic=True)[0])[0]
+        observed = track.step(policy.predict(observed)[0])[0]
+        np.testing.assert_allclose(seen[:18], observed, rtol=1e-6, atol=1e-9)
+    action = policy.predict(np.tile(observed, (3, 1)))[0]
+    assert action.shape == (3, 2)
+    weak = make_policy(str(models / "residual.zip"), authority=0.01).predict(observed)[0]
+    np.testing.assert_allclose(weak, make_policy("backstepping").predict(observed)[0], atol=0.02)
+
+
+def test_zip_sees_what_it_saw_in_training(models, tmp_path):
+    """The statistics of VecNormalize beside a model are used, and are part of what makes its numbers."""
+    vec_env = pytest.importorskip("stable_baselines3.common.vec_env")
+    file = tmp_path / "best_model.zip"
+    shutil.copy(models / "PPO.zip", file)
+    observation = np.linspace(-1.0, 1.0, 18)
+    plain, before = make_policy(str(file)).predict(observation)[0], fingerprint(str(file))
+    env = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="cruise-calm")
+    normalised = vec_env.VecNormalize(vec_env.DummyVecEnv([lambda: env]))
+    normalised.obs_rms.mean[:], normalised.obs_rms.var[:] = 0.3, 4.0
+    (tmp_path / "env").mkdir()
+    normalised.save(str(tmp_path / "env" / "vecnormalize.pkl"))
+    seen = (observation - 0.3) / np.sqrt(4.0 + normalised.epsilon)
+    expected = make_policy(str(models / "PPO.zip")).predict(seen)[0]
+    np.testing.assert_allclose(make_policy(str(file)).predict(observation)[0], expected, rtol=1e-5)
+    assert not np.allclose(expected, plain)
+    assert fingerprint(str(file)) != before
+    assert "vecnormalize.pkl normalises" in caution(str(file))
+
+
+def test_damaged_zips_are_named(models, tmp_path):
+    whole = (models / "PPO.zip").read_bytes()
+    rng = np.random.default_rng(0)
+    for i in range(12):
+        data = bytearray(whole)
+        for at in rng.integers(0, len(data), 20 * i):
+            data[at] ^= 255
+        (tmp_path / "damaged.zip").write_bytes(data[: len(data) // 2] if i == 0 else data)
+        with contextlib.suppress(ValueError):  # and nothing else; a few flips leave a model whole
+            make_policy(str(tmp_path / "damaged.zip"))
+
+
+def test_an_exit_is_a_failure_of_the_policy(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("early.py").write_text("import sys\n\nsys.exit(0)\n")
+    Path("late.py").write_text("import sys\n\n\nclass Law:\n    def predict(self, *_):\n        sys.exit('\\x1b[2J')\n")
+    with pytest.raises(UsageError, match=r"early\.py cannot be imported: SystemExit"):
+        evaluate.main(["--policy", "early.py:Law", *COMMON])
+    assert evaluate.main(["--policy", "late.py:Law", *COMMON]) == 1
+    out, err = capsys.readouterr()
+    assert "failed: late.py:Law in cruise-calm, SystemExit" in err
+    assert "\x1b[2J" not in out + err + Path("out/results.json").read_text()
+
+
+@pytest.mark.parametrize("word", ["\x1b[31m", "a\udc80b", "a\nb"])
+@pytest.mark.parametrize("option", ["--policy", "--out", "--scenario"])
+def test_names_that_cannot_be_printed_are_refused(option, word, capsys):
+    with pytest.raises(UsageError, match="cannot be printed"):
+        evaluate.main([option, word])
+
+
+def test_a_scenario_of_a_name_that_cannot_be_printed_is_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("a.json").write_text(json.dumps({"name": "\x1b[31m", "steps": 5}))
+    with pytest.raises(UsageError, match="printable characters"):
+        evaluate.main(["--scenario", "a.json"])
+
+
+def test_no_cell_of_a_spreadsheet_is_a_formula(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("a.json").write_text(json.dumps({"name": "=1+1", "steps": 5}))
+    assert evaluate.main(["--scenario", "a.json", "--episodes", "1", "--jobs", "1", "--out", "out"]) == 0
+    assert "backstepping,'=1+1,1," in Path("out/results.csv").read_text()
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("--episodes", "1000000000"), ("--seed", "9" * 309), ("--jobs", "9" * 309)]
+)
+def test_work_without_bound_is_refused(option, value):
+    with pytest.raises(UsageError, match="must be at most"):
+        evaluate.main(["--scenario", "cruise-calm", option, value])
+
+
+def agent_of(scenarios, expert="backstepping"):
+    network = Gru(len(FEATURES), 2, 2, 2)
+    zeros = {name: np.zeros(shape, np.float32) for name, shape in network.shapes.items()}
+    return Agent(network, zeros, expert, (0.5, 0.5), scenarios)
+
+
+def test_an_experts_look_behind_the_observation_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="looks behind the observation"):
+        agent_of((), "oracle")
+    agent_of(()).save(tmp_path / "a")
+    record = tmp_path / "a" / "agent.json"
+    record.write_text(record.read_text().replace('"expert": "backstepping"', '"expert": "oracle"'))
+    with pytest.raises(ValueError, match="looks behind the observation"):
+        make_policy(str(tmp_path / "a"))
+
+
+def test_the_folder_of_a_training_stands_for_its_agent(tmp_path, monkeypatch, capsys):
+    """An agent runs where it was not trained too, but not without a word."""
+    monkeypatch.chdir(tmp_path)
+    agent_of(("slow-calm", "slow-storm")).save("runs/mine/agent")
+    assert evaluate.main(["--policy", "runs/mine", *COMMON]) == 0
+    rows = json.loads((tmp_path / "out" / "results.json").read_text())["results"]
+    assert [row["policy"] for row in rows] == ["backstepping", "runs/mine"]
+    assert rows[0]["tail_rmse_m"] == rows[1]["tail_rmse_m"]
+    note = "runs/mine was trained in slow motion, and not for cruise-calm"
+    assert note in capsys.readouterr().err
+    assert note in Path("out/report.html").read_text()
+    assert fingerprint("runs/mine") == fingerprint("runs/mine/agent") != ""
+
+
+def test_in_a_frozen_suite_an_agent_runs_in_its_regime(tmp_path):
+    request = Request.of(Options(policy=("apg-slow",), suite="benchmark-v1", episodes=2, out=tmp_path))
+    ran = {cell.scenario.name.split("-")[0] for policy, cell in request.pairs if policy == "apg-slow"}
+    assert ran == {"slow"}
+    assert len([policy for policy, _ in request.pairs if policy == "backstepping"]) == 16
+    assert "apg-slow was trained in slow motion and runs in those cells alone" in request.notes
+    assert request.steps == sum(2 * cell.scenario.steps for _, cell in request.pairs)
+
+
+BELIEVING = """
+from baselines.control.backstepping import Backstepping
+
+
+class Law(Backstepping):
+    def __init__(self, vehicle="paper"):
+        super().__init__(vehicle=vehicle)
+
+
+def make_open_loop():
+    from baselines import make_policy
+
+    return make_policy("open-loop")
+"""
+
+
+def test_policies_are_told_the_vehicle_that_the_scenario_knows(tmp_path, monkeypatch):
+    """By name and as an agent's expert, made in the vehicle's own units, and from a file the law knows the vehicle."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text(BELIEVING)
+    heavy = Vehicle(m11=600.0, m22=840.0, m33=300.0, d11=160.0, d22=320.0, d33=180.0, X_uu=40.0)
+    scenario = changed(PRESETS["cruise-calm"], vehicle=heavy)
+    agent_of(()).save("agent")
+    cell = drawn(scenario, 2, 0)
+    told = rollout(make_policy("backstepping", vehicle=heavy), scenario, cell.episodes, 1.0).measures.tail
+    wrong = rollout(make_policy("backstepping"), scenario, cell.episodes, 1.0).measures.tail
+    runs = run_all(("backstepping", "./agent", "mine.py:Law", "mine.py:make_open_loop"), [cell])
+    for run in runs[:2]:
+        np.testing.assert_array_equal(run.measures.tail, told)
+    as_it_is = rollout(Backstepping(vehicle=heavy), scenario, cell.episodes, 1.0).measures.tail
+    np.testing.assert_array_equal(runs[2].measures.tail, as_it_is)
+    assert runs[3].error is None
+    assert told.mean() < 0.5 * wrong.mean()
+    assert Config(scenarios=((scenario, 1.0),)).make_expert().vehicle == heavy
+    assert make_policy("ekf", heavy).policy.controller.slow.vehicle == in_paper_units(heavy)
+    assert make_policy("open-loop", heavy)
+    residual = gym.make("auv_gym:UnderactuatedAUVTrackResidual-v0", scenario=scenario)
+    assert residual.unwrapped.scenario.vehicle == heavy
+    assert residual.get_wrapper_attr("expert").policy.vehicle == in_paper_units(heavy)
+
+
+def test_an_expert_by_name_is_told_the_vehicle_that_all_know():
+    heavy = Vehicle(m11=600.0, m22=840.0, m33=300.0, d11=160.0, d22=320.0, d33=180.0, X_uu=40.0)
+    one, other = PRESETS["cruise-calm"], changed(PRESETS["cruise-calm"], vehicle=heavy)
+    assert (common_vehicle([one, one]), common_vehicle([one, other])) == (one.vehicle, None)
+    assert make_residual_vector_env(2, other).expert.policy.vehicle == in_paper_units(heavy)
+    assert make_residual_vector_env(2, [one, other]).expert.vehicle == one.vehicle

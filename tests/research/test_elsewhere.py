@@ -1,0 +1,300 @@
+"""Vehicles of six degrees of freedom: against Fossen's matrix form, against the plane, and in the user's simulator."""
+
+import json
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from kept_pages import compare_between
+from matrix_forms import otter_acceleration, remus_acceleration
+from scipy import stats
+from scipy.spatial.transform import Rotation
+
+from auv_gym.physics.dynamics import rk4_step
+from auv_gym.physics.errors import to_body
+from auv_gym.physics.namespaces import ARRAYS, FLOATS
+from auv_gym.physics.vehicle import Coefficients
+from auv_gym.scenarios.presets import as_scenario
+from baselines import make_policy
+from baselines.evaluation.rollout import rollout
+from baselines.evaluation.runner import drawn
+from baselines.identification.log import Log
+from baselines.tools.command_line import run
+from research.transfer import command, comparison, otter, page, remus100
+from research.transfer.bodies import bodies, deviation
+from research.transfer.comparison import concordance, pooled
+from research.transfer.installed import Installed
+from research.transfer.six_dof import AS_PUBLISHED, Deviation, Motion, Outside, coriolis, cross_flow, place_rates
+from research.transfer.trials import log
+from research.transfer.worlds import MODELS, Own
+
+ROOT = Path(__file__).parents[2]
+NOWHERE = Outside(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+REFERENCE = {"remus100": remus_acceleration, "otter": otter_acceleration}
+SIZES = {"remus100": (0.2, 0.2, 1500.0), "otter": (90.0, 90.0)}
+
+
+@pytest.mark.parametrize("name", REFERENCE)
+def test_accelerations_are_those_of_the_matrix_form(name):
+    rng, model = np.random.default_rng(0), MODELS[name]
+    for _ in range(40):
+        eta = rng.normal(size=6) * [5, 5, 0.3, 0.2, 0.2, 2]
+        nu = rng.normal(size=6) * [1, 0.3, 0.2, 0.2, 0.2, 0.3]
+        act = rng.uniform(-1, 1, len(SIZES[name])) * SIZES[name]
+        loops = [0.0] * (model.size - 12 - len(act))
+        rates = model.rates([*eta, *nu, *act, *loops], act.tolist(), NOWHERE, AS_PUBLISHED, FLOATS)
+        wanted = REFERENCE[name](eta, nu, act)
+        np.testing.assert_allclose(rates[6:12], wanted, rtol=1e-5, atol=1e-5 * np.abs(wanted).max())
+        np.testing.assert_allclose(rates[12 : 12 + len(act)], 0, atol=1e-12)
+
+
+def test_place_rates_turn_as_rotations_do():
+    rng = np.random.default_rng(1)
+    state = Motion(*rng.normal(size=12) * 0.5)
+    turn = Rotation.from_euler("ZYX", [state.psi, state.theta, state.phi])
+    rates = place_rates(state, (0.3, -0.1), FLOATS)
+    np.testing.assert_allclose(rates[:3], turn.apply(state[6:9]) + np.array([0.3, -0.1, 0]))
+    h = 1e-6
+    later = Rotation.from_euler("ZYX", [s + h * r for s, r in zip(state[5:2:-1], rates[5:2:-1], strict=True)])
+    np.testing.assert_allclose((turn.inv() * later).as_rotvec() / h, state[9:], rtol=1e-4)
+
+
+def test_coriolis_forces_do_no_work():
+    rng = np.random.default_rng(2)
+    nu, A = rng.normal(size=6), rng.normal(size=(6, 6))
+    assert abs(nu @ np.array(coriolis((A @ A.T) @ nu, nu))) < 1e-12
+
+
+def test_strips_come_to_the_integral():
+    x = np.linspace(-0.8, 0.8, 20001)
+    flow = 0.1 + 0.3 * x
+    per_metre = -0.5 * 1026 * 0.19 * 1.19772 * np.abs(flow) * flow
+    Y, N = cross_flow(0.1, 0.3, 1.6, 0.19, 0.19, 1026.0)
+    assert Y == pytest.approx(np.trapezoid(per_metre, x), rel=0.15)  # 21 strips of a twentieth: the ends count whole
+    assert N == pytest.approx(np.trapezoid(x * per_metre, x), rel=0.2)
+
+
+def test_inner_loops_give_what_is_asked():
+    F, speed = np.linspace(-20, 40, 61), 0.8
+    n = remus100.revolutions(F, remus100.WAKE * speed, ARRAYS) / 60
+    T = 0.9 * 1026 * 0.14**4 * remus100.propeller(n, remus100.WAKE * speed, remus100.KT_0, remus100.KT_J, ARRAYS)
+    np.testing.assert_allclose(T, F, atol=1e-9)
+    angle = remus100.rudder(np.array([-0.3, 0.3, 9.0]), 1.0, ARRAYS)
+    np.testing.assert_allclose(0.8 * 0.5 * 1026 * 0.0133 * 0.5 * angle[:2], [-0.3, 0.3], rtol=1e-5)
+    assert angle[2] == pytest.approx(math.radians(15))
+    for F_u, F_r in ((100.0, 20.0), (-60.0, -10.0), (239.0, 60.0), (0.0, 100.0)):
+        port, starboard = (otter.thrust(otter.revolutions(T, FLOATS), FLOATS) for T in otter.shares(F_u, F_r, FLOATS))
+        assert -133.5 / 2 <= min(port, starboard) + 1e-9
+        assert max(port, starboard) <= 239.4 / 2
+        assert 0.395 * (port - starboard) == pytest.approx(min(F_r, 73.63), abs=0.01)
+        if abs(F_u) + abs(F_r) / 0.395 < 133:
+            assert port + starboard == pytest.approx(F_u)
+
+
+class PlaneWorld:
+    """The equations of the plane as another simulator's: what the adapter must not change."""
+
+    def __init__(self, known):
+        self.known = known
+
+    def place(self, lanes, states, deviations):
+        assert np.allclose(deviations, np.array(AS_PUBLISHED)[:, None])
+        self.states = states.copy()
+
+    def advance(self, outside, dt):
+        F_u, F_r, V_x, V_y, X, Y, N = outside
+        state = rk4_step(tuple(self.states), (F_u + X, Y, F_r + N), self.known.coefficients, dt, (V_x, V_y), ARRAYS)
+        self.states = np.array(state)
+        return self.states, outside[:2]
+
+    def kept(self):
+        return getattr(self, "states", None)
+
+    def restore(self, kept):
+        self.states = kept
+
+
+def test_the_adapter_changes_nothing_but_what_moves():
+    scenario = replace(as_scenario("cruise-waves@remus100"), current=as_scenario("cruise-current@remus100").current)
+    cell, policy = drawn(scenario, 2, 3), make_policy("los-pid", scenario.vehicle)
+    plain = rollout(policy, scenario, cell.episodes)
+    other = rollout(
+        policy, scenario, cell.episodes, bodies=bodies(lambda _: PlaneWorld(scenario.vehicle), scenario.vehicle)
+    )
+    np.testing.assert_allclose(other.errors, plain.errors, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(other.tracks[0].position, plain.tracks[0].position, rtol=1e-6)
+
+
+def test_a_world_goes_back_where_it_was():
+    world = Own("otter", 2)
+    world.place([0, 1], np.zeros((6, 2)), np.repeat(np.array(AS_PUBLISHED)[:, None], 2, 1))
+    kept, push = world.kept(), np.array(NOWHERE._replace(F_u=40.0))[:, None].repeat(2, 1)
+    first, forces = world.advance(push, 1.0)
+    np.testing.assert_allclose(forces[0], 40, rtol=1e-3)
+    world.restore(kept)
+    np.testing.assert_array_equal(world.advance(push, 1.0)[0], first)
+
+
+def test_a_deviation_is_that_of_the_plane():
+    """Twice the masses and the drag, under twice the force, move alike; and factors are read off a drawn vehicle."""
+    plain, heavy = Own("otter", 1), Own("otter", 1)
+    start = np.array([[0, 0, 0, 0.5, 0, 0]]).T
+    plain.place([0], start, np.array(AS_PUBLISHED)[:, None])
+    level = plain.rows[2:5].copy()
+    plain.rows[2:5] = 0
+    heavy.place([0], start, np.array(Deviation(2, 2, 2, 2, 2, 2, 0, 0, 0))[:, None])
+    heavy.rows[2:5] = level * 0
+    push = np.array(NOWHERE._replace(X=30.0, N=4.0))[:, None]
+    np.testing.assert_allclose(heavy.advance(2 * push, 0.02)[0][3::2], plain.advance(push, 0.02)[0][3::2], rtol=2e-3)
+    known = as_scenario("cruise-mismatch@otter").vehicle.coefficients
+    true = Coefficients(*known)._replace(m11=known.m11 * 1.2, d22=known.d22 * 0.8, Y_vv=known.Y_vv * 0.8 + 7)
+    wanted = AS_PUBLISHED._replace(m_u=1.2, d_v=0.8, Y_vv=7.0)
+    np.testing.assert_allclose(deviation(true, known), wanted, atol=1e-9)
+
+
+@pytest.fixture
+def stand_in(monkeypatch):
+    """A package of the interface of PythonVehicleSimulator, whose vehicles are the matrix forms above."""
+
+    def vehicle(name, lags):
+        class Simulated:
+            V_c = beta_c = 0.0
+
+            def __init__(self):
+                eye, rest = np.eye(6), np.zeros(len(lags))
+                loads = [self.load(unit, rest) for unit in eye]
+                self.Minv = np.array(loads).T
+
+            @staticmethod
+            def load(unit, rest):
+                model = MODELS[name]
+                row = [0.0] * model.size
+                base, pushed = (
+                    model.rates(row, rest.tolist(), NOWHERE._replace(X=k * unit[0], Y=k * unit[1], N=k * unit[5]),
+                                AS_PUBLISHED, FLOATS)[6:12] for k in (0.0, 1.0)
+                )  # fmt: skip
+                return np.subtract(pushed, base)
+
+            def dynamics(self, eta, nu, u_actual, u_control, sampleTime):
+                c, s = math.cos(eta[5]), math.sin(eta[5])
+                drift = np.zeros(6)
+                drift[:2] = to_body(self.V_c * math.cos(self.beta_c), self.V_c * math.sin(self.beta_c), c, s)
+                turning = np.array([nu[5] * drift[1], -nu[5] * drift[0], 0, 0, 0, 0])
+                nu_dot = turning + REFERENCE[name](eta, nu - drift, u_actual)
+                lag = (np.asarray(u_control) - u_actual) / lags
+                return nu + sampleTime * nu_dot, u_actual + sampleTime * lag
+
+        return Simulated
+
+    package, vehicles = ModuleType("python_vehicle_simulator"), ModuleType("python_vehicle_simulator.vehicles")
+    monkeypatch.setitem(sys.modules, "python_vehicle_simulator", package)
+    monkeypatch.setitem(sys.modules, "python_vehicle_simulator.vehicles", vehicles)
+    for name, lags in (("remus100", (0.1, 0.1, 1.0)), ("otter", (0.1, 0.1))):
+        module = ModuleType(f"python_vehicle_simulator.vehicles.{name}")
+        setattr(module, name, vehicle(name, np.array(lags)))
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+
+
+@pytest.mark.parametrize("name", REFERENCE)
+def test_an_installed_copy_moves_as_our_equations(name, stand_in):
+    start = np.array([[1.0, 2.0, 0.7, 0.8, 0.0, 0.0]]).T
+    worlds = Own(name, 1), Installed(name, 1)
+    outside = np.array(Outside(25.0, 0.4, 0.15, -0.1, 2.0, -1.0, 0.1))[:, None]
+    for world in worlds:
+        world.place([0], start, np.array(AS_PUBLISHED)[:, None])
+    for _ in range(20):
+        (own, forces), (installed, given) = (world.advance(outside, 0.1) for world in worlds)
+    np.testing.assert_allclose(installed, own, atol=0.02)
+    np.testing.assert_allclose(given, forces, rtol=0.05)
+    assert np.hypot(*(own[:2] - start[:2])) > 1.0
+    with pytest.raises(ValueError, match="the published vehicle alone; take cases without mismatch"):
+        worlds[1].place([0], start, np.array(AS_PUBLISHED._replace(m_u=1.1))[:, None])
+
+
+def test_ranks_and_means_are_what_statistics_says():
+    rng = np.random.default_rng(4)
+    a, b = rng.normal(size=(2, 9))
+    assert concordance(a, b) == pytest.approx(stats.kendalltau(a, b).statistic)
+    tails = [np.abs(rng.normal(size=(3, 5))) for _ in range(2)]
+    means = pooled(tails)
+    np.testing.assert_allclose(means[0], np.concatenate(tails, axis=1).mean(axis=1))
+    assert means.shape[1] == 3
+
+
+@pytest.mark.parametrize("name", REFERENCE)
+def test_logs_are_those_of_a_vehicle(name, tmp_path):
+    assert run(command.main, command.PROGRAM, ["--vehicle", name, "--log", str(tmp_path / "log.csv")]) == 0
+    kept = Log.load(tmp_path / "log.csv")
+    np.testing.assert_allclose(kept.measured, log(name).measured, atol=1e-6)
+    assert np.ptp(kept.measured[:, 2]) > 1.0
+    assert np.hypot(*kept.measured[:, 3:5].T).max() < 3.5
+
+
+def test_the_command_compares_and_keeps(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "turned", lambda _: {"straight": [], "turns": []})
+    monkeypatch.setattr(comparison, "VARIANTS", {"otter": {"as published": otter.OTTER}})
+    arguments = ["--policy", "los-pid", "ilos", "--vehicle", "otter", "--case", "current", "--episodes", "2"]
+    assert run(command.main, command.PROGRAM, [*arguments, "--out", "."]) == 0
+    record = json.loads(Path("elsewhere.json").read_text(encoding="utf-8"))["otter"]
+    assert record["tau"]["by_case"].keys() == {"current"}
+    for own in record["policies"].values():
+        assert own["growth"] == pytest.approx(own["space_m"] / own["plane_m"])
+        assert own["lost_space"] == 0
+    assert "Kendall's tau" in capsys.readouterr().out
+    space, plane = (record["policies"]["los-pid"][key] for key in ("space_m", "plane_m"))
+    assert record["causes"]["growth"]["as published"]["los-pid"] == pytest.approx(space / plane, rel=1e-3)
+    before = {file: file.stat().st_mtime_ns for file in Path("runs/elsewhere").rglob("*.json")}
+    assert len(before) == 2
+    monkeypatch.setattr(command, "caused", lambda *_: record["causes"])
+    assert run(command.main, command.PROGRAM, [*arguments, "--out", "."]) == 0
+    assert before == {file: file.stat().st_mtime_ns for file in before}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--vehicle", "canoe"], "--vehicle 'canoe' is unknown; allowed are remus100, otter"),
+        (["--policy", "ekf"], "--policy names 1; a ranking needs 2 or more"),
+        (["--episodes", "1"], "--episodes must be 2 or more"),
+        (["--simulator", "installed"], "python_vehicle_simulator is not installed; clone and install"),
+    ],
+)
+def test_a_mistake_is_one_line(arguments, says, capsys):
+    assert run(command.main, command.PROGRAM, arguments) == 2
+    err = capsys.readouterr().err
+    assert says in err
+    assert err.count("\n") == 1
+
+
+@pytest.fixture
+def kept():
+    return json.loads((ROOT / "docs" / "elsewhere.json").read_text(encoding="utf-8"))
+
+
+def test_what_the_page_says_in_words_holds(kept):
+    remus, boat = kept["remus100"], kept["otter"]
+    for turn in remus["trials"]["turns"]:
+        assert 1.6 < turn["space"] / turn["plane"] < 2.2
+    for policy in remus["causes"]["policies"]:
+        assert remus["causes"]["growth"]["as published"][policy] > 1.3
+        assert 0.9 < remus["causes"]["growth"]["none of the three"][policy] < 1.1
+        assert 0.9 < boat["causes"]["growth"]["no push of the payload"][policy] < 1.1
+    nmpc, adaptive = (boat["policies"][name] for name in ("nmpc", "adaptive"))
+    assert nmpc["worst_plane_m"] > 10
+    assert nmpc["worst_space_m"] < 2
+    assert [case for case, growth in adaptive["growth_by_case"].items() if growth >= 1] == ["storm"]
+    assert boat["tau"]["medians"] > boat["tau"]["all"]
+    pitch = otter.OTTER.placed(np.zeros((6, 1)))[4, 0]
+    assert math.degrees(pitch) == pytest.approx(-1.5, abs=0.05)
+
+
+def test_the_page_shows_what_was_measured(kept):
+    shown = "\n\n".join(page.section(name, record) for name, record in kept.items())
+    compare_between(ROOT / "docs" / "elsewhere.md", page.BEGIN, page.END, shown)

@@ -1,0 +1,358 @@
+"""What agents know: probes on made-up memories, untouched agents, vehicles that change, the page and its data."""
+
+import math
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from kept_pages import compare_between
+from scipy.integrate import solve_ivp
+
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.presets import PRESETS
+from baselines.agents.networks import Gru
+from baselines.evaluation.rollout import beginning, play
+from baselines.evaluation.side_by_side import SideBySide
+from baselines.tools.command_line import run
+from research.probing import command, outside, probe, report, told
+from research.probing.adaptation import EPISODES, back, course_of, followed, lengths_of, windows
+from research.probing.changes import BEFORE, CHANGES, EVERYWHERE, LENGTHS, Trial
+from research.probing.collect import agent_of, collected, episodes_of
+from research.probing.probes import bent, lead, linear, read
+from research.probing.ranges import RATIOS, ranged, ratios
+from research.probing.report import load, pictures, ratio_of, sections
+from research.probing.tap import HIDDEN, Beside, Tapped, acting, untrained
+from research.probing.transplant import SWAPS, _twins
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "knows.md"
+
+
+def made_up(n, columns=6, seed=0):
+    rng = np.random.default_rng(seed)
+    X = 3.0 + rng.standard_normal((n, columns)) * np.array([100.0, *np.ones(columns - 1)])
+    return X, rng.standard_normal(n)
+
+
+def test_a_linear_probe_reads_what_is_there_and_nothing_else():
+    """Of y = w x + noise no more than var(w x)/var(y) can be read; of a square only what bends."""
+    X, noise = made_up(600)
+    shown = 0.02 * X[:, 0] + X[:, 1]
+    Y = np.column_stack((shown + 5.0, shown + 2.0 * noise, noise, np.square(X[:, 2] - 3.0), np.ones(600)))
+    halves = X[:400], Y[:400], X[400:], Y[400:]
+    all_of_it, part, nothing, square, constant = read(linear(*halves))
+    assert all_of_it.r2 > 0.9999
+    assert part.low < 5 / 9 < part.high
+    assert part.high - part.low < 0.3
+    assert abs(nothing.r2) < 0.05
+    assert square.r2 < 0.05
+    assert math.isnan(constant.r2)
+    assert read(bent(*halves))[3].r2 > 0.7
+    assert read(bent(*halves))[2].r2 < 0.05
+    more = lead(linear(*halves), linear(X[:400, 2:], Y[:400], X[400:, 2:], Y[400:]))
+    assert more[1].r2 == pytest.approx(part.r2, abs=0.05)
+    assert more[2].low < 0 < more[2].high
+
+
+def test_a_probe_with_more_columns_than_episodes_is_held_back():
+    X, noise = made_up(90, 200)
+    assert -0.3 < read(linear(X[:60], noise[:60, None], X[60:], noise[60:, None]))[0].r2 < 0.3
+
+
+def test_a_watched_agent_acts_as_it_does_alone():
+    scenario = PRESETS["cruise-storm"]
+    episodes = episodes_of(scenario, 4)
+    policy, agent = agent_of("helm", scenario.vehicle)
+    plain = [m.command for m in play(policy, beginning([(scenario, episodes)], policy.preview), 30)]
+    agent.network = Beside(agent.network)
+    seen = []
+    tapped = Tapped(policy, lambda k, o, memory: seen.append(memory[HIDDEN]))
+    watched = [m.command for m in play(tapped, beginning([(scenario, episodes)], policy.preview), 30)]
+    np.testing.assert_array_equal(plain, watched)
+    assert np.abs(agent.network.hidden.T - seen[-1]).max() > 0.01
+    with pytest.raises(ValueError, match="'backstepping' is no agent whose network remembers"):
+        agent_of("backstepping", scenario.vehicle)
+
+
+def test_untrained_weights_are_those_of_the_shape():
+    network = Gru(5, 4, 3, 4)
+    weights = untrained(network, np.random.default_rng(0))
+    assert {name: w.shape for name, w in weights.items()} == network.shapes
+    assert np.abs(weights["gru.weight_hh"]).max() <= 1 / math.sqrt(3)
+
+
+def test_what_is_collected_is_true():
+    """The current and the hull against the episodes themselves; every source has every episode."""
+    scenario = PRESETS["cruise-current"]
+    episodes = episodes_of(scenario, 3)
+    seen = collected("apg-cruise", scenario, episodes, (4, 9))
+    for i, e in enumerate(episodes):
+        speed = math.hypot(e.current.V_x, e.current.V_y) / e.path.speed
+        np.testing.assert_allclose(np.hypot(seen.targets["V_u"][:, i], seen.targets["V_v"][:, i]), speed)
+    assert (seen.targets["m11"] == 1).all()
+    assert seen.sources["memory"].shape[:2] == seen.sources["ekf"].shape[:2] == (2, 3)
+
+
+def test_twins_exchange_memories_with_each_other():
+    memory = np.arange(8.0).reshape(4, 2), np.ones((4, 1)), np.arange(4.0)[:, None]
+    swapped = _twins(memory, 2)
+    assert swapped[2].ravel().tolist() == [1, 0, 3, 2]
+    assert swapped[0] is memory[0]
+    assert (_twins(swapped, 2)[2] == memory[2]).all()
+    empty, part = SWAPS["emptied"]
+    assert not empty(memory, part)[HIDDEN].any()
+    assert memory[HIDDEN].any()
+
+
+def changing(scenario, n=2):
+    env = UnderactuatedAUVTrackVectorEnv(n, scenario)
+    episodes = episodes_of(scenario, n)
+    env.reset(seed=0, options={"episode": list(episodes)})
+    return env, episodes
+
+
+def test_a_vehicle_that_changes_moves_as_the_other_one_from_then_on():
+    """Against the paper's equations with the new numbers, by another integrator; the same again changes nothing."""
+    calm = replace(PRESETS["cruise-calm"], control_dt=0.02)
+    (env, episodes), (other, _) = changing(calm), changing(calm)
+    v = replace(PAPER_VEHICLE, m11=300.0, m22=390.0, m33=120.0, d11=140.0)
+    actions = np.full((2, 2), 0.4, dtype=np.float32)
+    for k in range(20):
+        if k == 10:
+            env.change(episodes)
+        env.step(actions)
+        other.step(actions)
+        np.testing.assert_array_equal(env.state, other.state)
+    env.change([replace(e, vehicle=v, effectiveness=(1.0, 0.5)) for e in episodes])
+    np.testing.assert_array_equal(env.state, other.state)
+    before = env.state[0]
+    for _ in range(50):
+        env.step(actions)
+
+    def slope(_, z):
+        _, _, psi, u, w, r = z
+        return [
+            u * math.cos(psi) - w * math.sin(psi), u * math.sin(psi) + w * math.cos(psi), r,
+            (0.4 * 400 + v.m22 * w * r - v.d11 * u) / v.m11,
+            (-v.m11 * u * r - v.d22 * w) / v.m22,
+            (0.4 * 0.5 * 200 + (v.m11 - v.m22) * u * w - v.d33 * r) / v.m33,
+        ]  # fmt: skip
+
+    end = solve_ivp(slope, (0.0, 1.0), before, rtol=1e-9, atol=1e-10).y[:, -1]
+    np.testing.assert_allclose(env.state[0], end, atol=1e-6)
+
+
+def test_other_water_begins_without_a_jump_of_the_vehicle():
+    still = Trial.of("cruise", "noise", 2).scenario
+    env, episodes = changing(still)
+    env.step(np.zeros((2, 2), dtype=np.float32))
+    before, current = env.state, env.current
+    shear = (0.2, -0.1, 0.0, 0.0, EVERYWHERE)
+    env.change([replace(e, current=replace(e.current, shear=shear)) for e in episodes])
+    np.testing.assert_allclose(env.state, before, atol=1e-12)
+    np.testing.assert_allclose(env.current - current, [(0.2, -0.1)] * 2)
+    with pytest.raises(ValueError, match="1 episodes are given for 2 vehicles"):
+        env.change(episodes[:1])
+    calm, others = changing(PRESETS["cruise-calm"])
+    with pytest.raises(ValueError, match="sheared current"):
+        calm.change([replace(e, current=replace(e.current, shear=shear)) for e in others])
+
+
+def test_who_is_back_stays_so_to_the_end():
+    assert back(np.array([1.0, 1.1, 0.5]), 1.2) == 0
+    assert back(np.array([3.0, 1.1, 1.3, 1.2, 0.9]), 1.2) == 3
+    assert back(np.array([1.0, 1.0, 1.3]), 1.2) == math.inf
+    assert back(np.array([1.0, math.nan]), 1.2) == math.inf
+
+
+def test_errors_are_means_over_the_way():
+    places = np.repeat(np.arange(-2.0, LENGTHS + 3), 5)[:, None]
+    np.testing.assert_allclose(windows(places, places)[:, 0], np.arange(LENGTHS - 1) + 0.5)
+
+
+@pytest.mark.parametrize("regime", ["slow", "cruise"])
+def test_every_episode_goes_far_enough(regime):
+    places = lengths_of(Trial.of(regime, "storm", EPISODES))
+    assert places[-1].min() >= LENGTHS
+    assert all((places == j).any(axis=0).all() for j in range(LENGTHS))
+
+
+def test_a_course_that_decays_is_back_where_it_says():
+    """An error of 10 mm (1 + 4 exp(-d/5)): within 20 % from 5 ln 20 = 15.0 lengths on; in the brackets."""
+    rng = np.random.default_rng(0)
+    d = np.arange(39.0)[:, None]
+    always = 0.01 * np.exp(0.3 * rng.standard_normal((1, 200))) * np.ones((39, 1))
+    now = always * (1 + 4 * np.exp(-d / 5)) * np.exp(0.05 * rng.standard_normal((39, 200)))
+    course = course_of(now, always, always)
+    place, low, high = course["back"][0]
+    assert low <= place <= high
+    assert 13 <= low <= 15 <= high <= 17
+    assert course["back"][1][0] == pytest.approx(5 * math.log(8), abs=1)
+    assert course["factor"][0][0] == pytest.approx(5, rel=0.02)
+    assert course_of(2 * always, always, always)["back"][0] == [None, None, None]
+    assert course_of(always, always, always)["back"] == [[0, 0, 0], [0, 0, 0]]
+
+
+def test_a_change_at_the_start_and_on_the_way_lead_to_the_same():
+    """A law without memory forgets what was before; only the vehicle's own motion has to settle."""
+    trial = Trial.of("cruise", "noise", 2)
+    errors, lost = followed("backstepping", trial, 2.0)
+    late, always = errors["fouling"][-10:], errors["always fouling"][-10:]
+    np.testing.assert_allclose(late, always, atol=5e-3)
+    assert np.abs(errors["never"][-10:] - always).min() > 0.01
+    assert not any(mine.any() for mine in lost.values())
+    assert set(errors) == {"never", *CHANGES, *(f"always {change}" for change in CHANGES)}
+    assert trial.scenario.steps > BEFORE
+
+
+def test_ratios_have_no_dimension():
+    """In other units of length, time and mass they are the same."""
+    L, T, M = 3.0, 5.0, 7.0
+    act, v = PRESETS["cruise-calm"].actuators, replace(PAPER_VEHICLE, X_uu=10.0, Y_uv=20.0, N_uv=4.0, N_ur=6.0)
+    units = {"m11": M, "m22": M, "m33": M * L**2, "d11": M / T, "d22": M / T, "d33": M * L**2 / T}
+    units |= {"X_uu": M / L, "Y_uv": M / L, "N_uv": M, "N_ur": M * L}
+    other = replace(v, **{name: getattr(v, name) * unit for name, unit in units.items()})
+    acts = replace(act, F_u_max=act.F_u_max * M * L / T**2, F_r_max=act.F_r_max * M * L**2 / T**2)
+    mine, same = ratios(v, act, 0.2, 1.1), ratios(other, acts, 0.2 * T, 1.1 * L / T)
+    assert mine == pytest.approx(same)
+    assert list(mine) == list(RATIOS)
+
+
+def test_range_of_a_training_is_that_of_its_scenarios():
+    found = ranged("helm", 300)
+    mass = dict(zip(RATIOS, zip(found["low"], found["high"], strict=True), strict=True))["mass"]
+    assert 0.94 * 265 / 215 - 0.01 <= mass[0] < mass[1] <= 1.06 * 265 / 215 + 0.01
+    with pytest.raises(ValueError, match="'nmpc' is no agent whose file says"):
+        ranged("nmpc")
+
+
+def test_stretched_storms_differ_in_one_thing():
+    scenarios = outside.scenarios_of("cruise", outside.PARAMETERS["mass"])
+    first, last = (episodes_of(scenario, 2)[1] for scenario in (scenarios[0], scenarios[-1]))
+    assert (first.path, first.waves, first.noise_seed, first.lag) == (last.path, last.waves, last.noise_seed, last.lag)
+    assert last.vehicle.m11 / first.vehicle.m11 == pytest.approx(3.0 / 0.4)
+    assert last.vehicle.d11 == first.vehicle.d11
+
+
+def test_wrong_hulls_are_wrong_in_what_is_said_and_no_more_than_it():
+    """Shares are spread over what there is; what `ratios` leaves right is right; each hull has a size of its own."""
+    drawn = [told.mistakes(k) for k in range(40)]
+    assert all(abs(share) <= 1 for own in drawn for share in own.values())
+    assert min(own["d11"] for own in drawn) < -0.9
+    assert max(own["d11"] for own in drawn) > 0.9
+    by = {name: told.wrong(PAPER_VEHICLE, drawn[0], 0.6, way) for name, way in told.WAYS.items()}
+    assert (by["ratios"].m11, by["ratios"].m33, by["ratios"].speed) == (215, 80, PAPER_VEHICLE.speed)
+    assert by["all"].m33 / 80 - 1 == pytest.approx(0.6 * drawn[0]["m33"])
+    assert by["all"].d22 == by["ratios"].d22 == pytest.approx(100 * (1 + 0.6 * drawn[0]["d22"]))
+    assert told.wrong(PAPER_VEHICLE, drawn[0], 0.0, told.WAYS["all"]) == PAPER_VEHICLE
+    assert told.mistakes(3) == drawn[3] != drawn[4]
+
+
+@pytest.fixture
+def few(monkeypatch):
+    """Make the measurement short: two cases, two hulls, one size."""
+    whole = told.cells_of
+    monkeypatch.setattr(told, "cells_of", lambda regime, n: [whole(regime, n)[i] for i in (0, 1)])
+    monkeypatch.setattr(told, "HULLS", 2)
+    monkeypatch.setattr(told, "SIZES", (0.6,))
+
+
+def test_who_is_told_a_wrong_hull_and_does_not_listen_loses_nothing(few):
+    """The plan's own forces hear of no hull; the paper's law cancels what it believes of one."""
+    deaf = told.misled("open-loop", "cruise", 6)
+    assert deaf["wrong"]["ratios"][0]["above"] == [0, 0, 0]
+    assert deaf["wrong"]["ratios"][0]["error_m"] == deaf["right"]["error_m"]
+    found = told.misled("backstepping", "cruise", 6)
+    assert found["right"]["score"][0] == pytest.approx(0, abs=1e-3)  # the suite's own zero, run again
+    for rows in found["wrong"].values():
+        mean, low, high = rows[0]["above"]
+        assert low <= mean <= high
+        assert mean == pytest.approx(np.mean(rows[0]["hulls"]), abs=1e-4)
+        assert rows[0]["score"][0] == pytest.approx(found["right"]["score"][0] + mean, abs=1e-4)
+        assert rows[0]["error_m"] != found["right"]["error_m"]
+    text = sections({("told", "backstepping"): {"cruise": found}}, "")["told"]
+    mean, low, high = found["wrong"]["all"][0]["above"]
+    assert f"| `backstepping` | 0.000 | m22, drag, m11, m33 | - | - | {mean:+.3f} [{low:+.3f}, {high:+.3f}] |" in text
+
+
+def test_ratio_of_paired_errors():
+    errors = np.exp(np.random.default_rng(0).standard_normal(50))
+    assert ratio_of(2 * errors, errors) == pytest.approx((2.0, 2.0, 2.0))
+
+
+def test_command_in_a_quick_form(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(outside, "PARAMETERS", {"lag": outside.PARAMETERS["lag"]._replace(values=(0.2, 0.4))})
+    monkeypatch.setattr(outside, "SPEEDS", {"cruise": outside.SPEEDS["cruise"]._replace(values=(1.0, 2.0))})
+    monkeypatch.setattr(probe, "INSTANTS", (2, 6))
+    arguments = ["--policy", "helm", "backstepping", "--regime", "cruise", "--episodes", "6", "--out", str(tmp_path)]
+    parts = ["--part", "probe", "adaptation", "outside", "range"]
+    assert run(command.main, command.PROGRAM, arguments + parts) == 0
+    page = (tmp_path / "knows.md").read_text(encoding="utf-8")
+    assert "**`helm`, cruise-storm**, 6 episodes, 0.6 s after the start:" in page
+    for name in ("adaptation-cruise", "outside-cruise", "probe-helm", "range-helm"):
+        assert (tmp_path / f"knows-{name}.png").stat().st_size > 10_000
+    assert {(part, name) for part, name in load(tmp_path)} == {
+        ("adaptation", "backstepping"), ("outside", "backstepping"), ("adaptation", "helm"), ("outside", "helm"),
+        ("probe", "helm"), ("range", "helm"),
+    }  # fmt: skip
+    assert "probe: helm, cruise" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--policy", "helmet"], "'helmet' is not the name of a policy or an agent's folder"),
+        (["--part", "probes"], "'probes' is not a part; allowed are probe, transplant, adaptation, outside, told,"),
+        (["--regime", "fast"], "'fast' is not a regime; allowed are slow, cruise"),
+        (["--episodes", "2"], "--episodes is 2; it must be 6 or more"),
+        (["--policy", "oracle", "--part", "told"], "oracle looks behind the observation"),
+        (["--policy", "nmpc", "--part", "probe"], "none of nmpc has a network that remembers"),
+    ],
+)
+def test_wrong_usage(arguments, says, capsys):
+    assert run(command.main, command.PROGRAM, arguments) == 2
+    error = capsys.readouterr().err
+    assert says in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(("policy", "at"), [("backstepping", 2), ("helm", 1)])
+def test_kept_errors_are_those_of_today(policy, at):
+    """The first episodes of one value of one parameter, run again."""
+    kept = load(command.FOLDER)["outside", policy]["cruise"]["parameters"]["noise"]
+    parameter = outside.PARAMETERS["noise"]._replace(values=outside.PARAMETERS["noise"].values[at : at + 1])
+    scenario = outside.scenarios_of("cruise", parameter)[0]
+    errors = np.zeros((scenario.steps, 3))
+    policy = acting(policy, scenario.vehicle)
+    begun = beginning([(scenario, episodes_of(scenario, 3))], getattr(policy, "preview", ()))
+    for k, moment in enumerate(play(policy, begun, scenario.steps)):
+        errors[k] = moment.error
+    tails = np.sqrt(np.square(errors[scenario.steps // 3 :]).mean(axis=0))
+    np.testing.assert_allclose(tails, kept["tails_m"][at][:3], atol=2e-5)
+
+
+def test_kept_errors_of_who_is_told_are_those_of_today():
+    """Three episodes in still water, told the truth and told the first wrong hull."""
+    kept = load(command.FOLDER)["told", "helm-any"]["cruise"]
+    cell = told.cells_of("cruise", told.KEPT)[0]
+    first = told.wrong(cell.scenario.vehicle, told.mistakes(0), told.SIZES[-1], told.WAYS["ratios"])
+    there = SideBySide([cell])
+    for vehicle, errors in (
+        (cell.scenario.vehicle, kept["right"]["first_m"][0]),
+        (first, kept["wrong"]["ratios"][-1]["first_m"][0]),
+    ):
+        tails = there.run(acting("helm-any", vehicle))[0].tail
+        np.testing.assert_allclose(tails, errors, rtol=1e-2, atol=1e-5)
+
+
+def test_page_is_what_was_found():
+    found = load(command.FOLDER)
+    for key, made in sections(found, "images/").items():
+        compare_between(PAGE, f"<!-- {key} -->", f"<!-- end of {key} -->", made)
+    assert set(report.NAMES) <= set(sections(found, ""))
+    if os.environ.get("REFRESH_DOCS"):
+        for name, picture in pictures(found).items():
+            (PAGE.parent / "images" / name).write_bytes(picture)

@@ -1,0 +1,275 @@
+"""The live page in a browser: its numbers are those of Python over whole episodes, its controls do what they say."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import opened
+
+from auv_gym.codegen import native
+from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
+from auv_gym.physics.rows import leaves
+from auv_gym.scenarios.exogenous import GUST_ROWS, GUSTS, MEASURED, NORMALS, SEA, Tape
+from auv_gym.scenarios.presets import REGIMES
+from auv_gym.task.simulation import SAMPLE_ROWS
+from baselines import make_policy
+from baselines.export.parts import exported
+from research.deployment.players import HeaderPolicy
+from research.site.live import command
+from research.site.live import page as live_page
+from research.site.live.data import STEPS, episode_of, path_of, scenario_of
+from research.site.live.page import LARGEST, links, write
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The page as it is published."""
+    made = tmp_path_factory.mktemp("live")
+    write(made)
+    return made
+
+
+@pytest.fixture(scope="module")
+def bench(browser, folder, tmp_path_factory):
+    """A page with the equations alone."""
+    with opened(browser, bare(folder, tmp_path_factory.mktemp("bench"))) as page:
+        yield page
+
+
+@pytest.fixture(scope="module")
+def bench_with_filters(browser, tmp_path_factory):
+    """The same of a page on which `helm` takes the places of the other agents."""
+    made = tmp_path_factory.mktemp("filters")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(live_page, "page_agents", lambda: dict.fromkeys(("apg slow", "apg cruise"), exported("helm")))
+        write(made)
+    with opened(browser, bare(made, made)) as page:
+        yield page
+
+
+def bare(scripts, folder):
+    """Return a file in a folder: a page with the equations of another folder alone."""
+    names = ("equations.js", "data.js", "engine.js")
+    tags = "".join(f'<script src="{(scripts / name).as_uri()}"></script>' for name in names)
+    file = folder / "bench.html"
+    file.write_text(f"<!doctype html><title>bench</title>{tags}", encoding="utf-8")
+    return file
+
+
+def episode_in_python(policy, regime, family, case, seed=1):
+    """Return samples, parameters, first state, and what a policy does in an episode of the page's: a row each step."""
+    path = path_of(regime, family)
+    scenario, episode = scenario_of(regime, case, path), episode_of(regime, case, path, seed)
+    env = UnderactuatedAUVTrackEnv(scenario, preview=getattr(policy, "preview", ()))
+    observation, _ = env.reset(seed=0, options={"episode": episode})
+    state = episode.initial_state(env._sample)
+    samples, rows, memory = [env._sample], [], None
+    for _ in range(STEPS):
+        action, memory = policy.predict(observation, memory)
+        observation, _, lost, _, info = env.step(action)
+        samples.append(env._sample)
+        rows.append([*action.tolist(), *env._vehicle.now.plant[:8, 0], info["position_error"]])
+        if lost:
+            break
+    parameters = np.nan_to_num(leaves(scenario.parameters(episode)), posinf=np.finfo(float).max).tolist()
+    return samples, parameters, state, np.array(rows)
+
+
+def differences(bench, page_name, policy, regime, family, case):
+    """Return how far the page is from a policy in Python in an episode with the same samples, by what is compared."""
+    samples, parameters, state, expected = episode_in_python(policy, regime, family, case)
+    found = bench.evaluate("given => ENGINE.replay(...given)", [page_name, regime, family, samples, parameters, state])
+    assert len(expected) > (60 if page_name == "openLoop" else STEPS - 1)  # which may be lost
+    return np.abs(np.array(found)[: len(expected)] - expected).max(axis=0)
+
+
+LAWS = {"backstepping": "backstepping", "openLoop": "open-loop", "ekf": "ekf"}
+"""Laws by what the page calls them."""
+AGENTS = {"apg": "apg-{}", "apgPreview": "apg-preview-{}"}
+"""Agents by what the page calls them, with the regime's place."""
+EPISODES = (("slow", "figure_eight", "storm"), ("cruise", "random_smooth", "actuator"), ("cruise", "sine", "mismatch"))
+
+
+@pytest.mark.parametrize(("regime", "family", "case"), EPISODES)
+@pytest.mark.parametrize("page_name", LAWS)
+def test_laws_and_filter_are_those_of_python_over_whole_episodes(bench, page_name, regime, family, case):
+    assert differences(bench, page_name, make_policy(LAWS[page_name]), regime, family, case).max() < 1e-9
+
+
+@pytest.mark.parametrize(("regime", "family"), [("slow", "circle"), ("cruise", "line")])
+@pytest.mark.parametrize("page_name", AGENTS)
+def test_agents_are_those_of_python_over_whole_episodes(bench, page_name, regime, family):
+    policy = make_policy(AGENTS[page_name].format(regime))
+    assert differences(bench, page_name, policy, regime, family, "storm").max() < 1e-9
+
+
+@pytest.mark.parametrize("regime", REGIMES)
+def test_filters_are_those_of_python_over_a_whole_episode(bench_with_filters, regime):
+    assert differences(bench_with_filters, "apg", make_policy("helm"), regime, "circle", "storm").max() < 1e-8
+
+
+@pytest.mark.parametrize("name", ["apg-slow", "apg-preview-cruise"])
+def test_agents_are_those_of_the_header_even_where_they_amplify_every_rounding(bench, monkeypatch, name):
+    """Without noise to round away, an agent that feeds its last correction back may make 1e-16 grow to 1e-7."""
+    page_name, regime = ("apgPreview" if "preview" in name else "apg"), name.rpartition("-")[2]
+    places = [2, 3, 4, -1]  # x, y, psi, and the position's error
+    assert differences(bench, page_name, make_policy(name), regime, "sine", "waves")[places].max() < 1e-6
+    if native.compiler() is None or not native.wanted():
+        pytest.skip("a header runs compiled")
+    monkeypatch.setattr(native, "TUNED", ())  # for this processor, gcc may merge products and sums after all
+    native.library.cache_clear()
+    policy = HeaderPolicy(exported(name), "float64")
+    native.library.cache_clear()
+    assert differences(bench, page_name, policy, regime, "sine", "waves").max() < 1e-9
+
+
+@pytest.mark.parametrize("regime", REGIMES)
+def test_the_pages_sea_is_that_of_the_tape(bench, regime):
+    path, normals = path_of(regime, "line"), np.random.default_rng(0).standard_normal((STEPS + 1, NORMALS))
+    scenario, episode = scenario_of(regime, "storm", path), episode_of(regime, "storm", path, 3)
+
+    class Given(np.random.Generator):  # the same chance for both
+        row = 0
+
+        def standard_normal(self, size=None, dtype=np.float64, out=None):
+            out[:] = normals[self.row : self.row + len(out)]
+            self.row += len(out)
+            return out
+
+    tape = Tape(1, STEPS + 1)
+    tape.load(0, scenario, episode, np.zeros((STEPS + 1, 8)) + np.array([0, 0, 0, 1, 0, 0, 0, 0]))
+    tape._drawn[0] = Given(np.random.PCG64(0)), MEASURED.start, GUSTS.stop
+    expected = tape.read((0,), STEPS + 1)[:, SEA, 0]
+    run = """([weather, waves, normals, rows, gusts]) => {
+        const gust = ENGINE.zeros(gusts), sea = ENGINE.zeros(rows);
+        return normals.map((n) => (EQUATIONS.sea(gust, n, weather, waves, sea), [...sea]));
+    }"""
+    given = [tape._weather[:, 0].tolist(), tape._waves[:, 0].tolist(), normals.tolist(), SAMPLE_ROWS - 8, GUST_ROWS]
+    given[0] = np.nan_to_num(given[0], posinf=1e300).tolist()
+    assert np.abs(np.array(bench.evaluate(run, given)) - expected).max() < 1e-9
+
+
+def test_the_page_draws_its_own_sea_from_a_seed(bench):
+    run = """([regime, seed, loud]) => {
+        const path = DATA.regimes[regime].paths.line, reference = ENGINE.referenceOf(path);
+        const settings = { current: 0.2, direction: 1, gusts: 0.1, waves: 1, noise: loud };
+        const sea = ENGINE.seaOf(DATA.regimes[regime], path, seed, settings);
+        return Array.from({ length: 600 }, (_, k) => [...sea.next(reference.row(k))]);
+    }"""
+    once, again, other = (np.array(bench.evaluate(run, ["cruise", seed, 1])) for seed in (4, 4, 5))
+    np.testing.assert_array_equal(once, again)
+    assert np.abs(once - other).max() > 0.1
+    V, load, noise = once[:, 8:10], once[:, 10:13], once[:, 13:19]
+    assert np.abs(V.mean(axis=0) - 0.2 * np.array([np.cos(1), np.sin(1)])).max() < 0.1
+    assert (V.std(axis=0) > 0.03).all()
+    np.testing.assert_allclose(noise.std(axis=0), [0.05, 0.05, 0.015, 0.02, 0.02, 0.005], rtol=0.15)
+    assert (load.std(axis=0) > [5, 5, 1]).all()
+    still = np.array(bench.evaluate(run, ["cruise", 4, 0]))
+    assert not still[:, 13:19].any()
+
+
+def test_presets_on_the_page_are_those_of_the_package(bench):
+    cases = bench.evaluate("DATA.regimes.cruise.cases")
+    assert cases["calm"] == {"current": 0, "gust": 0, "waves": 0, "noise": 0, "mismatch": False, "actuator": False}
+    assert cases["storm"]["waves"] == pytest.approx(0.6)
+    assert cases["storm"]["gust"] == 0.12
+    assert cases["current"]["current"] == pytest.approx(0.275)
+    assert cases["actuator"]["actuator"]
+    assert not cases["mismatch"]["actuator"]
+
+
+@pytest.fixture
+def live(browser, folder):
+    with opened(browser, folder / "index.html") as page:
+        page.wait_for_function("PAGE.stats.frames > 8")
+        yield page
+
+
+def error_of(page, name):
+    return page.evaluate("n => PAGE.run.vehicles.find((v) => v.name === n).points.at(-1)[1]", name)
+
+
+def test_dragging_raises_the_error_and_controllers_bring_it_down(live):
+    live.get_by_role("button", name="Calm").click()
+    live.get_by_role("button", name="8\u00d7").click()
+    live.wait_for_function("PAGE.run.k > 150")
+    before = {name: error_of(live, name) for name in ("backstepping", "ekf", "apg")}
+    assert max(before.values()) < 0.1
+    box = live.locator("#sea").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    live.mouse.move(x, y)
+    live.mouse.down()
+    live.mouse.move(x + 120, y - 60, steps=4)
+    live.wait_for_function("k => PAGE.run.k > k + 3", arg=live.evaluate("PAGE.run.k"))
+    assert all(error_of(live, name) > 1.0 for name in before)
+    live.mouse.up()
+    live.wait_for_function(
+        "PAGE.run.vehicles.every((v) => v.name === 'openLoop' || v.points.at(-1)[1] < 0.3)", timeout=60_000
+    )
+    assert live.evaluate("PAGE.run.marks.length") == 1
+    assert live.locator("#hint").get_attribute("class") == "gone"
+
+
+def test_controls_choose_and_the_keyboard_works(live):
+    live.get_by_role("button", name="Storm").click()
+    assert live.locator("#slider-waves").input_value() == "0.6"
+    assert live.locator("#toggle-mismatch").is_checked()
+    live.get_by_role("button", name="Circle").click()
+    assert live.evaluate("PAGE.chosen.family") == "circle"
+    live.get_by_role("button", name="Slow, 0.2 m/s").click()
+    assert live.evaluate("PAGE.run.reference.rows[3]") == pytest.approx(0.2, rel=0.05)
+    live.locator("#slider-current").fill("0.5")
+    assert "0.10 m/s" in live.locator("label.slider").first.inner_text()
+    assert live.evaluate("PAGE.chosen.preset") == ""
+    card = live.locator("[data-controller=openLoop]")
+    assert card.get_attribute("aria-pressed") == "false"
+    card.click()
+    assert card.get_attribute("aria-pressed") == "true"
+    live.evaluate("document.activeElement.blur()")
+    seed = live.evaluate("PAGE.chosen.seed")
+    live.keyboard.press("n")
+    assert live.evaluate("PAGE.chosen.seed") == seed + 1
+    live.keyboard.press(" ")
+    assert live.evaluate("PAGE.playing") is False
+    k = live.evaluate("PAGE.run.k")
+    live.wait_for_timeout(200)
+    assert live.evaluate("PAGE.run.k") == k
+    live.keyboard.press("r")
+    assert live.evaluate("PAGE.run.k") == 0
+
+
+def test_it_fits_a_telephone_and_a_finger_drags(browser, folder, capsys):
+    with opened(browser, folder / "index.html", 390, 844, mobile=True) as page:
+        page.wait_for_function("PAGE.stats.frames > 30")
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        box = page.locator("#sea").bounding_box()
+        assert box["height"] >= 300
+        assert box["y"] + box["height"] < 844
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        touch = page.context.new_cdp_session(page)
+        send = "Input.dispatchTouchEvent"
+        touch.send(send, {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]})
+        touch.send(send, {"type": "touchMove", "touchPoints": [{"x": x + 90, "y": y - 40}]})
+        page.wait_for_function("PAGE.run.vehicles[0].points.at(-1)[1] > 1")
+        touch.send(send, {"type": "touchEnd", "touchPoints": []})
+        stats = page.evaluate("PAGE.stats")
+    with capsys.disabled():
+        mean = stats["milliseconds"] / stats["frames"]
+        print(f"\na frame of the live page takes {mean:.1f} ms, at most {stats['slowest']:.0f} ms")
+
+
+def test_all_files_are_small_and_ask_for_nothing(folder):
+    files = {file.name: file.stat().st_size for file in folder.iterdir()}
+    assert set(files) == {"index.html", "live.css", "equations.js", "data.js", "engine.js", "drawing.js", "page.js"}
+    assert sum(files.values()) < LARGEST
+    page = Path(__file__).parents[2] / "docs" / "live.md"
+    assert f"{sum(files.values()) / 1e6:.1f} MB in all" in page.read_text(encoding="utf-8")
+    assert "http" not in (folder / "index.html").read_text(encoding="utf-8")
+    assert json.loads(links().removeprefix("window.LINKS = ").rstrip(";\n")).keys() <= {"Source", "Documentation"}
+
+
+def test_the_command_writes_the_page(tmp_path, capsys, folder):
+    assert command.main(["--out", str(tmp_path / "page")]) == 0
+    assert (tmp_path / "page" / "equations.js").read_bytes() == (folder / "equations.js").read_bytes()
+    assert "index.html" in capsys.readouterr().out

@@ -1,0 +1,173 @@
+"""The pages of results: what the recorded rows say, in the repository and in the README; the oracle is the best."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from auv_gym.installation import found
+from baselines import list_policies
+from baselines.agents.names import agent_folder
+from baselines.evaluation import recorded
+from research import pages
+from research.lower_bounds.floor.command import floor_of, kept
+from research.results import collection
+from research.results.collection import ROUNDING, SUITES, TOLERANCE, Results, better_than, collected
+from research.results.left import what_is_left
+
+ROOT = Path(__file__).parents[2]
+ENDS = ("clairvoyant", "backstepping")
+AGENT = "helm"  # the one that the README begins with
+WORDS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
+
+
+@pytest.fixture(scope="module")
+def suites():
+    return {name: collected(name) for name in SUITES}
+
+
+@pytest.fixture(scope="module")
+def benchmark(suites):
+    return suites["benchmark-v2"][0]
+
+
+def test_every_policy_is_there(benchmark):
+    assert benchmark.policies == list(list_policies())
+    assert {run.recorded.versions["auv_gym"] for run in benchmark.runs} == {"0.1.0"}
+
+
+def test_the_oracle_is_the_best_of_all(suites):
+    for entry in (entry for entry, _ in suites.values() if entry is not None):
+        worst = max((gain for *_, gain in better_than("oracle", entry)), default=0.0)
+        assert worst < TOLERANCE[entry.suite.name]
+
+
+def test_nobody_is_better_than_the_bound(suites):
+    """In the mean of any case of any suite, beyond the tolerance to which it is solved."""
+    for entry in (entry for entry, _ in suites.values() if entry is not None):
+        assert "clairvoyant" in entry.policies
+        worst = max((gain for *_, gain in better_than("clairvoyant", entry)), default=0.0)
+        assert worst < ROUNDING
+
+
+def test_nobody_is_below_the_floor(benchmark):
+    """No policy that has to measure, in the mean of any case with noise; by the files alone, and as the page has it."""
+    floors = kept(benchmark.suite.source[1])
+    assert set(floors) == {f"{regime}-{case}" for regime in ("slow", "cruise") for case in ("noise", "storm")}
+    for case, floor in floors.items():
+        assert floor.episodes == 260
+        tails = {policy: own[case] for policy, own in benchmark.tails.items() if case in own}
+        below = {policy for policy, tail in tails.items() if tail < floor.tail_m}
+        assert below == {"oracle", "clairvoyant"}  # they measure nothing
+        assert floor.tail_m < floor.rms_m < 1.06 * floor.tail_m
+    text = "\n".join(what_is_left(benchmark))
+    best, zero = ({c: own for c, own in benchmark.tails[p].items() if c.startswith("slow-")} for p in ENDS)
+    least = best | {case: floor.tail_m for case, floor in floors.items() if case.startswith("slow-")}
+    score = (sum(zero.values()) - sum(least.values())) / (sum(zero.values()) - sum(best.values()))
+    assert (
+        f"| floor | {score:.3f} | - | {1e3 * least['slow-noise']:.1f} | {1e3 * least['slow-storm']:.1f} | - |" in text
+    )
+
+
+def test_the_floor_of_single_episodes_is_what_is_kept(benchmark):
+    cell = next(cell for cell in benchmark.suite.cells if cell.scenario.name == "cruise-noise")
+    floor = kept(benchmark.suite.source[1])["cruise-noise"]
+    again = floor_of(cell.scenario, cell.episodes[: len(floor.first_m)])
+    np.testing.assert_allclose(again.tail, floor.first_m, rtol=1e-3)
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/policies.md"])
+def test_pages_show_the_same(benchmark, page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\S+)`[^|]* \| (-?[\d.]+ \(.*?%) \| (-?[\d.]+ \(.*?%) \|$", text, re.MULTILINE)
+    assert len(rows) >= 7
+    for policy, *shown in rows:
+        for regime, text in zip(("slow", "cruise"), shown, strict=True):
+            name = policy.replace("*", regime)
+            entry = next(p for p in benchmark.pooled if (p.policy, p.place) == (name, regime))
+            (low, high), lost = entry.score.ci95, entry.lost / entry.summary.episodes
+            assert text == f"{entry.score.mean:.2f} ({low:.2f} ... {high:.2f}), {100 * lost:.1f} %", policy
+
+
+def test_the_first_sentence_of_the_readme(benchmark):
+    """Errors of the recorded rows, times of the recorded benchmark and of the agent's card."""
+    errors = {name: f"{100 * cases.get('cruise-storm', 0.0):.2g} cm" for name, cases in benchmark.tails.items()}
+    figures = json.loads((ROOT / "docs" / "bench.json").read_text(encoding="utf-8"))["figures"]
+    times = {f["case"]: f["value"] for f in figures}
+    agent, rival = (f"{1e3 * times[f'decision of one vehicle: {name}']:.3g} ms" for name in (AGENT, "nmpc"))
+    card = (agent_folder(AGENT) / "card.md").read_text(encoding="utf-8")
+    minutes = round(float(re.search(r"\| seconds \| `([\d.]+)` \|", card)[1]) / 60)
+    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    said = (
+        f"In the storm at cruise the published law is {errors['backstepping']} off its path, an extended Kalman filter "
+        f"with model predictive control (`nmpc`) {errors['nmpc']}, and an agent that learned to correct the law "
+        f"(`{AGENT}`) {errors[AGENT]}. The agent takes {agent} for a decision where `nmpc` takes {rival}, and it took "
+        f"{WORDS[minutes]} minutes on two cores to train."
+    )
+    assert said in readme
+
+
+def test_figures_of_the_table_by_hand(benchmark):
+    """One row, from its rows, without the functions that make the page."""
+    cells = [i for i, cell in enumerate(benchmark.suite.cells) if cell.scenario.name.startswith("cruise-")]
+    folder = ROOT / "baselines/evaluation/data/recorded/benchmark-v1"
+    raw = {p: np.load(folder / f"{p}.npz") for p in ("ekf", "backstepping")}
+    own, expert = (raw[p]["measures"].reshape(9, 16, 260)[:, cells].reshape(9, -1) for p in ("ekf", "backstepping"))
+    text = (ROOT / "docs/results/benchmark-v2.md").read_text(encoding="utf-8").split("## cruise")[1]
+    rows = [line.strip("| ").split(" | ") for line in text.split("\n\n")[1].splitlines()]
+    row = dict(zip(rows[0], next(row for row in rows if row[0] == "`ekf`"), strict=True))
+    tail = own[1].astype(float)
+    worst = np.sort(tail)[-104:].mean()
+    shown = [float(row[name]) for name in ("tail [m]", "worst 5 % [m]")]
+    assert shown == pytest.approx([tail.mean(), worst], rel=5e-3)
+    ratios = [own[i].astype(float).mean() / expert[i].astype(float).mean() for i in (3, 4)]
+    assert [float(row[name]) for name in ("effort", "rate")] == pytest.approx(ratios, abs=6e-3)
+    lost = int(((own[8] > 0) | (tail >= 2.0)).sum())
+    assert row["lost"].startswith(f"{lost} of 2080 (<= ")
+    scores = [float(line[rows[0].index("score")]) for line in rows[2:]]
+    assert scores == sorted(scores, reverse=True)
+
+
+def test_an_oracle_that_is_worse_is_found(benchmark):
+    runs = [
+        replace(run, measures=replace(run.measures, tail=run.measures.tail + 1.0)) if run.policy == "oracle" else run
+        for run in benchmark.runs
+        if run.policy in ("backstepping", "ekf", "oracle", "clairvoyant")
+    ]
+    bad = Results.of(benchmark.suite, runs)
+    assert len({case for case, *_ in better_than("oracle", bad)}) == 16
+
+
+def test_a_suite_without_the_oracle_is_missing(monkeypatch):
+    whole = collection.recorded.load(collection.suites.load("benchmark-v1"))
+    few = replace(whole, runs=tuple(run for run in whole.runs if run.policy != "oracle"))
+    monkeypatch.setattr(collection.recorded, "load", lambda _: few)
+    assert collected("benchmark-v1") == (None, {})
+
+
+def test_the_summary_is_the_mean_of_the_rows():
+    """One row, from its file."""
+    tails = np.load(found(recorded.FOLDER, "benchmark-v1/nmpc.npz"))["measures"][1].astype(float).reshape(2, -1)
+    text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    cells = re.search(r"^\| `nmpc` \| (.*) \|$", text, re.MULTILINE)[1].split(" | ")
+    assert [cell.split(" (")[0] for cell in cells[:2]] == [f"{1e3 * tail.mean():.3g}" for tail in tails]
+
+
+def test_pages_are_short_and_up_to_date(capsys):
+    assert pages.main(["--check"]) == 0, "run `make pages`"
+    for page in pages.PAGES:
+        lines = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8").splitlines()
+        assert len(lines) < (150 if page == "results" else 200), page
+    assert "up to date" in capsys.readouterr().out
+
+
+def test_a_stale_page_is_named_and_written(tmp_path, capsys):
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "leads.md").write_text("old")
+    assert pages.main(["results/leads", "--check", "--out", str(tmp_path)]) == 1
+    assert capsys.readouterr().out == "stale: results/leads\n"
+    assert pages.main(["results/leads", "--out", str(tmp_path)]) == 0
+    assert pages.main(["results/leads", "--check", "--out", str(tmp_path)]) == 0

@@ -1,0 +1,365 @@
+"""Certificates, guards and seas: intervals against simulations, alarms by hand, and seas that lose whom they should."""
+
+import itertools
+import json
+import math
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from kept_pages import compare_or_refresh
+from scipy import stats
+
+from auv_gym import PRESETS, Scenario
+from auv_gym.installation import found
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.mixtures import adverse
+from auv_gym.scenarios.presets import REGIMES
+from auv_gym.task.observation import Observation, encode_observation
+from baselines import make_policy
+from baselines.agents import guard
+from baselines.agents.agent import Agent
+from baselines.agents.guard import ALARMS, LEFT, MEAN, SHARE, Guarded, Thresholds, bounded_law
+from baselines.agents.names import agent_folder, bare_name, guarded_name
+from baselines.control.backstepping import GAINS, lyapunov_terms
+from baselines.evaluation import recorded, suites
+from baselines.evaluation.fingerprints import fingerprint
+from baselines.evaluation.metrics import most_lost
+from baselines.evaluation.rollout import rollout
+from baselines.evaluation.runner import drawn
+from baselines.evaluation.score import is_lost
+from baselines.tools.command_line import run
+from research.results import kept
+from research.robustness import certificate, falsification, page, saved, seas, thresholds
+from research.robustness.failures import Failing
+from research.seeds import FAILURE_RATE, FALSIFICATION
+
+ROOT = Path(__file__).parents[2]
+
+
+def observed(**terms):
+    """An observation at cruise, all errors zero but for those that are given."""
+    usual = {"u_R": 1.0, "cos_psi": 1.0, "F_u_max": 400.0, "F_r_max": 200.0, "dt": 0.1}
+    return encode_observation(Observation(**{**dict.fromkeys(Observation._fields, 0.0), **usual, **terms}))
+
+
+class Says:
+    """A policy that says one thing."""
+
+    def __init__(self, *action):
+        self.action = np.array(action, dtype=np.float32)
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return np.tile(self.action, (len(observation), 1)) if observation.ndim > 1 else self.action, state
+
+
+def watched(observations):
+    """What a guard does with observations: its commands and its memory, step by step."""
+    policy, state, found = Guarded(Says(0.5, -0.5), Says(-1.0, 1.0)), None, []
+    for o in observations:
+        action, state = policy.predict(o, state)
+        found.append((action, state[0][0].copy()))
+    return found
+
+
+# --- the certificate ---
+
+
+@pytest.mark.parametrize(("lost", "episodes"), [(0, 10_000), (3, 500), (7, 40)])
+def test_upper_end_is_the_beta_quantile_and_covers(lost, episodes):
+    top = most_lost(lost, episodes)
+    assert top == pytest.approx(stats.beta.ppf(0.95, lost + 1, episodes - lost), rel=1e-6)
+    counts = np.random.default_rng(0).binomial(episodes, top, 20_000)
+    assert np.mean(counts <= lost) == pytest.approx(0.05, abs=0.006)
+
+
+def test_unequal_chances_only_make_it_safer():
+    """Scenarios with chances of 0 to 0.2 and a mean of 0.05: the interval covers the mean at least as often."""
+    rng = np.random.default_rng(1)
+    counts = sum(rng.binomial(25, p, 4000) for p in (0.0, 0.0, 0.0, 0.2))
+    covered = np.mean([most_lost(int(k), 100) >= 0.05 for k in counts])
+    assert covered >= 0.95
+
+
+def test_certificate_counts_what_is_lost_and_goes_on(tmp_path, monkeypatch, capsys):
+    """Open loop drifts away: the counts are those of the episodes run here one by one; more are added to them."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(certificate, "AT_ONCE", 3)
+    arguments = ["open-loop", "--scenario", "slow-current", "--out", "counts.json"]
+    assert run(certificate.main, certificate.PROGRAM, [*arguments, "--episodes", "4"]) == 0
+    scenario = PRESETS["slow-current"]
+    measures = rollout(make_policy("open-loop"), scenario, drawn(scenario, 4, FAILURE_RATE.first).episodes).measures
+    lost = int(is_lost(measures.tail, measures.lost, 0.6).sum())
+    assert lost > 0
+    assert f"{lost} of 4 lost, at most" in capsys.readouterr().out
+    (count,) = certificate.kept(Path("counts.json"))["open-loop"]["counts"].values()
+    assert (count.episodes, count.lost) == (4, lost)
+    monkeypatch.setattr(certificate, "counted", lambda _, __, first, episodes: (episodes, 0, 1e3 + first))
+    assert run(certificate.main, certificate.PROGRAM, [*arguments, "--episodes", "6"]) == 0
+    assert f"{lost} of 6 lost" in capsys.readouterr().out
+    (count,) = certificate.kept(Path("counts.json"))["open-loop"]["counts"].values()
+    assert count.largest_tail_m == 1004.0  # the new ones began at the fourth
+    record = json.loads(Path("counts.json").read_text(encoding="utf-8"))
+    record["open-loop"]["fingerprint"] = "another"
+    Path("counts.json").write_text(json.dumps(record), encoding="utf-8")
+    assert run(certificate.main, certificate.PROGRAM, [*arguments, "--episodes", "3"]) == 0
+    assert "0 of 3 lost" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "says"),
+    [
+        (certificate, ["helm", "--episodes", "0"], "--episodes is 0; it must be in [1, 10000000]"),
+        (certificate, ["helm", "--scenario", "storm"], "unknown scenario 'storm'; allowed are"),
+        (certificate, ["helmet"], "unknown policy 'helmet'"),
+        (falsification, ["helm", "--regime", "fast"], "--regime is 'fast'; allowed are slow, cruise"),
+        (falsification, ["helm", "--sea", "rough"], "--sea is 'rough'; allowed are storm, adverse"),
+        (falsification, ["helm", "--generations", "0"], "--generations is 0; it must be in [1, 10000]"),
+        (thresholds, ["--guard", "dog"], "--guard is 'dog'; allowed are none, as shipped"),
+        (saved, ["--suite", "paper"], "--suite is 'paper'; allowed are benchmark-v1"),
+    ],
+)
+def test_wrong_usage_is_one_line(command, arguments, says, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run(command.main, command.PROGRAM, arguments) == 2
+    err = capsys.readouterr().err
+    assert says in err
+    assert err.count("\n") == 1
+
+
+# --- the guard ---
+
+
+def test_names_of_guards():
+    assert guarded_name("helm:guard") == ("helm", "")
+    assert guarded_name("a.py:f:guard=ekf") == ("a.py:f", "ekf")
+    assert [guarded_name(name) for name in ("helm", ":guard", "helm:guards", "helm:guard=", "cmd:x:guard")] == [
+        None
+    ] * 5
+    assert bare_name("apg-slow:fade:guard=ekf") == "apg-slow"
+    assert len({fingerprint(name) for name in ("helm", "helm:guard", "helm:guard=ekf")}) == 3
+    assert fingerprint("helmet:guard") == ""
+    assert recorded.regimes_of("apg-slow:guard") == ("slow",)
+    with pytest.raises(ValueError, match="unknown policy 'dog'"):
+        make_policy("helm:guard=dog")
+
+
+def test_energy_is_the_laws_in_its_own_units():
+    """At 1 m/s and in units of T = 1/(k + k1): V4 of errors that are scaled by hand."""
+    gains, rate = GAINS["cruise"], GAINS["cruise"].k + GAINS["cruise"].k1
+    o = Observation(*np.zeros((18, 1)))._replace(e_x=np.array([1.0 / rate]), u_R=np.array([1.0]))
+    found, found_rate = guard.energy(o, PAPER_VEHICLE)
+    assert found_rate[0] == rate
+    assert found[0] == pytest.approx(0.5 * (1.0 + 1.0))  # e and z_u = (k + k1) e; z_v, psi_e and z_r are 0
+    turned = o._replace(e_x=np.zeros(1), psi_e=np.array([0.3]))
+    V4 = lyapunov_terms(turned, PAPER_VEHICLE, gains, ARRAYS)[3]
+    z_r = gains.cr * 0.3
+    assert V4[0] == pytest.approx(0.5 * (0.09 + z_r**2))
+    assert guard.energy(turned, PAPER_VEHICLE)[0][0] == pytest.approx(0.5 * (0.09 + (z_r / rate) ** 2))
+
+
+def test_nothing_happens_where_nothing_is_wrong():
+    for action, own in watched([observed(e_x=0.5 * math.exp(-0.02 * k), a_r=1.0) for k in range(100)]):
+        np.testing.assert_array_equal(action, np.float32([0.5, -0.5]))
+        assert (own[ALARMS], own[SHARE], own[LEFT]) == (0, 1, 0)
+
+
+def test_error_that_grows_is_an_alarm_and_the_other_one_takes_over_smoothly():
+    """An error that grows steadily: its energy (rate e)^2 reaches the most that is allowed, and is twice its mean."""
+    t, rate = Thresholds(), GAINS["cruise"].k + GAINS["cruise"].k1
+    found = watched([observed(e_x=0.1 * k) for k in range(200)])
+    first = next(k for k, (_, own) in enumerate(found) if own[ALARMS])
+    assert (rate * 0.1 * first) ** 2 > t.most > (rate * 0.1 * (first - 1)) ** 2
+    shares = [own[SHARE] for _, own in found[first : first + 10]]
+    assert all(0 <= a - b <= 0.1 * rate / t.take + 1e-9 for a, b in itertools.pairwise(shares))
+    for action, own in found:
+        expected = np.float32([0.5, -0.5]) * own[SHARE] + np.float32([-1.0, 1.0]) * (1 - own[SHARE])
+        np.testing.assert_allclose(action, expected, atol=1e-6)
+    assert found[first + 10][1][SHARE] == 0
+    np.testing.assert_array_equal(found[first + 10][0], np.float32([-1.0, 1.0]))
+
+
+def test_less_is_allowed_while_the_yaw_command_is_at_its_limit():
+    """An energy that rises from 1 to 36: none of a guard's business, unless the command has been at its limit."""
+    errors = [0.8 + 4.0 * min(1.0, max(0.0, k / 20 - 5)) for k in range(200)]
+    assert not any(own[ALARMS] for _, own in watched([observed(e_x=e, a_r=0.9) for e in errors]))
+    assert watched([observed(e_x=e, a_r=-1.0) for e in errors])[-1][1][ALARMS] == 1
+
+
+def test_what_is_far_away_and_grows_no_more_is_no_alarm():
+    """A far start, and a current that the law cannot hold: energies beyond all limits, neither of which grows."""
+    assert watched([observed(e_x=12 * math.exp(-0.01 * k), a_r=1.0) for k in range(200)])[-1][1][ALARMS] == 0
+    assert watched([observed(e_x=12.0, a_r=1.0) for _ in range(300)])[-1][1][ALARMS] == 0
+
+
+def test_it_gives_back_and_each_time_later():
+    """The error is gone as soon as the other one has taken over, and comes again when it has given back."""
+    t, rate = Thresholds(hold=4.0, longer=3.0), GAINS["cruise"].k + GAINS["cruise"].k1
+    policy, state, held, e = Guarded(Says(0.5, -0.5), Says(-1.0, 1.0), thresholds=t), None, [], 0.0
+    for _ in range(900):
+        e = 0.0 if state is not None and state[0][0, LEFT] > 0 else e + 0.2
+        _, state = policy.predict(observed(e_x=e), state)
+        held.append(state[0][0, LEFT])
+    begins = [h for before, h in itertools.pairwise(held) if h > before]
+    np.testing.assert_allclose(begins[:3], [4.0 / rate, 12.0 / rate, 36.0 / rate])
+
+
+def test_memory_begins_anew_with_the_episode():
+    policy = Guarded(Says(0.5, -0.5), Says(-1.0, 1.0))
+    state = None
+    for k in range(100):
+        rows = np.stack([observed(e_x=0.2 * k)] * 2)
+        _, state = policy.predict(rows, state)
+    assert state[0][:, ALARMS].tolist() == [1, 1]
+    _, state = policy.predict(rows, state, np.array([True, False]))
+    assert state[0][:, ALARMS].tolist() == [0, 1]
+    assert state[0][0, MEAN] > state[0][1, MEAN]
+
+
+def test_agent_with_a_guard_is_the_agent_where_nothing_is_wrong():
+    scenario = PRESETS["cruise-noise"]
+    episodes = drawn(scenario, 3, 7).episodes
+    own, guarded = (rollout(make_policy(name), scenario, episodes) for name in ("apg-cruise", "apg-cruise:guard"))
+    np.testing.assert_array_equal(own.errors, guarded.errors)
+
+
+def test_law_takes_over_from_a_network_that_is_stuck():
+    """Without a guard the vehicle turns round and round until the end; with one it comes back."""
+    scenario = PRESETS["cruise-calm"]
+    episodes, agent = drawn(scenario, 2, 7).episodes, Agent.load(agent_folder("apg-preview-cruise"))
+    bare, inner = (Failing(agent, "stuck at +1", scenario.steps // 3) for _ in range(2))
+    gone, back = (rollout(who, scenario, episodes).errors[-1] for who in (bare, Guarded(inner, bounded_law())))
+    assert (gone > 2.0).all()
+    assert (back < 2.0).all()
+
+
+def test_guard_whose_fallback_has_acted_is_the_fallback_bit_for_bit():
+    """With an energy that is always too large the other one acts from the first second on."""
+    eager = Guarded(make_policy("helm"), make_policy("ekf"), thresholds=Thresholds(most=1e-3, start=1e-3, growth=1e-3))
+    env = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="cruise-storm", preview=eager.preview)
+    state, law, memory, taken = None, make_policy("ekf"), None, 0
+    observation, _ = env.reset(seed=3)
+    for _ in range(60):
+        action, state = eager.predict(observation, state)
+        alone, memory = law.predict(observation[:18], memory)
+        if state[0][0, SHARE] == 0:
+            np.testing.assert_array_equal(action, alone)
+            taken += 1
+        observation, *_ = env.step(action)
+    assert taken > 40
+
+
+def test_helm_loses_no_recorded_episode_that_the_expert_keeps():
+    """From the files alone: the second row is the tail, the last one says who ended far away; slow cells come first."""
+    lost = 0
+    for suite in (name for name in recorded.SUITES if name != "vehicles-v1"):  # it has learned the paper's vehicle
+        rows = [np.load(found(recorded.FOLDER, f"{suite}/{name}.npz"))["measures"] for name in ("helm", "backstepping")]
+        half = rows[0].shape[1] // 2
+        caps = np.full(2 * half, 5.0) if suite == "deep-v1" else np.repeat([0.6, 2.0], half)
+        mine, its = ((own[-1] > 0) | ~(own[1] < caps) for own in rows)
+        assert kept.versus_expert(_Recorded(suites.load(suite)), "helm")[0] == (mine & ~its).sum()
+        lost += (mine & ~its).sum()
+    assert lost == 0
+
+
+class _Recorded:
+    """What is recorded of a suite, as the pages have it."""
+
+    def __init__(self, suite):
+        self.suite, self.runs = suite, [r for name in ("helm", "backstepping") for r in recorded.read(suite, name)]
+
+
+# --- seas ---
+
+
+@pytest.mark.parametrize("regime", REGIMES)
+def test_seas_of_severity_1_are_in_the_ranges_of_the_storm(regime):
+    for kind, storm in (("storm", PRESETS[f"{regime}-storm"]), ("adverse", adverse(regime))):
+        size, rng = len(seas.names(regime, kind)), np.random.default_rng(0)
+        for towards in (np.ones(size), -np.ones(size), rng.uniform(-1, 1, size)):
+            scenario = seas.sea(regime, kind, "x", 1.0, towards)
+            pairs = [(getattr(scenario.mismatch, n), getattr(storm.mismatch, n)) for n in ("mass", "d22", "quadratic")]
+            pairs += [(scenario.path.speed, storm.path.speed), (scenario.start.x_e, storm.start.x_e)]
+            pairs += [
+                (scenario.actuators.delay, storm.actuators.delay),
+                (scenario.sensors.heading_bias, storm.sensors.heading_bias),
+            ]
+            for value, interval in pairs:
+                low, high = interval if isinstance(interval, tuple) else (interval, interval)
+                assert low - 1e-9 <= value <= high + 1e-9
+            assert scenario.current.speed <= storm.current.speed[1] + 1e-9
+            assert scenario.waves.sway <= storm.waves.sway + 1e-9
+            assert scenario.sensors.position <= storm.sensors.position + 1e-9
+    calm = seas.sea(regime, "storm", "x", 0.0, np.ones(len(seas.names(regime, "storm"))))
+    assert (calm.current.speed, calm.waves.yaw, calm.mismatch.mass, calm.actuators.lag) == (0, 0, 1, 0)
+
+
+def test_coordinates_are_in_units_of_the_ranges():
+    names = seas.names("cruise", "storm")
+    towards = np.zeros(len(names))
+    towards[[names.index("mass"), names.index("lag"), names.index("direction")]] = -1.0, -0.5, 0.5
+    scenario = seas.sea("cruise", "storm", "x", 2.0, towards)
+    assert scenario.mismatch.mass == pytest.approx(1 - 2 * 0.2)
+    assert scenario.actuators.lag == pytest.approx(2 * 0.5 * 0.36)
+    assert scenario.current.direction == pytest.approx(math.pi / 2)
+
+
+def test_crossing_lies_between_what_is_kept_and_what_is_lost():
+    assert falsification.crossing((1.0, 2.0, 3.0), (-1.0, 1.0, 2.0)) == pytest.approx(1.5)
+    assert falsification.crossing((1.0, 2.0), (0.5, 1.0)) <= 1.0
+    assert falsification.crossing((1.0, 2.0), (math.nan, math.nan)) > 2.0
+    assert falsification.crossing((1.0, 2.0), (-3.0, -2.0)) > falsification.crossing((1.0, 2.0), (-3.0, -1.0)) > 2.0
+    assert falsification.crossing((1.0, 2.0, 3.0), (-1.0, math.nan, 1.0)) == pytest.approx(2.0)
+
+
+def test_search_finds_a_sea_that_loses_the_policy_and_writes_it(tmp_path, monkeypatch, capsys):
+    """Open loop is lost in next to nothing; a sea of half that severity along the same direction does not lose it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(falsification, "POPULATION", 4)
+    monkeypatch.setattr(falsification, "FIRST", (0.01, 0.1, 1.0, 3.0))
+    monkeypatch.setattr(falsification, "CONFIRMED", 4)
+    given = ["backstepping", "--regime", "cruise", "--sea", "storm", "--generations", "1", "--out", "seas"]
+    assert run(falsification.main, falsification.PROGRAM, given) == 0
+    assert "severity" in capsys.readouterr().out
+    (entry,) = falsification.kept(Path("seas")).values()
+    scenario = Scenario.load("seas/cruise-storm-that-loses-backstepping.toml")
+    again = rollout(make_policy("backstepping"), scenario, drawn(scenario, 4, FALSIFICATION.end - 4).episodes).measures
+    assert is_lost(again.tail, again.lost, 2.0).sum() == entry["lost"] >= 2
+    assert max(abs(x) for name, x in entry["coordinates"].items() if name != "direction") == pytest.approx(
+        entry["severity"]
+    )
+
+
+FOUND = falsification.kept()
+
+
+@pytest.mark.parametrize("name", FOUND)
+def test_kept_seas_lose_whom_they_should(name):
+    entry = FOUND[name]
+    assert entry["fingerprint"] == fingerprint(entry["policy"]), f"run {falsification.PROGRAM} {entry['policy']} again"
+    if entry["severity"] is None:
+        pytest.fail("a search that found nothing is not to be kept as a sea")
+    scenario = Scenario.load(falsification.FOLDER / f"{name}.toml")
+    seed = FALSIFICATION.end - falsification.CONFIRMED
+    if entry["policy"] != "nmpc":  # which takes its time
+        measures = rollout(make_policy(entry["policy"]), scenario, drawn(scenario, 8, seed).episodes).measures
+        lost = is_lost(measures.tail, measures.lost, 2.0 if scenario.name.startswith("cruise") else 0.6)
+        assert lost.sum() >= 2  # of 8, where half of 64 are lost
+
+
+# --- the page ---
+
+
+def test_page_says_what_was_counted():
+    text = page.PAGE.read_text(encoding="utf-8")
+    made = page.filled(text)
+    compare_or_refresh(page.PAGE, text, made)
+
+
+def test_certificates_and_guards_are_of_what_acts_now():
+    for policy, own in certificate.kept().items():
+        assert own["fingerprint"] == fingerprint(policy), f"run {certificate.PROGRAM} {policy} again"
+    for policy, rows in page.guards().get("suites", {}).items():
+        assert rows["fingerprint"] == fingerprint(f"{policy}:guard"), f"run {saved.PROGRAM} --policy {policy} again"

@@ -1,0 +1,170 @@
+"""The study of learned agents: its scores against the evaluation's own, its files, its section of the results page."""
+
+import shlex
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from baselines.agents.agent import Agent
+from baselines.agents.features import FEATURES
+from baselines.agents.networks import Gru
+from baselines.evaluation.score import EXPERT, ORACLE, lead, score, seeds_score
+from baselines.tools.command_line import parse, run
+from baselines.training.options import Options
+from baselines.training.run_folder import AGENT, PROGRESS
+from research.results import studies as study_page
+from research.results.collection import collected
+from research.results.study_files import InSuite, Study, load_all, save
+from research.trainings import study
+from research.trainings.trainings import request_of, training
+
+REGIME, SUITE = "cruise", "benchmark-v1"
+
+
+@pytest.fixture(scope="module")
+def results():
+    found, _ = collected(SUITE)
+    return found
+
+
+def runs_of(results, policy):
+    return [r for r in results.runs if r.policy == policy and r.scenario.name.startswith(REGIME)]
+
+
+def tails(results, policy):
+    return [run.measures.tail for run in runs_of(results, policy)]
+
+
+@pytest.fixture(scope="module")
+def made(results):
+    """Two agents, of which one does what the filter's law does and the other what the integral law does."""
+    own = {SUITE: [runs_of(results, "ekf"), runs_of(results, "integral")]}
+    curve = [{"timesteps": 1000 * k, "seconds": 2.0 * k, "score": 0.1 * k} for k in range(5)]
+    return Study.of("A test.", REGIME, "python train.py", own, [curve, curve])
+
+
+def test_score_of_equal_seeds_is_the_score(results):
+    expert, ekf, oracle = (tails(results, p) for p in (EXPERT, "ekf", ORACLE))
+    one = score(expert, ekf, oracle)
+    same = seeds_score(expert, [np.stack((t, t, t)) for t in ekf], oracle)
+    assert same.mean == pytest.approx(one.mean, abs=1e-12)
+    np.testing.assert_allclose(same.ci95, one.ci95, atol=1e-12)
+
+
+def test_lead_is_the_difference_of_scores_and_none_over_oneself(results):
+    expert, ekf, lqi, oracle = (tails(results, p) for p in (EXPERT, "ekf", "lqi", ORACLE))
+    above = lead(expert, lqi, [t[None] for t in ekf], oracle)
+    assert above.mean == pytest.approx(score(expert, ekf, oracle).mean - score(expert, lqi, oracle).mean, abs=1e-12)
+    assert above.ci95[0] < above.mean < above.ci95[1]
+    assert lead(expert, ekf, [t[None] for t in ekf], oracle).ci95 == (0.0, 0.0)
+
+
+def test_seeds_that_differ_widen_the_interval(results, made):
+    expert, oracle = tails(results, EXPERT), tails(results, ORACLE)
+    mixed = seeds_score(expert, made.suites[SUITE].tails, oracle)
+    alone = [score(expert, tails(results, p), oracle).mean for p in ("ekf", "integral")]
+    assert mixed.mean == pytest.approx(np.mean(alone))
+    assert mixed.ci95[0] < min(alone) + 0.1
+    assert mixed.ci95[1] > max(alone) - 0.1
+
+
+def test_files_give_back_what_they_were_given(made, tmp_path):
+    save("a", made, tmp_path)
+    back = load_all(tmp_path)["a"]
+    assert (back.about, back.regime, back.command, back.date) == (made.about, made.regime, made.command, made.date)
+    np.testing.assert_array_equal(back.curves, made.curves)
+    before, after = made.suites[SUITE], back.suites[SUITE]
+    assert after.cells == before.cells
+    for a, b in zip(after.tails, before.tails, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-6)
+    np.testing.assert_array_equal(np.concatenate(after.lost, axis=1), np.concatenate(before.lost, axis=1))
+    np.testing.assert_array_equal(after.effort, before.effort)
+
+
+def test_what_was_measured_on_another_suite_does_not_count(made, tmp_path):
+    old = replace(made, suites={SUITE: replace(made.suites[SUITE], hash="0" * 64)})
+    save("a", old, tmp_path)
+    assert load_all(tmp_path)["a"].suites == {}
+
+
+def test_section_has_a_row_for_each_agent_and_its_curves(results, made, monkeypatch):
+    monkeypatch.setattr(study_page, "RIVAL", "lqi")
+    text = study_page.section({"mine": made}, [results])
+    (row,) = [line for line in text.splitlines() if line.startswith("| `mine`")]
+    cells = [cell.strip() for cell in row.strip("|").split("|")]
+    expert, oracle, lqi = (tails(results, p) for p in (EXPERT, ORACLE, "lqi"))
+    own = made.suites[SUITE]
+    assert cells[1:4] == ["0.004 M", "2", f"{seeds_score(expert, own.tails, oracle).mean:.3f}"]
+    assert cells[5] == f"{lead(expert, lqi, own.tails, oracle).mean:.3f}"
+    lost = sum(
+        int((r.measures.lost | (r.measures.tail >= 2.0)).sum())
+        for p in ("ekf", "integral")
+        for r in runs_of(results, p)
+    )
+    assert cells[8].startswith(f"{lost} of {2 * sum(map(len, expert))} (<= ")
+    assert len(study_page.curves_figure({"mine": made}).axes) == 2
+    assert list(study_page.figures_of({"mine": made, "short-it": made})) == [
+        f"results-{kind}-{REGIME}.png" for kind in ("learning", "short")
+    ]
+    assert study_page.section({}, [results]) == ""
+
+
+def test_a_policy_that_failed_is_no_result(results):
+    bad = replace(runs_of(results, "ekf")[0], measures=None, error="it broke")
+    with pytest.raises(ValueError, match="failed in cruise-calm: it broke"):
+        InSuite.of(SUITE, [[bad]])
+
+
+def test_trained_agents_are_run_on_the_cells_of_their_regime(tmp_path, monkeypatch):
+    """Two agents whose networks give zero do in every episode what their expert does."""
+    network = Gru(len(FEATURES), 2, 2, 2)
+    zeros = {name: np.zeros(shape, np.float32) for name, shape in network.shapes.items()}
+    folders = [tmp_path / f"seed-{i}" for i in range(2)]
+    for folder in folders:
+        Agent(network, zeros, "backstepping", (0.3, 0.3)).save(folder / AGENT)
+        (folder / PROGRESS).write_text("timesteps,seconds,score\n10,1.0,0.5\n20,2.0,\n30,3.0,0.7\n")
+    few = [replace(cell, episodes=cell.episodes[:2]) for cell in study.cells_of(SUITE, REGIME)[:2]]
+    monkeypatch.setattr(study, "cells_of", lambda suite, regime: few)
+    variant = study.Variant("A test.", REGIME, training("apg", REGIME), (SUITE,))
+    request = SimpleNamespace(folders=folders, command="python train.py")
+    found = study.studied(variant, request, 1)
+    first, _ = collected(SUITE)
+    for cell, own in zip(few, found.suites[SUITE].tails, strict=True):
+        expert = next(r for r in first.runs if r.policy == EXPERT and r.scenario.name == cell.scenario.name)
+        np.testing.assert_allclose(own, np.stack([expert.measures.tail[:2]] * 2), rtol=1e-5)
+    np.testing.assert_array_equal(found.curves[0], [[10, 1.0, 0.5], [30, 3.0, 0.7]])
+
+
+def test_trainings_are_what_train_py_can_repeat(tmp_path):
+    small = training("ppo", REGIME, (0.2, 0.4), timesteps=5000, changes={"gamma": 0.5})
+    request = request_of(replace(small, seeds=2), tmp_path / "a")
+    assert [config.seed for config in request.configs] == [0, 1]
+    assert request.configs[0].authority == (0.2, 0.4)
+    assert request.configs[0].hyperparameters["gamma"] == 0.5
+    assert "--authority 0.2 0.4 --seeds 2 --timesteps 5000 --set gamma=0.5" in request.command
+    assert parse(Options, shlex.split(request.command)[2:], "train.py") == replace(small, seeds=2)
+    plain = request_of(training("ppo", REGIME), tmp_path / "b")
+    assert plain.command == f"python train.py --algo ppo --scenario {REGIME}"
+
+
+@pytest.mark.parametrize("name", study.VARIANTS)
+def test_variants_can_be_trained(name, tmp_path):
+    variant = study.VARIANTS[name]
+    request = request_of(variant.training, tmp_path / name)
+    assert len(request.configs) == variant.training.seeds > 1
+    assert any(scenario.name.startswith(variant.regime) for scenario, _ in request.configs[0].scenarios)
+
+
+def test_unknown_variants_are_named(monkeypatch):
+    monkeypatch.setattr("sys.argv", ["study", "nonsense"])
+    assert run(study.main, study.PROGRAM) == 2
+
+
+def test_lost_episodes_have_the_cap_of_their_cell():
+    """A tail of a metre is lost in slow motion, and is not where positions are reckoned."""
+    tail, ended = np.array([[1.0, 0.1]]), np.zeros((1, 2), bool)
+    own = InSuite("", ("slow-calm", "slow-deep"), (tail, tail), (ended, ended), np.zeros(1), np.zeros(1), 0.0)
+    assert own.losses() == 1
+    np.testing.assert_array_equal(own.capped(), [[[0.6, 0.1]], [[1.0, 0.1]]])

@@ -1,0 +1,150 @@
+"""Gains that follow the vehicle: stable on the fleet and on random hulls, compared with searches, and on the page."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from kept_pages import compare_between, compare_or_refresh
+
+from auv_gym.physics.units import POWERS, Units
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.scenarios.vehicles import PAPER, craft, fleet
+from baselines import make_policy
+from baselines.evaluation.stability.analysis import linearise_policy
+from baselines.tools.command_line import run
+from baselines.tuning.objective import Course, scenarios_of
+from baselines.tuning.search import TUNING_SEED
+from baselines.tuning.tunables import TUNABLES
+from research.vehicles import vehicles, vehicles_page
+
+ROOT = Path(__file__).parents[2]
+SLIP = 0.25  # [rad] largest sideslip of the turns in which random hulls are looked at
+
+
+@pytest.mark.parametrize("name", fleet())
+def test_expert_and_normalised_law_are_stable_on_the_fleet(name):
+    assert vehicles_page.worst_growth(craft(name)) < 0
+    assert vehicles_page.worst_growth(craft(name), "backstepping-normalised") < 0
+
+
+SIZES = st.floats(-1.5, 1.5).map(lambda x: 10**x)
+
+
+def between(low, high):
+    return st.floats(np.log(low), np.log(high)).map(lambda x: float(np.exp(x)))
+
+
+@settings(max_examples=25, deadline=None)
+@given(between(1.06, 2.4), between(0.2, 6.0), between(0.1, 7.0), between(0.25, 6.0), SIZES, SIZES)
+def test_expert_is_stable_on_random_hulls_of_any_size(ratio, surge, sway, yaw, length, mass):
+    """With drag from a tenth to seven times the paper's in the hull's own units, in turns that slip by 14 degrees."""
+    units = Units(length, length, mass)  # as fast as the paper's vehicle
+    m22 = 215.0 * ratio
+    own = (215.0, m22, 80.0, 70.0 * surge, m22 / 265.0 * 100.0 * sway, 50.0 * yaw)
+    dims = ("kg", "kg", "kg m^2", "kg/s", "kg/s", "kg m^2/s")
+    hull = Vehicle(*(x * units.factor(*POWERS[d]) for x, d in zip(own, dims, strict=True)))
+    law = make_policy("backstepping", vehicle=hull)
+    for U in (0.1, 0.39, 0.41, 1.5):
+        turn_rate = min(0.14 if U < 0.4 else 0.21, SLIP * own[4] / 215.0)
+        for w in (0.0, turn_rate / units.time):
+            assert linearise_policy(hull, law, U, w, 0.1 * units.time).eigenvalues[0].real < 0
+
+
+def test_a_course_of_another_vehicle_is_in_the_papers_units():
+    plain, own = scenarios_of("cruise", "plain"), scenarios_of("cruise", "plain", craft("otter"))
+    assert [s.name for s in own] == [s.name for s in plain]
+    assert {s.vehicle.speed for s in own} == {1.5}
+    assert {s.control_dt for s in own} == {0.1}
+    assert len({s.substeps for s in own}) == 1
+    assert scenarios_of("slow", "plain", PAPER) is not plain
+    tails, lost, commands = Course("cruise", 8, TUNING_SEED, craft=craft("otter")).tails(
+        TUNABLES["los-pid"].factory(vehicles.load_gains("los-pid", "cruise", TUNABLES["los-pid"].names),
+                                    vehicle=craft("otter").in_paper_units.vehicle)
+    )  # fmt: skip
+    assert tails.shape == lost.shape == commands.shape[1:2] == (8,)
+    assert np.median(tails) < 0.2
+
+
+def test_the_ratio_of_means_and_its_interval():
+    rng = np.random.default_rng(0)
+    theirs = rng.uniform(1.0, 2.0, 200)
+    low, high = vehicles.ratio_interval(1.1 * theirs, theirs)
+    assert low == pytest.approx(1.1)
+    assert high == pytest.approx(1.1)
+    low, high = vehicles.ratio_interval(theirs + rng.normal(0.15, 0.3, 200), theirs)
+    assert 1.0 < low < 1.1 < high < 1.2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["scaling", "--vehicle", "nautilus"], "unknown vehicle 'nautilus'; allowed are paper, cybership2"),
+        (["search", "--policy", "helm"], "unknown controller 'helm'; allowed are backstepping-tuned"),
+        (["search", "--episodes", "12"], "--episodes is 12; it must be a positive multiple of 8"),
+        (["search", "--evaluations", "-1"], "--evaluations is -1; it must be at least 0"),
+        (["agent", "--policy", "lqi"], "--policy lqi makes no sense here: helm-any runs, and nmpc; leave it out"),
+    ],
+)
+def test_mistakes_are_told_in_a_line(arguments, says, capsys):
+    assert run(vehicles.main, vehicles.PROGRAM, arguments) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_the_command_keeps_what_it_finds_beside_what_there_is(tmp_path):
+    out = tmp_path / "found.json"
+    out.write_text(json.dumps({"search": {"otter": {"lqi": {"ratio": 1.0}}}}))
+    few = ["--vehicle", "otter", "--policy", "los-pid", "--fresh", "8", "--out", str(out)]
+    assert run(vehicles.main, vehicles.PROGRAM, ["search", "--evaluations", "0", "--episodes", "8", *few]) == 0
+    assert run(vehicles.main, vehicles.PROGRAM, ["scaling", *few]) == 0
+    record = json.loads(out.read_text())
+    assert set(record["search"]["otter"]) == {"lqi", "los-pid"}
+    assert record["search"]["otter"]["los-pid"]["ratio"] == pytest.approx(1.0)  # nothing was searched
+    found = record["scaling"]["otter"]["policies"]["los-pid"]
+    assert set(found) == {"before", "after"}
+    assert found["before"]["error"] != found["after"]["error"]
+
+
+def test_an_agent_runs_beside_predictive_control_of_either_gains(tmp_path, capsys):
+    """Told to keep the gains from the parameters, both sides of predictive control are the same."""
+    out = tmp_path / "found.json"
+    few = ["--vehicle", "otter", "--fresh", "8", "--out", str(out)]
+    assert run(vehicles.main, vehicles.PROGRAM, ["agent", *few]) == 2
+    assert f"no gains of nmpc are searched for otter: run {vehicles.PROGRAM} search" in capsys.readouterr().err
+    gains = vehicles.load_gains("nmpc", "cruise", TUNABLES["nmpc"].names)
+    out.write_text(json.dumps({"search": {"otter": {"nmpc": {"gains": gains, "budget": [60, 16]}}}}))
+    assert run(vehicles.main, vehicles.PROGRAM, ["agent", *few]) == 0
+    record = json.loads(out.read_text())
+    tails = record["agent"]["otter"]["tails"]
+    assert tails["parameters"] == tails["searched"] != tails["helm-any"]
+    assert [len(own) for own in tails["helm-any"].values()] == [1] * 8
+    says, rows = vehicles_page._agent(record)
+    assert "over all 1 vehicles" in says
+    own, theirs = (np.concatenate(list(tails[side].values())) for side in ("helm-any", "parameters"))
+    assert rows.splitlines()[-1].count(f" {np.exp(np.log(own / theirs).mean()):.2f} (") == 2
+
+
+def test_the_papers_vehicle_is_the_same_before_and_after():
+    found = vehicles.scaling(PAPER, ["los-pid"], 8)["policies"]["los-pid"]
+    assert found["before"] == found["after"]
+    assert replace(PAPER_VEHICLE) == PAPER.vehicle
+
+
+def test_page_shows_what_was_measured():
+    record = json.loads((ROOT / "docs" / vehicles.FILE).read_text(encoding="utf-8"))
+    page = ROOT / "docs" / "vehicles.md"
+    compare_between(page, vehicles_page.BEGIN, vehicles_page.END, vehicles_page.section(record))
+
+
+def test_the_readme_says_how_the_agent_does_beside_searched_gains():
+    """One seed of it, tuned to no vehicle."""
+    pattern = r"(\d\.\d\d \(\d\.\d\d \.\.\. \d\.\d\d\))"
+    measured = re.search(f"{pattern} of that with searched ones", (ROOT / "docs/vehicles.md").read_text("utf-8"))[1]
+    page = ROOT / "README.md"
+    said = rf"searched for each vehicle it has {pattern} times the error at cruise"
+    [shown] = re.findall(said, page.read_text(encoding="utf-8"))
+    compare_or_refresh(page, shown, measured)

@@ -1,0 +1,261 @@
+"""The suite of other vehicles: whole and reproducible; scores without units; the bound on each; the section."""
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from similar_vehicles import twin
+
+from auv_gym import PRESETS
+from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.physics.units import Units
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from auv_gym.scenarios.fitting import changed, in_vehicle_units
+from auv_gym.scenarios.presets import CASES, as_scenario
+from auv_gym.scenarios.vehicles import craft, fleet
+from auv_gym.task.observation import SIZE
+from baselines import make_policy
+from baselines.control.clairvoyant.policy import arriving, oracle_actions
+from baselines.control.clairvoyant.problem import Problem
+from baselines.control.clairvoyant.receding import WINDOWS, foreseeing
+from baselines.control.clairvoyant.solver import TOLERANCE, refined, solved
+from baselines.evaluation import recorded, suites
+from baselines.evaluation.metrics import Measures
+from baselines.evaluation.options import Options
+from baselines.evaluation.report.numbers import compare, pool
+from baselines.evaluation.request import Request
+from baselines.evaluation.rollout import rollout
+from baselines.evaluation.runner import Cell, Recorded, Run, drawn, run_all
+from baselines.evaluation.score import BY_BOUND, cap_of, in_paper_units, relative_error, unit_of, vehicle_of
+from baselines.evaluation.suites import rounded
+from baselines.similar import shown_factors
+from research.results import vehicles
+from research.results.collection import ROUNDING, Results, better_than
+from research.results.study_files import Study, load_all
+from research.suites.builder import SUITES, VEHICLE_EPISODES, _cell
+
+ROOT = Path(__file__).parents[2]
+OTHER = Units(length=16.0, time=4.0, mass=4096.0)  # of a copy of the paper's vehicle
+
+
+@pytest.fixture(scope="module")
+def suite():
+    return suites.load(vehicles.SUITE)
+
+
+def test_eight_vehicles_in_every_case_none_of_them_the_papers(suite):
+    assert suite.hash == "2ff4fad7702219e1db0c7f2e92eacec286f3a866d933ec8900b564a5f1a2a8b2"
+    assert suite.anchors == BY_BOUND
+    slow = [name for name in fleet() if not craft(name).actuators.fin]
+    names = [f"{r}-{c}@{v}" for r, own in (("cruise", fleet()), ("slow", slow)) for v in own for c in CASES]
+    assert [cell.scenario.name for cell in suite.cells] == names
+    known = {cell.scenario.vehicle for cell in suite.cells}
+    assert len(known) == 8
+    assert PAPER_VEHICLE not in known
+    for cell in suite.cells:
+        assert len(cell.episodes) == VEHICLE_EPISODES[cell.scenario.name.split("-")[0]]
+        assert cell.scenario == as_scenario(cell.scenario.name)
+    assert sum(len(cell.episodes) for cell in suite.cells) == 2304
+
+
+@pytest.mark.parametrize("index", [15, 39, 95])
+def test_its_episodes_come_from_its_seed(suite, index):
+    seed, recipes = SUITES[vehicles.SUITE]
+    recipe = replace(recipes()[index], episodes=4)
+    assert rounded(_cell(recipe, seed, index)).episodes == suite.cells[index].episodes[:4]
+    suites.check_cell(Cell(recipe.scenario, suite.cells[index].episodes[:4]), suite.digests[index][:4])
+
+
+def measures(tail, lost=()):
+    tail = np.array(tail, dtype=np.float64)
+    ones, gone = np.ones(len(tail)), np.isin(np.arange(len(tail)), lost)
+    return Measures(tail.copy(), tail, ones, ones, ones, ones, ones, ones, gone)
+
+
+def runs_of(scenario, by_policy):
+    return [Run(policy, scenario, "", measures(tail)) for policy, tail in by_policy.items()]
+
+
+PAPER_CELL = PRESETS["cruise-storm"]
+FAR_CELL = replace(changed(PAPER_CELL, twin(OTHER)), name="cruise-storm@twin")
+TAILS = {"backstepping": [1.0, 5.0, 0.5], "nmpc": [0.3, 0.1, 0.2], "ekf": [0.4, 0.3, 0.1], "clairvoyant": [0.0] * 3}
+
+
+def test_a_similar_vehicle_scores_the_same():
+    """With errors as many times as large as the vehicle is: score, capped score and what is lost."""
+    assert (unit_of(PAPER_CELL), unit_of(FAR_CELL)) == (1.0, pytest.approx(16.0))
+    assert cap_of(FAR_CELL) == pytest.approx(16 * cap_of(PAPER_CELL))
+    far = {policy: [16 * x for x in tail] for policy, tail in TAILS.items()}
+    for mine, its in zip(compare(runs_of(PAPER_CELL, TAILS)), compare(runs_of(FAR_CELL, far)), strict=True):
+        for what in ("score", "capped"):
+            assert getattr(its.entry, what).mean == pytest.approx(getattr(mine.entry, what).mean)
+        assert its.entry.lost == mine.entry.lost
+        assert its.entry.summary.tail_rmse_m.mean == pytest.approx(16 * mine.entry.summary.tail_rmse_m.mean)  # metres
+
+
+def test_a_ship_does_not_dominate_what_is_pooled():
+    far = {policy: [16 * x for x in tail] for policy, tail in TAILS.items()}
+    entries = pool([*runs_of(PAPER_CELL, TAILS), *runs_of(FAR_CELL, far)])
+    found = {(e.place, e.policy): e for e in entries}
+    assert {place for place, _ in found} == {"cruise", "cruise@paper", "cruise@twin"}
+    alone = {e.policy: e for e in pool(runs_of(PAPER_CELL, TAILS))}
+    for policy, tail in TAILS.items():
+        both = found["cruise", policy]
+        assert both.capped.mean == pytest.approx(alone[policy].capped.mean)
+        assert both.error_ratio == pytest.approx(alone[policy].error_ratio)
+        assert both.lost == 2 * alone[policy].lost
+        assert both.summary.tail_rmse_m.mean == pytest.approx(np.mean(tail))  # metres of the paper's vehicle
+        assert found["cruise@twin", policy].summary.tail_rmse_m.mean == pytest.approx(16 * np.mean(tail))
+
+
+def test_error_over_the_rivals_is_a_geometric_mean_over_cells_without_units():
+    rng = np.random.default_rng(1)
+    rival, own = ([rng.uniform(0.5, 1.5, n) for n in (40, 40, 30)] for _ in range(2))
+    expected = np.prod([a.mean() / b.mean() for a, b in zip(own, rival, strict=True)]) ** (1 / 3)
+    found = relative_error(rival, own)
+    assert found.mean == pytest.approx(expected)
+    assert found.ci95[0] < expected < found.ci95[1]
+    other = relative_error([42.0 * rival[0], *rival[1:]], [42.0 * own[0], *own[1:]])
+    assert (other.mean, *other.ci95) == pytest.approx((found.mean, *found.ci95))
+    seeds = relative_error(rival, [np.stack((0.9 * tail, 1.1 * tail)) for tail in own])
+    assert seeds.mean == pytest.approx(expected)
+    assert seeds.ci95[0] < found.ci95[0] < found.ci95[1] < seeds.ci95[1]
+    twice = relative_error(rival, [2 * tail for tail in rival])  # the same episodes for both: nothing is left to chance
+    assert (twice.mean, *twice.ci95) == pytest.approx((2.0, 2.0, 2.0))
+
+
+def test_the_bound_of_a_similar_vehicle_is_the_similar_one():
+    short = [replace(s, steps=s.steps // 3) for s in (PAPER_CELL, FAR_CELL)]
+    tails = [rollout(make_policy("clairvoyant"), s, drawn(s, 3, 100).episodes).measures.tail for s in short]
+    np.testing.assert_allclose(tails[1] / 16, tails[0], atol=2 * TOLERANCE)
+
+
+def test_where_limits_bind_foresight_leads_farther_than_the_oracle():
+    """A torpedo with lift and small fins in a storm: steps from the commands of the oracle end in a poor optimum."""
+    scenario = as_scenario("cruise-storm@eca-a9")
+    episodes = drawn(scenario, 5, 5).episodes[4:]
+    problem = Problem.of(scenario, episodes)
+    guess = arriving(oracle_actions(scenario, episodes), problem.delay)
+    alone = refined(problem, problem.standing(guess))
+    both = solved(problem, guess, [partial(foreseeing, WINDOWS[0])])
+    assert both.tail[0] < 0.5 * alone.tail[0]
+    run = rollout(make_policy("backstepping", scenario.vehicle), scenario, episodes)
+    assert both.tail[0] < in_paper_units(run.measures, scenario).tail[0]
+
+
+def test_a_factory_is_told_each_vehicle(suite, tmp_path):
+    """A user's own, which asks for the vehicle, in a suite of several."""
+    told = tmp_path / "told.txt"
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from baselines import make_policy as known\n\n\ndef make(vehicle):\n"
+        f"    with open({str(told)!r}, 'a') as f:\n        print(vehicle.m11, file=f)\n"
+        "    return known('los-pid', vehicle)\n"
+    )
+    name = f"{file}:make"
+    request = Request.of(Options(policy=(name,), suite=vehicles.SUITE, episodes=1, out=tmp_path))
+    assert (name, "slow-storm@supply") in [(policy, cell.scenario.name) for policy, cell in request.pairs]
+    told.unlink()  # it was made once, to see whether it can be
+    wanted = [cell for cell in suite.cells if cell.scenario.name in ("cruise-calm@otter", "cruise-calm@lauv")]
+    cells = [Cell(replace(cell.scenario, steps=30), cell.episodes[:2]) for cell in wanted]
+    mine, known = run_all((name,), cells), run_all(("los-pid",), cells)
+    assert [float(line) for line in told.read_text().split()] == [cell.scenario.vehicle.m11 for cell in cells]
+    for a, b in zip(mine, known, strict=True):
+        np.testing.assert_array_equal(a.measures.tail, b.measures.tail)
+
+
+@pytest.mark.parametrize("name", fleet())
+def test_all_that_is_seen_is_what_is_seen_in_the_vehicles_own_units(name):
+    """The way ahead too, which is hundreds of metres for a ship: nothing meets a bound."""
+    scenario, preview = as_scenario(f"cruise-calm@{name}"), (1, 40)
+    seen = []
+    for each in (scenario, in_vehicle_units(scenario)):
+        vectors = UnderactuatedAUVTrackVectorEnv(2, [each, each], preview=preview)
+        single = UnderactuatedAUVTrackEnv(each, preview=preview)
+        rows, one = vectors.reset(seed=3)[0], single.reset(seed=3)[0]
+        np.testing.assert_allclose(rows[0], one, rtol=1e-6, atol=1e-6)
+        assert vectors.single_observation_space.contains(rows[0])
+        seen.append(rows.astype(float))
+    units = Units.of(scenario.vehicle)
+    factors = shown_factors(units) + [1 / units.length] * 2 * len(preview)
+    np.testing.assert_allclose(seen[0] * factors, seen[1], rtol=1e-5, atol=1e-5)
+    assert np.abs(seen[0][:, SIZE:]).max() > 0.9 * 40 * scenario.control_dt * scenario.path.speed[0]
+
+
+def test_the_section_tells_what_the_rows_say(suite):
+    """Of rows made up: half the rival's errors on every vehicle, and then once less than the bound's."""
+    rng, runs, when = np.random.default_rng(0), [], Recorded("2026-01-01", {"auv_gym": "0"})
+    for cell in suite.cells:
+        base = rng.uniform(0.01, 0.02, len(cell.episodes)) * unit_of(cell.scenario)
+        factors = {"backstepping": 9.0, "nmpc": 1.0, "ekf": 0.5, "clairvoyant": 0.1}
+        runs += [
+            Run(policy, cell.scenario, cell.hash, measures(f * base), recorded=when) for policy, f in factors.items()
+        ]
+    results = Results.of(suite, runs)
+    text = vehicles.section(results, {})
+    half = "| `ekf` | 0.50 (0.50 ... 0.50) | 0.50 (0.50 ... 0.50) | 0.50 | 0.96 (0.96 ... 0.96) | 0 of "
+    assert [text.count(f"{half}{episodes} ") for episodes in (2304, 2048, 256)] == [1, 1, 1]
+    assert text.count("| `ekf` |") == 2 * 3
+    assert "Nobody is." in text
+    assert "`backstepping` loses 0 of 2304 episodes" in text
+    studies = {}
+    for regime in ("cruise", "slow"):
+        own = [run for run in runs if run.policy == "ekf" and run.scenario.name.startswith(regime)]
+        studies[f"any-{regime}"] = Study.of("", regime, "", {vehicles.SUITE: [own, own]}, [[], []])
+    pairs = [vehicles.pairs_of(results, regime)["nmpc"] for regime in ("cruise", "slow")]
+    for pair, known, lost in (
+        (pairs[0], studies, "0 of 4096"),
+        (pairs[1], studies, "0 of 512"),
+        (vehicles.Pair.joined(pairs), studies, "0 of 4608"),
+        (pairs[1], {"any-slow": studies["any-slow"]}, "0 of 512"),
+    ):
+        _, rows = vehicles.of_seeds(pair.own, known)
+        assert f"| `any` | 2 | 0.50 (0.50 ... 0.50) | 0.50 (0.50 ... 0.50) | {lost}" in rows
+    assert vehicles.of_seeds(pairs[1].own, {"any-cruise": studies["any-cruise"]}) == []
+    ekf = vehicles.pairs_of(results, "slow")["ekf"]
+    assert ekf.error_above(1.0) == 1.0  # nobody errs by a metre
+    assert ekf.error_above(1e-9) == pytest.approx(ekf.error.mean)
+    assert vehicles.nearer(results) == []
+    first = next(i for i, run in enumerate(runs) if run.policy == "ekf")
+    better = runs[first].measures.tail.copy()
+    better[3] = 1e-5 * unit_of(runs[first].scenario)
+    runs[first] = replace(runs[first], measures=measures(better))
+    ((name, episode, policy, _),) = vehicles.nearer(Results.of(suite, runs))
+    assert (name, episode, policy) == (suite.cells[0].scenario.name, 3, "ekf")
+    assert vehicles.figure(results).startswith(b"\x89PNG")
+    assert "Not recorded yet" in vehicles.section(None, {})
+
+
+def test_nobody_is_nearer_than_the_bound_in_what_is_recorded(suite):
+    found = recorded.load(suite)
+    assert found.refused == {}
+    if {"backstepping", "clairvoyant"} <= {run.policy for run in found.runs}:
+        results = Results.of(suite, found.runs)
+        assert [gain for _, _, gain in better_than("clairvoyant", results) if gain > ROUNDING] == []
+        assert [entry for entry in vehicles.nearer(results) if entry[-1] > 1e-3] == []  # a local optimum, now and then
+
+
+def test_the_readme_says_how_the_agent_for_every_vehicle_compares(suite):
+    """Of several training seeds, in each regime; and who loses more."""
+    results, studies = Results.of(suite, recorded.load(suite).runs), load_all()
+    pairs = {regime: vehicles.pairs_of(results, regime) for regime in ("cruise", "slow")}
+    told = {}
+    for regime, own in pairs.items():
+        _, text = vehicles.of_seeds(own["nmpc"].own, studies)
+        (row,) = (line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("| `helm-any`"))
+        assert row[1] == "5"
+        told[regime] = row[2]
+    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    assert (
+        f"`helm-any` has {told['cruise']} times the error of `nmpc` at cruise and {told['slow']} times in slow motion, "
+        "five training seeds; on three of four with fins it loses more episodes"
+    ) in readme
+    finned = [name for name in fleet() if craft(name).actuators.fin]
+    own, rival = (
+        [pairs["cruise"][policy].among(lambda cell, name=name: vehicle_of(cell) == name).lost for name in finned]
+        for policy in ("helm-any", "nmpc")
+    )
+    assert (len(finned), sum(a > b for a, b in zip(own, rival, strict=True))) == (4, 3)
