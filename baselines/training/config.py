@@ -83,7 +83,7 @@ class Config:
 
     @property
     def vehicle(self) -> Vehicle | None:
-        """The vehicle that all scenarios and the expert have as the known model, in their units; None where they differ."""
+        """The known vehicle of all scenarios and of the expert, in their units; None where they differ."""
         return common_vehicle([scenario for scenario, _ in self.scenarios])
 
     @property

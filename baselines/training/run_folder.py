@@ -149,7 +149,11 @@ class Run:
 
     def report(self, timesteps: int) -> None:
         """Report how far the run is."""
-        self._on_state(self._state(timesteps))
+        scores = tuple(row["score"] for row in self._rows if "score" in row)
+        done, total = timesteps - self._start, self.config.timesteps
+        left = (time.monotonic() - self._begin) * max(0, total - timesteps) / done if done > 0 else None
+        kept = self.validated["score"] if scores else None
+        self._on_state(State(timesteps, total, scores, kept, self.seconds, left))
 
     def validate(self, agent: Agent, timesteps: int) -> None:
         """Log the score of an agent on the validation episodes, 0 the expert, 1 the oracle, and keep the best agent.
@@ -233,13 +237,6 @@ class Run:
         from torch.utils.tensorboard.writer import SummaryWriter
 
         return SummaryWriter(str(self.folder / EVENTS), purge_step=self._start + 1 if self._start else None)
-
-    def _state(self, timesteps: int) -> State:
-        scores = tuple(row["score"] for row in self._rows if "score" in row)
-        done, total = timesteps - self._start, self.config.timesteps
-        left = (time.monotonic() - self._begin) * max(0, total - timesteps) / done if done > 0 else None
-        kept = self.validated["score"] if scores else None
-        return State(timesteps, total, scores, kept, self.seconds, left)
 
 
 def read_progress(folder: Path) -> list[dict[str, float]]:

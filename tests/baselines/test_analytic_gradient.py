@@ -298,31 +298,6 @@ def test_training_improves(trained):
     assert np.mean(losses[-10:]) < np.mean(losses[:10])
 
 
-def test_interrupted_run_gives_the_same_agent(trained, tmp_path):
-    run, agent = trained
-
-    class StopRunError(Exception):
-        pass
-
-    class Interrupted(Run):
-        def save_checkpoint(self, state):
-            super().save_checkpoint(state)
-            if state["updates"] == 15:
-                raise StopRunError
-
-    first = Interrupted(configuration(), tmp_path)
-    with pytest.raises(StopRunError):
-        train(first)
-    first.close()
-    torch.rand(3)  # another state of torch's generator
-    second = Run(configuration(), tmp_path)
-    again = train(second)
-    second.close()
-    assert rows(second) == rows(run)
-    for name, weights in agent.weights.items():
-        np.testing.assert_array_equal(again.weights[name], weights)
-
-
 def test_best_agent_is_returned(trained):
     run, agent = trained
     best = max(row["score"] for row in rows(run) if "score" in row)

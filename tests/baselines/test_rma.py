@@ -164,13 +164,10 @@ def test_a_teacher_learns_and_its_student_learns_the_latent(tmp_path, monkeypatc
         ({"latent": 0}, r"latent is 0; it must be an integer in \[1, 4096\]"),
         ({"adaptation_share": 1.0}, "adaptation_share"),
         ({"n_steps": 300}, "n_steps is 300"),
+        ({"expert": "ekf"}, "expert 'ekf' computes on NumPy; rma corrects laws alone"),
     ],
 )
-def test_wrong_hyperparameters_are_refused(changes, message):
+def test_wrong_hyperparameters_and_experts_without_a_law_are_refused(changes, message):
+    expert = {"expert": changes["expert"]} if "expert" in changes else {}
     with pytest.raises(ValueError, match=message):
-        check(config(**changes))
-
-
-def test_experts_without_a_law_are_refused():
-    with pytest.raises(ValueError, match="expert 'ekf' computes on NumPy; rma corrects laws alone"):
-        check(replace(config(), expert="ekf"))
+        check(replace(config(**({} if expert else changes)), **expert))

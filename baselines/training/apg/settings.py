@@ -141,9 +141,7 @@ def check(config: Config) -> Settings:
     if settings.hulls and not settings.hull:
         raise ValueError("vehicles are drawn, so the network must see them: set hull=true, or hulls=0")
     if settings.hulls and config.expert != NO_EXPERT and not isinstance(config.make_expert(), Backstepping):
-        raise ValueError(
-            f"vehicles are drawn, so the expert must be {NO_EXPERT} or a form of {EXPERT}, which takes each of them"
-        )
+        raise ValueError(f"vehicles are drawn, so the expert must be {NO_EXPERT} or a form of {EXPERT}")
     shortest = min(scenario.steps for scenario, _ in config.scenarios)
     if settings.n_steps > shortest:
         raise ValueError(f"n_steps is {settings.n_steps}; it must be at most {shortest}, the steps of an episode")

@@ -28,7 +28,7 @@ PATIENCE = 50  # updates in a row that may be skipped for a gradient that is not
 
 
 def train(run: Run) -> Agent:
-    """Train an agent and return the one that is kept: of the best validation, or of the last one where models are drawn.
+    """Train an agent and return that of the best validation, or of the last one where vehicle models are drawn.
 
     Raises:
         OSError: the run's folder cannot be written to.
