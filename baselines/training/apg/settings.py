@@ -21,7 +21,7 @@ from baselines.evaluation.score import EXPERT, regime_of
 from baselines.training.apg.closed_loop import Loss
 from baselines.training.apg.window import Objective
 from baselines.training.beginning import loaded
-from baselines.training.config import Config
+from baselines.training.config import Config, check_integer
 from baselines.training.run_folder import VALIDATIONS
 
 PAIR = 2  # vehicles in a row that are of one group: one of them has drawn models where half of all do
@@ -64,9 +64,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         for name, high in (("n_envs", 2**16), ("n_steps", 10**4), ("groups", 2**15), ("validations", 1000)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= high:
-                raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")
+            check_integer(name, getattr(self, name), 1, high)
         for name in ("learning_rate", "max_grad_norm"):
             check_number(name, getattr(self, name), 1e-9, 1e6)
         for name in (*SHARES, "matrix_learning_rate", "weight_decay"):

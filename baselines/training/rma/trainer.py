@@ -30,7 +30,7 @@ from baselines.training.apg.torch_network import weights_of
 from baselines.training.apg.trainer import Descent
 from baselines.training.apg.vehicles import TrainingVehicles
 from baselines.training.apg.window import Window
-from baselines.training.config import Config
+from baselines.training.config import Config, check_integer
 from baselines.training.rma.extrinsics import extrinsics
 from baselines.training.rma.networks import Filters, Student, StudentPass, Teacher, TeacherPass
 from baselines.training.run_folder import Run
@@ -50,9 +50,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         for name in ("latent", "channels", "encoder_size", "adaptation_batches"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= LARGEST:
-                raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {LARGEST}]")
+            check_integer(name, getattr(self, name), 1, LARGEST)
         check_number("adaptation_share", self.adaptation_share, 0.01, 0.99)
         check_number("adaptation_rate", self.adaptation_rate, 1e-9, 1)
 

@@ -26,7 +26,7 @@ from auv_gym.envs.residual import VectorResidualAction
 from auv_gym.task.policy import preview_of
 from baselines.agents.agent import Agent
 from baselines.tools.files import guarded
-from baselines.training.config import Config
+from baselines.training.config import Config, check_integer
 from baselines.training.run_folder import VALIDATIONS, Run, TrainingError
 from baselines.training.sb3.callbacks import FrozenActor, ZeroCorrection
 from baselines.training.sb3.export import exported
@@ -127,8 +127,7 @@ def make_training_env(config: Config, n_envs: int, wrappers: Any = ()) -> VecFea
     Raises:
         ValueError: there are too few vehicles, or a wrapper is unknown.
     """
-    if isinstance(n_envs, bool) or not isinstance(n_envs, int) or not 1 <= n_envs <= _MOST_VEHICLES:
-        raise ValueError(f"hyper-parameter n_envs is {n_envs!r}; it must be an integer in [1, {_MOST_VEHICLES}]")
+    check_integer("hyper-parameter n_envs", n_envs, 1, _MOST_VEHICLES)
     expert = config.make_expert()
     track = gym.make_vec(
         "auv_gym:UnderactuatedAUVTrack-v0",
