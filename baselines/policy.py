@@ -10,14 +10,13 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.physics.namespaces import ARRAYS, Namespace, Number
+from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.observation import Observation, action_of, decode_observation
 from auv_gym.task.policy import preview_of
 from auv_gym.task.preview import columns_behind
 
-Array = NDArray[np.float64]
 Memory: TypeAlias = tuple[NDArray[Any], ...]
 """What a controller remembers: arrays whose leading axis counts the N vehicles it steers."""
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from auv_gym.envs.arguments import checked_reset, checked_steps, scenarios_of, seeded
 from auv_gym.envs.vector_api import AutoresetMode, Ends, checked_mode
-from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.rows import leaves
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.planner import plan
@@ -27,7 +27,6 @@ from auv_gym.task.policy import Forces
 from auv_gym.task.preview import Preview, encode_preview
 from auv_gym.task.simulation import PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 ScenarioLike = Scenario | str | Mapping[str, Any]
 

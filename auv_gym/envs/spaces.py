@@ -7,9 +7,8 @@ from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from auv_gym.physics.namespaces import Array
 
 
 class ReferencePoint(NamedTuple):

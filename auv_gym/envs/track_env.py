@@ -14,7 +14,7 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from auv_gym.envs.spaces import ReferencePoint, checked_action, with_action
-from auv_gym.physics.namespaces import ARRAYS, FLOATS
+from auv_gym.physics.namespaces import ARRAYS, FLOATS, Array
 from auv_gym.physics.rows import filled, leaves
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.paths import Path
@@ -41,8 +41,6 @@ from auv_gym.task.simulation import (
     current_at,
     ground_state,
 )
-
-Array = NDArray[np.float64]
 
 BLOCK = 256  # control steps of tape read at once
 TRAIL = 1000  # past positions drawn at most

@@ -15,7 +15,7 @@ from auv_gym.envs.lanes import Beginning, Lanes, ScenarioLike
 from auv_gym.envs.spaces import ReferencePoint, checked_actions, with_action
 from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
 from auv_gym.physics.errors import to_body
-from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.vehicles import Craft
@@ -25,7 +25,6 @@ from auv_gym.task.policy import Forces, Law
 from auv_gym.task.preview import observation_bounds
 from auv_gym.task.simulation import CURRENT, LOAD, PLANT, REFERENCE, current_at, ground_state
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 

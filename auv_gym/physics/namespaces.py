@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 Number: TypeAlias = Any
 """A float, an array, a tensor or a symbol: whatever the namespace beside it computes with."""
+Array: TypeAlias = NDArray[np.float64]
+"""An array of double precision."""
 
 
 class Constants(NamedTuple):

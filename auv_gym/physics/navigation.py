@@ -11,11 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from auv_gym.physics.intervals import Interval, check_interval, check_number, draw, mean_square
-
-Array = NDArray[np.float64]
+from auv_gym.physics.namespaces import Array
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.physics.namespaces import ARRAYS, wrap_angle
+from auv_gym.physics.namespaces import ARRAYS, Array, wrap_angle
 from auv_gym.physics.vehicle import Vehicle
-
-Array = NDArray[np.float64]
 
 MIN_SPEED = 1e-3  # [m/s] below this a path counts as standing still
 

@@ -13,18 +13,15 @@ from functools import cache, cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.actuators import fin_share
-from auv_gym.physics.namespaces import ARRAYS, Number
+from auv_gym.physics.namespaces import ARRAYS, Array, Number
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.planning.feasibility import check, check_forces, check_rates
 from auv_gym.planning.paths import Path, evaluate
 from auv_gym.planning.sideslip import ORDER, RATES, PathRates, in_sideslip, rates_along, sine_of_sideslip
-
-Array = NDArray[np.float64]
 
 RUN_IN = 12.0  # integrated before the first sample, in memories Dm/d22; the small start error fades by exp(-12)
 MAX_STEP = 0.4  # largest integration step, in memories Dm/d22

@@ -21,15 +21,12 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
-from numpy.typing import NDArray
 
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.dynamics import rates
-from auv_gym.physics.namespaces import ARRAYS, Namespace, Number
+from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
 from auv_gym.physics.vehicle import Coefficients, Vehicle
-
-Array = NDArray[np.float64]
 
 ORDER = 4  # samples in each integration formula
 TERMS = 4  # of the equation, see `sideslip_terms`

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from auv_gym.rendering.canvas import ARROW_LENGTH, ARROW_MEMORY, CAMERA_TIME, NEAR_EXTENT, VEHICLE_LENGTH, Array
+from auv_gym.physics.namespaces import Array
+from auv_gym.rendering.canvas import ARROW_LENGTH, ARROW_MEMORY, CAMERA_TIME, NEAR_EXTENT, VEHICLE_LENGTH
 
 
 class View(NamedTuple):

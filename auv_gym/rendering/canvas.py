@@ -16,7 +16,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from auv_gym.physics.namespaces import Array
+
 Color = tuple[int, int, int]
 Box = tuple[float, float, float, float]
 """Left, top, width and height [units] of a rectangle."""

@@ -8,6 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.rendering.camera import Camera, View
 from auv_gym.rendering.canvas import (
     ALERT,
@@ -22,7 +23,6 @@ from auv_gym.rendering.canvas import (
     VEHICLE_LENGTH,
     VELOCITY,
     WHITE,
-    Array,
     Canvas,
     Color,
     mix,

@@ -18,14 +18,13 @@ from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.disturbances import Current, Waves
 from auv_gym.physics.errors import to_world
-from auv_gym.physics.namespaces import Namespace, Number
+from auv_gym.physics.namespaces import Array, Namespace, Number
 from auv_gym.physics.navigation import FixFilter, Reckoning, heading_errors
 from auv_gym.physics.rows import filled, leaves, numbered
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.simulation import REFERENCE, SAMPLE, SAMPLE_ROWS
 
-Array = NDArray[np.float64]
 Lanes = NDArray[np.int64]
 
 GROUP = 64  # lanes read together: few enough for the cache, many enough to pay for a call

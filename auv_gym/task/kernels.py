@@ -10,10 +10,10 @@ from functools import lru_cache
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from auv_gym.codegen.graph import SYMBOLS, single
 from auv_gym.codegen.kernel import Kernel
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.rows import filled, leaves
 from auv_gym.task.observation import SIZE, action_of, decode, encode
 from auv_gym.task.policy import Forces, corrected
@@ -29,7 +29,6 @@ from auv_gym.task.simulation import (
     step,
 )
 
-Array = NDArray[np.float64]
 ACTIONS = 2  # surge and yaw
 STATES = 6  # rows of a `dynamics.State`
 

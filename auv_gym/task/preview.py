@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.physics.errors import to_body
-from auv_gym.physics.namespaces import Namespace, Number
+from auv_gym.physics.namespaces import Array, Namespace, Number
 from auv_gym.planning.paths import Path, evaluate
 from auv_gym.task.observation import SIZE, L, Observation, bounds
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 FARTHEST = 1000

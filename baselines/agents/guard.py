@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.physics.intervals import check_number
-from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.vehicles import as_vehicle
 from auv_gym.task.observation import SIZE, Observation
@@ -26,7 +26,7 @@ from auv_gym.task.policy import Policy, preview_of
 from auv_gym.task.preview import shared_preview
 from baselines.agents.residual_policy import ResidualPolicy
 from baselines.control.backstepping import GAINS, Backstepping, Gains, backstepping_errors
-from baselines.policy import Array, Memory, batched, first_order, is_fast, reference_speed, renewed
+from baselines.policy import Memory, batched, first_order, is_fast, reference_speed, renewed
 
 CORRECTION = 1
 """Which array of an agent's memory is its last correction, shape (N, 2)."""

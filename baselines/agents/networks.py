@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.policy import Array
+from auv_gym.physics.namespaces import Array
 
 ACTIONS = 2  # outputs: the corrections of surge and yaw
 LARGEST = 4096

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from auv_gym.codegen.graph import SYMBOLS, Symbol, single
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients
 from auv_gym.task.observation import SIZE, action_of, decode
@@ -21,7 +21,7 @@ from auv_gym.task.policy import Forces, Law, Policy, corrected, preview_of, trac
 from auv_gym.task.preview import shared_preview
 from baselines.agents.features import STANDARD, Inputs, scaled_errors
 from baselines.agents.networks import ACTIONS, Network, Weights
-from baselines.policy import U_R, V_R, Array, Memory, batched, renewed, squared_speed, warn_of_lost_memory
+from baselines.policy import U_R, V_R, Memory, batched, renewed, squared_speed, warn_of_lost_memory
 from baselines.similar import shown_factors
 
 BLOCK = 128

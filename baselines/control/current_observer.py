@@ -23,7 +23,7 @@ from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.dynamics import rk4_step
 from auv_gym.physics.errors import to_body, to_world
-from auv_gym.physics.namespaces import Namespace, Number
+from auv_gym.physics.namespaces import Array, Namespace, Number
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.task.observation import Observation, V
 from baselines.control.backstepping import UNDAMPED_GAINS, Gains, tracking_forces
@@ -31,7 +31,7 @@ from baselines.control.ekf_law import undamped_symbols
 from baselines.estimation.kalman import VEHICLE_ROWS, repeated
 from baselines.estimation.water_frame import Planned, Sea, planned, reference_motion, water_errors
 from baselines.gains.loading import tuned_policy
-from baselines.policy import Array, Memory
+from baselines.policy import Memory
 
 OBSERVER_GAINS = (*UNDAMPED_GAINS, "fast", "slow")
 """Names of the gains: the law's, see `backstepping.undamped`, and the observer's poles [1/s]."""

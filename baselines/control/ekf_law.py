@@ -16,7 +16,7 @@ import numpy as np
 from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.errors import to_body
-from auv_gym.physics.namespaces import Namespace, Number
+from auv_gym.physics.namespaces import Array, Namespace, Number
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.task.observation import Observation
 from baselines.control.backstepping import GAINS, UNDAMPED_GAINS, Gains, bounded_error, tracking_forces, undamped
@@ -34,7 +34,7 @@ from baselines.estimation.kalman import (
 from baselines.estimation.sea_model import SIZE, WAVE_FREQUENCY, Estimate, wave_transition, waves_after
 from baselines.estimation.water_frame import Planned, Sea, planned, reference_motion, water_errors
 from baselines.gains.loading import tuned_policy
-from baselines.policy import Array, Memory, is_fast, squared_speed
+from baselines.policy import Memory, is_fast, squared_speed
 
 NEAR = 3.0  # [s] bound of the position error that the tuned gains see, see `backstepping.bounded_error`
 FAR = 8.0  # [s] travel time of the position error from which the expert's gains have most of the say

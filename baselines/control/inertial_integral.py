@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from auv_gym.physics.errors import to_body, to_world
-from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.task.observation import Observation
 from baselines.control.backstepping import bounded_error
-from baselines.policy import Array, reference_speed
+from baselines.policy import reference_speed
 
 
 def integrated(xi: Array, o: Observation, rate: float, horizon: float) -> Array:

@@ -13,13 +13,13 @@ from functools import partial
 
 import numpy as np
 
-from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.task.observation import Observation
 from baselines.control.backstepping import LAW_GAINS, Gains, bounded_error, tracking_forces
 from baselines.control.inertial_integral import integrated, seen_from_body
 from baselines.gains.loading import tuned_policy
-from baselines.policy import Array, Memory
+from baselines.policy import Memory
 
 INTEGRAL_GAINS = ("rate", "horizon", "surge")
 """[1/s] of the integral; [s] bound of error and integral as a travel time of the reference; [1] share of surge."""

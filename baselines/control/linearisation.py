@@ -11,10 +11,10 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from auv_gym.physics.dynamics import Force
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.paths import Circle, Line
 from auv_gym.planning.planner import plan
-from baselines.policy import Array
 
 Feedback = Callable[[Sequence[Array]], Force]
 """F_u [N], F_r [N m] of the first eleven terms of an observation, rows of shape (N,)."""

@@ -15,13 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from auv_gym.physics.errors import to_world
-from auv_gym.physics.namespaces import ARRAYS, wrap_angle
+from auv_gym.physics.namespaces import ARRAYS, Array, wrap_angle
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.task.observation import Observation
 from baselines.control.backstepping import bounded_error
 from baselines.control.inertial_integral import integrated, seen_from_body
 from baselines.gains.loading import tuned_policy
-from baselines.policy import Array, Memory, first_order, reference_speed
+from baselines.policy import Memory, first_order, reference_speed
 
 LARGEST_INTEGRAL = 0.5
 """Bound [rad s] of the heading autopilot's integral."""

@@ -17,14 +17,14 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.linalg import block_diag, expm, solve_discrete_are
 
-from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.task.observation import Observation
 from baselines.control.backstepping import bounded_error
 from baselines.control.inertial_integral import integrated, seen_from_body
 from baselines.control.linearisation import error_dynamics
 from baselines.gains.loading import tuned_policy
-from baselines.policy import Array, Memory, first_order
+from baselines.policy import Memory, first_order
 
 SPEEDS = np.geomspace(0.05, 2.5, 14)  # [m/s] u_R of the grid of gains; beyond it the gain at its edge is used
 TURN_RATES = np.linspace(-0.18, 0.18, 7)  # [rad/s] r_R of the grid of gains

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from auv_gym.physics.actuators import LEAST_SHARE, fin_share
 from auv_gym.physics.dynamics import State
 from auv_gym.physics.errors import to_body, tracking_errors
-from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.units import POWERS, Units
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.planning.paths import evaluate
@@ -37,7 +37,7 @@ from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.simulation import CURRENT, LOAD, start, step
 from baselines.control.linearisation import error_dynamics
-from baselines.control.truth import Array, Truth, nothing_sent
+from baselines.control.truth import Truth, nothing_sent
 from baselines.estimation.water_frame import braked
 from baselines.policy import is_fast
 

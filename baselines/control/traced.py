@@ -12,11 +12,11 @@ import numpy as np
 from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.dynamics import rk4_step
-from auv_gym.physics.namespaces import Namespace, Number
+from auv_gym.physics.namespaces import Array, Namespace, Number
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.task.observation import Observation
 from baselines.estimation.kalman import VEHICLE_ROWS, repeated
-from baselines.policy import Array, Memory
+from baselines.policy import Memory
 
 Equation: TypeAlias = Callable[[Observation, Any, Any, Coefficients, Namespace], tuple[Any, tuple[Number, Number]]]
 """Takes the observation in SI units, what is remembered, the gains, the vehicle as it is known and the namespace of the

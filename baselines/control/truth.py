@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 from auv_gym.envs.lanes import plan_of, reference_tables
 from auv_gym.physics.actuators import LONGEST_DELAY
 from auv_gym.physics.dynamics import State
-from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.rows import filled, leaves
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.exogenous import Tape
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.simulation import PLANT, Parameters, step
-
-Array = NDArray[np.float64]
 
 BODY = 8  # the first entries of a `Plant`: the state and the forces that the actuators apply
 

@@ -19,13 +19,13 @@ from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.codegen.matrices import symmetric
 from auv_gym.physics.intervals import check_number
-from auv_gym.physics.namespaces import ARRAYS, Namespace, Number
+from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.task.observation import Observation
 from baselines.estimation.faults import FAULTS, LATE, Faults, arrived
 from baselines.estimation.filter_equations import FIRST_NOISE, Belief, split, updated
 from baselines.estimation.sea_model import SIZE, Estimate
-from baselines.policy import Array, Memory
+from baselines.policy import Memory
 
 VEHICLE_ROWS = len(Coefficients._fields)  # how many rows tell a kernel of the vehicle
 

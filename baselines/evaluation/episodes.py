@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.envs.vector_api import AutoresetMode
+from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.policy import Policy, preview_of
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-Array = NDArray[np.float64]
+from auv_gym.physics.namespaces import Array
 
 RESAMPLES = 2000
 """Bootstrap samples behind an interval."""

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.envs.vector_api import AutoresetMode
+from auv_gym.physics.namespaces import Array
 from auv_gym.planning.paths import Line
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.kernels import MadeBodies
 from auv_gym.task.policy import Policy, preview_of
 from baselines.agents.programs import Program
-from baselines.evaluation.metrics import Array, Measures, Track, effort, rmse, settling_time, smoothness, tail_rmse
+from baselines.evaluation.metrics import Measures, Track, effort, rmse, settling_time, smoothness, tail_rmse
 from baselines.policy import Privileged
 
 ENV_ID = "auv_gym:UnderactuatedAUVTrack-v0"  # of the environment that policies are run in

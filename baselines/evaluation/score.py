@@ -17,10 +17,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.units import Units
 from auv_gym.scenarios.presets import REGIMES
 from auv_gym.scenarios.scenario import Scenario
-from baselines.evaluation.metrics import RESAMPLES, Array, Measures, resamplings, seed_shares
+from baselines.evaluation.metrics import RESAMPLES, Measures, resamplings, seed_shares
 
 EXPERT = "backstepping"  # the policy that scores 0
 ORACLE = "oracle"  # the policy that knows plant and sea, and regulates; it scores 1 in the oldest suites

@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.task.policy import Policy
-from baselines.evaluation.metrics import Array, tail_rmse
+from baselines.evaluation.metrics import tail_rmse
 from baselines.evaluation.rollout import Moment, Repeatable, beginning
 from baselines.evaluation.runner import Cell
 

@@ -8,10 +8,11 @@ from dataclasses import MISSING, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.stiffness import fastest_rate
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from baselines.identification.least_squares import first_states, fit, leave
-from baselines.identification.log import Array, Log
+from baselines.identification.log import Log
 from baselines.identification.model import CURRENT, HULL, LIMITS, PARAMETERS, Model
 from baselines.identification.start import WINDOWS, Start, start
 from baselines.identification.uncertainty import rough_noise

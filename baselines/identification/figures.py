@@ -14,10 +14,9 @@ import numpy as np
 
 from auv_gym.physics.actuators import Response, respond
 from auv_gym.physics.dynamics import State, rk4_step
-from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Coefficients
 from baselines.identification.fit import Identified
-from baselines.identification.log import Array
 from baselines.identification.model import HULL
 from baselines.identification.uncertainty import NORMAL
 

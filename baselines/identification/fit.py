@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from baselines.identification.begin import (
     FIRST_SEGMENT,
@@ -24,7 +25,7 @@ from baselines.identification.begin import (
     substeps_for,
 )
 from baselines.identification.least_squares import Left, first_states, fit
-from baselines.identification.log import Array, Log, unwrapped
+from baselines.identification.log import Log, unwrapped
 from baselines.identification.model import CURRENT, HULL, LIMITS, PARAMETERS, Model
 from baselines.identification.start import Start
 from baselines.identification.uncertainty import NORMAL, covariance, found_noise, rough_noise

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from baselines.identification.log import MEASURED, Array, unwrapped
+from auv_gym.physics.namespaces import Array
+from baselines.identification.log import MEASURED, unwrapped
 from baselines.identification.model import STATES, Model
 
 Indices = NDArray[np.int64]

@@ -22,8 +22,9 @@ from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.actuators import Response, respond
 from auv_gym.physics.dynamics import rk4_step
 from auv_gym.physics.errors import to_body
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Coefficients
-from baselines.identification.log import Array, Log
+from baselines.identification.log import Log
 
 HULL = Coefficients._fields  # the parameters of the vehicle
 LIMITS = ("F_u_max", "F_r_max")  # [N], [N m] of the actuators

@@ -18,9 +18,9 @@ from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.actuators import Response, respond
 from auv_gym.physics.dynamics import rates
-from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Coefficients
-from baselines.identification.log import Array, Log
+from baselines.identification.log import Log
 from baselines.identification.model import HULL
 
 LAGS = (0.0, 1.0, 3.0, 8.0, 20.0)  # candidates of the lag, in time steps

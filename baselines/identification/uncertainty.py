@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
+from auv_gym.physics.namespaces import Array
 from baselines.identification.least_squares import Left
-from baselines.identification.log import Array, Log, unwrapped
+from baselines.identification.log import Log, unwrapped
 
 NORMAL = 1.959964  # of a 95 % interval
 TINY = 1e-6  # least noise, as a share of the range of a measurement

@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 
 from auv_gym import __version__
-from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.observation import decode_observation
 from auv_gym.task.policy import Policy
 from baselines.agents.features import ERRORS, scaled_errors
-from baselines.evaluation.metrics import Array
 from baselines.evaluation.rollout import Moment
 from baselines.evaluation.runner import Cell, drawn
 from baselines.evaluation.score import cut, is_lost, largest_tail, regime_of, waters_of

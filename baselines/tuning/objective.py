@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.mixtures import adverse
 from auv_gym.scenarios.presets import CASES, PRESETS
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import PAPER, Craft
 from auv_gym.task.policy import Policy
-from baselines.evaluation.metrics import Array, effort, smoothness, tail_rmse
+from baselines.evaluation.metrics import effort, smoothness, tail_rmse
 from baselines.evaluation.rollout import Begun, Repeatable
 from baselines.evaluation.score import LARGEST_TAIL, cut, is_lost
 

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from auv_gym.installation import install
+from auv_gym.physics.namespaces import Array
 from auv_gym.task.policy import Policy
-from baselines.policy import Array
 from baselines.tools.seeds import TUNING, TUNING_CHECK
 from baselines.tuning.objective import Course, Result
 

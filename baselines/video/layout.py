@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.rendering.camera import Camera, View
 from auv_gym.rendering.canvas import ALERT, CURRENT, INK, MUTED, VEHICLE, WHITE, Canvas, Color
 from auv_gym.rendering.cards import round_down
 from auv_gym.rendering.scene import Body, draw_ghost, draw_world
 from baselines.video.chart import Chart
-from baselines.video.recording import Array, Instant, Voyage
+from baselines.video.recording import Instant, Voyage
 
 HULLS: tuple[Color, ...] = (VEHICLE, (0, 158, 115), (204, 121, 167), (90, 90, 90), (240, 228, 66))
 """Colours of vehicles and their errors, in the order of the policies."""

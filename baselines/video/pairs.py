@@ -6,12 +6,11 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.metrics import bootstrap_interval
 
-Array = NDArray[np.float64]
 Tails = Mapping[str, Array]
 """Tail RMSE [m] of policies by name, an entry for each of N episodes that are the same for all."""
 

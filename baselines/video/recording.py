@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.policy import preview_of
 from baselines.evaluation.rollout import beginning, play
 from baselines.policies import make_policy
 from baselines.policy import Privileged
-
-Array = NDArray[np.float64]
 
 
 class Instant(NamedTuple):

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.planning.paths import PAPER_CIRCLE
@@ -16,8 +15,6 @@ from baselines.evaluation.stability.closed_loop import Response
 from baselines.tools.figure_style import COLOURS, REFERENCE, panels, styled, to_png
 from research.paper.noise_study import POSITION_NOISE, TRANSIENT, NoiseRun, noise_scenario
 from research.paper.numbers import CHOSEN, SIGNS, Reproduction
-
-Array = NDArray[np.float64]
 
 EARLY = 40.0
 """End of the panels that show the transient [s]."""

@@ -6,15 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.sensors import Sensors
 from auv_gym.scenarios.scenario import Scenario
 from baselines.control.backstepping import Backstepping
 from baselines.evaluation.rollout import beginning, play
 from baselines.evaluation.runner import drawn
-
-Array = NDArray[np.float64]
 
 POSITION_NOISE = 0.1  # [m]
 HEADING_NOISE = math.radians(1.0)  # [rad], and per second for the yaw rate

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.planning.paths import PAPER_CIRCLE, Circle
 from auv_gym.planning.planner import plan, printed_surge_rate
@@ -29,8 +30,6 @@ from baselines.evaluation.stability.analysis import (
 )
 from baselines.evaluation.stability.closed_loop import Response, respond, settling_time
 from research.paper.noise_study import POSITION_NOISE, NoiseRun, noise_study
-
-Array = NDArray[np.float64]
 
 PAPER_GAINS = GAINS["paper"]  # those printed in the paper
 SIGNS = tuple(itertools.product((1, -1), repeat=3))

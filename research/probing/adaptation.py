@@ -20,13 +20,13 @@ from typing import Any
 import numpy as np
 
 from auv_gym.envs.lanes import plan_of, reference_tables
+from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.episode import Episode
 from auv_gym.task.policy import preview_of
 from baselines.control.backstepping import StabilityWarning
 from baselines.evaluation.metrics import resamplings
 from baselines.evaluation.rollout import beginning, play
 from baselines.evaluation.score import LARGEST_TAIL
-from baselines.policy import Array
 from research.probing.changes import BEFORE, CHANGES, LENGTHS, Trial
 from research.probing.tap import acting
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.errors import to_body
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.presets import PRESETS
@@ -23,7 +24,7 @@ from baselines.evaluation.rollout import beginning, play
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import regime_of
 from baselines.policies import make_policy
-from baselines.policy import Array, Memory
+from baselines.policy import Memory
 from research.probing.tap import AT_ONCE, HIDDEN, Beside, Tapped, acting, remembering
 from research.seeds import PROBING
 

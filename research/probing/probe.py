@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import PRESETS
-from baselines.policy import Array
 from research.probing.collect import SOURCES, TARGETS, Collected, collected, episodes_of
 from research.probing.probes import FLAT, Probed, Read, bent, lead, linear, read
 

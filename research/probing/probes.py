@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.evaluation.metrics import Array, resamplings
+from auv_gym.physics.namespaces import Array
+from baselines.evaluation.metrics import resamplings
 
 HELD_BACK = 10.0 ** np.arange(-4.0, 5.0)
 """Penalties that are tried, as shares of the number of episodes."""

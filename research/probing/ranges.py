@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from auv_gym.physics.actuators import Actuators
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import PAPER, Craft, craft, fleet
 from baselines.agents.agent import RECORD
 from baselines.agents.names import agent_folder
-from baselines.policy import Array
 from baselines.tools.files import read_json
 
 HULLS = "baselines.training.vehicle_models"  # the module that draws hulls, for agents that are told them

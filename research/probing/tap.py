@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.task.policy import Policy, preview_of
 from baselines.agents.agent import Agent
@@ -15,7 +16,7 @@ from baselines.agents.names import agent_folder
 from baselines.agents.networks import Layers, Network
 from baselines.agents.residual_policy import BLOCK, ResidualPolicy
 from baselines.policies import make_policy
-from baselines.policy import Array, Memory
+from baselines.policy import Memory
 from baselines.similar import made_for
 from research.robustness.situations import PRECISION
 

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from baselines.control.backstepping import StabilityWarning
 from baselines.evaluation import recorded
@@ -22,7 +23,6 @@ from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import LARGEST_TAIL, RIVAL, Score, capped, cut, is_lost, lead, regime_of, seeds_score
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.evaluation.suites import load
-from baselines.policy import Array
 from research.probing.collect import HULL, SEED
 from research.probing.tap import acting
 

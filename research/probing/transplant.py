@@ -14,13 +14,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.policy import preview_of
 from baselines.evaluation.metrics import resamplings
 from baselines.evaluation.rollout import beginning, play
-from baselines.policy import Array, Memory
+from baselines.policy import Memory
 from research.probing.collect import agent_of, episodes_of
 from research.probing.tap import HIDDEN, REMEMBERED, Swap, Tapped
 

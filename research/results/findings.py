@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import REGIMES
 from baselines.agents.names import agent_of, shipped_agents
 from baselines.evaluation import recorded
-from baselines.evaluation.metrics import Array, most_lost
+from baselines.evaluation.metrics import most_lost
 from baselines.evaluation.score import (
     ADVERSE_RIVAL,
     RIVAL,

@@ -11,9 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import REGIMES
 from baselines.control import POLICIES
-from baselines.evaluation.metrics import Array, Measures
+from baselines.evaluation.metrics import Measures
 from baselines.evaluation.score import EXPERT, fixed, fixed_ends
 from baselines.tools.figure_style import COLOURS, MARKERS, panels, styled, to_png
 from research.pages import table

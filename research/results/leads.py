@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from baselines.evaluation.metrics import Array, resamplings, seed_shares
+from auv_gym.physics.namespaces import Array
+from baselines.evaluation.metrics import resamplings, seed_shares
 
 LEVEL = 0.05
 """Chance of a single wrong statement among all of a table, after Holm's correction."""

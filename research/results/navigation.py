@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from baselines.evaluation.metrics import Array, bootstrap_interval
+from auv_gym.physics.namespaces import Array
+from baselines.evaluation.metrics import bootstrap_interval
 from baselines.evaluation.score import FORESIGHTED, fixed, fixed_ends, regime_of
 from research.pages import table
 from research.results.collection import Results

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import LogNorm
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES
 from auv_gym.scenarios.scenario import RandomPath
-from baselines.evaluation.metrics import Array, bootstrap_interval
+from baselines.evaluation.metrics import bootstrap_interval
 from baselines.evaluation.report.columns import COLUMNS, lost_text
 from baselines.evaluation.report.numbers import Entry
 from baselines.evaluation.score import BOUND

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import CASES, REGIMES
-from baselines.evaluation.metrics import Array, share_interval
+from baselines.evaluation.metrics import share_interval
 from baselines.evaluation.score import EXPERT, LARGEST_TAIL, Score, fixed, fixed_ends, seeds_score
 from research.pages import table
 from research.results.residual_file import CURVE, RESIDUAL, SCRATCH, SHIPPED, STUCK, Group

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import CASES
-from baselines.evaluation.metrics import Array
 from baselines.evaluation.score import LARGEST_TAIL
 from baselines.tools.files import guarded, read_json, write_atomically
 from research import DATA

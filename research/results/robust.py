@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import REGIMES
-from baselines.evaluation.metrics import Array
 from baselines.evaluation.score import FORESIGHTED, RIVAL, capped, fixed, regime_of
 from research.pages import table
 from research.results.collection import Results, results_of

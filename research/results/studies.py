@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
-from baselines.evaluation.metrics import Array
+from auv_gym.physics.namespaces import Array
 from baselines.evaluation.report.columns import lost_text
 from baselines.evaluation.score import EXPERT, RIVAL, capped, interval_text, lead, score_text, seeds_score, waters_of
 from baselines.tools.figure_style import LOOKS, REFERENCE, panels, to_png

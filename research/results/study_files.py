@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.physics.namespaces import Array
 from baselines.evaluation import suites
-from baselines.evaluation.metrics import Array, Measures
+from baselines.evaluation.metrics import Measures
 from baselines.evaluation.runner import Run
 from baselines.evaluation.score import cut, in_paper_units, is_lost, largest_tail, waters_of
 from baselines.evaluation.store import Stored, reading, write

@@ -11,7 +11,8 @@ import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from baselines.evaluation.metrics import Array, Measures
+from auv_gym.physics.namespaces import Array
+from baselines.evaluation.metrics import Measures
 from baselines.evaluation.report.columns import lost_text
 from baselines.evaluation.report.numbers import measures_of
 from baselines.evaluation.score import (

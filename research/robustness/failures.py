@@ -8,12 +8,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.task.policy import Policy, preview_of
 from baselines.agents.agent import Agent
 from baselines.agents.networks import ACTIONS, Layers, Network
 from baselines.agents.residual_policy import ResidualPolicy
-from baselines.policy import Array, Memory
+from baselines.policy import Memory
 
 SHUFFLE = 0
 """Seed of the order that shuffled weights are in: the same for every agent with a network of that size."""

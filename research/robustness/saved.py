@@ -15,6 +15,7 @@ import numpy as np
 from tyro.conf import arg
 
 from auv_gym.installation import checkout
+from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import REGIMES
 from baselines.agents.agent import Agent
 from baselines.agents.guard import Guarded, bounded_law
@@ -26,7 +27,6 @@ from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import EXPERT, capped, is_lost, largest_tail, waters_of
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.policies import make_policy
-from baselines.policy import Array
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from research.robustness.failures import FAILURES, Failing

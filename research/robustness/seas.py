@@ -17,11 +17,11 @@ import numpy as np
 
 from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch, RandomWaves
 from auv_gym.physics.intervals import Interval
+from auv_gym.physics.namespaces import Array
 from auv_gym.planning.paths import PATHS
 from auv_gym.scenarios.mixtures import SLEW_TIMES, adverse
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
-from baselines.policy import Array
 
 KINDS = ("storm", "adverse")
 """What ranges are stretched: those of a regime's storm, on slewing thrusters; or those of its adverse storm too."""

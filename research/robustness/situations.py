@@ -9,6 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.presets import CASES, PRESETS
 from auv_gym.scenarios.scenario import RandomPath, Scenario
@@ -18,7 +19,6 @@ from baselines.agents.features import STANDARD
 from baselines.agents.names import agent_folder
 from baselines.agents.networks import Gru
 from baselines.control.backstepping import StabilityWarning
-from baselines.evaluation.metrics import Array
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import EXPERT, LARGEST_TAIL, cut, is_lost
 from baselines.evaluation.side_by_side import SideBySide

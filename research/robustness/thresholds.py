@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from tyro.conf import arg
 
 from auv_gym.installation import checkout
+from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.mixtures import OUTAGE_TIMES, SLEW_TIMES, adverse, hasty, slewing
 from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES
 from auv_gym.scenarios.scenario import Scenario, Start
@@ -28,7 +29,6 @@ from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import EXPERT, cut, is_lost, largest_tail
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.policies import make_policy
-from baselines.policy import Array
 from baselines.tools.command_line import DONE, UsageError, check_words, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from research import DATA

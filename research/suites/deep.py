@@ -12,14 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.navigation import RandomReckoning
 from auv_gym.physics.sensors import Sensors
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.presets import PRESETS, REGIMES
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.simulation import SAMPLE, estimated_position
-from baselines.control.truth import Array, Truth
+from baselines.control.truth import Truth
 from baselines.evaluation.metrics import tail_rmse
 from baselines.evaluation.runner import Cell
 

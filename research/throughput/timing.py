@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from auv_gym.physics.namespaces import Array
+
 Run = Callable[[], Sequence[float]]
 """Does some work and returns the processor time [s] a unit of each piece of it."""
 

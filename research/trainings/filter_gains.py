@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from auv_gym.physics.namespaces import FLOATS
+from auv_gym.physics.namespaces import FLOATS, Array
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.presets import PRESETS, REGIMES
 from auv_gym.scenarios.scenario import Scenario
@@ -31,7 +31,7 @@ from baselines.agents.filters import (
 from baselines.estimation.filter_equations import Units, excitation
 from baselines.estimation.kalman import Tuning
 from baselines.estimation.sea_model import AT, SIZE, Estimate, measurement, transition
-from baselines.policy import CRUISE_SPEED, Array
+from baselines.policy import CRUISE_SPEED
 from baselines.tools.files import write_atomically
 
 SPEEDS = {"slow": (0.06, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4), "cruise": (0.41, 0.5, 0.65, 0.8, 1.0, 1.25, 1.5, 2.0)}

@@ -18,12 +18,13 @@ import numpy as np
 from tyro.conf import arg
 
 from auv_gym.installation import checkout
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.units import Units
 from auv_gym.scenarios.presets import CASES
 from auv_gym.scenarios.presets import as_scenario as preset
 from auv_gym.scenarios.vehicles import fleet
 from baselines.agents.names import agent_folder
-from baselines.evaluation.metrics import Array, resamplings
+from baselines.evaluation.metrics import resamplings
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import EXPERT, LARGEST_TAIL, RIVAL, cut, is_lost, relative_error

@@ -9,13 +9,13 @@ import numpy as np
 
 from auv_gym.physics.actuators import ordered
 from auv_gym.physics.dynamics import Force, State
-from auv_gym.physics.namespaces import ARRAYS, Namespace, Number
+from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
 from auv_gym.physics.rows import filled, leaves
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.task.kernels import ACTIONS, OUTCOMES, MadeBodies, Outcome, Side
 from auv_gym.task.observation import SIZE, encode
 from auv_gym.task.simulation import PLANT, PLANT_ROWS, Parameters, Parts, Plant, current_at, step
-from research.transfer.six_dof import Array, Deviation, Outside
+from research.transfer.six_dof import Deviation, Outside
 from research.transfer.worlds import World
 
 MadeWorld = Callable[[int], World]

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.vehicles import craft
 from auv_gym.task.kernels import MadeBodies
 from auv_gym.task.policy import preview_of
-from baselines.evaluation.metrics import Array, Measures, resamplings
+from baselines.evaluation.metrics import Measures, resamplings
 from baselines.evaluation.rollout import Log, beginning, play
 from baselines.evaluation.runner import Cell, drawn
 from baselines.policies import make_policy

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from auv_gym.physics.errors import to_body
-from auv_gym.physics.namespaces import FLOATS
-from research.transfer.six_dof import AS_PUBLISHED, Array, Motion, Outside, level, place_rates
+from auv_gym.physics.namespaces import FLOATS, Array
+from research.transfer.six_dof import AS_PUBLISHED, Motion, Outside, level, place_rates
 from research.transfer.worlds import MODELS, STEP
 
 PACKAGE = "python_vehicle_simulator"  # what the user installs

@@ -15,10 +15,9 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from auv_gym.physics.namespaces import FLOATS, Namespace, Number
+from auv_gym.physics.namespaces import FLOATS, Array, Namespace, Number
 from research.transfer.six_dof import (
     GRAVITY,
-    Array,
     Deviation,
     Motion,
     Outside,

@@ -15,10 +15,9 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from auv_gym.physics.namespaces import Namespace, Number
+from auv_gym.physics.namespaces import Array, Namespace, Number
 from research.transfer.six_dof import (
     GRAVITY,
-    Array,
     Deviation,
     Motion,
     Outside,

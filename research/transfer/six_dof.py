@@ -11,12 +11,10 @@ from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from auv_gym.codegen.matrices import dot
-from auv_gym.physics.namespaces import Namespace, Number
+from auv_gym.physics.namespaces import Array, Namespace, Number
 
-Array = NDArray[np.float64]
 Vector: TypeAlias = Sequence[Number]
 Matrix: TypeAlias = Sequence[Sequence[float]]
 

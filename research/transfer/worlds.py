@@ -11,10 +11,10 @@ import numpy as np
 
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.physics.namespaces import Namespace
+from auv_gym.physics.namespaces import Array, Namespace
 from research.transfer.otter import OTTER, OTTER_VARIANTS
 from research.transfer.remus100 import REMUS100, REMUS100_VARIANTS
-from research.transfer.six_dof import AS_PUBLISHED, Array, Deviation, Outside, Vector
+from research.transfer.six_dof import AS_PUBLISHED, Deviation, Outside, Vector
 
 STEP = 0.02  # [s] longest integration step, that of the source
 LEVEL = 6  # x, y, psi, u, v, r

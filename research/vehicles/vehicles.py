@@ -19,6 +19,7 @@ from scipy import stats
 from tyro.conf import Positional, UseAppendAction, arg
 
 from auv_gym.installation import checkout
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.fitting import changed
@@ -26,7 +27,7 @@ from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.vehicles import PAPER, Craft, fleet
 from auv_gym.task.policy import Policy
 from baselines.control import POLICIES, make_controller
-from baselines.evaluation.metrics import RESAMPLES, Array
+from baselines.evaluation.metrics import RESAMPLES
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import LARGEST_TAIL, RIVAL, cut, is_lost

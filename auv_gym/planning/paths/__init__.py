@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from auv_gym.planning.paths.base import Array, Path
+from auv_gym.physics.namespaces import Array
+from auv_gym.planning.paths.base import Path
 from auv_gym.planning.paths.closed import PAPER_CIRCLE, Circle, Ellipse, FigureEight, Line, Sine
 from auv_gym.planning.paths.spline import Spline
 from auv_gym.planning.paths.turning import Lawnmower, RandomSmooth

@@ -9,11 +9,10 @@ from numbers import Real
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from auv_gym.physics.intervals import is_float
+from auv_gym.physics.namespaces import Array
 
-Array = NDArray[np.float64]
 Uniform = Callable[[], float]
 """Returns the next random number in [0, 1)."""
 

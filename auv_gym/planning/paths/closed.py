@@ -14,7 +14,8 @@ import numpy as np
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-from auv_gym.planning.paths.base import Array, Uniform, place, validate
+from auv_gym.physics.namespaces import Array
+from auv_gym.planning.paths.base import Uniform, place, validate
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from auv_gym.planning.paths.base import Array, is_number
+from auv_gym.physics.namespaces import Array
+from auv_gym.planning.paths.base import is_number
 from auv_gym.planning.paths.turning import _NODES, _WEIGHTS
 
 _DOMAIN_ROUNDING = 1e-9  # [s] by which a time may leave a spline's domain

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-from auv_gym.planning.paths.base import Array, Uniform, place, validate
+from auv_gym.physics.namespaces import Array
+from auv_gym.planning.paths.base import Uniform, place, validate
 
 
 def _turn_coefficients() -> Array:

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.physics.errors import to_body
+from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
-from baselines.control.clairvoyant.problem import ACTIONS, STATES, Array, Problem
+from baselines.control.clairvoyant.problem import ACTIONS, STATES, Problem
 from baselines.control.clairvoyant.receding import WINDOWS, foreseeing
 from baselines.control.clairvoyant.solver import DAMPING, solved
 from baselines.control.oracle import rehearsed, settling_gains, true_plan

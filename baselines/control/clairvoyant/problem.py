@@ -24,6 +24,7 @@ from auv_gym.codegen.derivatives import jacobian
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.codegen.matrices import congruence, dot, symmetric, triangle
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.rows import leaves
 from auv_gym.physics.units import Units
 from auv_gym.scenarios.episode import Episode
@@ -31,8 +32,6 @@ from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.simulation import PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts, Sample, moved
 from baselines.control.nmpc.gauss_newton import feedback_law
 from baselines.control.truth import Truth
-
-Array = NDArray[np.float64]
 
 STATES = 8  # x, y, psi, u, v, r of the vehicle and F_u, F_r of its actuators
 ACTIONS = 2  # a_u, a_r: commands as fractions of what action 1 gives

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.control.clairvoyant.problem import Array, Problem
+from auv_gym.physics.namespaces import Array
+from baselines.control.clairvoyant.problem import Problem
 from baselines.control.clairvoyant.solver import refined
 
 

@@ -11,7 +11,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.control.clairvoyant.problem import Array, Course, Problem, Way
+from auv_gym.physics.namespaces import Array
+from baselines.control.clairvoyant.problem import Course, Problem, Way
 from baselines.control.nmpc.problem import replaced, taken
 
 TOLERANCE = 1e-5

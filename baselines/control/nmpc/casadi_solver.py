@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from auv_gym.physics.namespaces import Array
 from baselines.control.nmpc.problem import (
     COMMANDS,
     KNOWN,
@@ -22,7 +23,6 @@ from baselines.control.nmpc.problem import (
     stage,
     stage_costs,
 )
-from baselines.policy import Array
 
 
 class CasadiSolver:

@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.errors import to_world
-from auv_gym.physics.namespaces import ARRAYS, Namespace, Number
+from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.task.observation import Observation
 from baselines.control.backstepping import GAINS, tracking_forces
@@ -39,7 +39,7 @@ from baselines.estimation.faults import FAULTS, LATE, Faults
 from baselines.estimation.kalman import FAULT_TUNING, TUNING, ExtendedKalmanFilter, arrival, tuning_of
 from baselines.estimation.sea_model import SIZE, Estimate, current_after, lag_response, wave_transition, waves_after
 from baselines.gains.loading import tuned_policy
-from baselines.policy import Array, Memory, Remembering
+from baselines.policy import Memory, Remembering
 
 PREVIEW = (1, 2, 4, 6, 8, 11, 14, 17, 20, 24, 28, 32, 36, 40, 45, 50)
 """Where the stages of the horizon end, in control periods: 5 s ahead at cruise, 10 s in slow motion."""

@@ -19,7 +19,7 @@ from auv_gym.codegen.derivatives import gradient, jacobian
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.codegen.matrices import Matrix, congruence, dot, product, symmetric, triangle
-from auv_gym.physics.namespaces import Namespace, Number
+from auv_gym.physics.namespaces import Array, Namespace, Number
 from auv_gym.physics.vehicle import Coefficients
 from baselines.control.nmpc.problem import (
     COMMANDS,
@@ -42,7 +42,6 @@ from baselines.control.nmpc.problem import (
     taken,
 )
 from baselines.estimation.sea_model import AT, HULL
-from baselines.policy import Array
 
 LENGTHS = (1.0, 0.3, 0.05)
 """Parts of a step that are tried until one lowers the cost; where none does, the commands stay as they are."""

@@ -18,11 +18,10 @@ from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.dynamics import rk4_step
 from auv_gym.physics.intervals import check_number
-from auv_gym.physics.namespaces import Number
+from auv_gym.physics.namespaces import Array, Number
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from baselines.estimation.kalman import VEHICLE_ROWS, repeated
 from baselines.estimation.sea_model import AT
-from baselines.policy import Array
 
 Integers = NDArray[np.int64]
 

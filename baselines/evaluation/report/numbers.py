@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import REGIMES
-from baselines.evaluation.metrics import Array, Measures, Summary, ratio, summarise
+from baselines.evaluation.metrics import Measures, Summary, ratio, summarise
 from baselines.evaluation.runner import Run
 from baselines.evaluation.score import (
     AT,

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.scenario import Scenario
-from baselines.evaluation.metrics import Array, Track
+from baselines.evaluation.metrics import Track
 from baselines.evaluation.report.charts import charts
 from baselines.evaluation.report.columns import digits, ends, lost_text, ranked
 from baselines.evaluation.report.numbers import Entry, Result

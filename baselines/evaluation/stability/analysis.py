@@ -9,13 +9,12 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from auv_gym.physics.dynamics import Force
-from auv_gym.physics.namespaces import ARRAYS, Namespace, Number
+from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.task.observation import encode
 from auv_gym.task.policy import Policy
 from baselines.control.backstepping import Backstepping, Gains, backstepping_errors, tracking_forces
 from baselines.control.linearisation import FINE_STEP, Feedback, Linearisation, linearise
-from baselines.policy import Array
 from baselines.similar import SimilarLaw
 
 Law = Callable[[Sequence[Number], Vehicle, Gains, Namespace], Force]

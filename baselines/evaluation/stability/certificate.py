@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_lyapunov
 
 from auv_gym.installation import install
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.task.policy import Policy
 from baselines.control.linearisation import linearise_about
 from baselines.evaluation.stability.analysis import feedback_of
-from baselines.policy import Array
 
 MISSING = f"the certificate needs a semidefinite solver: {install('certificate')}"  # message of an error
 COARSE = 3  # points on each axis of r_R and gamma of the grid that a certificate is searched on

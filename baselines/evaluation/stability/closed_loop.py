@@ -6,18 +6,15 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from auv_gym.physics.dynamics import Force, State, state_rates
 from auv_gym.physics.errors import to_body, tracking_errors
-from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.paths import Circle
 from auv_gym.planning.planner import plan
 from baselines.control.backstepping import Gains, tracking_forces
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

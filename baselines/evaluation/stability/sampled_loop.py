@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.physics.errors import to_body, to_world
-from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.paths import Circle, Line
 from auv_gym.planning.planner import plan
@@ -29,7 +29,7 @@ from auv_gym.task.observation import Observation, encode
 from auv_gym.task.policy import Policy, preview_of
 from auv_gym.task.preview import encode_preview
 from auv_gym.task.simulation import SAMPLE, SAMPLE_ROWS, start, step
-from baselines.policy import CRUISE_SPEED, Array, Memory, Privileged
+from baselines.policy import CRUISE_SPEED, Memory, Privileged
 
 VEHICLE = 8
 """How many entries of z are not memory: six errors and the last action."""

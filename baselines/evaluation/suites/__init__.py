@@ -25,12 +25,13 @@ import numpy as np
 
 from auv_gym.installation import checkout, found, left_out
 from auv_gym.physics.disturbances import Current, Waves
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.paths import PATHS
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.records import from_record, to_record
 from auv_gym.scenarios.scenario import Scenario
-from baselines.control.truth import Array, samples
+from baselines.control.truth import samples
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import BY_ORACLE, Anchors
 

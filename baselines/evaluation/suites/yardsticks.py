@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.evaluation.metrics import Array
+from auv_gym.physics.namespaces import Array
 from baselines.evaluation.rollout import PolicyError, rollout
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import BY_ORACLE, cap_of, cut

@@ -25,7 +25,7 @@ from baselines.training.apg.kernels import LoopKernels
 from baselines.training.apg.settings import PAIR, Settings
 from baselines.training.apg.torch_network import put, torch_network
 from baselines.training.apg.vehicles import TrainingVehicles
-from baselines.training.apg.window import Array, Objective, Window
+from baselines.training.apg.window import Objective, Window
 from baselines.training.config import Config
 from baselines.training.vehicle_models import variants_of, with_model_error
 
@@ -35,7 +35,7 @@ class Learned(NamedTuple):
 
     loss: float  # the group's part of the mean over all vehicles
     error: float  # [m] the group's part of the mean position error
-    gradients: dict[str, Array]  # of the loss, by the names of the weights
+    gradients: dict[str, NDArray[Any]]  # of the loss, by the names of the weights
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Group:
         ahead, samples = self.vehicles.window()
         fresh, nothing = self.vehicles.fresh, np.zeros_like(self.vehicles.fresh)
 
-        def act(k: int, observation: Array) -> Array:
+        def act(k: int, observation: NDArray[Any]) -> NDArray[Any]:
             return self._act(observation, ahead[k], nothing if k else fresh)
 
         loss, error, carried, squared_error = self._window.run(
@@ -110,7 +110,7 @@ class Group:
         gradients = {name: p.grad.numpy() for name, p in self._network.named_parameters() if p.grad is not None}
         return Learned(loss, self._part * error, gradients)
 
-    def _act(self, observation: Array, ahead: Array, fresh: NDArray[np.bool_]) -> Array:
+    def _act(self, observation: NDArray[Any], ahead: NDArray[Any], fresh: NDArray[np.bool_]) -> NDArray[Any]:
         """Return the action of an expert on NumPy, shape (ACTIONS, N)."""
         rows = observation.T.astype(np.float64)
         if self._seen_by_expert:

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.envs.lanes import Lanes, Planned
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.simulation import SAMPLE_ROWS, Parts
 from baselines.agents.features import STANDARD
 from baselines.agents.networks import ACTIONS
-from baselines.training.apg.window import Array, Carried
+from baselines.training.apg.window import Carried
 
 TURNS = 4  # of its scenarios that a vehicle tries at most until an episode can be planned
 

@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvStepReturn, VecEnvWrapper
 
-from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.task.observation import SIZE, decode_observation
 from baselines.agents.features import BOUND, FEATURES, INTEGRALS, STANDARD
 from baselines.agents.networks import ACTIONS
-
-Array = NDArray[np.float64]
 
 
 class VecFeatures(VecEnvWrapper):

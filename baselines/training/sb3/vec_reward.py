@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvObs, VecEnvStepReturn, VecEnvWrapper
 
-from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.task.observation import decode_observation
 from baselines.policy import SPEED_FLOOR, reference_speed
-
-Array = NDArray[np.float64]
 
 LINEAR = 2.0  # [s] lag up to which the error costs in proportion; beyond, its logarithm does, with the same slope
 

@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.control.clairvoyant.problem import TAIL, Array
+from auv_gym.physics.namespaces import Array
+from baselines.control.clairvoyant.problem import TAIL
 from research.lower_bounds.floor.model import DRIVEN, Model
 
 SAMPLES = 16

@@ -26,12 +26,13 @@ from auv_gym.codegen.derivatives import jacobian
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.intervals import Interval
+from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.exogenous import WAVE_ROWS, wave_components
 from auv_gym.scenarios.scenario import Scenario, Start
 from auv_gym.task.simulation import CURRENT, LOAD, PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts, moved
 from baselines.control.clairvoyant.policy import arriving, oracle_actions
-from baselines.control.clairvoyant.problem import ACTIONS, STATES, Array, Course, Problem
+from baselines.control.clairvoyant.problem import ACTIONS, STATES, Course, Problem
 from baselines.control.clairvoyant.solver import solved
 
 POSE = slice(0, 6)  # the part of z that is the pose
