@@ -31,7 +31,7 @@ stability, least of all for other vehicles, speeds or sensors.
 """
 TOLD = """\
 It is told the vehicle: `baselines.make_policy(PATH, vehicle=V)` makes it for V, in V's own units. Those that it has
-learned on are in `baselines.training.hulls`.
+learned on are in `baselines.training.vehicle_models`.
 """
 """What is said besides of an agent that is told its vehicle."""
 

@@ -16,7 +16,7 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.fitting import changed, in_vehicle_units
 from auv_gym.scenarios.mixtures import Mixture
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.scenarios.vehicles import Craft, as_craft, as_vehicle
+from auv_gym.scenarios.vehicles import Craft
 from baselines.agents.agent import WEIGHTS, Agent
 from baselines.agents.names import agent_folder, shipped_agents
 from baselines.tools.files import read_bytes
@@ -89,17 +89,6 @@ def loaded(origin: Origin) -> Agent:
     if folder is None or digest(folder) != origin.weights_sha256:
         raise ValueError(f"the agent {origin.agent!r} that this training is to begin with is another one by now")
     return Agent.load(folder)
-
-
-def checked_craft(vehicle: str) -> Craft | None:
-    """Return the vehicle of a name or a file with all that belongs to it; None for the paper's.
-
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: there is no such vehicle, or its file is wrong.
-    """
-    as_vehicle(vehicle)
-    return as_craft(vehicle)
 
 
 def fitted(mixture: Mixture, craft: Craft) -> tuple[Mixture, tuple[str, ...]]:

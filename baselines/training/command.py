@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import importlib
 import sys
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
+from datetime import timedelta
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
 from baselines.agents.agent import Agent
 from baselines.agents.model_card import CURVE
 from baselines.evaluation.request import checked
 from baselines.tools.command_line import DONE, FAILED, WRONG_USAGE, UsageError, WorkerError
+from baselines.tools.figure_style import COLOURS, REFERENCE, panels, styled, to_png
 from baselines.tools.files import versions, write_atomically
 from baselines.training.config import ALGORITHMS, Config
-from baselines.training.learning_curve import learning_curve
-from baselines.training.progress import live, plain
 from baselines.training.request import Request
-from baselines.training.run_folder import AGENT, Run, TrainingError, locked, read_progress
+from baselines.training.run_folder import AGENT, Run, State, TrainingError, locked, read_progress
 
 
 def train(request: Request) -> int:
@@ -60,7 +64,7 @@ def train_one(
     if (folder / AGENT).exists():
         return DONE, f"{label}{folder} holds the finished agent: python evaluate.py --policy {folder / AGENT}"
     try:
-        with locked(folder), nullcontext(plain(label)) if one_of_several else live(config) as show:
+        with locked(folder), nullcontext(_plain(label)) if one_of_several else _live(config) as show:
             run = Run(config, folder, show, processes)
             agent = importlib.import_module(ALGORITHMS[config.algo]).train(run)
             score = _finish(run, agent, command)
@@ -89,3 +93,68 @@ def _finish(run: Run, agent: Agent, command: str) -> float:
     region = run.validation.run(agent.policy(vehicle=run.config.vehicle)).region
     replace(agent, region=region, training={**training, **agent.training}).save(run.folder / AGENT, curve)
     return kept["score"]
+
+
+@contextmanager
+def _live(config: Config) -> Iterator[Callable[[State], None]]:
+    """Yield what shows the states of one run on stderr."""
+    console = Console(stderr=True, highlight=False)
+    if not console.is_terminal:
+        yield _plain("")
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TextColumn("{task.fields[text]}"))
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(config.algo, total=config.timesteps, text="")
+        yield lambda state: bar.update(task, completed=state.timesteps, text=_text(state))
+
+
+def _plain(label: str) -> Callable[[State], None]:
+    """Return what prints a line to stderr for each validation.
+
+    Args:
+        label: begins each line.
+    """
+    printed = 0
+
+    def show(state: State) -> None:
+        nonlocal printed
+        if len(state.scores) != printed:
+            printed = len(state.scores)
+            print(f"{label}{min(1.0, state.timesteps / state.total):4.0%} {_text(state)}", file=sys.stderr, flush=True)
+
+    return show
+
+
+def _text(state: State) -> str:
+    score = "validating the expert" if state.kept is None else f"score {state.scores[-1]:.3f}, kept {state.kept:.3f}"
+    left = "" if state.seconds_left is None else f", {timedelta(seconds=round(state.seconds_left))} left"
+    return f"{state.timesteps:,} steps, {score}{left}"
+
+
+def learning_curve(seeds: Sequence[Sequence[Mapping[str, float]]], names: Sequence[str] = ()) -> bytes:
+    """Return a picture of the score on the validation episodes over control steps and over wall time, PNG.
+
+    Args:
+        seeds: for each training the rows of its progress.csv.
+        names: of the trainings, for the legend; none for a single one.
+    """
+    figure, [axes] = panels(1, 2, (7.0, 2.8), sharey=True)
+    axes[0].set_ylabel("score (0: expert, 1: oracle)")
+    with styled():
+        for ax, key, unit, label in zip(
+            axes, ("timesteps", "seconds"), (1e6, 60.0), ("control steps [million]", "wall time [min]"), strict=True
+        ):
+            ax.set_xlabel(label)
+            ax.axhline(0.0, **REFERENCE)
+            for i, rows in enumerate(seeds):
+                points = [row for row in rows if "score" in row]
+                ax.plot(
+                    [row[key] / unit for row in points],
+                    [row["score"] for row in points],
+                    color=COLOURS[i % len(COLOURS)],
+                    marker=".",
+                    label=names[i] if names else None,
+                )
+        if names:
+            axes[0].legend()
+    return to_png(figure)

@@ -68,9 +68,7 @@ class Config:
         _check_scenarios(self.scenarios)
         object.__setattr__(self, "authority", checked_authority(self.authority))
         for name, least, most in (("seed", 0, LARGEST_SEED), ("timesteps", 1, 10**12)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-                raise ValueError(f"{name} is {value!r}; it must be an integer in [{least}, {most}]")
+            check_integer(name, getattr(self, name), least, most)
         try:
             json.dumps(dict(self.hyperparameters), allow_nan=False)
         except (TypeError, ValueError) as error:
@@ -83,7 +81,7 @@ class Config:
 
     @property
     def vehicle(self) -> Vehicle | None:
-        """The vehicle that all scenarios know and the expert believes in, in their units; None where they differ."""
+        """The known vehicle of all scenarios and of the expert, in their units; None where they differ."""
         return common_vehicle([scenario for scenario, _ in self.scenarios])
 
     @property
@@ -130,6 +128,12 @@ class Config:
         """
         same = {"hyperparameters": dict, "expert": str, "algo": str}
         return from_record(cls, record, "configuration", {"scenarios": _scenarios_of, "authority": tuple, **same})
+
+
+def check_integer(name: str, value: object, least: int, most: int) -> None:
+    """Raise ValueError unless a value is an integer within its bounds, both allowed."""
+    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+        raise ValueError(f"{name} is {value!r}; it must be an integer in [{least}, {most}]")
 
 
 def _check_scenarios(scenarios: Sequence[tuple[Scenario, float]]) -> None:

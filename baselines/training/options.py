@@ -1,4 +1,4 @@
-"""The command line of `train.py`: each option once, as a field with its help."""
+"""The options of train.py: a field is an option, its docstring the help."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ class Options:
 
     algo: str = "apg"
     """The algorithm: "apg" (analytic gradient: back-propagation through the simulator), "rma" (rapid motor adaptation:
-    a teacher that knows the sea, and a student that estimates it), or one of Stable-Baselines3: "ppo", "ppo_lstm",
-    "sac", "td3", "tqc"."""
+    a teacher that knows vehicle and disturbances, and a student that estimates them), or one of Stable-Baselines3:
+    "ppo", "ppo_lstm", "sac", "td3", "tqc"."""
     scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ()
     """What to train on: names of presets, .toml and .json files, or a regime, "cruise" or "slow", for all of its cases
     (storms three times, noise and slow actuators twice as often), or "cruise-adverse" or "slow-adverse", for these and
-    storms in which sensors, commands, actuators and current are not as told, or "helm", for both regimes and slewing
+    storms in which sensors, commands, actuators and current are not as known, or "helm", for both regimes and slewing
     actuators, as the agent of that name; NAME:WEIGHT weighs one against the others.
     Default: cruise, or what the agent was trained on that it begins with."""
     expert: Annotated[str | None, arg(metavar="E", help_behavior_hint="")] = None

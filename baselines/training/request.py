@@ -14,11 +14,12 @@ from typing import Any
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.mixtures import MIXTURES, Mixture
 from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.vehicles import as_craft, as_vehicle
 from baselines.evaluation.request import checked, checked_folder, checked_scenario
 from baselines.evaluation.score import EXPERT
 from baselines.tools.command_line import UsageError
 from baselines.tools.workers import Workers
-from baselines.training.beginning import ALGO, Beginning, checked_craft, fitted, in_own_units
+from baselines.training.beginning import ALGO, Beginning, fitted, in_own_units
 from baselines.training.config import ALGORITHMS, Config
 from baselines.training.hyperparameters import ENV_ID, TUNING, changes_of, load_hyperparameters, shipped
 from baselines.training.options import Options
@@ -46,79 +47,74 @@ class Request:
         Raises:
             UsageError: an option is wrong, or a folder holds something else; the message says what is allowed.
         """
-        if options.seeds < 1:
-            raise UsageError(f"--seeds is {options.seeds}; it must be 1 or more")
         workers = checked(partial(Workers.of, options.jobs, options.cluster))
-        config, notes = _config(options)
-        for note in notes:
-            print(f"note: {note}", file=sys.stderr)
-        configs = tuple(checked(partial(replace, config, seed=config.seed + i)) for i in range(options.seeds))
-        checked(partial(check, config))
+        configs = checked(partial(_configs, options))
         out = options.out or Path("runs/train") / _name(options)
-        folders = (out,) if len(configs) == 1 else tuple(out / f"seed-{c.seed}" for c in configs)
-        for each, folder in zip(configs, folders, strict=True):
-            _check_contents(each, folder, options.resume)
+        folders = (out,) if len(configs) == 1 else tuple(out / f"seed-{config.seed}" for config in configs)
+        for config, folder in zip(configs, folders, strict=True):
+            _check_contents(config, folder, options.resume)
         for folder in folders:
             checked_folder(folder)
         return cls(configs, folders, out, workers, command)
 
 
-def _config(options: Options) -> tuple[Config, list[str]]:
-    """Return the configuration of a command line's options, and what to know about it.
+def _configs(options: Options) -> tuple[Config, ...]:
+    """Return the configuration of each seed, which can be trained.
 
     What the options leave open the agent says that it begins with, or the hyper-parameters.
+
+    Raises:
+        OSError: a file cannot be read.
+        UsageError: a word of `--scenario` is wrong.
+        ValueError: another option is wrong.
     """
+    if options.seeds < 1:
+        raise ValueError(f"--seeds is {options.seeds}; it must be 1 or more")
     if options.algo not in ALGORITHMS:
-        raise UsageError(f"unknown algorithm {options.algo!r}; allowed are {', '.join(ALGORITHMS)}")
-    begun = None if options.from_ is None else checked(partial(Beginning.of, options.from_))
+        raise ValueError(f"unknown algorithm {options.algo!r}; allowed are {', '.join(ALGORITHMS)}")
+    begun = None if options.from_ is None else Beginning.of(options.from_)
     if begun and options.algo != ALGO:
-        raise UsageError(f"--from goes on by the analytic gradient, not by {options.algo}; leave out --algo")
-    file = options.hyperparameters or shipped(options.algo)
-    found = checked(partial(load_hyperparameters, file, TUNING if begun else ENV_ID))
-    changed = checked(partial(changes_of, options.set))
-    values = {**found.values, **changed}
-    expert, authority = options.expert or found.expert or EXPERT, options.authority or found.authority
+        raise ValueError(f"--from goes on by the analytic gradient, not by {options.algo}; leave out --algo")
+    found = load_hyperparameters(options.hyperparameters or shipped(options.algo), TUNING if begun else ENV_ID)
+    changes = changes_of(options.set)
+    values, origin = {**found.values, **changes}, None
+    expert = options.expert or found.expert or EXPERT
+    authority = options.authority or found.authority or DEFAULT_AUTHORITY
     if begun:
-        checked(partial(begun.check, options.expert, options.authority, changed))
-        values = {**begun.config.hyperparameters, **values}
+        begun.check(options.expert, options.authority, changes)
+        values, origin = {**begun.config.hyperparameters, **values}, begun.origin
         expert, authority = begun.agent.expert, begun.agent.authority
-    scenarios, steers, notes = _scenarios(options, begun)
-    made = checked(
-        lambda: Config(
-            options.algo,
-            scenarios,
-            expert,
-            _pair(authority or DEFAULT_AUTHORITY),
-            options.seed,
-            next(n for n in (options.timesteps, found.timesteps, DEFAULT_TIMESTEPS) if n is not None),
-            values,
-            begun.origin if begun else None,
-            steers,
-        )
-    )
-    return made, notes
+    scenarios, steers = _scenarios(options, begun)
+    both: Any = tuple(authority) * (2 if len(authority) == 1 else 1)
+    timesteps = next(n for n in (options.timesteps, found.timesteps, DEFAULT_TIMESTEPS) if n is not None)
+    first = Config(options.algo, scenarios, expert, both, options.seed, timesteps, values, origin, steers)
+    configs = tuple(replace(first, seed=first.seed + i) for i in range(options.seeds))
+    check(first)
+    return configs
 
 
-def _scenarios(options: Options, begun: Beginning | None) -> tuple[Mixture, Vehicle | None, list[str]]:
-    """Return what is trained on, the vehicle in whose units that is, and what was left out."""
+def _scenarios(options: Options, begun: Beginning | None) -> tuple[Mixture, Vehicle | None]:
+    """Return what is trained on, and the vehicle in whose units that is; say on stderr what is left out."""
     if begun and not options.scenario:
         if begun.config.steers is not None and options.vehicle is None:
-            return begun.config.scenarios, begun.config.steers, []
+            return begun.config.scenarios, begun.config.steers
         given = begun.config.scenarios
     else:
         given = resolved(options.scenario or DEFAULT_SCENARIO)
-    craft, notes = None if options.vehicle is None else checked(partial(checked_craft, options.vehicle)), []
-    if craft is not None:
-        given, reasons = checked(partial(fitted, given, craft))
-        if reasons:
-            notes = [f"{len(reasons)} scenarios are left out: {reasons[0]}"]
-    own, steers = checked(partial(in_own_units, given))
-    return own, steers, notes
+    if options.vehicle is not None:
+        as_vehicle(options.vehicle)  # refuses what is no vehicle
+        if (craft := as_craft(options.vehicle)) is not None:
+            given, reasons = fitted(given, craft)
+            if reasons:
+                print(f"note: {len(reasons)} scenarios are left out: {reasons[0]}", file=sys.stderr)
+    return in_own_units(given)
 
 
 def _name(options: Options) -> str:
     """Return the name of the folder of a run whose options name none."""
-    what = "-".join(name_of(word) for word in options.scenario or (() if options.from_ else DEFAULT_SCENARIO))
+    what = "-".join(
+        Path(_split(word)[0]).stem for word in options.scenario or (() if options.from_ else DEFAULT_SCENARIO)
+    )
     words = Path(options.from_).name if options.from_ else options.algo, what, Path(options.vehicle or "").stem
     return "-".join(word for word in words if word)
 
@@ -139,11 +135,6 @@ def resolved(words: Sequence[str]) -> tuple[tuple[Scenario, float], ...]:
     return tuple(found)
 
 
-def name_of(word: str) -> str:
-    """Return the name that a word of `--scenario` gives a run folder."""
-    return Path(_split(word)[0]).stem
-
-
 def _split(word: str) -> tuple[str, float]:
     """Return name and weight of NAME or NAME:WEIGHT."""
     name, colon, text = word.rpartition(":")
@@ -156,10 +147,6 @@ def _split(word: str) -> tuple[str, float]:
     if not 0 < weight < math.inf:
         raise UsageError(f"scenario {word!r} has weight {text!r}; it must be a positive number")
     return name, weight
-
-
-def _pair(authority: Sequence[float]) -> Any:
-    return (*authority, *authority) if len(authority) == 1 else tuple(authority)
 
 
 def check(config: Config) -> None:

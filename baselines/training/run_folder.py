@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock, Timeout
 
-from auv_gym.task.policy import Policy
+from baselines.agents.agent import Agent
+from baselines.agents.networks import Weights
 from baselines.tools.command_line import UsageError
 from baselines.tools.files import guarded, json_text, read_csv, read_json, write_atomically
 from baselines.training.checkpoint import UNREADABLE, packed, unpacked
 from baselines.training.config import Config
-from baselines.training.validation import Validation, validation_cell
+from baselines.training.validation import PRECISION, Validation, validation_cell
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard.writer import SummaryWriter
@@ -83,7 +84,8 @@ class Run:
         processes: that a trainer may compute in, this one included; what is learned does not depend on it.
 
     Attributes:
-        keeps_last: whether the trainer keeps the agent of the last validation in place of that of the best one.
+        keeps_last: whether the agent of the last validation is kept in place of that of the best one.
+        weights: of the agent that is kept; a checkpoint holds them too.
 
     Raises:
         OSError: the folder cannot be written to.
@@ -102,6 +104,7 @@ class Run:
         self.folder = folder
         self.processes = processes
         self.keeps_last = False
+        self.weights: Weights = {}
         self._on_state = on_state
         self._rows: list[dict[str, float]] = []
         self._begin, self._earlier, self._start = time.monotonic(), 0.0, 0
@@ -126,7 +129,7 @@ class Run:
         return self._earlier + time.monotonic() - self._begin
 
     def log(self, timesteps: int, **values: float) -> None:
-        """Add a row to progress.csv and TensorBoard, and tell how far the run is.
+        """Add a row to progress.csv and TensorBoard, and report how far the run is.
 
         Args:
             timesteps: control steps so far, summed over vehicles; a second row at the same number joins the first.
@@ -145,24 +148,29 @@ class Run:
         self.report(timesteps)
 
     def report(self, timesteps: int) -> None:
-        """Tell how far the run is."""
-        self._on_state(self._state(timesteps))
+        """Report how far the run is."""
+        scores = tuple(row["score"] for row in self._rows if "score" in row)
+        done, total = timesteps - self._start, self.config.timesteps
+        left = (time.monotonic() - self._begin) * max(0, total - timesteps) / done if done > 0 else None
+        kept = self.validated["score"] if scores else None
+        self._on_state(State(timesteps, total, scores, kept, self.seconds, left))
 
-    def validate(self, policy: Policy, timesteps: int) -> bool:
-        """Log the score of a policy on the validation episodes, 0 the expert, 1 the oracle; return whether to keep it.
+    def validate(self, agent: Agent, timesteps: int) -> None:
+        """Log the score of an agent on the validation episodes, 0 the expert, 1 the oracle, and keep the best agent.
 
-        The best one so far is kept, and of equals the first; with `keeps_last` always the last one.
+        Of equals the first is kept; with `keeps_last` always the last one.
 
         Args:
-            policy: what acts on the observation of the tracking environment, shape (N, 18), expert included.
+            agent: as it is now.
             timesteps: see `log`.
 
         Raises:
             OSError: the folder cannot be written to.
         """
-        verdict = self.validation.run(policy)
+        verdict = self.validation.run(agent.policy(vehicle=self.config.vehicle, precision=PRECISION))
         self.log(timesteps, score=verdict.score, error_m=verdict.error_m, lost=verdict.lost)
-        return self.validated["timesteps"] == timesteps
+        if self.validated["timesteps"] == timesteps:
+            self.weights = agent.weights
 
     @property
     def validated(self) -> dict[str, float]:
@@ -179,8 +187,8 @@ class Run:
         Raises:
             OSError: the folder cannot be written to.
         """
-        record = {"state": dict(state), "seconds": self.seconds, "timesteps": int(state["timesteps"])}
-        write_atomically(self.folder / CHECKPOINT, packed(record))
+        record = {"timesteps": int(state["timesteps"]), "seconds": self.seconds, "weights": dict(self.weights)}
+        write_atomically(self.folder / CHECKPOINT, packed({**record, "state": dict(state)}))
 
     def load_checkpoint(self) -> dict[str, Any] | None:
         """Return the state of the last checkpoint, None if there is none; what was logged after it is forgotten.
@@ -197,6 +205,7 @@ class Run:
             rows = [row for row in read_progress(self.folder) if row["timesteps"] <= record["timesteps"]]
             if not rows or rows[-1]["timesteps"] != record["timesteps"]:
                 raise ValueError(f"{PROGRESS} is damaged, it ends before the checkpoint")
+            self.weights = record["weights"]
         self._earlier, self._begin, self._start = record["seconds"], time.monotonic(), record["timesteps"]
         self._rows = rows
         state: dict[str, Any] = record["state"]
@@ -228,13 +237,6 @@ class Run:
         from torch.utils.tensorboard.writer import SummaryWriter
 
         return SummaryWriter(str(self.folder / EVENTS), purge_step=self._start + 1 if self._start else None)
-
-    def _state(self, timesteps: int) -> State:
-        scores = tuple(row["score"] for row in self._rows if "score" in row)
-        done, total = timesteps - self._start, self.config.timesteps
-        left = (time.monotonic() - self._begin) * max(0, total - timesteps) / done if done > 0 else None
-        kept = self.validated["score"] if scores else None
-        return State(timesteps, total, scores, kept, self.seconds, left)
 
 
 def read_progress(folder: Path) -> list[dict[str, float]]:

@@ -22,7 +22,7 @@ from baselines.agents.agent import RECORD
 from baselines.agents.names import agent_folder
 from baselines.tools.files import read_json
 
-HULLS = "baselines.training.hulls"  # the module that draws hulls, for agents that are told them
+HULLS = "baselines.training.vehicle_models"  # the module that draws hulls, for agents that are told them
 _LANES = 120
 """Vehicles side by side in the training whose episodes are drawn; each is of one scenario, its hulls take turns."""
 _DRAWS = 4000

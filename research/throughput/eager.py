@@ -17,10 +17,10 @@ from baselines.control.backstepping import Backstepping
 from baselines.control.open_loop import NO_EXPERT, Zero
 from baselines.policies import make_policy
 from baselines.training.apg.closed_loop import ClosedLoop, Loss, law_of
-from baselines.training.apg.fleet import Fleet
 from baselines.training.apg.kernels import LoopKernels
+from baselines.training.apg.vehicles import TrainingVehicles
 from baselines.training.apg.window import Carried, Objective, Window
-from baselines.training.hulls import turns
+from baselines.training.vehicle_models import variants_of
 
 AUTHORITY = (0.3, 0.6)  # largest corrections of surge and yaw
 LOSS = Loss(effort=0.1, rate=0.01)  # weights of the loss
@@ -53,8 +53,8 @@ class Setting:
         self.expert = Zero() if expert == NO_EXPERT else make_policy(expert)
         law, self.exact = law_of(self.expert)
         scenarios = [PRESETS[name] for name in names]
-        hulls = turns(scenarios, 1.0, _SEED) if inputs.hull else ()
-        self.fleet = Fleet(scenarios, _SEED, steps, inputs.preview, hulls)
+        hulls = variants_of(scenarios, 1.0, _SEED) if inputs.hull else ()
+        self.fleet = TrainingVehicles(scenarios, _SEED, steps, inputs.preview, hulls)
         believer = self.expert if inputs.hull and isinstance(self.expert, Backstepping) else None
         self.loop = ClosedLoop(law, inputs, self.fleet.parts, believer)
         self.net = net

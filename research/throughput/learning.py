@@ -21,7 +21,7 @@ from auv_gym.codegen import native
 from auv_gym.envs.torch_sim import TorchSimulator
 from auv_gym.scenarios.mixtures import MIXTURES
 from baselines.policies import make_policy
-from baselines.training.apg.crews import Crews
+from baselines.training.apg.groups import Groups
 from baselines.training.apg.settings import Settings, check
 from baselines.training.apg.torch_network import torch_network, weights_of
 from baselines.training.config import Config
@@ -139,8 +139,8 @@ def group_cases(quick: bool) -> Iterator[Figure]:
     config = Config(scenarios=MIXTURES["helm"], hyperparameters={**HELM, **sizes})
     settings = check(config)
     weights = weights_of(torch_network(settings.network))
-    with closing(Crews(config, settings, 2)) as apart, closing(Crews(config, settings)) as together:
-        runs = [timed(partial(crews.learn, weights), clock=time.perf_counter) for crews in (apart, together)]
+    with closing(Groups(config, settings, 2)) as apart, closing(Groups(config, settings)) as together:
+        runs = [timed(partial(groups.learn, weights), clock=time.perf_counter) for groups in (apart, together)]
         for run in runs:
             run()  # waits for the other process
         two, one = interleaved(1 if quick else 25, *runs)

@@ -23,13 +23,12 @@ from baselines.agents.features import FEATURES, Inputs
 from baselines.agents.networks import Gru, Mlp
 from baselines.control.open_loop import Zero
 from baselines.training.apg.closed_loop import CURVE, NEAR, ClosedLoop, Loss, law_of
-from baselines.training.apg.crews import Crews
-from baselines.training.apg.fleet import Fleet
-from baselines.training.apg.group import Learned
+from baselines.training.apg.groups import Groups, Learned
 from baselines.training.apg.passes import gates_back
 from baselines.training.apg.settings import Settings, check
 from baselines.training.apg.torch_network import torch_network, weights_of
 from baselines.training.apg.trainer import Trainer, train
+from baselines.training.apg.vehicles import TrainingVehicles
 from baselines.training.apg.window import SMALLEST, evened
 from baselines.training.config import Config
 from baselines.training.run_folder import Run
@@ -62,7 +61,7 @@ def network(head=0.5, sizes=SIZES, dtype=torch.float64):
 
 
 def trainer_of(run):
-    return Trainer(run, Crews(run.config, check(run.config)))
+    return Trainer(run, Groups(run.config, check(run.config)))
 
 
 def gradient_of(net):
@@ -214,9 +213,9 @@ def test_each_regime_has_its_price_and_its_share():
     assert heavy.shares.tolist() == [0.5, *[1 / 6] * 3]
 
 
-def test_fleet_begins_episodes_between_windows():
+def test_a_batch_begins_episodes_between_windows():
     short = replace(PRESETS["slow-calm"], steps=20)
-    vehicles = Fleet([short] * 4, 0, 6)
+    vehicles = TrainingVehicles([short] * 4, 0, 6)
     carried = vehicles.reset(3)
     assert vehicles.constants.shape == (PARAMETER_ROWS, 4)
     begun = []
@@ -234,8 +233,8 @@ def test_fleet_begins_episodes_between_windows():
     assert begun == [[0, 3], [1], [2], [0, 3], [1], [2], [0, 3], [1], [2]]
 
 
-def test_fleet_begins_anew_where_a_vehicle_is_lost():
-    vehicles = Fleet([PRESETS["slow-calm"]] * 4, 0, 6)
+def test_a_batch_begins_anew_where_a_vehicle_is_lost():
+    vehicles = TrainingVehicles([PRESETS["slow-calm"]] * 4, 0, 6)
     carried = vehicles.reset(3)
     vehicles.window()
     begun = vehicles.renew(carried, np.array([0.0, 0.0, 1e6, np.nan]))
@@ -245,25 +244,26 @@ def test_fleet_begins_anew_where_a_vehicle_is_lost():
 def test_windows_and_their_renewal_are_steps_of_the_environment():
     """What trains in windows is the environment that steps: observations and beginnings agree, previews as well."""
     scenario = replace(PRESETS["cruise-storm"], steps=8)
-    fleet, env = Fleet([scenario] * 3, 5, 4, (1, 4)), UnderactuatedAUVTrackVectorEnv(3, scenario, preview=(1, 4))
-    fleet._left[:] = 8
+    vehicles = TrainingVehicles([scenario] * 3, 5, 4, (1, 4))
+    env = UnderactuatedAUVTrackVectorEnv(3, scenario, preview=(1, 4))
+    vehicles._left[:] = 8
     loop, carried, (observation, _) = (
-        ClosedLoop(law_of(Zero())[0], parts=fleet.parts),
-        fleet.reset(0),
+        ClosedLoop(law_of(Zero())[0], parts=vehicles.parts),
+        vehicles.reset(0),
         env.reset(seed=5),
     )
     state, terms, rng = carried.state, carried.observation, np.random.default_rng(0)
     for ends in (False, True, False, True):
-        for ahead, sample in zip(*fleet.window(), strict=True):
+        for ahead, sample in zip(*vehicles.window(), strict=True):
             columns = preview_columns(ahead, Observation._make(terms), ARRAYS, span=1)
             np.testing.assert_allclose(np.transpose(columns), observation[:, len(TERMS) :], rtol=0, atol=1e-12)
             actions = rng.uniform(-0.3, 0.3, (3, 2))
-            given = state, actions.T, np.zeros((2, 3)), sample, fleet.constants, AUTHORITY, LOSS
+            given = state, actions.T, np.zeros((2, 3)), sample, vehicles.constants, AUTHORITY, LOSS
             moved = loop.move(*given, ARRAYS)
             state, terms = np.array(moved.state), np.array(moved.observation)
             observation, _, _, truncated, _ = env.step(actions)
         assert truncated.tolist() == [ends] * 3
-        carried = fleet.renew(carried._replace(state=state, observation=terms), moved.squared_error)
+        carried = vehicles.renew(carried._replace(state=state, observation=terms), moved.squared_error)
         state, terms = carried.state, carried.observation
         np.testing.assert_allclose(terms.T, observation[:, : len(TERMS)], rtol=0, atol=1e-12)
 
@@ -296,31 +296,6 @@ def test_training_improves(trained):
     assert len(scores) == 21
     assert max(scores) > 0.01
     assert np.mean(losses[-10:]) < np.mean(losses[:10])
-
-
-def test_interrupted_run_gives_the_same_agent(trained, tmp_path):
-    run, agent = trained
-
-    class StopRunError(Exception):
-        pass
-
-    class Interrupted(Run):
-        def save_checkpoint(self, state):
-            super().save_checkpoint(state)
-            if state["updates"] == 15:
-                raise StopRunError
-
-    first = Interrupted(configuration(), tmp_path)
-    with pytest.raises(StopRunError):
-        train(first)
-    first.close()
-    torch.rand(3)  # another state of torch's generator
-    second = Run(configuration(), tmp_path)
-    again = train(second)
-    second.close()
-    assert rows(second) == rows(run)
-    for name, weights in agent.weights.items():
-        np.testing.assert_array_equal(again.weights[name], weights)
 
 
 def test_best_agent_is_returned(trained):
@@ -386,7 +361,7 @@ def test_expert_that_looks_ahead_sees_its_own_preview(tmp_path):
     """Expert and network ask for different times; in training as in use each gets its own."""
     settings = configuration().hyperparameters | {"preview": (3, 20)}
     trainer = trainer_of(Run(configuration(expert="nmpc", hyperparameters=settings), tmp_path))
-    policy, nmpc = trainer.agent(trainer.best).policy(), make_policy("nmpc")
+    policy, nmpc = trainer.agent(trainer.weights).policy(), make_policy("nmpc")
     assert policy.preview == (1, 2, 3, *nmpc.preview[2:])
     actions = []
     for preview in (policy.preview, nmpc.preview):
@@ -394,8 +369,8 @@ def test_expert_that_looks_ahead_sees_its_own_preview(tmp_path):
         observation, _ = env.reset(seed=trainer.run.config.episode_seed)
         actions.append((policy if preview == policy.preview else nmpc).predict(observation)[0])
     np.testing.assert_array_equal(*actions)
-    [group] = trainer.crews.own.groups.values()
-    ahead, _ = group.fleet.window()
+    [group] = trainer.groups.own.groups.values()
+    ahead, _ = group.vehicles.window()
     mine = group._act(group.carried.observation, ahead[0], np.ones(8, dtype=bool))
     np.testing.assert_allclose(mine.T, actions[0], atol=1e-6)
 
@@ -407,7 +382,7 @@ def test_gradients_that_are_not_finite_are_skipped(tmp_path, monkeypatch):
     def diverged(self, weights):
         return Learned(0.0, 0.0, {name: np.full_like(w, np.nan) for name, w in weights.items()})
 
-    monkeypatch.setattr(Crews, "learn", diverged)
+    monkeypatch.setattr(Groups, "learn", diverged)
     before = weights_of(trainer.network)
     trainer.update()
     run.close()

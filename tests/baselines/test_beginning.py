@@ -13,7 +13,6 @@ import torch
 import yaml
 from kept_pages import compare_between
 
-import train
 from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.fitting import changed
@@ -26,12 +25,14 @@ from baselines.agents.agent import Agent
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.tools.command_line import run
-from baselines.training.apg.crews import Crews
+from baselines.training.apg.groups import Groups
 from baselines.training.apg.settings import Settings, check
 from baselines.training.apg.torch_network import weights_of
 from baselines.training.apg.trainer import Trainer
 from baselines.training.beginning import OF_AGENT, fitted, in_own_units
+from baselines.training.entry import main
 from baselines.training.hyperparameters import ENV_ID, TUNING, load_hyperparameters, shipped
+from baselines.training.options import PROGRAM
 from baselines.training.run_folder import Run, read_config, read_progress
 from research.trainings import fine_tuning
 from research.trainings.trainings import SHIPPED
@@ -70,7 +71,7 @@ def caller(folder, patch):
 
     def call(*arguments):
         patch.setattr(sys, "argv", ["train.py", *map(str, arguments)])
-        return run(train.main, train.PROGRAM)
+        return run(main, PROGRAM)
 
     return call
 
@@ -87,7 +88,7 @@ def weights(folder):
 
 def at_the_end(folder):
     """Return the weights at the end of a run; its agent has those that did best, perhaps those of its beginning."""
-    return {k: w.numpy() for k, w in Run(read_config(folder), folder).load_checkpoint()["network"].items()}
+    return {k: w.numpy() for k, w in Run(read_config(folder), folder).load_checkpoint()["modules"]["network"].items()}
 
 
 def same(a, b):
@@ -96,7 +97,7 @@ def same(a, b):
 
 def test_it_begins_with_the_agents_weights_for_a_vehicle_and_remembers_both(call):
     config, agent = read_config(FOUND), Agent.load(FOUND / "agent")
-    begun = Trainer(Run(config, Path("new")), Crews(config, check(config)))
+    begun = Trainer(Run(config, Path("new")), Groups(config, check(config)))
     assert same(weights_of(begun.network), weights("runs/train/apg-small-slow/agent"))
     assert same(weights_of(begun.averaged.module), weights("runs/train/apg-small-slow/agent"))
     assert not same(weights_of(begun.network), at_the_end(FOUND))

@@ -11,9 +11,8 @@ import torch
 from auv_gym.scenarios.presets import PRESETS
 from baselines.tools.command_line import WorkerError
 from baselines.tools.workers import Elsewhere, Workers
-from baselines.training import hulls
-from baselines.training.apg.crews import Crews
-from baselines.training.apg.group import Group, divided
+from baselines.training import vehicle_models
+from baselines.training.apg.groups import Group, Groups, divided
 from baselines.training.apg.settings import check
 from baselines.training.apg.torch_network import torch_network, weights_of
 from baselines.training.apg.window import evened
@@ -62,9 +61,9 @@ def test_groups_share_all_vehicles_and_what_they_count_for():
 
 
 def test_half_of_each_group_has_drawn_hulls(monkeypatch):
-    monkeypatch.setattr(hulls, "SEVERAL", 2)
+    monkeypatch.setattr(vehicle_models, "SEVERAL", 2)
     for group in divided(*grouped(n_envs=8, groups=2, hull=True, hulls=0.5)):
-        assert sorted(len(own) for own in group.hulls) == [1, 1, 2, 2]
+        assert sorted(len(own) for own in group.variants) == [1, 1, 2, 2]
 
 
 @pytest.mark.slow
@@ -73,11 +72,11 @@ def test_what_is_learned_depends_on_no_number_of_processes(weights):
     config, settings = grouped()
     found = []
     for before, after in ((1, 1), (2, 1), (1, 4)):
-        with closing(Crews(config, settings, before)) as crews:
-            learned, state = [crews.learn(weights) for _ in range(2)], crews.state()
-        with closing(Crews(config, settings, after)) as crews:
-            crews.restore(state)
-            found.append([*learned, crews.learn(weights)])
+        with closing(Groups(config, settings, before)) as groups:
+            learned, state = [groups.learn(weights) for _ in range(2)], groups.state()
+        with closing(Groups(config, settings, after)) as groups:
+            groups.restore(state)
+            found.append([*learned, groups.learn(weights)])
     for windows in zip(*found, strict=True):
         assert len({(each.loss, each.error) for each in windows}) == 1
         for name, gradient in windows[0].gradients.items():
@@ -87,8 +86,8 @@ def test_what_is_learned_depends_on_no_number_of_processes(weights):
 def test_the_gradient_of_groups_is_the_sum_of_theirs(weights):
     """Each weighed as in the mean over all vehicles: against a window of the group alone, whose shares add up to 1."""
     config, settings = grouped()
-    with closing(Crews(config, settings)) as crews:
-        both, loss, error = crews.learn(weights), 0.0, 0.0
+    with closing(Groups(config, settings)) as groups:
+        both, loss, error = groups.learn(weights), 0.0, 0.0
     summed = {name: np.zeros_like(w) for name, w in weights.items()}
     for members in divided(config, settings):
         share = members.objective.shares.sum()

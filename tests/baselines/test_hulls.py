@@ -17,11 +17,11 @@ from baselines.agents.agent import Agent
 from baselines.agents.features import BOUND, HULL_FEATURES, Inputs
 from baselines.agents.networks import Gru
 from baselines.control.backstepping import Backstepping
-from baselines.training import hulls
+from baselines.training import vehicle_models
 from baselines.training.apg.closed_loop import ClosedLoop, law_of
-from baselines.training.apg.fleet import Fleet
 from baselines.training.apg.settings import check
 from baselines.training.apg.torch_network import put, torch_network, weights_of
+from baselines.training.apg.vehicles import TrainingVehicles
 from baselines.training.config import Config
 
 TOLD = Inputs((3, 20), fine=True, filters=True, hull=True)
@@ -38,9 +38,9 @@ def test_the_ranges_hold_every_published_vehicle(name):
     given |= {name: getattr(v, name) for name in ("d22", "d33", "Y_vv", "N_rr", "Y_uv", "N_ur")}
     given |= {"turn_rate": craft.turn_rate, "lag": craft.lag, "fin": acts.fin, "astern": acts.astern}
     for what, value in given.items():
-        low, high = hulls.DECADES[what]
+        low, high = vehicle_models.DECADES[what]
         assert not value or 0.99 * low <= value <= 1.01 * high, what
-    for what, (low, high) in hulls.LIFTS.items():
+    for what, (low, high) in vehicle_models.LIFTS.items():
         assert low <= getattr(v, what) <= high
 
 
@@ -48,29 +48,29 @@ def test_the_ranges_hold_every_published_vehicle(name):
 def turned():
     """Four vehicles, every other one with drawn hulls."""
     scenarios = [PRESETS[name] for name in ("slow-storm", "slow-storm", "cruise-noise", "cruise-storm")]
-    return scenarios, hulls.turns(scenarios, 0.5, 3)
+    return scenarios, vehicle_models.variants_of(scenarios, 0.5, 3)
 
 
 def test_a_share_of_the_vehicles_has_drawn_hulls_of_the_papers_mass_length_and_speed(turned):
     scenarios, given = turned
-    assert [len(own) for own in given] == [1, hulls.SEVERAL, 1, hulls.SEVERAL]
+    assert [len(own) for own in given] == [1, vehicle_models.SEVERAL, 1, vehicle_models.SEVERAL]
     for scenario, own in zip(scenarios, given, strict=True):
         for s in own:
-            assert (s.substeps, s.control_dt, s.steps) == (hulls.SUBSTEPS, scenario.control_dt, scenario.steps)
+            assert (s.substeps, s.control_dt, s.steps) == (vehicle_models.SUBSTEPS, scenario.control_dt, scenario.steps)
             assert Units.of(s.vehicle) == Units()
             assert (s.vehicle == PAPER_VEHICLE) == (len(own) == 1)
-    assert len({s.vehicle for own in given for s in own}) == 1 + 2 * hulls.SEVERAL
-    assert hulls.turns(scenarios, 0.5, 3) == given
-    assert hulls.turns(scenarios, 0.5, 4) != given
+    assert len({s.vehicle for own in given for s in own}) == 1 + 2 * vehicle_models.SEVERAL
+    assert vehicle_models.variants_of(scenarios, 0.5, 3) == given
+    assert vehicle_models.variants_of(scenarios, 0.5, 4) != given
 
 
 def test_each_episode_is_of_the_next_hull_and_what_is_known_is_not_the_true_one(turned):
     scenarios, given = turned
-    vehicles = Fleet(scenarios, 0, 50, (), given)
+    vehicles = TrainingVehicles(scenarios, 0, 50, (), given)
     carried = vehicles.reset(0)
     at = slice(PARAMETERS.coefficients.m11, PARAMETERS.coefficients.N_ur + 1)
     seen = [vehicles.known.copy()]
-    for _ in range(hulls.SEVERAL):
+    for _ in range(vehicle_models.SEVERAL):
         carried = vehicles.renew(carried, np.full(4, np.nan))
         assert vehicles.fresh.all()
         seen.append(vehicles.known.copy())
@@ -85,9 +85,12 @@ def test_each_episode_is_of_the_next_hull_and_what_is_known_is_not_the_true_one(
 
 def test_who_is_told_a_wrong_hull_plans_and_moves_as_with_the_right_one(turned):
     scenarios, given = turned
-    right, misled = Fleet(scenarios, 0, 50, (), given), Fleet(scenarios, 0, 50, (), given, hulls.believed)
+    right, misled = (
+        TrainingVehicles(scenarios, 0, 50, (), given),
+        TrainingVehicles(scenarios, 0, 50, (), given, vehicle_models.with_model_error),
+    )
     carried, other, wrong = right.reset(0), misled.reset(0), []
-    for _ in range(hulls.SEVERAL):
+    for _ in range(vehicle_models.SEVERAL):
         assert (right.constants == misled.constants).all()
         assert all((a == b).all() for a, b in zip(carried, other, strict=True))
         for ours, its in zip(right.window(), misled.window(), strict=True):
@@ -99,10 +102,10 @@ def test_who_is_told_a_wrong_hull_plans_and_moves_as_with_the_right_one(turned):
 
 
 def test_a_wrong_hull_is_wrong_in_its_ratios_alone_and_a_slender_one():
-    rng, low, high = np.random.default_rng(0), *hulls.MISTAKE
+    rng, low, high = np.random.default_rng(0), *vehicle_models.MISTAKE
     for vehicle in (PAPER_VEHICLE, OTHER):
-        said = [hulls.believed(vehicle, rng) for _ in range(400)]
-        assert np.mean([told != vehicle for told in said]) == pytest.approx(hulls.WRONG, abs=0.07)
+        said = [vehicle_models.with_model_error(vehicle, rng) for _ in range(400)]
+        assert np.mean([told != vehicle for told in said]) == pytest.approx(vehicle_models.WRONG, abs=0.07)
         for name in ("m11", "m33", "Y_ur", "N_uv", "speed"):
             assert {getattr(told, name) for told in said} == {getattr(vehicle, name)}
         for name in ("d11", "d22", "d33"):
@@ -118,7 +121,7 @@ def test_rows_of_hulls_are_told_what_each_vehicle_alone_is():
     """The expert, the filters and the features of a loop with several hulls are those of policies made for each."""
     known = [PAPER_VEHICLE, OTHER]
     expert = Backstepping()
-    loop = ClosedLoop(law_of(expert)[0], TOLD, believer=expert)
+    loop = ClosedLoop(law_of(expert)[0], TOLD, informed=expert)
     rows = np.array([v.coefficients for v in known]).T
     env = UnderactuatedAUVTrackVectorEnv(2, [replace(PRESETS["cruise-storm"], vehicle=v, substeps=3) for v in known])
     observation, _ = env.reset(seed=0)
@@ -189,9 +192,9 @@ def test_an_expert_that_cannot_be_told_each_hull_is_refused():
     settings = {"n_envs": 4, "n_steps": 10, "hull": True, "hulls": 0.5}
     for expert in ("backstepping", "backstepping-normalised", "none"):
         check(Config(scenarios=scenarios, expert=expert, hyperparameters=settings))
-    with pytest.raises(ValueError, match="so the network must be told them"):
+    with pytest.raises(ValueError, match="so the network must see them"):
         check(Config(scenarios=scenarios, hyperparameters=settings | {"hull": False}))
-    with pytest.raises(ValueError, match="hulls are drawn, so the expert must be"):
+    with pytest.raises(ValueError, match="vehicles are drawn, so the expert must be"):
         check(Config(scenarios=scenarios, expert="lqi", hyperparameters=settings))
 
 

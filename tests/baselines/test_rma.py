@@ -13,13 +13,12 @@ from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.simulation import SAMPLE, Parameters, Parts
 from baselines.agents.features import FEATURES
 from baselines.agents.networks import ACTIONS, Rma
-from baselines.training.apg.fleet import Fleet
 from baselines.training.apg.passes import Tape
 from baselines.training.apg.torch_network import weights_of
+from baselines.training.apg.vehicles import TrainingVehicles
 from baselines.training.config import Config
 from baselines.training.rma.extrinsics import EXTRINSICS, extrinsics
-from baselines.training.rma.passes import TeacherPass
-from baselines.training.rma.torch_networks import Filters, Teacher
+from baselines.training.rma.networks import Filters, Teacher, TeacherPass
 from baselines.training.rma.trainer import Trainer, check
 from baselines.training.run_folder import Run
 
@@ -33,20 +32,20 @@ def one_thread():
     torch.manual_seed(0)
 
 
-def told(name, n=3):
-    fleet = Fleet([PRESETS[name]] * n, 5, 4)
-    fleet.reset(0)
-    _, samples = fleet.window()
-    return extrinsics(samples, fleet.constants, PAPER_VEHICLE), samples, Parameters.of(fleet.constants, Parts())
+def known_to_a_teacher(name, n=3):
+    vehicles = TrainingVehicles([PRESETS[name]] * n, 5, 4)
+    vehicles.reset(0)
+    _, samples = vehicles.window()
+    return extrinsics(samples, vehicles.constants, PAPER_VEHICLE), samples, Parameters.of(vehicles.constants, Parts())
 
 
-def test_nothing_is_told_of_a_known_vehicle_in_still_water():
-    found, *_ = told("slow-calm")
+def test_extrinsics_are_zero_for_a_known_vehicle_in_still_water():
+    found, *_ = known_to_a_teacher("slow-calm")
     assert found.shape == (4, len(EXTRINSICS), 3)
     np.testing.assert_allclose(found, 0.0, atol=1e-12)
 
 
-def test_each_trouble_is_told_in_its_own_rows_alone():
+def test_each_disturbance_shows_in_its_own_rows_alone():
     kinds = {
         "cruise-current": {"V_u", "V_v"},
         "slow-waves": {"X", "Y", "N"},
@@ -54,19 +53,19 @@ def test_each_trouble_is_told_in_its_own_rows_alone():
         "cruise-mismatch": set(PAPER_VEHICLE.coefficients._fields) - set(LIFT),
     }
     for name, rows in kinds.items():
-        found, *_ = told(name)
+        found, *_ = known_to_a_teacher(name)
         changed = np.abs(found).max(axis=(0, 2)) > 1e-9
         assert {row for row, i in ROW.items() if changed[i]} == rows, name
         assert 0.05 < np.abs(found).max() < 8
 
 
 def test_extrinsics_are_what_acts_on_the_vehicle():
-    found, samples, _ = told("cruise-storm", 4)
+    found, samples, _ = known_to_a_teacher("cruise-storm", 4)
     s = filled(SAMPLE, samples.swapaxes(0, 1))
     speed = np.hypot(s.u_R, s.v_R)
     water = (s.V_x + 1j * s.V_y) * np.exp(-1j * s.psi_R)  # in the reference's axes
     np.testing.assert_allclose(found[:, ROW["V_u"]] + 1j * found[:, ROW["V_v"]], 2 * water / speed)
-    _, _, p = told("cruise-storm", 4)
+    _, _, p = known_to_a_teacher("cruise-storm", 4)
     np.testing.assert_allclose(found[:, ROW["m22"]], np.tile(5 * (p.coefficients.m22 / 265.0 - 1), (4, 1)))
     np.testing.assert_allclose(1 - found[:, ROW["lag"]], np.tile(p.response.gain, (4, 1)))
     assert Response.of(0.3, 1.0, 1.0, 0.1).gain == pytest.approx(1 - np.exp(-1 / 3))
@@ -149,10 +148,10 @@ def test_a_teacher_learns_and_its_student_learns_the_latent(tmp_path, monkeypatc
     trainer = Trainer(Run(config(), tmp_path))
     lessons = [trainer._teach()["window_error_m"] for _ in range(40)]
     assert np.mean(lessons[-4:]) < 0.6 * np.mean(lessons[2:6])
-    before = [p.detach().clone() for p in trainer.teacher.parameters()]
+    before = [p.detach().clone() for p in trainer.network.parameters()]
     trainer.updates = trainer.lessons
     adapted = [trainer._adapt() for _ in range(60)]
-    assert all(torch.equal(a, b) for a, b in zip(before, trainer.teacher.parameters(), strict=True))
+    assert all(torch.equal(a, b) for a, b in zip(before, trainer.network.parameters(), strict=True))
     errors = [row["latent_error"] / row["latent_variance"] for row in adapted]
     assert np.mean(errors[-10:]) < 0.5 < np.mean(errors[:3])  # 1: as good as the mean
 
@@ -165,13 +164,10 @@ def test_a_teacher_learns_and_its_student_learns_the_latent(tmp_path, monkeypatc
         ({"latent": 0}, r"latent is 0; it must be an integer in \[1, 4096\]"),
         ({"adaptation_share": 1.0}, "adaptation_share"),
         ({"n_steps": 300}, "n_steps is 300"),
+        ({"expert": "ekf"}, "expert 'ekf' computes on NumPy; rma corrects laws alone"),
     ],
 )
-def test_wrong_hyperparameters_are_refused(changes, message):
+def test_wrong_hyperparameters_and_experts_without_a_law_are_refused(changes, message):
+    expert = {"expert": changes["expert"]} if "expert" in changes else {}
     with pytest.raises(ValueError, match=message):
-        check(config(**changes))
-
-
-def test_experts_without_a_law_are_refused():
-    with pytest.raises(ValueError, match="expert 'ekf' computes on NumPy; rma corrects laws alone"):
-        check(replace(config(), expert="ekf"))
+        check(replace(config(**({} if expert else changes)), **expert))

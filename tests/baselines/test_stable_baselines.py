@@ -91,13 +91,6 @@ def test_other_memories_are_refused(values):
         exported(model.policy, configuration("ppo_lstm"))
 
 
-def test_other_networks_are_refused():
-    model = make_model(configuration("ppo"))
-    model.policy.mlp_extractor.policy_net = nn.Sequential(nn.Linear(24, 8), nn.ELU())
-    with pytest.raises(ValueError, match="no chain of linear layers"):
-        exported(model.policy, configuration())
-
-
 @pytest.mark.parametrize("squash", [True, False])
 def test_random_search_can_be_exported_too(squash):
     model = ARS("MlpPolicy", make_training_env(configuration(), 3), policy_kwargs={"squash_output": squash}, seed=0)
@@ -112,11 +105,13 @@ def test_random_search_can_be_exported_too(squash):
 def test_actors_that_no_agent_can_be_are_refused():
     env = make_training_env(configuration(), 3)
     smooth = {"use_sde": True, "policy_kwargs": {"clip_mean": 2.0}}
-    for model in (CrossQ("MlpPolicy", env, buffer_size=100), SAC("MlpPolicy", env, buffer_size=100, **smooth)):
+    other = make_model(configuration("ppo")).policy
+    other.mlp_extractor.policy_net = nn.Sequential(nn.Linear(24, 8), nn.ELU())
+    models = CrossQ("MlpPolicy", env, buffer_size=100), SAC("MlpPolicy", env, buffer_size=100, **smooth)
+    refused = [nn.Linear(24, 2), other, *(model.policy for model in models)]
+    for policy in refused:
         with pytest.raises(ValueError, match="no chain of linear layers"):
-            exported(model.policy, configuration())
-    with pytest.raises(ValueError, match="no chain of linear layers"):
-        exported(nn.Linear(24, 2), configuration())
+            exported(policy, configuration())
 
 
 @pytest.mark.parametrize("expert", [EXPERT, "nmpc"])

@@ -80,14 +80,14 @@ class ClosedLoop:
     law: Forces
     inputs: Inputs = STANDARD  # of the network
     parts: Parts = Parts()  # noqa: RUF009 - a tuple; of the simulation, what is in use
-    believer: Backstepping | None = None  # the expert, where each vehicle has a hull of its own: `law` for any of them
+    informed: Backstepping | None = None  # the expert, where known models differ: its `law` for any of them
 
     def expert(
         self, observation: Rows, ns: Namespace, known: Rows = PAPER_VEHICLE.coefficients
     ) -> tuple[Number, Number]:
-        """Return the law's action on an observation without its preview; a `believer` is told the known hulls."""
+        """Return the law's action on an observation without its preview; `informed` takes the known models."""
         o = decode(observation, ns)
-        law = told(self.believer, Coefficients._make(known)) if self.believer else self.law
+        law = with_model(self.informed, Coefficients._make(known)) if self.informed else self.law
         return action_of(law(o, ns), o, ns)
 
     def features(
@@ -109,7 +109,7 @@ class ClosedLoop:
             correction: the last one.
             integrals: of the features.
             ns: the namespace of the numbers.
-            known: the coefficients of the hull as it is known.
+            known: the coefficients of the known model.
         """
         o, hull = Observation._make(decode(observation, ns)), Coefficients._make(known)
         way = preview_columns(ahead, o, ns, self.parts.span)
@@ -147,10 +147,10 @@ class ClosedLoop:
         return Moved(leaves(plant), tuple(encode(terms, ns, self.parts.span)), squared_error, lost)
 
 
-def told(expert: Backstepping, hull: Coefficients) -> Forces:
-    """Return the law of an expert that believes in another hull, of any kind of numbers."""
+def with_model(expert: Backstepping, known: Coefficients) -> Forces:
+    """Return the law of an expert with another known model, of any kind of numbers."""
     law = copy.copy(expert)
-    law.vehicle = cast(Vehicle, hull)  # whose fields it has
+    law.vehicle = cast(Vehicle, known)  # whose fields it has
     return law.forces
 
 

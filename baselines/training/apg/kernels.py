@@ -55,7 +55,7 @@ FIXED = frozenset(
 )
 """Arrays that have no row for each step."""
 KNOWN_ROWS = len(Coefficients._fields)
-"""Rows of what is known of each vehicle's hull, where the network is told: its `Coefficients`."""
+"""Rows of the known model of each vehicle, where the network sees it: its `Coefficients`."""
 _PAPER = PAPER_VEHICLE.coefficients
 
 

@@ -21,10 +21,10 @@ from baselines.evaluation.score import EXPERT, regime_of
 from baselines.training.apg.closed_loop import Loss
 from baselines.training.apg.window import Objective
 from baselines.training.beginning import loaded
-from baselines.training.config import Config
+from baselines.training.config import Config, check_integer
 from baselines.training.run_folder import VALIDATIONS
 
-PAIR = 2  # vehicles in a row that are of one group: one of them has drawn hulls where half of all do
+PAIR = 2  # vehicles in a row that are of one group: one of them has drawn models where half of all do
 _SHARES = ("final_share", "warm_up", "average", "cruise_share", "hulls", "evenness")  # settings in [0, 1]
 _WEIGHTS = ("cut", "hull_weight", "effort_weight", "rate_weight", "cruise_effort_weight", "cruise_rate_weight")
 """Settings of 0 or more; those of cruise may be None."""
@@ -57,16 +57,14 @@ class Settings:
     fine: bool = False  # whether it sees the errors on finer scales too
     filters: bool = False  # whether it sees what Kalman filters believe
     preview: tuple[int, ...] = ()  # where it sees the reference ahead, in control periods
-    hull: bool = False  # whether it is told the known vehicle
-    hulls: float = 0.0  # share of the vehicles side by side whose hulls are drawn, see `hulls`
+    hull: bool = False  # whether it sees the known vehicle
+    hulls: float = 0.0  # share of the vehicles side by side whose models are drawn, see `vehicle_models`
     hull_weight: float = 1.0  # what the loss of such a vehicle counts for beside that of another one
     validations: int = VALIDATIONS  # how often in the run the agent is validated, and a checkpoint kept
 
     def __post_init__(self) -> None:
         for name, high in (("n_envs", 2**16), ("n_steps", 10**4), ("groups", 2**15), ("validations", 1000)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= high:
-                raise ValueError(f"{name} is {value!r}; it must be an integer in [1, {high}]")
+            check_integer(name, getattr(self, name), 1, high)
         for name in ("learning_rate", "max_grad_norm"):
             check_number(name, getattr(self, name), 1e-9, 1e6)
         for name in (*_SHARES, "matrix_learning_rate", "weight_decay"):
@@ -91,12 +89,12 @@ class Settings:
         inputs, size = len(self.inputs.features), self.hidden_size
         return Gru(inputs, size, size, size) if self.memory else Mlp(inputs, (size, size), bound="tanh")
 
-    def draws_hulls(self, vehicle: Vehicle | None) -> bool:
-        """Return whether hulls are drawn beside this vehicle; beside another than the paper's, it alone is learned."""
+    def draws_vehicles(self, vehicle: Vehicle | None) -> bool:
+        """Return whether models are drawn beside this vehicle; beside another than the paper's, it alone is learned."""
         return self.hulls > 0 and vehicle == PAPER_VEHICLE
 
     def objective(self, names: Sequence[str], drawn: Sequence[bool] = ()) -> Objective:
-        """Return what is learned in scenarios of these names; `drawn` says whose hull is drawn, () for nobody's."""
+        """Return what is learned in scenarios of these names; `drawn` says whose model is drawn, () for none."""
         fast = np.array([regime_of(name) == "cruise" for name in names])
         cruise = (self.cruise_effort_weight, self.cruise_rate_weight)
         pairs = zip((self.effort_weight, self.rate_weight), cruise, strict=True)
@@ -105,6 +103,10 @@ class Settings:
         share = np.where(fast, self.cruise_share / max(1, fast.sum()), (1 - self.cruise_share) / max(1, (~fast).sum()))
         shares = np.where(drawn or False, self.hull_weight, 1.0) * (share if both else np.ones(len(fast)))
         return Objective(loss, shares / shares.sum(), self.cut, self.evenness)
+
+    def windows(self, timesteps: int) -> int:
+        """Return how many windows of all vehicles there are in so many control steps, summed over vehicles."""
+        return math.ceil(timesteps / (self.n_envs * self.n_steps))
 
     def share_at(self, progress: float) -> float:
         """Return the share of the learning rates that is left after a share `progress` of the run."""
@@ -135,15 +137,15 @@ def check(config: Config) -> Settings:
     settings = from_record(Settings, config.hyperparameters, "hyper-parameters of apg")
     config.lanes(settings.n_envs)
     if settings.hulls and not settings.hull:
-        raise ValueError("hulls are drawn, so the network must be told them: set hull=true, or hulls=0")
+        raise ValueError("vehicles are drawn, so the network must see them: set hull=true, or hulls=0")
     if settings.hulls and config.expert != NO_EXPERT and not isinstance(config.make_expert(), Backstepping):
-        raise ValueError(f"hulls are drawn, so the expert must be a form of {EXPERT} or {NO_EXPERT}: it is told them")
+        raise ValueError(f"vehicles are drawn, so the expert must be {NO_EXPERT} or a form of {EXPERT}")
     shortest = min(scenario.steps for scenario, _ in config.scenarios)
     if settings.n_steps > shortest:
         raise ValueError(f"n_steps is {settings.n_steps}; it must be at most {shortest}, the steps of an episode")
     if config.origin:
         agent = loaded(config.origin)
-        known = replace(settings.inputs, hull=settings.hull and agent.inputs.hull)  # a network can be told more
+        known = replace(settings.inputs, hull=settings.hull and agent.inputs.hull)  # a network can see more than that
         sizes = replace(settings.network, inputs=agent.network.inputs)
         if known != agent.inputs or sizes != agent.network:
             raise ValueError(f"agent {config.origin.agent!r} has another network, or other inputs, than is asked for")

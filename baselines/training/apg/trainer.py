@@ -7,6 +7,7 @@ loss is the tracking error itself: no value function, no exploration, no reward.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from contextlib import closing
 from typing import Any
 
@@ -15,65 +16,153 @@ from torch import nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from baselines.agents.agent import Agent
-from baselines.training.apg.crews import Crews
-from baselines.training.apg.settings import check
+from baselines.agents.networks import Network, Weights
+from baselines.training.apg.groups import Groups
+from baselines.training.apg.settings import Settings, check
 from baselines.training.apg.torch_network import put, torch_network, weights_of
 from baselines.training.beginning import loaded
 from baselines.training.run_folder import Run, TrainingError
-from baselines.training.validation import PRECISION
 
 LOGS = 200  # how often in a run its progress is logged
+PATIENCE = 50  # updates in a row that may be skipped for a gradient that is not finite
 
 
 def train(run: Run) -> Agent:
-    """Train an agent and return the one that is kept: of the best validation, or where hulls are drawn of the last one.
+    """Train an agent and return that of the best validation, or of the last one where vehicle models are drawn.
 
     Raises:
         OSError: the run's folder cannot be written to.
         TrainingError: the gradient is not finite any more.
         ValueError: see `check`.
     """
-    with closing(Crews(run.config, check(run.config), run.processes)) as crews:
-        trainer = Trainer(run, crews)
-        if not trainer.updates:
-            trainer.validate()
-        while trainer.updates < trainer.total:
-            trainer.update()
-        return trainer.agent(trainer.best)
+    with closing(Groups(run.config, check(run.config), run.processes)) as groups:
+        return Trainer(run, groups).train()
 
 
 class Descent:
-    """What trainers share that follow the gradient of a window: its steps, and when something is due in the run."""
+    """A run that follows the gradient of windows; a trainer fills in what it learns, and what it is made of.
 
-    PATIENCE = 50
-    """Updates in a row that may be skipped for a gradient that is not finite."""
-    updates: int  # so far
-    total: int  # updates of the whole run
-    skipped: int  # updates in a row whose gradient was not finite
-    optimizers: tuple[torch.optim.Optimizer, ...]
-    averaged: AveragedModel
+    Args:
+        run: which is gone on with from its checkpoint, if there is one, once the trainer calls `resume`.
+        settings: hyper-parameters of the gradient.
+        network: that follows the gradient.
+        sizes: of the agent's network.
+        total: updates of the whole run.
+        following: how many of them follow the gradient.
+        more: other modules and optimisers of the run, by name.
+    """
+
+    def __init__(
+        self, run: Run, settings: Settings, network: nn.Module, sizes: Network, total: int, following: int, **more: Any
+    ) -> None:
+        self.run, self.gradient, self.network, self.sizes, self.total = run, settings, network, sizes, total
+        kept = 1 - 1 / max(1.0, settings.average * following)
+        self.averaged = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(kept))  # type: ignore[no-untyped-call]
+        self.optimizers = settings.optimizers(network)
+        self._rates = [group["lr"] for optimizer in self.optimizers for group in optimizer.param_groups]
+        self._modules = {"network": network, "averaged": self.averaged, **more}
+        self._modules |= {f"optimizer {i}": optimizer for i, optimizer in enumerate(self.optimizers)}
+        self.updates = 0  # so far
+        self.skipped = 0  # updates in a row whose gradient was not finite
+
+    def learn(self) -> Mapping[str, float]:
+        """Run one window, learn from it and return what is to be logged."""
+        raise NotImplementedError
 
     @property
-    def _groups(self) -> list[dict[str, Any]]:
-        return [group for optimizer in self.optimizers for group in optimizer.param_groups]
+    def weights(self) -> Weights:
+        """The agent's weights as they are now."""
+        raise NotImplementedError
+
+    @property
+    def vehicles(self) -> Any:
+        """What it takes the vehicles to go on, to be pickled at once."""
+        raise NotImplementedError
+
+    @vehicles.setter
+    def vehicles(self, state: Any) -> None:
+        raise NotImplementedError
+
+    @property
+    def timesteps(self) -> int:
+        """Control steps so far, summed over vehicles."""
+        return self.updates * self.gradient.n_envs * self.gradient.n_steps
+
+    def train(self) -> Agent:
+        """Go on to the end of the run and return the agent that is kept."""
+        if not self.updates:
+            self.validate()
+        while self.updates < self.total:
+            self.update()
+        return self.agent(self.run.weights)
+
+    def update(self) -> None:
+        """Learn from one window, and log, validate and save where it is time to."""
+        learned = self.learn()
+        self.updates += 1
+        validates = self._due(self.gradient.validations)
+        if validates or self._due(LOGS):
+            self.run.log(self.timesteps, **learned)
+        if validates:
+            self.validate()
+
+    def validate(self) -> None:
+        """Measure the agent on the validation episodes, and save a checkpoint."""
+        self.run.validate(self.agent(self.weights), self.timesteps)
+        self.save()
+
+    def agent(self, weights: Weights) -> Agent:
+        """Return the agent of these weights."""
+        config, inputs = self.run.config, self.gradient.inputs
+        return Agent(self.sizes, weights, config.expert, config.authority, config.names, inputs=inputs)
+
+    def save(self) -> None:
+        """Save a checkpoint."""
+        self.run.save_checkpoint(
+            {
+                "timesteps": self.timesteps,
+                "updates": self.updates,
+                "skipped": self.skipped,
+                "modules": {name: part.state_dict() for name, part in self._modules.items()},
+                "vehicles": self.vehicles,
+                "generator": torch.get_rng_state(),
+            }
+        )
+
+    def resume(self) -> None:
+        """Go on from the run's checkpoint, if there is one."""
+        if (state := self.run.load_checkpoint()) is None:
+            return
+        with self.run.restoring():
+            self.updates, self.skipped, self.vehicles = state["updates"], state["skipped"], state["vehicles"]
+            for name, part in self._modules.items():
+                part.load_state_dict(state["modules"][name])
+            torch.set_rng_state(state["generator"])
 
     def _due(self, times: int) -> bool:
         """Return whether one of so many moments, spread evenly over the run, has come; the last one is its end."""
         return self.updates * times // self.total > (self.updates - 1) * times // self.total
 
-    def _follow(self, network: nn.Module, max_grad_norm: float) -> float:
-        """Take a step along a network's gradient, if it is finite, and return its norm.
+    def _set_rates(self, progress: float) -> None:
+        """Set the learning rates of a share `progress` of the updates that follow the gradient."""
+        share = self.gradient.share_at(progress)
+        groups = [group for optimizer in self.optimizers for group in optimizer.param_groups]  # new ones after `resume`
+        for group, rate in zip(groups, self._rates, strict=True):
+            group["lr"] = rate * share
+
+    def _follow(self) -> float:
+        """Take a step along the network's gradient, if it is finite, and return its norm.
 
         Raises:
             TrainingError: too many in a row were not finite.
         """
-        norm = float(nn.utils.clip_grad_norm_(network.parameters(), max_grad_norm))
+        norm = float(nn.utils.clip_grad_norm_(self.network.parameters(), self.gradient.max_grad_norm))
         if math.isfinite(norm):
             for optimizer in self.optimizers:
                 optimizer.step()
-            self.averaged.update_parameters(network)
+            self.averaged.update_parameters(self.network)
             self.skipped = 0
-        elif self.skipped >= self.PATIENCE:
+        elif self.skipped >= PATIENCE:
             raise TrainingError(f"{self.skipped} gradients in a row were not finite; lower learning_rate or n_steps")
         else:
             self.skipped += 1
@@ -83,75 +172,35 @@ class Descent:
 class Trainer(Descent):
     """Network, optimiser and vehicles of a run; goes on from the run's checkpoint, if there is one."""
 
-    def __init__(self, run: Run, crews: Crews) -> None:
+    def __init__(self, run: Run, groups: Groups) -> None:
         """Begin a run with these vehicles, or take it up."""
-        self.run, self.crews, self.settings = run, crews, crews.settings
-        config, settings = run.config, self.settings
-        run.keeps_last = settings.draws_hulls(config.vehicle)  # of validations, which are of that vehicle alone
-        self.total = max(1, math.ceil(config.timesteps / (settings.n_envs * settings.n_steps)))
+        self.groups, settings, config = groups, groups.settings, run.config
+        run.keeps_last = settings.draws_vehicles(config.vehicle)  # of validations, which are of that vehicle alone
         torch.manual_seed(config.seed)
-        self.network = torch_network(settings.network)
+        network, total = torch_network(settings.network), settings.windows(config.timesteps)
         if config.origin:
-            put(loaded(config.origin).weights, self.network)
-        kept = 1 - 1 / max(1.0, settings.average * self.total)
-        self.averaged = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(kept))  # type: ignore[no-untyped-call]
-        self.optimizers = settings.optimizers(self.network)
-        self._rates = [group["lr"] for group in self._groups]
-        self.updates, self.skipped = 0, 0
-        self.best = weights_of(self.averaged.module)
-        if (state := run.load_checkpoint()) is not None:
-            with run.restoring():
-                self._restore(state)
+            put(loaded(config.origin).weights, network)
+        super().__init__(run, settings, network, settings.network, total, total)
+        self.resume()
 
     @property
-    def timesteps(self) -> int:
-        """Control steps so far, summed over vehicles."""
-        return self.updates * self.settings.n_envs * self.settings.n_steps
+    def weights(self) -> Weights:
+        """The agent's weights: an average over the last updates."""
+        return weights_of(self.averaged.module)
 
-    def update(self) -> None:
-        """Run one window, follow its gradient, and log, validate and save where it is time to."""
-        share = self.settings.share_at(self.updates / self.total)
-        for group, rate in zip(self._groups, self._rates, strict=True):
-            group["lr"] = rate * share
-        learned = self.crews.learn(weights_of(self.network))
+    @property
+    def vehicles(self) -> Any:
+        """What it takes the groups of vehicles to go on."""
+        return self.groups.state()
+
+    @vehicles.setter
+    def vehicles(self, state: Any) -> None:
+        self.groups.restore(state)
+
+    def learn(self) -> Mapping[str, float]:
+        """Follow the gradient of a window of all groups."""
+        self._set_rates(self.updates / self.total)
+        learned = self.groups.learn(weights_of(self.network))
         for name, p in self.network.named_parameters():
             p.grad = torch.from_numpy(learned.gradients[name])
-        norm = self._follow(self.network, self.settings.max_grad_norm)
-        self.updates += 1
-        if self._due(LOGS):
-            self.run.log(self.timesteps, loss=learned.loss, window_error_m=learned.error, gradient_norm=norm)
-        if self._due(self.settings.validations):
-            self.validate()
-
-    def validate(self) -> None:
-        """Measure the agent on the validation episodes, keep the best or the last one, and save a checkpoint."""
-        weights = weights_of(self.averaged.module)
-        policy = self.agent(weights).policy(vehicle=self.run.config.vehicle, precision=PRECISION)
-        if self.run.validate(policy, self.timesteps):
-            self.best = weights
-        self.run.save_checkpoint(self._state())
-
-    def agent(self, weights: Any) -> Agent:
-        """Return the agent of these weights."""
-        config, settings = self.run.config, self.settings
-        return Agent(settings.network, weights, config.expert, config.authority, config.names, inputs=settings.inputs)
-
-    def _state(self) -> dict[str, Any]:
-        return {
-            "timesteps": self.timesteps,
-            "updates": self.updates,
-            "skipped": self.skipped,
-            "best": self.best,
-            "network": self.network.state_dict(),
-            "averaged": self.averaged.state_dict(),
-            "optimizers": [optimizer.state_dict() for optimizer in self.optimizers],
-            "crews": self.crews.state(),
-        }
-
-    def _restore(self, state: dict[str, Any]) -> None:
-        self.updates, self.skipped, self.best = state["updates"], state["skipped"], state["best"]
-        self.network.load_state_dict(state["network"])
-        self.averaged.load_state_dict(state["averaged"])
-        for optimizer, its in zip(self.optimizers, state["optimizers"], strict=True):
-            optimizer.load_state_dict(its)
-        self.crews.restore(state["crews"])
+        return {"loss": learned.loss, "window_error_m": learned.error, "gradient_norm": self._follow()}

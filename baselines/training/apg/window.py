@@ -25,7 +25,7 @@ Act = Callable[[int, Array], Array]
 
 
 class Steering(Protocol):
-    """A network as a window sees it; `Window` is told the way through it."""
+    """A network as a window sees it; `Window` gets the way through it as an argument."""
 
     @property
     def sizes(self) -> Network:
@@ -124,7 +124,7 @@ class Window:
         return np.zeros(shape, dtype=self._type)
 
     def _bind(self, kernels: LoopKernels) -> None:
-        """Tell the kernels where their numbers are."""
+        """Bind the kernels to the arrays that they read and write."""
         before, after = (Carried(*(x[part] for x in self._carried)) for part in (slice(-1), slice(1, None)))
         seen = {
             "observation": before.observation,
@@ -171,7 +171,7 @@ class Window:
             parameters: the rows of `simulation.Parameters`, shape (PARAMETER_ROWS, N).
             act: the expert, if it does not compute in the kernels.
             back: whether gradients are wanted.
-            known: what the network is told of the hulls, shape (KNOWN_ROWS, N), if its inputs have that.
+            known: the known models of the vehicles, shape (KNOWN_ROWS, N), if the network sees them.
 
         Returns:
             The mean loss, without `evenness`, the mean position error [m], what is carried on, which the next run

@@ -1,4 +1,4 @@
-"""What a teacher is told of vehicle, actuators and sea, and a student has to find out.
+"""What a teacher knows of vehicle, actuators and disturbances, and a student has to estimate.
 
 Kumar et al. (2021), "RMA: rapid motor adaptation for legged robots", call it the extrinsics. Nothing in it
 depends on what the vehicle does, so no slope goes through it; of a sheared current it is the mean.

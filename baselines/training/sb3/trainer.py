@@ -6,6 +6,7 @@ import inspect
 import math
 import warnings
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -15,6 +16,7 @@ from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecMonitor
@@ -24,12 +26,11 @@ from auv_gym.envs.residual import VectorResidualAction
 from auv_gym.task.policy import preview_of
 from baselines.agents.agent import Agent
 from baselines.tools.files import guarded
-from baselines.training.config import Config
-from baselines.training.run_folder import Run, TrainingError
+from baselines.training.config import Config, check_integer
+from baselines.training.run_folder import VALIDATIONS, Run, TrainingError
 from baselines.training.sb3.callbacks import FrozenActor, ZeroCorrection
 from baselines.training.sb3.export import exported
-from baselines.training.sb3.snapshot import restore
-from baselines.training.sb3.tracker import Tracker, sound
+from baselines.training.sb3.snapshot import restore, restore_exploration, snapshot
 from baselines.training.sb3.vec_env import SB3VecEnv
 from baselines.training.sb3.vec_features import VecFeatures
 from baselines.training.sb3.vec_reward import VecErrorCost
@@ -51,7 +52,8 @@ _NOISES: Mapping[str, Callable[[Any, Any], ActionNoise]] = {
     "normal": NormalActionNoise,
     "ornstein-uhlenbeck": OrnsteinUhlenbeckActionNoise,
 }
-_LARGEST_FLEET = 2**16
+_MOST_VEHICLES = 2**16
+LARGEST_WEIGHT = 1e6  # beyond that, and where a weight is no number at all, training has diverged
 _SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf")
 
 
@@ -74,9 +76,8 @@ def train(run: Run) -> Agent:
     if state is not None:
         with run.restoring():
             restore(model, state)
-    tracker = Tracker(run, state)
     rest = config.timesteps - model.num_timesteps
-    callbacks = CallbackList([*_callbacks(config.hyperparameters.get("callback", [])), tracker])
+    callbacks = CallbackList([*_callbacks(config.hyperparameters.get("callback", [])), Tracker(run, state)])
     if rest > 0:
         try:
             model.learn(rest, callbacks, log_interval=None, reset_num_timesteps=state is None)  # type: ignore[arg-type]
@@ -84,7 +85,7 @@ def train(run: Run) -> Agent:
             if sound(model):
                 raise
             raise TrainingError(f"training diverged after {model.num_timesteps} steps: lower learning_rate") from error
-    return tracker.agent
+    return replace(exported(model.policy, config), weights=run.weights)
 
 
 def make_model(config: Config) -> BaseAlgorithm:
@@ -126,8 +127,7 @@ def make_training_env(config: Config, n_envs: int, wrappers: Any = ()) -> VecFea
     Raises:
         ValueError: there are too few vehicles, or a wrapper is unknown.
     """
-    if isinstance(n_envs, bool) or not isinstance(n_envs, int) or not 1 <= n_envs <= _LARGEST_FLEET:
-        raise ValueError(f"hyper-parameter n_envs is {n_envs!r}; it must be an integer in [1, {_LARGEST_FLEET}]")
+    check_integer("hyper-parameter n_envs", n_envs, 1, _MOST_VEHICLES)
     expert = config.make_expert()
     track = gym.make_vec(
         "auv_gym:UnderactuatedAUVTrack-v0",
@@ -193,3 +193,65 @@ def _named(entries: Any, table: Mapping[str, Callable[..., T]], kind: str) -> li
             raise ValueError(f"{kind} {name} has arguments {arguments!r}; it takes {', '.join(known)}")
         made.append(partial(table[name], **arguments))
     return made
+
+
+class Tracker(BaseCallback):
+    """Logs and validates a model at the start, `VALIDATIONS` times a run and at the end; each time keeps a checkpoint.
+
+    Args:
+        run: that is logged to.
+        state: the checkpoint that the model has been put back to, if any.
+    """
+
+    def __init__(self, run: Run, state: Mapping[str, Any] | None = None) -> None:
+        super().__init__()
+        self.run = run
+        self._validated: int = state["timesteps"] if state else -1
+        self._resumed = state
+
+    def _init_callback(self) -> None:
+        self.model.set_logger(Logger(None, []))
+
+    def _on_training_start(self) -> None:
+        if self._resumed is None:
+            self._validate()
+        else:  # the model has just begun its noise anew, and hands it to the first rollout before that starts
+            vars(self.model)["action_noise"] = self._resumed["action_noise"]
+
+    def _on_rollout_start(self) -> None:
+        if self._resumed is not None:
+            restore_exploration(self.model, self._resumed)
+            self._resumed = None
+        every = self.run.config.timesteps / VALIDATIONS
+        if self.num_timesteps // every > self._validated // every:
+            self._validate()
+        else:
+            self.run.report(self.num_timesteps)
+
+    def _on_training_end(self) -> None:
+        if self.num_timesteps > self._validated:
+            self._validate()
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _validate(self) -> None:
+        if not sound(self.model):
+            raise TrainingError(f"training diverged after {self.num_timesteps} steps: lower learning_rate")
+        self.run.log(self.num_timesteps, **self._learned())
+        self.run.validate(exported(self.model.policy, self.run.config), self.num_timesteps)
+        self._validated = self.num_timesteps
+        self.run.save_checkpoint(snapshot(self.model))
+
+    def _learned(self) -> dict[str, float]:
+        """Return what the algorithm has logged since the last time, and the mean return of the latest episodes."""
+        values = {k: float(v) for k, v in self.logger.name_to_value.items() if isinstance(v, (int, float, np.number))}
+        self.logger.dump()
+        if self.model.ep_info_buffer:
+            values["return"] = float(np.mean([episode["r"] for episode in self.model.ep_info_buffer]))
+        return values
+
+
+def sound(model: BaseAlgorithm) -> bool:
+    """Return whether all weights of a model are numbers that it can go on with."""
+    return all(bool((p.abs() < LARGEST_WEIGHT).all()) for p in model.policy.parameters())

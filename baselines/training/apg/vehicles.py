@@ -21,8 +21,8 @@ from baselines.training.apg.window import Carried
 TURNS = 4  # of its scenarios that a vehicle tries at most until an episode can be planned
 
 
-class Fleet:
-    """N vehicles; vehicle i runs the episodes of an environment of seed + i, one after the other.
+class TrainingVehicles:
+    """A batch of N vehicles; vehicle i runs the episodes of an environment of seed + i, one after the other.
 
     Where a vehicle has several scenarios, of the same clock, each of its episodes is of the next one, round and round.
 
@@ -31,7 +31,7 @@ class Fleet:
 
     Attributes:
         fresh: whether an episode began at the last renewal, shape (N,).
-        known: the coefficients of the hulls as a policy is told them, shape (len(Coefficients._fields), N).
+        known: the coefficients of the known models of the vehicles, shape (len(Coefficients._fields), N).
     """
 
     def __init__(
@@ -41,12 +41,12 @@ class Fleet:
         window: int,
         preview: Sequence[int] = (),
         turns: Sequence[Sequence[Scenario]] = (),
-        told: Callable[[Vehicle, np.random.Generator], Vehicle] | None = None,
+        known: Callable[[Vehicle, np.random.Generator], Vehicle] | None = None,
     ) -> None:
-        """Make the fleet; `window` control steps are run between beginnings.
+        """Make the vehicles; `window` control steps are run between beginnings.
 
-        With `turns` each vehicle's episodes are of those scenarios in place of its only one. What `told` returns for an
-        episode's known vehicle is `known` in its place; plans and the true vehicle stay what they are.
+        With `turns` each vehicle's episodes are of those scenarios in place of its only one. What `known` returns for
+        an episode's known vehicle is known in its place; plans and the true vehicle stay what they are.
         """
         n = len(scenarios)
         self._turns = turns or [[scenario] for scenario in scenarios]
@@ -54,9 +54,9 @@ class Fleet:
         self._lanes = Lanes(n, [own[0] for own in self._turns], None, None, preview)
         self._lanes.parts = reduce(Parts.joined, {s.parts: None for own in self._turns for s in own})
         self._seed, self._window = seed, window
-        self._told, self._rng = told, np.random.default_rng([seed, n, 1])
+        self._model, self._rng = known, np.random.default_rng([seed, n, 1])
         self.known: Array = np.empty((len(Coefficients._fields), n))
-        self._tell(self._lanes.all)
+        self._set_known(self._lanes.all)
         self._steps = np.array([s.steps for s in scenarios])
         self._lost = np.array([s.lost_distance**2 for s in scenarios])
         windows = np.maximum(self._steps // window, 1)
@@ -106,15 +106,15 @@ class Fleet:
         renewed = Carried(*(np.where(self.fresh, 0.0, x) for x in carried))
         if len(lanes):
             beginning = self._lanes.begin(lanes, self._planned(lanes))
-            self._tell(lanes)
+            self._set_known(lanes)
             renewed.state[:, lanes], renewed.observation[:, lanes] = beginning.plant, beginning.seen
         return renewed
 
-    def _tell(self, lanes: NDArray[np.int64]) -> None:
-        """Set what is told of the hulls of episodes that begin."""
+    def _set_known(self, lanes: NDArray[np.int64]) -> None:
+        """Set the known models of episodes that begin."""
         for i in lanes.tolist():
             vehicle = self._lanes.scenarios[i].vehicle
-            self.known[:, i] = (self._told(vehicle, self._rng) if self._told else vehicle).coefficients
+            self.known[:, i] = (self._model(vehicle, self._rng) if self._model else vehicle).coefficients
 
     def _planned(self, lanes: NDArray[np.int64]) -> list[Planned]:
         """Return the next episodes of some vehicles; where no path can be followed each goes on to its next turn."""

@@ -1,8 +1,8 @@
-"""Hulls to train on: random vehicles in the units of the paper's, each with limits and a lag, and what they are told.
+"""Vehicle models to train on: random ones in the units of the paper's, with limits, a lag and errors of the model.
 
 By dimensional analysis a vehicle is one of the paper's mass, length and speed with ratios of its own, see
 `auv_gym.physics.units`; so those three are never drawn. The ranges of the rest hold the published vehicles of
-`auv_gym.scenarios.vehicles`, none of which is trained on. A hull that cannot do what its scenario asks for is not
+`auv_gym.scenarios.vehicles`, none of which is trained on. A vehicle that cannot do what its scenario asks for is not
 taken.
 """
 
@@ -24,10 +24,10 @@ from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import Craft
 
 SUBSTEPS = 2
-"""Integration steps in a control period, for all vehicles side by side; a hull that needs more is not taken."""
+"""Integration steps in a control period, for all vehicles side by side; a model that needs more is not taken."""
 SEVERAL = 16
-"""Hulls that a vehicle of the training is, one an episode, again and again."""
-TRIALS = 8  # paths that a hull is tried on ...
+"""Models that a vehicle of the training has, one an episode, again and again."""
+TRIALS = 8  # paths that a model is tried on ...
 ENOUGH = 6  # ... and how many of them it must be able to follow
 DECADES = {
     "d11": (7.0, 450.0),  # [kg/s] surge drag over the speed, at the design speed, quadratic one included
@@ -47,22 +47,22 @@ DECADES = {
 }
 """Ranges in the paper's units, drawn from so that each factor of two is as likely as any other."""
 LIFTS = {"Y_ur": (0.0, 450.0), "N_uv": (-120.0, 220.0)}  # [kg], drawn evenly
-SOME = 0.65  # share of the hulls that have quadratic drag, of each kind; and of lift where there is lift
-LIFTING = 0.5  # share of the hulls that have lift
+SOME = 0.65  # share of the models that have quadratic drag, of each kind; and of lift where there is lift
+LIFTING = 0.5  # share of the models that have lift
 FINNED = 0.5  # share of them with fins in place of a rudder that steers at any speed
-WRONG = 0.75  # share of the episodes, of drawn hulls or not, in which a vehicle is told wrong
+WRONG = 0.75  # share of the episodes, of drawn models or not, in which the known model is wrong
 MISTAKE = (0.35, 1.65)
-"""What is told of m22/m11, as far as that is a slender hull, and of each kind of drag, over what is right."""
+"""Known over true m22/m11, as far as that is a slender vehicle, and known over true drag, of each kind."""
 
 
-def turns(scenarios: Sequence[Scenario], share: float, seed: int) -> list[list[Scenario]]:
+def variants_of(scenarios: Sequence[Scenario], share: float, seed: int) -> list[list[Scenario]]:
     """Return for each of the scenarios those that a vehicle goes through, one an episode.
 
-    A share of the vehicles, evenly among them, has `SEVERAL` drawn hulls; the others have the scenario's own.
+    A share of the vehicles, evenly among them, has `SEVERAL` drawn models; the others have the scenario's own.
 
     Args:
         scenarios: one for each vehicle, of the paper's vehicle.
-        share: of the vehicles that have drawn hulls, 0 ... 1.
+        share: of the vehicles that have drawn models, 0 ... 1.
         seed: of the draws.
     """
     rng = np.random.default_rng([seed, len(scenarios)])
@@ -75,9 +75,9 @@ def turns(scenarios: Sequence[Scenario], share: float, seed: int) -> list[list[S
 
 
 def _fitted(scenario: Scenario, rng: np.random.Generator) -> Scenario:
-    """Return a scenario of the paper's vehicle as one of a drawn hull that can do it."""
+    """Return a scenario of the paper's vehicle as one of a drawn vehicle that can do it."""
     while True:
-        with suppress(ValueError):  # a hull, a scenario for it or a plan that there cannot be
+        with suppress(ValueError):  # a vehicle, a scenario for it or a plan that there cannot be
             other = adapted(drawn(rng), scenario)
             if other.substeps == scenario.substeps and _followed(other, rng):
                 return other
@@ -87,7 +87,7 @@ def drawn(rng: np.random.Generator) -> Craft:
     """Return a random vehicle in the paper's units.
 
     Raises:
-        ValueError: there is no such vehicle, as where it would be no slender hull.
+        ValueError: there is no such vehicle, as where it would not be slender.
     """
     x = {name: float(np.exp(rng.uniform(*np.log(ends)))) for name, ends in DECADES.items()}
     x |= {name: float(rng.uniform(*ends)) for name, ends in LIFTS.items()}
@@ -107,8 +107,8 @@ def drawn(rng: np.random.Generator) -> Craft:
     return Craft("drawn", "", "", "", "", vehicle, acts, x["turn_rate"], x["lag"], slowest)
 
 
-def believed(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
-    """Return what a policy is told of a vehicle in an episode: that vehicle, or another one of its m11 and m33."""
+def with_model_error(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
+    """Return the known model of a vehicle in an episode: that vehicle, or another one of its m11 and m33."""
     if rng.random() >= WRONG:
         return vehicle
     low, high = MISTAKE
@@ -118,7 +118,7 @@ def believed(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:
 
 
 def _followed(scenario: Scenario, rng: np.random.Generator) -> bool:
-    """Return whether a hull can follow most of a scenario's paths."""
+    """Return whether a vehicle can follow most of a scenario's paths."""
     done = 0
     for _ in range(TRIALS):
         with suppress(ValueError):
