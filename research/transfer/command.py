@@ -22,10 +22,8 @@ from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, write_atomically
 from baselines.tools.workers import Workers
 from research.transfer import trials
-from research.transfer.comparison import SIMULATORS, Task, caused, summarised
-from research.transfer.installed import vehicle_of
+from research.transfer.comparison import Task, caused, summarised
 from research.transfer.page import section, turned
-from research.transfer.picture import picture
 from research.transfer.worlds import MODELS
 
 PROGRAM = "python -m research transfer"
@@ -47,7 +45,6 @@ POLICIES = (
 """Who is compared."""
 CASES = ("calm", "noise", "current", "waves", "mismatch", "storm")
 """What they go through: the cases whose trouble is the same in both simulators; each has lags of its own."""
-PICTURED = "los-pid", "current"  # policy and case of the picture
 
 
 @dataclass(frozen=True)
@@ -67,8 +64,6 @@ class Options:
     """Cases by name."""
     episodes: int = 64
     """Episodes of each case."""
-    simulator: str = "own"
-    """What moves the vehicles: own, the equations here, or installed, the user's copy of PythonVehicleSimulator."""
     log: Annotated[Path | None, arg(metavar="LOG.csv", help_behavior_hint="")] = None
     """Write the log of a trial of the first vehicle instead, to identify a vehicle from."""
     seed: int = 0
@@ -78,7 +73,7 @@ class Options:
     work: Path = Path("runs/elsewhere")
     """Folder for what came out of each policy."""
     out: Path = Path("docs" if checkout() else "runs/elsewhere")
-    """Folder for elsewhere.json, and images/elsewhere.png in it."""
+    """Folder for elsewhere.json."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -99,12 +94,9 @@ def main(arguments: Sequence[str]) -> int:
         found = summarised(_results(options, vehicle))
         record[vehicle] = {**found, "causes": caused(vehicle, options.episodes), "trials": turned(vehicle)}
         print(section(vehicle, record[vehicle]), flush=True)
-    (options.out / "images").mkdir(parents=True, exist_ok=True)
+    options.out.mkdir(parents=True, exist_ok=True)
     write_atomically(options.out / FILE, json_text(record))
-    policy = PICTURED[0] if PICTURED[0] in options.policy else options.policy[0]
-    drawn = [Task(policy, vehicle, (PICTURED[1],), 2, options.simulator) for vehicle in options.vehicle]
-    write_atomically(options.out / "images" / "elsewhere.png", picture(drawn))
-    print(f"written: {options.out / FILE} and images/elsewhere.png beside it")
+    print(f"written: {options.out / FILE}")
     return DONE
 
 
@@ -114,7 +106,6 @@ def _check(options: Options) -> None:
         ("policy", options.policy, tuple(list_policies())),
         ("vehicle", options.vehicle, tuple(MODELS)),
         ("case", options.case, KNOWN),
-        ("simulator", (options.simulator,), tuple(SIMULATORS)),
     ):
         if unknown := [name for name in given if name not in allowed]:
             raise UsageError(f"--{what} {unknown[0]!r} is unknown; allowed are {', '.join(allowed)}")
@@ -122,25 +113,18 @@ def _check(options: Options) -> None:
         raise UsageError("--episodes must be 2 or more, --seed 0 or more and --jobs 1 or more")
     if len(options.policy) < 2 and options.log is None:
         raise UsageError(f"--policy names {len(options.policy)}; a ranking needs 2 or more")
-    if options.simulator == "installed":
-        try:
-            vehicle_of(options.vehicle[0])
-        except ValueError as error:
-            raise UsageError(f"--simulator installed: {error}") from error
 
 
 def _results(options: Options, vehicle: str) -> dict[str, dict[str, Any]]:
     """Return what came out by policy and case; what is not kept already is run."""
     files = {policy: options.work / vehicle / f"{policy}.json" for policy in options.policy}
-    stamps = {policy: f"{fingerprint(policy)} {options.episodes} {options.simulator}" for policy in options.policy}
+    stamps = {policy: f"{fingerprint(policy)} {options.episodes}" for policy in options.policy}
     known: dict[str, dict[str, Any]] = {}
     for policy, file in files.items():
         kept = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
         known[policy] = kept.get("cases", {}) if kept.get("stamp") == stamps[policy] else {}
     left = {policy: tuple(case for case in options.case if case not in known[policy]) for policy in options.policy}
-    tasks = [
-        Task(policy, vehicle, cases, options.episodes, options.simulator) for policy, cases in left.items() if cases
-    ]
+    tasks = [Task(policy, vehicle, cases, options.episodes) for policy, cases in left.items() if cases]
     for task, found in Workers(options.jobs).results(Task.run, [(task,) for task in tasks]):
         known[task.policy] |= found
         files[task.policy].parent.mkdir(parents=True, exist_ok=True)

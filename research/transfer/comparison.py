@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,12 +20,9 @@ from baselines.evaluation.runner import Cell, drawn
 from baselines.policies import make_policy
 from research.seeds import TRANSFER
 from research.transfer.bodies import bodies
-from research.transfer.installed import Installed
-from research.transfer.worlds import VARIANTS, Own, World
+from research.transfer.worlds import VARIANTS, Own
 
 _REGIME = "cruise"  # vehicles that fins steer have no other
-SIMULATORS: Mapping[str, Callable[[Any, int], World]] = {"own": Own, "installed": Installed}
-"""What moves the vehicles in six degrees of freedom: the equations here, or the user's PythonVehicleSimulator."""
 PLANE = "plane"  # the simulator of three degrees of freedom
 SPACE = "space"  # the one of six
 GROWTH = 1.5  # most growth of an error that is asked for
@@ -40,7 +37,6 @@ class Task:
     vehicle: str
     cases: tuple[str, ...]
     episodes: int  # of each case
-    simulator: str = "own"
     lacking: str = ""  # one of the `VARIANTS` of the vehicle, in place of the published one
 
     def run(self) -> tuple[Task, dict[str, Any]]:
@@ -63,7 +59,7 @@ class Task:
 
     def bodies(self, place: str) -> MadeBodies | None:
         """Return what makes the vehicles of a simulator; None for the plane."""
-        made, known = SIMULATORS[self.simulator], craft(self.vehicle).vehicle
+        made, known = Own, craft(self.vehicle).vehicle
         vehicle: Any = VARIANTS[self.vehicle][self.lacking] if self.lacking else self.vehicle
         return bodies(lambda n: made(vehicle, n), known) if place == SPACE else None
 

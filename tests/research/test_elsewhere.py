@@ -2,10 +2,8 @@
 
 import json
 import math
-import sys
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -15,7 +13,6 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from auv_gym.physics.dynamics import rk4_step
-from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import ARRAYS, FLOATS
 from auv_gym.physics.vehicle import Coefficients
 from auv_gym.scenarios.presets import as_scenario
@@ -27,7 +24,6 @@ from baselines.tools.command_line import run
 from research.transfer import command, comparison, otter, page, remus100
 from research.transfer.bodies import bodies, deviation
 from research.transfer.comparison import concordance, pooled
-from research.transfer.installed import Installed
 from research.transfer.six_dof import AS_PUBLISHED, Deviation, Motion, Outside, coriolis, cross_flow, place_rates
 from research.transfer.trials import log
 from research.transfer.worlds import MODELS, Own
@@ -158,65 +154,6 @@ def test_a_deviation_is_that_of_the_plane():
     np.testing.assert_allclose(deviation(true, known), wanted, atol=1e-9)
 
 
-@pytest.fixture
-def stand_in(monkeypatch):
-    """A package of the interface of PythonVehicleSimulator, whose vehicles are the matrix forms above."""
-
-    def vehicle(name, lags):
-        class Simulated:
-            V_c = beta_c = 0.0
-
-            def __init__(self):
-                eye, rest = np.eye(6), np.zeros(len(lags))
-                loads = [self.load(unit, rest) for unit in eye]
-                self.Minv = np.array(loads).T
-
-            @staticmethod
-            def load(unit, rest):
-                model = MODELS[name]
-                row = [0.0] * model.size
-                base, pushed = (
-                    model.rates(row, rest.tolist(), NOWHERE._replace(X=k * unit[0], Y=k * unit[1], N=k * unit[5]),
-                                AS_PUBLISHED, FLOATS)[6:12] for k in (0.0, 1.0)
-                )  # fmt: skip
-                return np.subtract(pushed, base)
-
-            def dynamics(self, eta, nu, u_actual, u_control, sampleTime):
-                c, s = math.cos(eta[5]), math.sin(eta[5])
-                drift = np.zeros(6)
-                drift[:2] = to_body(self.V_c * math.cos(self.beta_c), self.V_c * math.sin(self.beta_c), c, s)
-                turning = np.array([nu[5] * drift[1], -nu[5] * drift[0], 0, 0, 0, 0])
-                nu_dot = turning + REFERENCE[name](eta, nu - drift, u_actual)
-                lag = (np.asarray(u_control) - u_actual) / lags
-                return nu + sampleTime * nu_dot, u_actual + sampleTime * lag
-
-        return Simulated
-
-    package, vehicles = ModuleType("python_vehicle_simulator"), ModuleType("python_vehicle_simulator.vehicles")
-    monkeypatch.setitem(sys.modules, "python_vehicle_simulator", package)
-    monkeypatch.setitem(sys.modules, "python_vehicle_simulator.vehicles", vehicles)
-    for name, lags in (("remus100", (0.1, 0.1, 1.0)), ("otter", (0.1, 0.1))):
-        module = ModuleType(f"python_vehicle_simulator.vehicles.{name}")
-        setattr(module, name, vehicle(name, np.array(lags)))
-        monkeypatch.setitem(sys.modules, module.__name__, module)
-
-
-@pytest.mark.parametrize("name", REFERENCE)
-def test_an_installed_copy_moves_as_our_equations(name, stand_in):
-    start = np.array([[1.0, 2.0, 0.7, 0.8, 0.0, 0.0]]).T
-    worlds = Own(name, 1), Installed(name, 1)
-    outside = np.array(Outside(25.0, 0.4, 0.15, -0.1, 2.0, -1.0, 0.1))[:, None]
-    for world in worlds:
-        world.place([0], start, np.array(AS_PUBLISHED)[:, None])
-    for _ in range(20):
-        (own, forces), (installed, given) = (world.advance(outside, 0.1) for world in worlds)
-    np.testing.assert_allclose(installed, own, atol=0.02)
-    np.testing.assert_allclose(given, forces, rtol=0.05)
-    assert np.hypot(*(own[:2] - start[:2])) > 1.0
-    with pytest.raises(ValueError, match="the published vehicle alone; take cases without mismatch"):
-        worlds[1].place([0], start, np.array(AS_PUBLISHED._replace(m_u=1.1))[:, None])
-
-
 def test_ranks_and_means_are_what_statistics_says():
     rng = np.random.default_rng(4)
     a, b = rng.normal(size=(2, 9))
@@ -263,7 +200,6 @@ def test_the_command_compares_and_keeps(tmp_path, monkeypatch, capsys):
         (["--vehicle", "canoe"], "--vehicle 'canoe' is unknown; allowed are remus100, otter"),
         (["--policy", "ekf"], "--policy names 1; a ranking needs 2 or more"),
         (["--episodes", "1"], "--episodes must be 2 or more"),
-        (["--simulator", "installed"], "python_vehicle_simulator is not installed; clone and install"),
     ],
 )
 def test_a_mistake_is_one_line(arguments, says, capsys):
