@@ -33,5 +33,5 @@ STUDIES = Seeds(40_000_000, 140_000_000)
 TRAINING = Seeds(1_000_000_000, 2**62)
 """Agents are trained on these."""
 
-_TABLE = (USERS, TUNING, TUNING_CHECK, VALIDATION, STUDIES, TRAINING)
+TABLE = (USERS, TUNING, TUNING_CHECK, VALIDATION, STUDIES, TRAINING)
 """Every range, in order; none overlaps another."""
