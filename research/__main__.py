@@ -15,7 +15,6 @@ COMMANDS = {
     "filter-gains": Command("research.trainings.filter_gains", "eval"),
     "fine-tuning": Command("research.trainings.fine_tuning", "train"),
     "front": Command("research.trainings.front", "train,tuning"),
-    "guard-thresholds": Command("research.robustness.thresholds", "eval"),
     "guards": Command("research.robustness.saved", "eval"),
     "held-out": Command("research.results.fresh", "eval"),
     "identification-coverage": Command("research.vehicles.coverage", "eval"),

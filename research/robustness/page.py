@@ -11,7 +11,7 @@ from baselines.evaluation.score import regime_of
 from baselines.tools.files import read_json
 from research import DOCS
 from research.pages import table
-from research.robustness import certificate, falsification, saved, thresholds
+from research.robustness import certificate, falsification, saved
 
 PAGE = DOCS / "safety.md"  # whose sections are written here
 SHOWN = 6
@@ -84,23 +84,8 @@ def _place(found: Mapping[str, Any]) -> tuple[str, str, float]:
 
 def guards() -> dict[str, Any]:
     """Return what is kept of guards, by part; {} where nothing is."""
-    record: dict[str, Any] = read_json(thresholds.FILE) if thresholds.FILE.exists() else {}
+    record: dict[str, Any] = read_json(saved.FILE) if saved.FILE.exists() else {}
     return record
-
-
-def choices() -> str:
-    """Return the table of guards that were compared."""
-    rows = [
-        [policy, guard, *_both(row["lost"]), *_both(row["expert_keeps"]), *(f"{x:.3g}" for x in row["tail_mm"])]
-        for policy, own in guards().get("thresholds", {}).items()
-        for guard, row in own.items()
-    ]
-    heads = "policy", "guard", "lost: cases", "worlds", "of the expert's: cases", "worlds", "tail [mm]: cases", "worlds"
-    return _table(thresholds.PROGRAM, heads, rows)
-
-
-def _both(pair: Sequence[int]) -> tuple[str, str]:
-    return str(pair[0]), str(pair[1])
 
 
 def in_suites() -> str:
@@ -136,7 +121,6 @@ def failures() -> str:
 SECTIONS: Mapping[str, Callable[[], str]] = {
     "certificates": certificates,
     "seas": found_seas,
-    "choices": choices,
     "suites": in_suites,
     "failures": failures,
 }

@@ -29,11 +29,12 @@ from baselines.evaluation.side_by_side import SideBySide
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, read_json, write_atomically
+from research import DATA
 from research.robustness.failures import FAILURES, Failing
 from research.robustness.situations import NORMAL, episodes_of
-from research.robustness.thresholds import FILE
 
 PROGRAM = "python -m research guards"
+FILE = DATA / "guards.json"  # what guards did
 _SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1", "sealed-v1")
 """Suites in which somebody is lost."""
 AT_ONCE = 520  # episodes side by side

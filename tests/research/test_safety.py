@@ -32,7 +32,7 @@ from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import is_lost
 from baselines.tools.command_line import run
 from research.results import kept
-from research.robustness import certificate, falsification, page, saved, seas, thresholds
+from research.robustness import certificate, falsification, page, saved, seas
 from research.robustness.failures import Failing
 from research.seeds import FAILURE_RATE, FALSIFICATION
 
@@ -117,7 +117,6 @@ def test_certificate_counts_what_is_lost_and_goes_on(tmp_path, monkeypatch, caps
         (falsification, ["helm", "--regime", "fast"], "--regime is 'fast'; allowed are slow, cruise"),
         (falsification, ["helm", "--sea", "rough"], "--sea is 'rough'; allowed are storm, adverse"),
         (falsification, ["helm", "--generations", "0"], "--generations is 0; it must be in [1, 10000]"),
-        (thresholds, ["--guard", "dog"], "--guard is 'dog'; allowed are none, as shipped"),
         (saved, ["--suite", "paper"], "--suite is 'paper'; allowed are benchmark-v1"),
     ],
 )
