@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
-from scipy.optimize import brentq
 
 from auv_gym.physics.dynamics import Force
 from auv_gym.physics.namespaces import Array
@@ -73,6 +71,8 @@ class Linearisation:
 
     def held(self, period: float) -> Array:
         """Return the matrix from one control instant to the next, shape (6, 6), with the forces held in between."""
+        from scipy.linalg import expm
+
         block = np.zeros((8, 8))
         block[:6] = np.hstack((self.A, self.B))
         step = expm(block * period)
@@ -80,6 +80,7 @@ class Linearisation:
 
     def largest_period(self) -> float:
         """Return the period [s] at which the held loop turns unstable first; 0 if it always is, inf if not by 5 s."""
+        from scipy.optimize import brentq
 
         def growth(period: float) -> float:
             return float(np.abs(np.linalg.eigvals(self.held(period))).max()) - 1

@@ -11,11 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import lru_cache, partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
-from scipy.linalg import block_diag, expm, solve_discrete_are
 
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Vehicle
@@ -25,6 +23,9 @@ from baselines.control.inertial_integral import integrated, seen_from_body
 from baselines.control.linearisation import error_dynamics
 from baselines.gains.loading import tuned_policy
 from baselines.policy import Memory, first_order
+
+if TYPE_CHECKING:  # SciPy is imported where it is used: most policies need none of it
+    from scipy.interpolate import RegularGridInterpolator
 
 SPEEDS = np.geomspace(0.05, 2.5, 14)  # [m/s] u_R of the grid of gains; beyond it the gain at its edge is used
 _TURN_RATES = np.linspace(-0.18, 0.18, 7)  # [rad/s] r_R of the grid of gains
@@ -68,6 +69,8 @@ def sampled_model(u_R: float, r_R: float, vehicle: Vehicle, w: LqiWeights, dt: f
 
     The states are the six errors, xi in the body frame (2), the lagged forces (2) and the previous command (2).
     """
+    from scipy.linalg import expm
+
     A6, B6 = error_dynamics(vehicle, u_R, steady_sway(u_R, r_R, vehicle), r_R)
     turning = np.array([[0.0, r_R], [-r_R, 0.0]])
     n = _STATES + _FORCES
@@ -95,6 +98,8 @@ def optimal_gain(
         dt: control period [s].
         limits: of the actuators, F_u [N] and F_r [N m].
     """
+    from scipy.linalg import block_diag, solve_discrete_are
+
     Phi, Gamma = sampled_model(u_R, r_R, vehicle, w, dt)
     v_R = steady_sway(u_R, r_R, vehicle)
     weighted = np.zeros((_STATES, _STATES))  # errors times the roots of their weights
@@ -120,6 +125,8 @@ def preferred(limits: Array) -> Array:
 @lru_cache(maxsize=64)
 def gain_schedule(vehicle: Vehicle, w: LqiWeights, dt: float, limits: tuple[float, float]) -> RegularGridInterpolator:
     """Return K (N, 2, 12) as a function of points (N, 2) of u_R, r_R inside the grid; arguments as `optimal_gain`."""
+    from scipy.interpolate import RegularGridInterpolator
+
     gains = [[optimal_gain(u, r, vehicle, w, dt, limits) for r in _TURN_RATES.tolist()] for u in SPEEDS.tolist()]
     return RegularGridInterpolator((SPEEDS, _TURN_RATES), np.array(gains))
 

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
@@ -156,17 +155,17 @@ def later(aim: Array, delay: Array) -> Array:
         delay: [periods], shape (N,), at most `LATE`; between whole numbers of periods the place is interpolated.
     """
     weights = np.clip(1.0 - np.abs(delay - np.arange(LATE + 1.0)[:, None]), 0.0, 1.0)
-    return np.asarray(np.einsum("dkj,jin,dn->kin", _SHIFTS, aim, weights))
+    return np.asarray(np.einsum("dkj,jin,dn->kin", _shifts(), aim, weights))
 
 
+@cache
 def _shifts() -> Array:
     """Return the matrices that take places at the stages' ends to those d periods later, shape (1 + LATE, K, K)."""
+    from scipy.interpolate import CubicSpline
+
     ends = np.array((0.0, *PREVIEW))
     spline = CubicSpline(ends, np.eye(len(ends)))  # of each place's share; that of now is the origin
     return np.stack([spline(ends[1:] + d)[:, 1:] for d in range(LATE + 1)])
-
-
-_SHIFTS = _shifts()
 
 
 def horizon(o: Array, z: Array, aim: Array, share: Array, acting: Array) -> Horizon:
