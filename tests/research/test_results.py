@@ -14,7 +14,7 @@ from baselines.agents.names import agent_folder
 from baselines.evaluation import recorded
 from research import pages
 from research.lower_bounds.floor.command import floor_of, kept
-from research.results import collection
+from research.results import collection, overview
 from research.results.collection import ROUNDING, SUITES, TOLERANCE, Results, better_than, collected
 from research.results.left import what_is_left
 
@@ -171,3 +171,23 @@ def test_a_stale_page_is_named_and_written(tmp_path, capsys):
     assert capsys.readouterr().out == "stale: results/leads\n"
     assert pages.main(["results/leads", "--out", str(tmp_path)]) == 0
     assert pages.main(["results/leads", "--check", "--out", str(tmp_path)]) == 0
+
+
+def test_the_words_of_the_summary_are_true():
+    """Where `helm` does not lead, by the mean of the rows; and that the policies of the table do not pass a bound."""
+    unmodelled, opened, vehicles = (collected(name)[0] for name in ("unmodelled-v1", "sealed-v1", "vehicles-v1"))
+
+    def mean(results, policy, regime):
+        return np.concatenate([m.tail for m in results.measures(policy, regime)]).mean()
+
+    for regime in ("slow", "cruise"):
+        assert mean(unmodelled, "nmpc-adverse", regime) < mean(unmodelled, "helm", regime)
+    assert mean(opened, "nmpc", "slow") < mean(opened, "helm", "slow")
+    failed = {p: sum(e.lost for e in vehicles.pooled if e.policy == p) for p in ("helm-any", "nmpc")}
+    assert failed["helm-any"] > failed["nmpc"]
+    values = overview.context()
+    rows = {row[0].strip("`"): [float(cell.split(" (")[0]) for cell in row[1:3]] for row in values["rows"]}
+    for i, regime in enumerate(("slow", "cruise")):
+        errors = [row[i] for row in rows.values()]
+        assert min(errors) == rows["helm"][i]
+        assert min(errors) > values["estimation"][regime] > values["optimum"][regime]
