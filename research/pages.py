@@ -34,6 +34,7 @@ PAGES: Mapping[str, str] = {
     "results/fronts": "research.results.fronts",
     "results/residual": "research.results.residual_figure",
     "results/studies": "research.results.studies",
+    "safety": "research.robustness.page",
 }
 """The module of each page: `context(page)` returns the values of its template, `figures(page)`, if there is one, its
 figures as PNG by name."""

@@ -20,7 +20,6 @@ from typing import Annotated, Any
 import numpy as np
 from tyro.conf import Positional, arg
 
-from auv_gym.installation import checkout
 from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import REGIMES
 from auv_gym.scenarios.scenario import Scenario
@@ -35,13 +34,13 @@ from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, check_words, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tuning.search import strategies
-from research import DOCS
+from research import DATA, DOCS
 from research.robustness.seas import KINDS, names, sea
 from research.seeds import FALSIFICATION
 
 PROGRAM = "python -m research falsification"
-FOLDER = DOCS / "seas"  # of the seas that were found
-_RECORD = "seas.json"  # file in it of what was found
+FOLDER = DOCS / "seas"  # of the scenarios that were found
+FILE = DATA / "seas.json"  # what was found
 POPULATION = 12  # directions of a generation
 _EPISODES = 3  # of a sea while it is looked for; the one in the middle counts
 FIRST = tuple(np.geomspace(0.5, 6.0, 7).tolist())
@@ -69,8 +68,8 @@ class Options:
     training in which sensors, commands and actuators are not as told either."""
     generations: int = 24
     """Generations of the search; a generation is 252 episodes."""
-    out: Path = FOLDER if checkout() else Path("runs/seas")
-    """Folder for the scenarios and seas.json, to which they are added."""
+    out: Path = FOLDER
+    """Folder for the scenarios. Another folder than that of the page gets a seas.json of its own, too."""
 
 
 @dataclass(frozen=True)
@@ -188,17 +187,21 @@ def _confirmed(search: Search, severity: float, towards: Array, ran: int) -> Fou
     return Found(digest, math.inf, {}, 0, ran)
 
 
-def kept(folder: Path = FOLDER) -> dict[str, dict[str, Any]]:
+def kept(file: Path = FILE) -> dict[str, dict[str, Any]]:
     """Return what was found, a `Found` as a dict by the name of the search.
 
     Raises:
         ValueError: the file is damaged.
     """
-    file = folder / _RECORD
     record = read_json(file) if file.exists() else {}
     if not isinstance(record, dict):
         raise ValueError(f"{file} does not hold what {PROGRAM} writes; delete it, or name another folder with --out")
     return record
+
+
+def _record(folder: Path) -> Path:
+    """Return the file about the seas whose scenarios are in a folder."""
+    return FILE if folder.resolve() == FOLDER.resolve() else folder / FILE.name
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -216,7 +219,7 @@ def main(arguments: Sequence[str]) -> int:
     folder = checked_folder(options.out)
     try:
         strategies()
-        kept(folder)
+        kept(_record(folder))
     except (ImportError, ValueError) as error:
         raise UsageError(str(error)) from error
     searches = [Search(p, regime, kind) for kind in options.sea for regime in options.regime for p in policies]
@@ -233,7 +236,8 @@ def main(arguments: Sequence[str]) -> int:
 def _write(search: Search, found: Found, folder: Path) -> None:
     """Add what was found to a folder, and say it."""
     about = {"policy": search.policy, "regime": search.regime, "sea": search.kind}
-    write_atomically(folder / _RECORD, json_text({**kept(folder), search.name: {**about, **asdict(found)}}))
+    file = _record(folder)
+    write_atomically(file, json_text({**kept(file), search.name: {**about, **asdict(found)}}))
     if math.isinf(found.severity):
         print(f"{search.name}: none found in {found.episodes} episodes")
         return

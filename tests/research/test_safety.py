@@ -8,7 +8,6 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
-from kept_pages import compare_or_refresh
 from scipy import stats
 
 from auv_gym import PRESETS, Scenario
@@ -31,8 +30,9 @@ from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import is_lost
 from baselines.tools.command_line import run
+from baselines.tools.files import read_json
 from research.results import kept
-from research.robustness import certificate, falsification, page, saved, seas
+from research.robustness import failure_rate, falsification, guards, seas
 from research.robustness.failures import Failing
 from research.seeds import FAILURE_RATE, FALSIFICATION
 
@@ -64,7 +64,7 @@ def watched(observations):
     return found
 
 
-# --- the certificate ---
+# --- the failure rate ---
 
 
 @pytest.mark.parametrize(("lost", "episodes"), [(0, 10_000), (3, 500), (7, 40)])
@@ -83,41 +83,41 @@ def test_unequal_chances_only_make_it_safer():
     assert covered >= 0.95
 
 
-def test_certificate_counts_what_is_lost_and_goes_on(tmp_path, monkeypatch, capsys):
+def test_failures_are_counted_and_counting_goes_on(tmp_path, monkeypatch, capsys):
     """Open loop drifts away: the counts are those of the episodes run here one by one; more are added to them."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(certificate, "AT_ONCE", 3)
+    monkeypatch.setattr(failure_rate, "AT_ONCE", 3)
     arguments = ["open-loop", "--scenario", "slow-current", "--out", "counts.json"]
-    assert run(certificate.main, certificate.PROGRAM, [*arguments, "--episodes", "4"]) == 0
+    assert run(failure_rate.main, failure_rate.PROGRAM, [*arguments, "--episodes", "4"]) == 0
     scenario = PRESETS["slow-current"]
     measures = rollout(make_policy("open-loop"), scenario, drawn(scenario, 4, FAILURE_RATE.first).episodes).measures
     lost = int(is_lost(measures.tail, measures.lost, 0.6).sum())
     assert lost > 0
     assert f"{lost} of 4 lost, at most" in capsys.readouterr().out
-    (count,) = certificate.kept(Path("counts.json"))["open-loop"]["counts"].values()
-    assert (count.episodes, count.lost) == (4, lost)
-    monkeypatch.setattr(certificate, "counted", lambda _, __, first, episodes: (episodes, 0, 1e3 + first))
-    assert run(certificate.main, certificate.PROGRAM, [*arguments, "--episodes", "6"]) == 0
+    (count,) = failure_rate.kept(Path("counts.json"))["open-loop"]["counts"].values()
+    assert (count["episodes"], count["lost"]) == (4, lost)
+    monkeypatch.setattr(failure_rate, "counted", lambda _, __, first, episodes: (episodes, 0, 1e3 + first))
+    assert run(failure_rate.main, failure_rate.PROGRAM, [*arguments, "--episodes", "6"]) == 0
     assert f"{lost} of 6 lost" in capsys.readouterr().out
-    (count,) = certificate.kept(Path("counts.json"))["open-loop"]["counts"].values()
-    assert count.largest_tail_m == 1004.0  # the new ones began at the fourth
+    (count,) = failure_rate.kept(Path("counts.json"))["open-loop"]["counts"].values()
+    assert count["largest_tail_m"] == 1004.0  # the new ones began at the fourth
     record = json.loads(Path("counts.json").read_text(encoding="utf-8"))
     record["open-loop"]["fingerprint"] = "another"
     Path("counts.json").write_text(json.dumps(record), encoding="utf-8")
-    assert run(certificate.main, certificate.PROGRAM, [*arguments, "--episodes", "3"]) == 0
+    assert run(failure_rate.main, failure_rate.PROGRAM, [*arguments, "--episodes", "3"]) == 0
     assert "0 of 3 lost" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("command", "arguments", "says"),
     [
-        (certificate, ["helm", "--episodes", "0"], "--episodes is 0; it must be in [1, 10000000]"),
-        (certificate, ["helm", "--scenario", "storm"], "unknown scenario 'storm'; allowed are"),
-        (certificate, ["helmet"], "unknown policy 'helmet'"),
+        (failure_rate, ["helm", "--episodes", "0"], "--episodes is 0; it must be in [1, 10000000]"),
+        (failure_rate, ["helm", "--scenario", "storm"], "unknown scenario 'storm'; allowed are"),
+        (failure_rate, ["helmet"], "unknown policy 'helmet'"),
         (falsification, ["helm", "--regime", "fast"], "--regime is 'fast'; allowed are slow, cruise"),
         (falsification, ["helm", "--sea", "rough"], "--sea is 'rough'; allowed are storm, adverse"),
         (falsification, ["helm", "--generations", "0"], "--generations is 0; it must be in [1, 10000]"),
-        (saved, ["--suite", "paper"], "--suite is 'paper'; allowed are benchmark-v1"),
+        (guards, ["--suite", "paper"], "--suite is 'paper'; allowed are benchmark-v1"),
     ],
 )
 def test_wrong_usage_is_one_line(command, arguments, says, tmp_path, monkeypatch, capsys):
@@ -322,7 +322,7 @@ def test_search_finds_a_sea_that_loses_the_policy_and_writes_it(tmp_path, monkey
     given = ["backstepping", "--regime", "cruise", "--sea", "storm", "--generations", "1", "--out", "seas"]
     assert run(falsification.main, falsification.PROGRAM, given) == 0
     assert "severity" in capsys.readouterr().out
-    (entry,) = falsification.kept(Path("seas")).values()
+    (entry,) = falsification.kept(Path("seas/seas.json")).values()
     scenario = Scenario.load("seas/cruise-storm-that-loses-backstepping.toml")
     again = rollout(make_policy("backstepping"), scenario, drawn(scenario, 4, FALSIFICATION.end - 4).episodes).measures
     assert is_lost(again.tail, again.lost, 2.0).sum() == entry["lost"] >= 2
@@ -348,17 +348,8 @@ def test_kept_seas_lose_whom_they_should(name):
         assert lost.sum() >= 2  # of 8, where half of 64 are lost
 
 
-# --- the page ---
-
-
-def test_page_says_what_was_counted():
-    text = page.PAGE.read_text(encoding="utf-8")
-    made = page.filled(text)
-    compare_or_refresh(page.PAGE, text, made)
-
-
-def test_certificates_and_guards_are_of_what_acts_now():
-    for policy, own in certificate.kept().items():
-        assert own["fingerprint"] == fingerprint(policy), f"run {certificate.PROGRAM} {policy} again"
-    for policy, rows in page.guards().get("suites", {}).items():
-        assert rows["fingerprint"] == fingerprint(f"{policy}:guard"), f"run {saved.PROGRAM} --policy {policy} again"
+def test_rows_are_of_what_acts_now():
+    for policy, own in failure_rate.kept().items():
+        assert own["fingerprint"] == fingerprint(policy), f"run {failure_rate.PROGRAM} {policy} again"
+    for policy, rows in read_json(guards.FILE)["suites"].items():
+        assert rows["fingerprint"] == fingerprint(f"{policy}:guard"), f"run {guards.PROGRAM} --policy {policy} again"

@@ -14,7 +14,6 @@ from typing import Annotated, Any
 import numpy as np
 from tyro.conf import arg
 
-from auv_gym.installation import checkout
 from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import REGIMES
 from baselines.agents.agent import Agent
@@ -35,6 +34,9 @@ from research.robustness.situations import NORMAL, episodes_of
 
 PROGRAM = "python -m research guards"
 FILE = DATA / "guards.json"  # what guards did
+FINGERPRINT = "fingerprint"  # entry beside the rows of a policy
+COUNTS = "episodes", "lost", "guarded_lost", "expert_keeps", "guarded_expert_keeps"
+TAILS = "tail_mm", "guarded_tail_mm"
 _SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1", "sealed-v1")
 """Suites in which somebody is lost."""
 AT_ONCE = 520  # episodes side by side
@@ -56,7 +58,7 @@ class Options:
     """Let networks fail, too."""
     episodes: int = 10_000
     """Most episodes of each cell of a suite, the first ones."""
-    out: Path = FILE if checkout() else Path("runs/guards.json")
+    out: Path = FILE
     """File to which what they do is added."""
 
 
@@ -64,8 +66,8 @@ def in_suite(policy: str, suite: suites.Suite, most: int) -> dict[str, Any]:
     """Return what a policy does in a suite with a guard and without, and which of the expert's episodes it loses."""
     by_policy = {name: {r.scenario.name: r for r in recorded.read(suite, name)} for name in (EXPERT, policy)}
     cells = [cell for cell in suite.cells if cell.scenario.name in by_policy[policy]]
-    counts = dict.fromkeys(("episodes", "lost", "guarded_lost", "expert_keeps", "guarded_expert_keeps"), 0)
-    tails: dict[str, list[Array]] = {"tail_mm": [], "guarded_tail_mm": []}
+    counts = dict.fromkeys(COUNTS, 0)
+    tails: dict[str, list[Array]] = {key: [] for key in TAILS}
     for cell in cells:
         few, name = cell.episodes[:most], cell.scenario.name
         cap = largest_tail(waters_of(name))
@@ -149,6 +151,6 @@ def _add(file: Path, part: str, policy: str, rows: Mapping[str, Any]) -> None:
     record = read_json(file) if file.exists() else {}
     own = record.setdefault(part, {}).get(policy, {})
     digest = fingerprint(f"{policy.partition(',')[0]}{GUARD}")
-    rest = own if own.get("fingerprint") == digest else {}
-    record[part][policy] = {**rest, "fingerprint": digest, **rows}
+    rest = own if own.get(FINGERPRINT) == digest else {}
+    record[part][policy] = {**rest, FINGERPRINT: digest, **rows}
     write_atomically(file, json_text(record))
