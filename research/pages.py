@@ -35,6 +35,8 @@ PAGES: Mapping[str, str] = {
     "results/residual": "research.results.residual_figure",
     "results/studies": "research.results.studies",
     "safety": "research.robustness.page",
+    "elsewhere": "research.transfer.page",
+    "speed": "research.throughput.page",
 }
 """The module of each page: `context(page)` returns the values of its template, `figures(page)`, if there is one, its
 figures as PNG by name."""

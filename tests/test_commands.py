@@ -221,7 +221,7 @@ def test_bench_measures_in_a_quick_form(copy):
         "python train.py",
     ):
         assert case in text
-    for file in ("bench.json", "bench.png", "speed.md"):
+    for file in ("bench.json", "bench.png"):
         assert (copy / "bench" / file).exists()
 
 

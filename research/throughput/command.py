@@ -6,22 +6,18 @@ import logging
 import os
 import platform
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import torch
-from matplotlib.figure import Figure as Drawing
 
 from auv_gym.codegen import native
-from auv_gym.installation import checkout, sources
-from baselines.tools.command_line import DONE, UsageError, parse
-from baselines.tools.figure_style import panels, to_png
+from baselines.tools.command_line import DONE, parse
 from baselines.tools.files import json_text, write_atomically
 from research.throughput import environments, learning, policies, tracing
 from research.throughput.figures import SCENARIO, Case
-from research.throughput.page import page
+from research.throughput.page import FILE, curves_figure
 from research.throughput.timing import Run, interleaved, typical
 
 PROGRAM = "python -m research throughput"
@@ -47,7 +43,7 @@ CASES: tuple[Case, ...] = (
 
 @dataclass(frozen=True)
 class Options:
-    """Measure how fast environments, policies and training are; print a table, write bench.json, bench.png, speed.md.
+    """Measure how fast environments, policies and training are; print a table, write bench.json and bench.png.
 
     Exit status: 0 done, 2 wrong usage.
     """
@@ -59,7 +55,7 @@ class Options:
     out: Path = Path("runs/bench")
     """Folder of the files."""
     record: bool = False
-    """Write the page and its figures into docs/ as well."""
+    """Keep what was measured for docs/speed.md, too, which `python -m research pages speed` then writes."""
 
 
 def curves(quick: bool) -> dict[str, list[tuple[int, float]]]:
@@ -77,16 +73,6 @@ def curves(quick: bool) -> dict[str, list[tuple[int, float]]]:
     }
 
 
-def drawn(points: Mapping[str, Sequence[tuple[int, float]]]) -> Drawing:
-    """Return the figure of vehicle steps per second against N."""
-    figure, [[axes]] = panels(1, 1, (7.0, 4.5))
-    for label, own in points.items():
-        axes.loglog(*zip(*own, strict=True), marker="o", label=label)
-    axes.set(xlabel="vehicles side by side", ylabel="vehicle steps per second")
-    axes.legend()
-    return figure
-
-
 def machine() -> str:
     """Return what it is measured on."""
     compiler = native.compiler() if native.wanted() else None
@@ -102,7 +88,6 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options, figures = parse(Options, arguments, PROGRAM), []
-    docs = _docs() if options.record else None
     logging.basicConfig(format="%(message)s")
     logging.getLogger("auv_gym").setLevel(logging.INFO)
     warnings.filterwarnings("ignore", module="gymnasium")
@@ -114,27 +99,17 @@ def main(arguments: Sequence[str]) -> int:
             goal = f"goal {figure.goal_text}: {'met' if figure.met else 'missed'}" if figure.goal is not None else ""
             print(f"{figure.case:<76} {figure.text:>10}  {goal}", flush=True)
     points = {} if options.only else curves(options.quick)
-    record: dict[str, Any] = {"machine": machine(), "quick": options.quick, "figures": [asdict(f) for f in figures]}
-    files: dict[str, bytes | str] = {"bench.json": json_text({**record, "steps_per_second": points})}
-    files["speed.md"] = page(figures, record["machine"], SCENARIO)
+    text = json_text({
+        "machine": machine(),
+        "quick": options.quick,
+        "figures": [asdict(figure) for figure in figures],
+        "steps_per_second": points,
+    })  # fmt: skip
+    options.out.mkdir(parents=True, exist_ok=True)
+    write_atomically(options.out / "bench.json", text)
     if points:
-        files["bench.png"] = to_png(drawn(points))
-    _write(options.out, files)
-    if docs and points:
-        _write(docs, {"images/bench.png": files.pop("bench.png"), **files})
-    print(f"\nwritten: {', '.join(str(options.out / name) for name in files)}")
+        write_atomically(options.out / "bench.png", curves_figure(points))
+        if options.record:
+            write_atomically(FILE, text)
+    print(f"\nwritten: {options.out / 'bench.json'}")
     return DONE
-
-
-def _docs() -> Path:
-    """Return the folder where the documentation keeps page and picture."""
-    if (folder := checkout()) is None:
-        raise UsageError(f"--record writes into the documentation, which is in the sources only: {sources()}")
-    return folder / "docs"
-
-
-def _write(folder: Path, files: Mapping[str, bytes | str]) -> None:
-    """Write files into a folder, which is made if it is not there."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, content in files.items():
-        write_atomically(folder / name, content)

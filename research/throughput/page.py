@@ -1,34 +1,43 @@
-"""The page of the documentation that says how fast everything is, docs/speed.md."""
+"""The values and the figure of docs/speed.md: how fast everything is."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-from research.pages import table
-from research.throughput.figures import Figure
+from baselines.tools.figure_style import panels, to_png
+from baselines.tools.files import read_json
+from research import DATA
+from research.throughput.figures import SCENARIO, Figure
 
-_INTRODUCTION = """# Speed
-
-<!-- Made by `python -m research throughput --record`; do not edit. -->
-
-How fast it is, measured by `make bench`: processor time on one thread, medians of rounds in which what is compared
-takes turns, so that a busy machine slows all of it alike. Ratios say how many times faster ours is than what it stands
-against. Times are of one run on a shared machine: another run may give twice as much, or half. Where there is a goal,
-the last column says whether it is met. The scenario is `{scenario}`, every disturbance
-at once; [From equation to code](codegen.md) says where the speed comes from."""
+FILE = DATA / "throughput.json"  # what was measured
 
 
-def page(record: Sequence[Figure], machine: str, scenario: str) -> str:
-    """Return the text of the page for the figures of a machine."""
-    rows = [
-        (
-            figure.case.replace("  ", "… "),
-            figure.text,
-            figure.goal_text,
-            {None: "", True: "yes", False: "no"}[figure.met],
-        )
-        for figure in record
-    ]
-    picture = "![Vehicle steps per second against the number of vehicles](images/bench.png)"
-    head = _INTRODUCTION.format(scenario=scenario)
-    return f"{head}\n\nMeasured on {machine}.\n\n{picture}\n\n{table(('what', 'measured', 'goal', 'met'), rows)}\n"
+def context(page: str) -> dict[str, Any]:
+    """Return machine, scenario and the rows of the table."""
+    del page
+    record = read_json(FILE)
+    rows = [row(Figure(**figure)) for figure in record["figures"]]
+    return {"machine": record["machine"], "scenario": SCENARIO, "rows": rows}
+
+
+def figures(page: str) -> dict[str, bytes]:
+    """Return the figure of vehicle steps per second against N."""
+    del page
+    return {"bench.png": curves_figure(read_json(FILE)["steps_per_second"])}
+
+
+def row(figure: Figure) -> tuple[str, str, str, str]:
+    """Return what a table says of a number: what it is, its value, its goal, and whether that is met."""
+    met = {None: "", True: "yes", False: "no"}[figure.met]
+    return figure.case.replace("  ", "… "), figure.text, figure.goal_text, met
+
+
+def curves_figure(points: Mapping[str, Sequence[tuple[int, float]]]) -> bytes:
+    """Return the figure of vehicle steps per second against N, by what is stepped."""
+    figure, [[axes]] = panels(1, 1, (7.0, 4.5))
+    for label, own in points.items():
+        axes.loglog(*zip(*own, strict=True), marker="o", label=label)
+    axes.set(xlabel="vehicles side by side", ylabel="vehicle steps per second")
+    axes.legend()
+    return to_png(figure)

@@ -14,7 +14,6 @@ from typing import Annotated, Any
 
 from tyro.conf import arg
 
-from auv_gym.installation import checkout
 from auv_gym.scenarios.names import CASES as KNOWN
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.policies import list_policies
@@ -22,12 +21,11 @@ from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, write_atomically
 from baselines.tools.workers import Workers
 from research.transfer import trials
-from research.transfer.comparison import Task, caused, summarised
-from research.transfer.page import section, turned
+from research.transfer.comparison import FILE, Task, caused, summarised
+from research.transfer.page import verdict
 from research.transfer.worlds import MODELS
 
 PROGRAM = "python -m research transfer"
-FILE = "elsewhere.json"  # of what came out, in docs/
 POLICIES = (
     "backstepping",
     "backstepping-normalised",
@@ -72,8 +70,8 @@ class Options:
     """Worker processes."""
     work: Path = Path("runs/elsewhere")
     """Folder for what came out of each policy."""
-    out: Path = Path("docs" if checkout() else "runs/elsewhere")
-    """Folder for elsewhere.json."""
+    out: Path = FILE
+    """File for what came out."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -92,11 +90,11 @@ def main(arguments: Sequence[str]) -> int:
     record: dict[str, Any] = {}
     for vehicle in options.vehicle:
         found = summarised(_results(options, vehicle))
-        record[vehicle] = {**found, "causes": caused(vehicle, options.episodes), "trials": turned(vehicle)}
-        print(section(vehicle, record[vehicle]), flush=True)
-    options.out.mkdir(parents=True, exist_ok=True)
-    write_atomically(options.out / FILE, json_text(record))
-    print(f"written: {options.out / FILE}")
+        record[vehicle] = {**found, "causes": caused(vehicle, options.episodes), "trials": trials.turned(vehicle)}
+        print(f"{vehicle}: {verdict(record[vehicle])}", flush=True)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(options.out, json_text(record))
+    print(f"written: {options.out}")
     return DONE
 
 

@@ -18,10 +18,12 @@ from baselines.evaluation.metrics import Measures, resamplings
 from baselines.evaluation.rollout import Log, beginning, play
 from baselines.evaluation.runner import Cell, drawn
 from baselines.policies import make_policy
+from research import DATA
 from research.seeds import TRANSFER
 from research.transfer.bodies import bodies
 from research.transfer.worlds import VARIANTS, Own
 
+FILE = DATA / "transfer.json"  # what came out
 _REGIME = "cruise"  # vehicles that fins steer have no other
 PLANE = "plane"  # the simulator of three degrees of freedom
 SPACE = "space"  # the one of six
@@ -59,24 +61,19 @@ class Task:
 
     def bodies(self, place: str) -> MadeBodies | None:
         """Return what makes the vehicles of a simulator; None for the plane."""
-        made, known = Own, craft(self.vehicle).vehicle
         vehicle: Any = VARIANTS[self.vehicle][self.lacking] if self.lacking else self.vehicle
-        return bodies(lambda n: made(vehicle, n), known) if place == SPACE else None
+        return bodies(lambda n: Own(vehicle, n), craft(self.vehicle).vehicle) if place == SPACE else None
 
     def played(self, place: str) -> Measures:
         """Return what the policy does in one of the simulators, `PLANE` or `SPACE`, case by case."""
         cells = self.cells
         scenario, policy = cells[0].scenario, make_policy(self.policy, craft(self.vehicle).vehicle)
         given = [(cell.scenario, cell.episodes) for cell in cells]
-        begun, log = beginning(given, preview_of(policy), bodies=self.bodies(place)), Log(scenario.steps, self.count)
+        begun = beginning(given, preview_of(policy), bodies=self.bodies(place))
+        log = Log(scenario.steps, self.episodes * len(cells))
         for k, moment in enumerate(play(policy, begun, scenario.steps)):
             log.add(k, moment)
         return log.measures(scenario)
-
-    @property
-    def count(self) -> int:
-        """How many episodes it has."""
-        return self.episodes * len(self.cases)
 
 
 CAUSED = "current"

@@ -37,6 +37,8 @@ _FREE = 0.6
 """Share of their limits that two propellers can give ahead and in yaw at the same time, in the trial."""
 _TURN = 600.0  # [s] after which a turn is steady
 _SAMPLE = 0.1  # [s] between commands
+_SHARES = (0.1, 0.25, 0.5, 1.0)
+"""Shares of the limits at which straight runs and turns are compared."""
 
 
 class Commanded:
@@ -110,3 +112,25 @@ def in_the_plane(name: str) -> Plant:
     """Return the fleet's vehicle of a name as a `Plant`."""
     own = craft(name)
     return Simulated(own.vehicle, limits(own))
+
+
+def turned(name: str) -> dict[str, list[dict[str, float]]]:
+    """Return how fast a vehicle gets and how tightly it turns under the same forces in the plane and in space.
+
+    Turns are at the plane's surge force of the design speed.
+
+    Args:
+        name: of the vehicle.
+    """
+    own = craft(name)
+    speed, most = own.vehicle.speed, limits(own)
+    cruise = own.drag(speed)[0] * speed
+    makers = (lambda: in_the_plane(name)), (lambda: Commanded(Own(name, 1), speed=speed))
+    straight, turns = [], []
+    for share in _SHARES:
+        u = [steady(make, share * most.F_u_max, 0.0, speed)[0] for make in makers]
+        straight.append({"F_u": share * most.F_u_max, "plane": u[0], "space": u[1]})
+        found = [steady(make, cruise, share * most.F_r_max, speed) for make in makers]
+        D = [2 * math.hypot(u, v) / r for u, v, r in found]
+        turns.append({"F_r": share * most.F_r_max, "plane": D[0], "space": D[1]})
+    return {"straight": straight, "turns": turns}

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kept_pages import compare_between
 from matrix_forms import otter_acceleration, remus_acceleration
 from scipy import stats
 from scipy.spatial.transform import Rotation
@@ -21,14 +20,12 @@ from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.identification.log import Log
 from baselines.tools.command_line import run
-from research.transfer import command, comparison, otter, page, remus100
+from research.transfer import command, comparison, otter, remus100, trials
 from research.transfer.bodies import bodies, deviation
 from research.transfer.comparison import concordance, pooled
 from research.transfer.six_dof import AS_PUBLISHED, Deviation, Motion, Outside, coriolis, cross_flow, place_rates
-from research.transfer.trials import log
 from research.transfer.worlds import MODELS, Own
 
-ROOT = Path(__file__).parents[2]
 NOWHERE = Outside(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -168,18 +165,18 @@ def test_ranks_and_means_are_what_statistics_says():
 def test_logs_are_those_of_a_vehicle(name, tmp_path):
     assert run(command.main, command.PROGRAM, ["--vehicle", name, "--log", str(tmp_path / "log.csv")]) == 0
     kept = Log.load(tmp_path / "log.csv")
-    np.testing.assert_allclose(kept.measured, log(name).measured, atol=1e-6)
+    np.testing.assert_allclose(kept.measured, trials.log(name).measured, atol=1e-6)
     assert np.ptp(kept.measured[:, 2]) > 1.0
     assert np.hypot(*kept.measured[:, 3:5].T).max() < 3.5
 
 
 def test_the_command_compares_and_keeps(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(command, "turned", lambda _: {"straight": [], "turns": []})
+    monkeypatch.setattr(trials, "turned", lambda _: {"straight": [], "turns": []})
     monkeypatch.setattr(comparison, "VARIANTS", {"otter": {"as published": otter.OTTER}})
     arguments = ["--policy", "los-pid", "ilos", "--vehicle", "otter", "--case", "current", "--episodes", "2"]
-    assert run(command.main, command.PROGRAM, [*arguments, "--out", "."]) == 0
-    record = json.loads(Path("elsewhere.json").read_text(encoding="utf-8"))["otter"]
+    assert run(command.main, command.PROGRAM, [*arguments, "--out", "found.json"]) == 0
+    record = json.loads(Path("found.json").read_text(encoding="utf-8"))["otter"]
     assert record["tau"]["by_case"].keys() == {"current"}
     for own in record["policies"].values():
         assert own["growth"] == pytest.approx(own["space_m"] / own["plane_m"])
@@ -190,7 +187,7 @@ def test_the_command_compares_and_keeps(tmp_path, monkeypatch, capsys):
     before = {file: file.stat().st_mtime_ns for file in Path("runs/elsewhere").rglob("*.json")}
     assert len(before) == 2
     monkeypatch.setattr(command, "caused", lambda *_: record["causes"])
-    assert run(command.main, command.PROGRAM, [*arguments, "--out", "."]) == 0
+    assert run(command.main, command.PROGRAM, [*arguments, "--out", "found.json"]) == 0
     assert before == {file: file.stat().st_mtime_ns for file in before}
 
 
@@ -211,7 +208,7 @@ def test_a_mistake_is_one_line(arguments, says, capsys):
 
 @pytest.fixture
 def kept():
-    return json.loads((ROOT / "docs" / "elsewhere.json").read_text(encoding="utf-8"))
+    return json.loads(comparison.FILE.read_text(encoding="utf-8"))
 
 
 def test_what_the_page_says_in_words_holds(kept):
@@ -229,8 +226,3 @@ def test_what_the_page_says_in_words_holds(kept):
     assert boat["tau"]["medians"] > boat["tau"]["all"]
     pitch = otter.OTTER.placed(np.zeros((6, 1)))[4, 0]
     assert math.degrees(pitch) == pytest.approx(-1.5, abs=0.05)
-
-
-def test_the_page_shows_what_was_measured(kept):
-    shown = "\n\n".join(page.section(name, record) for name, record in kept.items())
-    compare_between(ROOT / "docs" / "elsewhere.md", page.BEGIN, page.END, shown)

@@ -95,7 +95,7 @@ def test_pages_show_the_same(benchmark, page):
 def test_the_first_sentence_of_the_readme(benchmark):
     """Errors of the recorded rows, times of the recorded benchmark and of the agent's card."""
     errors = {name: f"{100 * cases.get('cruise-storm', 0.0):.2g} cm" for name, cases in benchmark.tails.items()}
-    figures = json.loads((ROOT / "docs" / "bench.json").read_text(encoding="utf-8"))["figures"]
+    figures = json.loads((ROOT / "research/data/throughput.json").read_text(encoding="utf-8"))["figures"]
     times = {f["case"]: f["value"] for f in figures}
     agent, rival = (f"{1e3 * times[f'decision of one vehicle: {name}']:.3g} ms" for name in (AGENT, "nmpc"))
     card = (agent_folder(AGENT) / "card.md").read_text(encoding="utf-8")
