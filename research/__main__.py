@@ -30,7 +30,7 @@ COMMANDS = {
     "train-all": Command("research.trainings.shipped", "train"),
     "transfer": Command("research.transfer.command", "eval"),
     "vehicle-gains": Command("research.vehicles.vehicles", "tuning"),
-    "web-demo": Command("research.site.live.command", "eval"),
+    "web-demo": Command("research.site.live.page", "eval"),
 }
 """The commands by name."""
 

@@ -37,6 +37,7 @@ PAGES: Mapping[str, str] = {
     "safety": "research.robustness.page",
     "elsewhere": "research.transfer.page",
     "speed": "research.throughput.page",
+    "knows": "research.probing.page",
 }
 """The module of each page: `context(page)` returns the values of its template, `figures(page)`, if there is one, its
 figures as PNG by name."""
@@ -71,7 +72,12 @@ def render(page: str) -> str:
     context = dict(import_module(PAGES[page]).context(page))
     if "body" in context:
         context |= {"template": "body", "body": _moved(context["body"], page)}
-    return _environment().get_template(f"{context.get('template', page)}.md.jinja").render(context)
+    return fill(context.get("template", page), context)
+
+
+def fill(template: str, values: Mapping[str, Any]) -> str:
+    """Return the text of templates/TEMPLATE.md.jinja with these values."""
+    return _environment().get_template(f"{template}.md.jinja").render(values)
 
 
 def _moved(text: str, page: str) -> str:

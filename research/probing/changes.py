@@ -13,7 +13,7 @@ from auv_gym.physics.disturbances import RandomCurrent
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from research.probing.collect import at_speed, episodes_of
-from research.probing.transplant import heavier, rougher
+from research.probing.memory_swap import heavier, rougher
 
 _SPEED = {"slow": 0.2, "cruise": 1.0}
 """Nominal speed [m/s] of the paths, so that a length takes about the same time in all episodes of a regime."""

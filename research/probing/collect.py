@@ -25,7 +25,7 @@ from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import regime_of
 from baselines.policies import make_policy
 from baselines.policy import Memory
-from research.probing.tap import AT_ONCE, HIDDEN, Beside, Tapped, acting, remembering
+from research.probing.watching import AT_ONCE, HIDDEN, Beside, Tapped, acting, remembering
 from research.seeds import PROBING
 
 SEED = PROBING.first  # of the first episode of each scenario

@@ -1,7 +1,7 @@
 """Look into what policies know of vehicle and sea: `python -m research probing`.
 
 Probes of an agent's memory, memories exchanged between vehicles, vehicles that change in mid-run, the range of a
-training, errors outside of it, and what it costs to be told a wrong hull. docs/knows.md shows what comes out for the
+training, errors outside of it, and the sensitivity to model error. docs/knows.md shows what comes out for the
 shipped agents.
 """
 
@@ -15,7 +15,6 @@ from typing import Annotated, Any
 
 from tyro.conf import arg
 
-from auv_gym.installation import checkout
 from auv_gym.scenarios.names import REGIMES
 from baselines.agents.names import agent_folder
 from baselines.evaluation.rollout import PolicyError
@@ -23,25 +22,24 @@ from baselines.evaluation.score import FORESIGHTED
 from baselines.policies import list_policies, make_policy
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
 from baselines.tools.files import json_text, write_atomically
-from research import DATA
+from research.pages import fill
 from research.probing.adaptation import adapted
 from research.probing.changes import SEAS
-from research.probing.outside import stretched
+from research.probing.extrapolation import stretched
+from research.probing.memory_swap import swapped
+from research.probing.model_error import with_wrong_models
+from research.probing.page import FOLDER, context, figures, load
 from research.probing.probe import probed
-from research.probing.ranges import ranged
-from research.probing.report import NAMES, load, pictures, sections
-from research.probing.tap import remembering
-from research.probing.told import misled
-from research.probing.transplant import transplanted
+from research.probing.training_range import ranged
+from research.probing.watching import remembering
 
 PROGRAM = "python -m research probing"
-FOLDER = DATA / "probing"
-RANGE = "range"  # what an agent was trained on: of all regimes at once
+RANGE = "training_range"  # what an agent was trained on: of all regimes at once
 POLICIES = ("helm", "nmpc", "integral-normalised", "backstepping")
 """Whose adaptation and errors are measured by default; of those that remember the memories are read."""
 OTHERS: Mapping[str, tuple[str, ...]] = {
     RANGE: ("helm", "helm-any"),
-    "told": ("helm-any", "helm", "ekf", "backstepping", "nmpc"),
+    "model_error": ("helm-any", "helm", "ekf", "backstepping", "nmpc"),
 }
 """Who is measured by default in the other parts."""
 
@@ -52,13 +50,13 @@ def _in_seas(name: str, regime: str, episodes: int | None) -> dict[str, Any]:
 
 _PARTS: Mapping[str, Callable[[str, str, int | None], dict[str, Any]]] = {
     "probe": probed,
-    "transplant": transplanted,
+    "memory_swap": swapped,
     "adaptation": _in_seas,
-    "outside": stretched,
-    "told": misled,
+    "extrapolation": stretched,
+    "model_error": with_wrong_models,
 }
 """What is looked into, by name, for a policy in a regime with so many episodes."""
-OF_AGENTS = ("probe", "transplant", RANGE)
+OF_AGENTS = ("probe", "memory_swap", RANGE)
 """Parts that only agents have."""
 
 
@@ -73,15 +71,15 @@ class Options:
     """Policies by name, or agents by their folder. Memories and training ranges are those of the agents among them.
     Default: those of docs/knows.md."""
     part: Annotated[tuple[str, ...], arg(metavar="PART [PART ...]", help_behavior_hint="")] = (*_PARTS, RANGE)
-    """What to look into: probe, transplant, adaptation, outside, told, range."""
+    """What to look into: probe, memory_swap, adaptation, extrapolation, model_error, training_range."""
     regime: Annotated[tuple[str, ...], arg(metavar="R [R ...]", help_behavior_hint="")] = REGIMES
     """Ranges of speeds: slow, cruise."""
     episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
-    """Episodes of each kind. Default: 960 for probes, 40 for adaptation, 32 pairs for transplants, 12 outside and in
-    each case where hulls are told wrong."""
-    out: Path = FOLDER if checkout() else Path("runs/knows")
-    """Folder for the files; what other policies did is left in it. Figures and knows.md go there too, unless it is the
-    package's own."""
+    """Episodes of each kind. Default: 960 for probes, 40 for adaptation, 32 pairs for memory swaps, 12 for
+    extrapolation and in each case for model errors."""
+    out: Path = FOLDER
+    """Folder for the files; what other policies did is left in it. Figures and probing.md go there too, unless it is
+    that of docs/knows.md."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -135,13 +133,12 @@ def _kept(part: str, name: str, options: Options) -> bool:
 
 
 def _show(folder: Path) -> None:
-    """Print where the results are, and write page and figures beside them unless they are the package's own."""
-    found = load(folder)
+    """Print where the results are, and write page and figures beside them unless they are those of docs/knows.md."""
     if folder.resolve() == FOLDER.resolve():
-        print("now: REFRESH_DOCS=1 python -m pytest tests/research/test_knows.py writes them into docs/knows.md")
+        print("now: python -m research pages knows")
         return
-    for name, picture in pictures(found).items():
-        write_atomically(folder / name, picture)
-    texts = sections(found, "")
-    write_atomically(folder / "knows.md", "\n".join(f"## {NAMES[key]}\n\n{text}" for key, text in texts.items()))
-    print(f"written: {folder / 'knows.md'} and its figures")
+    (folder / "images").mkdir(exist_ok=True)
+    for name, picture in figures("probing", folder).items():
+        write_atomically(folder / "images" / name, picture)
+    write_atomically(folder / "probing.md", fill("probing", context("probing", folder)))
+    print(f"written: {folder / 'probing.md'} and its figures")

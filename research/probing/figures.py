@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from baselines.tools.figure_style import look, panels, styled, to_png
-from research.probing import ranges
+from research.probing import training_range
 from research.probing.adaptation import LARGEST
 from research.probing.changes import CHANGES, SEAS
-from research.probing.outside import parameters_of
+from research.probing.extrapolation import parameters_of
 
 _ORDER = ("helm", "nmpc", "integral-normalised", "backstepping")
 """Policies in the order of their looks; others come behind."""
@@ -109,7 +109,7 @@ def _course(axes: Axes, name: str, names: list[str], course: Mapping[str, Any]) 
 
 def range_figure(record: Mapping[str, Any]) -> bytes:
     """Return the figure about an agent's training with the published vehicles in it."""
-    names, seen = list(ranges.RATIOS), np.array(record["points"])
+    names, seen = list(training_range.RATIOS), np.array(record["points"])
     figure, axes = panels(2, 2, (9.5, 8.6))
     with styled():
         for ax, pair in zip([ax for row in axes for ax in row], PAIRS, strict=True):
@@ -120,7 +120,7 @@ def range_figure(record: Mapping[str, Any]) -> bytes:
                 ax.plot(both[:, i], both[:, j], **style.line, lw=1)
                 ax.plot(both[1, i], both[1, j], **style.point, label=vehicle)
             for axis, ratio in ((ax.xaxis, pair[0]), (ax.yaxis, pair[1])):
-                axis.set_label_text(ranges.RATIOS[ratio].partition(", ")[0])
+                axis.set_label_text(training_range.RATIOS[ratio].partition(", ")[0])
             if pair[0] != "mass":
                 ax.set_xscale("log")
                 ax.set_yscale("log")
@@ -128,7 +128,7 @@ def range_figure(record: Mapping[str, Any]) -> bytes:
     return to_png(figure)
 
 
-def outside_figure(own: Mapping[str, Any], regime: str) -> bytes:
+def extrapolation_figure(own: Mapping[str, Any], regime: str) -> bytes:
     """Return the figure of a regime about errors outside of the training: a panel for each parameter."""
     parameters, names = parameters_of(regime), _ordered(own)
     figure, axes = panels(2, (len(parameters) + 1) // 2, (13.5, 6.2), sharey=True)

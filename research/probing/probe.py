@@ -9,10 +9,10 @@ import numpy as np
 from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import PRESETS
 from research.probing.collect import SOURCES, TARGETS, Collected, collected, episodes_of
-from research.probing.probes import FLAT, Probed, Read, bent, lead, linear, read
+from research.probing.regression import FLAT, Probed, Read, lead, linear, nonlinear, read
 
 CASES = ("storm", "mismatch")
-"""Where memories are read: with everything at once, and where the hull alone is not as it is told."""
+"""Where memories are read: with everything at once, and where the vehicle alone differs from its model."""
 _EPISODES = 960
 """Episodes of each case."""
 FITTED = 2 / 3
@@ -45,7 +45,7 @@ def probed(name: str, regime: str, episodes: int | None = None) -> dict[str, Any
 
 
 def _of(seen: Collected, fitted: int) -> dict[str, Any]:
-    """Return R^2 by source, target and instant; and at the last instant that of a probe that bends, and the lead."""
+    """Return R^2 by source, target and instant; and at the last instant that of a nonlinear probe, and the lead."""
     asked = [name for name in TARGETS if seen.targets[name][-1].std() > FLAT]
     truth = np.stack([seen.targets[name] for name in asked], axis=-1)
     result: dict[str, Any] = {"targets": asked, "instants": list(INSTANTS), "linear": {}, "bent": {}}
@@ -54,7 +54,7 @@ def _of(seen: Collected, fitted: int) -> dict[str, Any]:
         rows = [_probe(linear, seen.sources[source][t], truth[t], fitted) for t in range(len(INSTANTS))]
         result["linear"][source] = [[_plain(r) for r in read(row)] for row in rows]
         last[source] = rows[-1]
-        curved = _probe(bent, seen.sources[source][-1], truth[-1], fitted)
+        curved = _probe(nonlinear, seen.sources[source][-1], truth[-1], fitted)
         result["bent"][source] = [_plain(r) for r in read(curved)]
     result["lead"] = [_plain(r) for r in lead(last["memory"], last[_BASE])]
     return result

@@ -1,13 +1,11 @@
 """What agents know: probes on made-up memories, untouched agents, vehicles that change, the page and its data."""
 
+import json
 import math
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from kept_pages import compare_between
 from scipy.integrate import solve_ivp
 
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
@@ -17,18 +15,15 @@ from baselines.agents.networks import Gru
 from baselines.evaluation.rollout import beginning, play
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.tools.command_line import run
-from research.probing import command, outside, probe, report, told
+from research.probing import command, extrapolation, model_error, probe
 from research.probing.adaptation import EPISODES, back, course_of, followed, lengths_of, windows
 from research.probing.changes import BEFORE, CHANGES, EVERYWHERE, LENGTHS, Trial
 from research.probing.collect import agent_of, collected, episodes_of
-from research.probing.probes import bent, lead, linear, read
-from research.probing.ranges import RATIOS, ranged, ratios
-from research.probing.report import load, pictures, ratio_of, sections
-from research.probing.tap import HIDDEN, Beside, Tapped, acting, untrained
-from research.probing.transplant import SWAPS, _twins
-
-ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "knows.md"
+from research.probing.memory_swap import SWAPS, _twins
+from research.probing.page import context, load, ratio_of
+from research.probing.regression import lead, linear, nonlinear, read
+from research.probing.training_range import RATIOS, ranged, ratios
+from research.probing.watching import HIDDEN, Beside, Tapped, acting, untrained
 
 
 def made_up(n, columns=6, seed=0):
@@ -50,8 +45,8 @@ def test_a_linear_probe_reads_what_is_there_and_nothing_else():
     assert abs(nothing.r2) < 0.05
     assert square.r2 < 0.05
     assert math.isnan(constant.r2)
-    assert read(bent(*halves))[3].r2 > 0.7
-    assert read(bent(*halves))[2].r2 < 0.05
+    assert read(nonlinear(*halves))[3].r2 > 0.7
+    assert read(nonlinear(*halves))[2].r2 < 0.05
     more = lead(linear(*halves), linear(X[:400, 2:], Y[:400], X[400:, 2:], Y[400:]))
     assert more[1].r2 == pytest.approx(part.r2, abs=0.05)
     assert more[2].low < 0 < more[2].high
@@ -230,42 +225,42 @@ def test_range_of_a_training_is_that_of_its_scenarios():
 
 
 def test_stretched_storms_differ_in_one_thing():
-    scenarios = outside.scenarios_of("cruise", outside.PARAMETERS["mass"])
+    scenarios = extrapolation.scenarios_of("cruise", extrapolation.PARAMETERS["mass"])
     first, last = (episodes_of(scenario, 2)[1] for scenario in (scenarios[0], scenarios[-1]))
     assert (first.path, first.waves, first.noise_seed, first.lag) == (last.path, last.waves, last.noise_seed, last.lag)
     assert last.vehicle.m11 / first.vehicle.m11 == pytest.approx(3.0 / 0.4)
     assert last.vehicle.d11 == first.vehicle.d11
 
 
-def test_wrong_hulls_are_wrong_in_what_is_said_and_no_more_than_it():
-    """Shares are spread over what there is; what `ratios` leaves right is right; each hull has a size of its own."""
-    drawn = [told.mistakes(k) for k in range(40)]
+def test_wrong_models_are_wrong_in_their_parameters_and_within_their_size():
+    """Shares are spread over what there is; what `ratios` leaves right is right; each model has mistakes of its own."""
+    drawn = [model_error.mistakes(k) for k in range(40)]
     assert all(abs(share) <= 1 for own in drawn for share in own.values())
     assert min(own["d11"] for own in drawn) < -0.9
     assert max(own["d11"] for own in drawn) > 0.9
-    by = {name: told.wrong(PAPER_VEHICLE, drawn[0], 0.6, way) for name, way in told.WAYS.items()}
+    by = {name: model_error.wrong(PAPER_VEHICLE, drawn[0], 0.6, way) for name, way in model_error.WAYS.items()}
     assert (by["ratios"].m11, by["ratios"].m33, by["ratios"].speed) == (215, 80, PAPER_VEHICLE.speed)
     assert by["all"].m33 / 80 - 1 == pytest.approx(0.6 * drawn[0]["m33"])
     assert by["all"].d22 == by["ratios"].d22 == pytest.approx(100 * (1 + 0.6 * drawn[0]["d22"]))
-    assert told.wrong(PAPER_VEHICLE, drawn[0], 0.0, told.WAYS["all"]) == PAPER_VEHICLE
-    assert told.mistakes(3) == drawn[3] != drawn[4]
+    assert model_error.wrong(PAPER_VEHICLE, drawn[0], 0.0, model_error.WAYS["all"]) == PAPER_VEHICLE
+    assert model_error.mistakes(3) == drawn[3] != drawn[4]
 
 
 @pytest.fixture
 def few(monkeypatch):
-    """Make the measurement short: two cases, two hulls, one size."""
-    whole = told.cells_of
-    monkeypatch.setattr(told, "cells_of", lambda regime, n: [whole(regime, n)[i] for i in (0, 1)])
-    monkeypatch.setattr(told, "HULLS", 2)
-    monkeypatch.setattr(told, "SIZES", (0.6,))
+    """Make the measurement short: two cases, two models, one size."""
+    whole = model_error.cells_of
+    monkeypatch.setattr(model_error, "cells_of", lambda regime, n: [whole(regime, n)[i] for i in (0, 1)])
+    monkeypatch.setattr(model_error, "HULLS", 2)
+    monkeypatch.setattr(model_error, "SIZES", (0.6,))
 
 
-def test_who_is_told_a_wrong_hull_and_does_not_listen_loses_nothing(few):
-    """The plan's own forces hear of no hull; the paper's law cancels what it believes of one."""
-    deaf = told.misled("open-loop", "cruise", 6)
-    assert deaf["wrong"]["ratios"][0]["above"] == [0, 0, 0]
-    assert deaf["wrong"]["ratios"][0]["error_m"] == deaf["right"]["error_m"]
-    found = told.misled("backstepping", "cruise", 6)
+def test_a_policy_that_does_not_use_its_model_loses_nothing(few, tmp_path):
+    """The plan's own forces depend on no model; the paper's law cancels what its model says."""
+    without = model_error.with_wrong_models("open-loop", "cruise", 6)
+    assert without["wrong"]["ratios"][0]["above"] == [0, 0, 0]
+    assert without["wrong"]["ratios"][0]["error_m"] == without["right"]["error_m"]
+    found = model_error.with_wrong_models("backstepping", "cruise", 6)
     assert found["right"]["score"][0] == pytest.approx(0, abs=1e-3)  # the suite's own zero, run again
     for rows in found["wrong"].values():
         mean, low, high = rows[0]["above"]
@@ -273,9 +268,11 @@ def test_who_is_told_a_wrong_hull_and_does_not_listen_loses_nothing(few):
         assert mean == pytest.approx(np.mean(rows[0]["hulls"]), abs=1e-4)
         assert rows[0]["score"][0] == pytest.approx(found["right"]["score"][0] + mean, abs=1e-4)
         assert rows[0]["error_m"] != found["right"]["error_m"]
-    text = sections({("told", "backstepping"): {"cruise": found}}, "")["told"]
+    (tmp_path / "model_error-backstepping.json").write_text(json.dumps({"cruise": found}))
+    row = context("knows", tmp_path)["model_error"]["records"][0]["rows"][1]
     mean, low, high = found["wrong"]["all"][0]["above"]
-    assert f"| `backstepping` | 0.000 | m22, drag, m11, m33 | - | - | {mean:+.3f} [{low:+.3f}, {high:+.3f}] |" in text
+    shown = ["`backstepping`", "0.000", "m22, drag, m11, m33", f"{mean:+.3f} [{low:+.3f}, {high:+.3f}]"]
+    assert [cell for cell in row if cell != "-"][:4] == shown
 
 
 def test_ratio_of_paired_errors():
@@ -284,19 +281,20 @@ def test_ratio_of_paired_errors():
 
 
 def test_command_in_a_quick_form(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(outside, "PARAMETERS", {"lag": outside.PARAMETERS["lag"]._replace(values=(0.2, 0.4))})
-    monkeypatch.setattr(outside, "SPEEDS", {"cruise": outside.SPEEDS["cruise"]._replace(values=(1.0, 2.0))})
+    lag, speed = extrapolation.PARAMETERS["lag"], extrapolation.SPEEDS["cruise"]
+    monkeypatch.setattr(extrapolation, "PARAMETERS", {"lag": lag._replace(values=(0.2, 0.4))})
+    monkeypatch.setattr(extrapolation, "SPEEDS", {"cruise": speed._replace(values=(1.0, 2.0))})
     monkeypatch.setattr(probe, "INSTANTS", (2, 6))
     arguments = ["--policy", "helm", "backstepping", "--regime", "cruise", "--episodes", "6", "--out", str(tmp_path)]
-    parts = ["--part", "probe", "adaptation", "outside", "range"]
+    parts = ["--part", "probe", "adaptation", "extrapolation", "training_range"]
     assert run(command.main, command.PROGRAM, arguments + parts) == 0
-    page = (tmp_path / "knows.md").read_text(encoding="utf-8")
+    page = (tmp_path / "probing.md").read_text(encoding="utf-8")
     assert "**`helm`, cruise-storm**, 6 episodes, 0.6 s after the start:" in page
-    for name in ("adaptation-cruise", "outside-cruise", "probe-helm", "range-helm"):
-        assert (tmp_path / f"knows-{name}.png").stat().st_size > 10_000
+    for name in ("adaptation-cruise", "extrapolation-cruise", "probe-helm", "training_range-helm"):
+        assert (tmp_path / "images" / f"knows-{name}.png").stat().st_size > 10_000
     assert {(part, name) for part, name in load(tmp_path)} == {
-        ("adaptation", "backstepping"), ("outside", "backstepping"), ("adaptation", "helm"), ("outside", "helm"),
-        ("probe", "helm"), ("range", "helm"),
+        ("adaptation", "backstepping"), ("extrapolation", "backstepping"), ("adaptation", "helm"),
+        ("extrapolation", "helm"), ("probe", "helm"), ("training_range", "helm"),
     }  # fmt: skip
     assert "probe: helm, cruise" in capsys.readouterr().out
 
@@ -305,10 +303,10 @@ def test_command_in_a_quick_form(tmp_path, capsys, monkeypatch):
     ("arguments", "says"),
     [
         (["--policy", "helmet"], "'helmet' is not the name of a policy or an agent's folder"),
-        (["--part", "probes"], "'probes' is not a part; allowed are probe, transplant, adaptation, outside, told,"),
+        (["--part", "probes"], "'probes' is not a part; allowed are probe, memory_swap, adaptation, extrapolation,"),
         (["--regime", "fast"], "'fast' is not a regime; allowed are slow, cruise"),
         (["--episodes", "2"], "--episodes is 2; it must be 6 or more"),
-        (["--policy", "oracle", "--part", "told"], "oracle looks behind the observation"),
+        (["--policy", "oracle", "--part", "model_error"], "oracle looks behind the observation"),
         (["--policy", "nmpc", "--part", "probe"], "none of nmpc has a network that remembers"),
     ],
 )
@@ -322,9 +320,9 @@ def test_wrong_usage(arguments, says, capsys):
 @pytest.mark.parametrize(("policy", "at"), [("backstepping", 2), ("helm", 1)])
 def test_kept_errors_are_those_of_today(policy, at):
     """The first episodes of one value of one parameter, run again."""
-    kept = load(command.FOLDER)["outside", policy]["cruise"]["parameters"]["noise"]
-    parameter = outside.PARAMETERS["noise"]._replace(values=outside.PARAMETERS["noise"].values[at : at + 1])
-    scenario = outside.scenarios_of("cruise", parameter)[0]
+    kept = load(command.FOLDER)["extrapolation", policy]["cruise"]["parameters"]["noise"]
+    parameter = extrapolation.PARAMETERS["noise"]._replace(values=extrapolation.PARAMETERS["noise"].values[at : at + 1])
+    scenario = extrapolation.scenarios_of("cruise", parameter)[0]
     errors = np.zeros((scenario.steps, 3))
     policy = acting(policy, scenario.vehicle)
     begun = beginning([(scenario, episodes_of(scenario, 3))], getattr(policy, "preview", ()))
@@ -334,11 +332,12 @@ def test_kept_errors_are_those_of_today(policy, at):
     np.testing.assert_allclose(tails, kept["tails_m"][at][:3], atol=2e-5)
 
 
-def test_kept_errors_of_who_is_told_are_those_of_today():
-    """Three episodes in still water, told the truth and told the first wrong hull."""
-    kept = load(command.FOLDER)["told", "helm-any"]["cruise"]
-    cell = told.cells_of("cruise", told.KEPT)[0]
-    first = told.wrong(cell.scenario.vehicle, told.mistakes(0), told.SIZES[-1], told.WAYS["ratios"])
+def test_kept_errors_of_wrong_models_are_those_of_today():
+    """Three episodes in still water, with the true model and the first wrong one."""
+    kept = load(command.FOLDER)["model_error", "helm-any"]["cruise"]
+    cell = model_error.cells_of("cruise", model_error.KEPT)[0]
+    way, size = model_error.WAYS["ratios"], model_error.SIZES[-1]
+    first = model_error.wrong(cell.scenario.vehicle, model_error.mistakes(0), size, way)
     there = SideBySide([cell])
     for vehicle, errors in (
         (cell.scenario.vehicle, kept["right"]["first_m"][0]),
@@ -346,13 +345,3 @@ def test_kept_errors_of_who_is_told_are_those_of_today():
     ):
         tails = there.run(acting("helm-any", vehicle))[0].tail
         np.testing.assert_allclose(tails, errors, rtol=1e-2, atol=1e-5)
-
-
-def test_page_is_what_was_found():
-    found = load(command.FOLDER)
-    for key, made in sections(found, "images/").items():
-        compare_between(PAGE, f"<!-- {key} -->", f"<!-- end of {key} -->", made)
-    assert set(report.NAMES) <= set(sections(found, ""))
-    if os.environ.get("REFRESH_DOCS"):
-        for name, picture in pictures(found).items():
-            (PAGE.parent / "images" / name).write_bytes(picture)

@@ -16,7 +16,6 @@ from auv_gym.task.simulation import SAMPLE_ROWS
 from baselines import make_policy
 from baselines.export.parts import exported
 from research.deployment.players import HeaderPolicy
-from research.site.live import command
 from research.site.live import page as live_page
 from research.site.live.data import STEPS, episode_of, path_of, scenario_of
 from research.site.live.page import LARGEST, links, write
@@ -270,6 +269,6 @@ def test_all_files_are_small_and_ask_for_nothing(folder):
 
 
 def test_the_command_writes_the_page(tmp_path, capsys, folder):
-    assert command.main(["--out", str(tmp_path / "page")]) == 0
+    assert live_page.main(["--out", str(tmp_path / "page")]) == 0
     assert (tmp_path / "page" / "equations.js").read_bytes() == (folder / "equations.js").read_bytes()
     assert "index.html" in capsys.readouterr().out

@@ -1,17 +1,24 @@
-"""The files of the live page: what is printed from the equations, what is computed beforehand, and what is written."""
+"""Make the live page: `python -m research web-demo --help`.
+
+Its files are printed from the equations, computed beforehand, or written by hand in static/.
+"""
 
 from __future__ import annotations
 
 import importlib.metadata
 import json
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from auv_gym.scenarios.presets import REGIMES
 from baselines.export.parts import Exported, exported
+from baselines.tools.command_line import DONE, parse
 from baselines.tools.files import write_atomically
 from research.site.live.data import data
 from research.site.live.equations import equations
 
+PROGRAM = "python -m research web-demo"
 FOLDER = Path(__file__).parent / "static"
 AGENTS = ("apg", "apg-preview")
 """Shipped agents of the page, one for each regime."""
@@ -19,6 +26,17 @@ LINKED = {"Homepage": "Source", "Documentation": "Documentation"}
 """Addresses of the package that the page shows, and what it calls them."""
 LARGEST = 3_000_000
 """Bytes that all files together may have."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Make the live page: static files for any browser, which run the simulation and need no server.
+
+    Exit status: 0 done, 2 wrong usage.
+    """
+
+    out: Path = Path("runs/live")
+    """Folder of the files."""
 
 
 def page_agents() -> dict[str, Exported]:
@@ -54,3 +72,17 @@ def write(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in files().items():
         write_atomically(folder / name, text)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Write the page as the arguments say and return the exit status.
+
+    Raises:
+        UsageError: the arguments do not make sense.
+        OSError: a file cannot be written.
+    """
+    options = parse(Options, arguments, PROGRAM)
+    write(options.out)
+    size = sum(file.stat().st_size for file in options.out.iterdir() if file.is_file())
+    print(f"written: {options.out}, {size / 1e6:.2f} MB; open {options.out / 'index.html'} in a browser")
+    return DONE

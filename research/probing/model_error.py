@@ -1,6 +1,6 @@
-"""What it costs to be told a wrong hull: the score on frozen episodes, whose vehicles and plans are what they were.
+"""What a wrong vehicle model costs a policy: the score on frozen episodes, whose vehicles and plans stay as they are.
 
-Every parameter of the known hull is wrong by a share of its own. Mass and inertia are also units, in which a policy
+Every parameter of the known vehicle is wrong by a share of its own. Mass and inertia are also units, in which a policy
 sees everything (`auv_gym.physics.units`): they are wrong in one of the two ways only.
 """
 
@@ -24,24 +24,24 @@ from baselines.evaluation.score import LARGEST_TAIL, RIVAL, Score, capped, cut, 
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.evaluation.suites import load
 from research.probing.collect import HULL, SEED
-from research.probing.tap import acting
+from research.probing.watching import acting
 
 _SUITE = "benchmark-v1"
 """Whose episodes run, and whose anchors the score has."""
 SIZES = (0.2, 0.4, 0.6)
-"""How wrong a parameter is told at most, as a share of it; any error up to that is as likely as another."""
+"""How wrong a parameter is at most, as a share of it; any error up to that is as likely as another."""
 HULLS = 12
-"""Wrong hulls of each size, the same ones for all policies."""
+"""Wrong models of each size, the same ones for all policies."""
 _EPISODES = 12
 """Episodes of each case, the first ones of the suite."""
 LESS: Mapping[str, tuple[int, int]] = {RIVAL: (4, 6)}
-"""Hulls and episodes of a policy that takes its time, the first ones too; and the largest size alone."""
+"""Models and episodes of a policy that takes its time, the first ones too; and the largest size alone."""
 KEPT = 3
-"""Episodes of each case whose errors are kept one by one, with the true hull and the first wrong one."""
+"""Episodes of each case whose errors are kept one by one, with the true model and the first wrong one."""
 
 
 class Way(NamedTuple):
-    """A way in which a hull is told wrong."""
+    """A way in which a vehicle model is wrong."""
 
     names: tuple[str, ...]  # the parameters that are wrong
     says: str
@@ -54,22 +54,22 @@ WAYS: Mapping[str, Way] = {
 """The ways, by name."""
 
 
-def mistakes(hull: int) -> dict[str, float]:
-    """Return how wrong each parameter of a hull is, by its number: shares of the largest size, in -1 ... 1.
+def mistakes(number: int) -> dict[str, float]:
+    """Return how wrong each parameter of a model is, by its number: shares of the largest size, in -1 ... 1.
 
-    They are drawn together, until there is such a hull in every way.
+    They are drawn together, until there is such a vehicle in every way.
     """
-    rng = np.random.default_rng([SEED + hull, 5])
+    rng = np.random.default_rng([SEED + number, 5])
     while True:
         drawn = {name: float(rng.uniform(-1.0, 1.0)) for name in HULL}
-        with suppress(ValueError):  # it would be no slender hull
+        with suppress(ValueError):  # no slender vehicle
             for way in WAYS.values():
                 wrong(PAPER_VEHICLE, drawn, SIZES[-1], way)
             return drawn
 
 
 def wrong(vehicle: Vehicle, mistaken: Mapping[str, float], size: float, way: Way) -> Vehicle:
-    """Return what is told in place of a vehicle.
+    """Return the model that is given in place of a vehicle.
 
     Args:
         vehicle: the true one.
@@ -89,8 +89,8 @@ def cells_of(regime: str, episodes: int) -> list[Cell]:
     return [Cell(cell.scenario, cell.episodes[:episodes]) for cell in own]
 
 
-def misled(name: str, regime: str, episodes: int | None = None) -> dict[str, Any]:
-    """Return what a policy's capped score loses where it is told wrong hulls, as plain numbers.
+def with_wrong_models(name: str, regime: str, episodes: int | None = None) -> dict[str, Any]:
+    """Return what a policy's capped score loses where its vehicle model is wrong, as plain numbers.
 
     Args:
         name: of the policy; none that looks behind the observation.
@@ -107,7 +107,7 @@ def misled(name: str, regime: str, episodes: int | None = None) -> dict[str, Any
     zero, one = (_recorded(policy, regime, cells) for policy in load(_SUITE).anchors)
     right, lost = _tails(name, known, true, regime)
 
-    def told(way: Way, size: float) -> dict[str, Any]:
+    def compared(way: Way, size: float) -> dict[str, Any]:
         each, gone = [], []
         for vehicle in (wrong(known, mistakes(k), size, way) for k in range(hulls)):
             tails, own = _tails(name, vehicle, true, regime)
@@ -125,7 +125,7 @@ def misled(name: str, regime: str, episodes: int | None = None) -> dict[str, Any
             "error_m": [round(float(row.mean()), 6) for row in right],
             "first_m": [np.round(row[:KEPT], 6).tolist() for row in right],
         },
-        "wrong": {key: [told(way, size) for size in sizes] for key, way in WAYS.items()},
+        "wrong": {key: [compared(way, size) for size in sizes] for key, way in WAYS.items()},
     }
 
 
@@ -136,17 +136,17 @@ def _recorded(policy: str, regime: str, cells: Sequence[Cell]) -> list[Array]:
     return [capped(row[:count], regime) for row, count in rows if row is not None]
 
 
-def _tails(name: str, told: Vehicle, there: SideBySide, regime: str) -> tuple[list[Array], int]:
-    """Return the capped tails [m] of a policy that is told a vehicle, cell by cell, and how many episodes it lost."""
+def _tails(name: str, model: Vehicle, there: SideBySide, regime: str) -> tuple[list[Array], int]:
+    """Return the capped tails [m] of a policy with a vehicle model, cell by cell, and how many episodes it lost."""
     cap = LARGEST_TAIL[regime]
-    with warnings.catch_warnings():  # that its law may be unstable for such a hull is a part of the price
+    with warnings.catch_warnings():  # that its law may be unstable for such a model is a part of the price
         warnings.simplefilter("ignore", StabilityWarning)
-        ended = there.run(acting(name, told))
+        ended = there.run(acting(name, model))
     return [cut(e.tail, e.lost, cap) for e in ended], sum(int(is_lost(e.tail, e.lost, cap).sum()) for e in ended)
 
 
 def _compared(zero: Sequence[Array], right: Sequence[Array], each: Sequence[Array], one: Sequence[Array]) -> Any:
-    """Return what the tails of hulls, shape (hulls, M) in each cell, are beside those of the true one."""
+    """Return what the tails with wrong models, shape (models, M) in each cell, are beside those with the true one."""
     above = partial(lead, zero, right, one=one)
     return {
         "score": _ends(seeds_score(zero, each, one)),

@@ -1,6 +1,6 @@
 """Probes: how much of a quantity can be read from some numbers, on episodes that the probe was not fitted to.
 
-A linear probe is ridge regression, one that bends is ridge regression with a Gaussian kernel; both have a closed form,
+A linear probe is ridge regression, a nonlinear one is ridge regression with a Gaussian kernel; both have a closed form,
 and both choose how strongly they are held back by the errors of leaving one episode out (G. H. Golub, M. Heath and
 G. Wahba, Technometrics 21(2):215-223, 1979; the closed form is that of R. D. Cook, Technometrics 19(1):15-18, 1977).
 """
@@ -60,7 +60,7 @@ def linear(fitted: Array, truth: Array, test: Array, test_truth: Array) -> Probe
     return Probed(np.square(test_truth - mean - Z @ chosen), np.square(test_truth - mean))
 
 
-def bent(fitted: Array, truth: Array, test: Array, test_truth: Array) -> Probed:
+def nonlinear(fitted: Array, truth: Array, test: Array, test_truth: Array) -> Probed:
     """Return what a probe with a Gaussian kernel says; arguments as of `linear`."""
     X, Z = _scaled(fitted, test)
     mean, unit = truth.mean(axis=0), 2.0 * X.shape[1]  # of scaled columns the mean squared distance

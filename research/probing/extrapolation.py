@@ -23,7 +23,7 @@ from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import LARGEST_TAIL, cut, is_lost
 from baselines.evaluation.side_by_side import SideBySide
 from research.probing.collect import at_speed, episodes_of
-from research.probing.tap import acting
+from research.probing.watching import acting
 
 _EPISODES = 12
 """Episodes of each value."""

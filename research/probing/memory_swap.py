@@ -23,7 +23,7 @@ from baselines.evaluation.metrics import resamplings
 from baselines.evaluation.rollout import beginning, play
 from baselines.policy import Memory
 from research.probing.collect import agent_of, episodes_of
-from research.probing.tap import HIDDEN, REMEMBERED, Swap, Tapped
+from research.probing.watching import HIDDEN, REMEMBERED, Swap, Tapped
 
 _AT = 300
 """Control instant of the exchange."""
@@ -104,7 +104,7 @@ SWAPS: Mapping[str, tuple[Callable[[Memory, int], Memory], int]] = {
 """What is done: twins exchange the network's memory, or what its inputs remember; or the network's is set to zero."""
 
 
-def transplanted(name: str, regime: str, episodes: int | None = None) -> dict[str, Any]:
+def swapped(name: str, regime: str, episodes: int | None = None) -> dict[str, Any]:
     """Return how an agent's error grows by each exchange, trait by trait, as plain numbers.
 
     Args:
