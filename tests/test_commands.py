@@ -54,7 +54,7 @@ FROZEN = ("benchmark-v2", "benchmark-v1", "ood-v1", "unmodelled-v1", "vehicles-v
 ELSEWHERE = {
     r"make( .*)?": "the verbs, below",
     r"auv-gym identify .*": "test_identify.py::test_the_command_writes_a_vehicle_that_scenarios_take",
-    r"python -m research failure-rate .*": "test_safety.py::test_certificate_counts_what_is_lost_and_goes_on",
+    r"python -m research failure-rate .*": "test_safety.py::test_failures_are_counted_and_counting_goes_on",
     r"python -m research falsification .*": "test_safety.py::"
     "test_search_finds_a_sea_that_loses_the_policy_and_writes_it",
     r"auv-gym --help": "test_package.py::test_the_command",
