@@ -122,9 +122,7 @@ def play(policy: Policy, begun: Begun, steps: int, watch: Watch | None = None) -
         command = _checked(action, running, k)
         following, reward, terminated, truncated, info = env.step(command)
         first, ended, lost = ended, terminated | truncated, running & terminated
-        yield Moment(
-            observation, command, reward, info["position_error"], running, lost, info["saturated"], following
-        )
+        yield Moment(observation, command, reward, info["position_error"], running, lost, info["saturated"], following)
         observation, running = following, running & ~ended
         if not running.any():
             return

@@ -11,8 +11,8 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from baselines.evaluation import recorded, suites
-from baselines.evaluation.progress import progress
-from baselines.evaluation.runner import STEP_LIMIT, Cell, Run, runs
+from baselines.evaluation.progress import run_and_show
+from baselines.evaluation.runner import STEP_LIMIT, Cell, Run
 from baselines.evaluation.score import regime_of
 from baselines.evaluation.suites.yardsticks import keep
 from baselines.policies import list_policies
@@ -185,11 +185,5 @@ def _verify(name: str, options: Options) -> int:
 
 
 def _run(policy: str, cells: Sequence[Cell], options: Options) -> list[Run]:
-    """Return a policy's runs, telling how far they are."""
-    found = []
-    with progress(len(cells), sum(len(cell.episodes) * cell.scenario.steps for cell in cells)) as report:
-        pairs = [(policy, cell) for cell in cells]
-        for result in runs(pairs, Workers(options.jobs), options.step_limit, report.board.note):
-            report.run(result)
-            found.append(result)
-    return found
+    """Return a policy's runs, and show on stderr how far they are."""
+    return run_and_show([(policy, cell) for cell in cells], Workers(options.jobs), options.step_limit)
