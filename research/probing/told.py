@@ -20,7 +20,7 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from baselines.control.backstepping import StabilityWarning
 from baselines.evaluation import recorded
 from baselines.evaluation.runner import Cell
-from baselines.evaluation.score import LARGEST_TAIL, RIVAL, Score, capped, lead, losses, regime_of, seeds_score
+from baselines.evaluation.score import LARGEST_TAIL, RIVAL, Score, capped, lead, losses, seeds_score
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.evaluation.suites import load
 from research.probing.collect import HULL, SEED
@@ -85,8 +85,7 @@ def wrong(vehicle: Vehicle, mistaken: Mapping[str, float], size: float, way: Way
 
 def cells_of(regime: str, episodes: int) -> list[Cell]:
     """Return the first episodes of each cell of a regime in the suite."""
-    own = (cell for cell in load(_SUITE).cells if regime_of(cell.scenario.name) == regime)
-    return [Cell(cell.scenario, cell.episodes[:episodes]) for cell in own]
+    return [Cell(cell.scenario, cell.episodes[:episodes]) for cell in load(_SUITE).cells_in((regime,))]
 
 
 def misled(name: str, regime: str, episodes: int | None = None) -> dict[str, Any]:

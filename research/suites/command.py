@@ -13,7 +13,6 @@ from tyro.conf import Positional, arg
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.progress import run_and_show
 from baselines.evaluation.runner import STEP_LIMIT, Cell, Run
-from baselines.evaluation.score import regime_of
 from baselines.evaluation.suites.yardsticks import keep
 from baselines.policies import list_policies
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
@@ -149,7 +148,7 @@ def _record(name: str, options: Options) -> int:
     suite, status = suites.load(name), DONE
     for policy in options.policy or tuple(list_policies()):
         regimes = recorded.regimes_of(policy)
-        own = [cell for cell in suite.cells if regime_of(cell.scenario.name) in regimes]
+        own = suite.cells_in(regimes)
         found = _run(policy, [Cell(cell.scenario, cell.episodes[: options.episodes]) for cell in own], options)
         try:
             recorded.save(suite, found, versions(), regimes=regimes)

@@ -20,7 +20,6 @@ from baselines.evaluation import suites
 from baselines.evaluation.progress import run_and_show
 from baselines.evaluation.recorded import SUITES
 from baselines.evaluation.runner import Cell, Run
-from baselines.evaluation.score import regime_of
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.workers import Workers
 from baselines.training.command import train
@@ -166,7 +165,7 @@ def studied(variant: Variant, request: Request, jobs: int) -> Study:
 
 def cells_of(suite: str, regime: str) -> list[Cell]:
     """Return the cells of a frozen suite in a regime."""
-    return [cell for cell in suites.load(suite).cells if regime_of(cell.scenario.name) == regime]
+    return suites.load(suite).cells_in((regime,))
 
 
 def _rolled_out(agents: Sequence[str], cells: Sequence[Cell], jobs: int) -> list[list[Run]]:
