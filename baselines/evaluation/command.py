@@ -14,7 +14,7 @@ from baselines.evaluation.report.numbers import Entry, Result, compare, pool
 from baselines.evaluation.report.terminal import print_report
 from baselines.evaluation.request import Request
 from baselines.evaluation.rows import RowStore
-from baselines.evaluation.runner import Run, runs
+from baselines.evaluation.runner import Run
 from baselines.evaluation.submission.files import save, submission_of
 from baselines.tools.command_line import DONE, FAILED
 from baselines.tools.files import versions, write_atomically
@@ -32,7 +32,7 @@ def evaluate(request: Request) -> int:
     for note in request.notes:
         print(f"note: {note}", file=sys.stderr)
     try:
-        with progress(len(request.pairs), request.steps) as report:
+        with progress(request.pairs) as report:
             found = _run(request, RowStore(out / _ROWS), report)
             report.message("report")
             results, pooled = compare(found, request.anchors), pool(found, request.anchors)
@@ -51,9 +51,8 @@ def _run(request: Request, store: RowStore, report: Listener) -> list[Run]:
     """Return the runs of a request, cell by cell; each is kept in the store when it is complete."""
     found, options = list(request.earlier), request.options
     known = store.load if options.resume else lambda _: None
-    for run in runs(request.pairs, request.workers, options.step_limit, report.board.note, known):
+    for run in report.runs(request.pairs, request.workers, options.step_limit, known):
         store.save(run)
-        report.run(run)
         found.append(run)
     cells = [cell.scenario.name for cell in request.cells]
     names = list(dict.fromkeys((*request.policies, *(run.policy for run in request.earlier))))

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.envs.vector_api import AutoresetMode
 from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.scenario import Scenario
@@ -88,7 +87,7 @@ def run_episodes(
     cell = drawn(known, episodes, seed)
     if isinstance(acting, Privileged):
         acting.prepare(known, cell.episodes)
-    env, first = beginning([(known, cell.episodes)], preview_of(acting), AutoresetMode.NEXT_STEP)
+    env, first = beginning([(known, cell.episodes)], preview_of(acting))
     places, moments, observations = [_places(env)], [], [first]
     errors = [np.hypot(*(places[0][:, :2] - places[0][:, 2:]).T)]
     for moment in play(acting, (env, first), known.steps):

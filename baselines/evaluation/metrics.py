@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +64,13 @@ class Measures:
     def joined(cls, parts: Sequence[Measures]) -> Measures:
         """Return the measures of all parts' episodes, in order."""
         return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
+
+
+class Ended(NamedTuple):
+    """How episodes ended, arrays of one shape."""
+
+    tail: Array  # [m] tail RMSE; of an episode that was lost it means nothing
+    lost: NDArray[np.bool_]  # ended beyond the scenario's lost distance
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import contextlib
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,8 @@ from tempfile import TemporaryDirectory
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from baselines.evaluation.runner import Run
+from baselines.evaluation.runner import STEP_LIMIT, Cell, Run, runs
+from baselines.tools.workers import Workers
 
 INTERVAL = 0.5
 """Seconds between two looks at the board."""
@@ -74,25 +75,44 @@ class Listener:
     run: Callable[[Run], None]
     board: Board
 
+    def runs(
+        self,
+        pairs: Sequence[tuple[str, Cell]],
+        workers: Workers,
+        step_limit: float = STEP_LIMIT,
+        known: Callable[[str], Run | None] = lambda _: None,
+    ) -> Iterator[Run]:
+        """Yield the runs of `runner.runs` and show each of them once the caller has taken it."""
+        for run in runs(pairs, workers, step_limit, self.board.note, known):
+            yield run
+            self.run(run)
+
 
 @contextmanager
-def progress(runs: int, steps: int) -> Iterator[Listener]:
-    """Show on stderr how far an evaluation of so many runs and control steps is."""
+def progress(pairs: Sequence[tuple[str, Cell]]) -> Iterator[Listener]:
+    """Show on stderr how far an evaluation of these policies, each in its cell, is."""
+    steps = sum(len(cell.episodes) * cell.scenario.steps for _, cell in pairs)
     with TemporaryDirectory() as folder:
         board, err = Board(Path(folder)), Console(stderr=True, highlight=False)
-        with (_bar if err.is_terminal else _lines)(runs, steps, board, err) as listener:
+        with (_bar if err.is_terminal else _lines)(len(pairs), steps, board, err) as listener:
             yield listener
 
 
+def run_and_show(pairs: Sequence[tuple[str, Cell]], workers: Workers, step_limit: float = STEP_LIMIT) -> list[Run]:
+    """Return the run of each policy in its cell, in the order of completion, and show on stderr how far they are."""
+    with progress(pairs) as report:
+        return list(report.runs(pairs, workers, step_limit))
+
+
 @contextmanager
-def _bar(runs: int, steps: int, board: Board, err: Console) -> Iterator[Listener]:
+def _bar(count: int, steps: int, board: Board, err: Console) -> Iterator[Listener]:
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    done = iter(range(1, runs + 1))
+    done = iter(range(1, count + 1))
     with Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=err, transient=True) as bar:
         task = bar.add_task("control steps", total=steps)
         listener = Listener(
             lambda text: bar.update(task, description=text),
-            lambda run: bar.update(task, description=f"{next(done)}/{runs} {run.policy} in {run.scenario.name}"),
+            lambda run: bar.update(task, description=f"{next(done)}/{count} {run.policy} in {run.scenario.name}"),
             board,
         )
         with _watched(board, lambda total: bar.update(task, completed=total)):
@@ -100,8 +120,8 @@ def _bar(runs: int, steps: int, board: Board, err: Console) -> Iterator[Listener
 
 
 @contextmanager
-def _lines(runs: int, steps: int, board: Board, _: Console) -> Iterator[Listener]:
-    clock, done, last = Clock(steps), iter(range(1, runs + 1)), [time.monotonic()]
+def _lines(count: int, steps: int, board: Board, _: Console) -> Iterator[Listener]:
+    clock, done, last = Clock(steps), iter(range(1, count + 1)), [time.monotonic()]
 
     def say(text: str) -> None:
         last[0] = time.monotonic()
@@ -111,7 +131,7 @@ def _lines(runs: int, steps: int, board: Board, _: Console) -> Iterator[Listener
         if run.known:
             clock.skip(len(run.measures or ()) * run.scenario.steps)
         state = "failed" if run.error else "known" if run.known else "done"
-        say(f"[{next(done)}/{runs}] {run.policy} in {run.scenario.name}: {state}{clock.left(board.total())}")
+        say(f"[{next(done)}/{count}] {run.policy} in {run.scenario.name}: {state}{clock.left(board.total())}")
 
     def tick(total: int) -> None:
         if time.monotonic() - last[0] > MINUTE:

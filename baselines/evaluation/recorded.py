@@ -25,7 +25,7 @@ from baselines.agents.agent import Agent
 from baselines.agents.names import agent_folder, bare_name
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import Measures
-from baselines.evaluation.runner import Cell, Recorded, Run
+from baselines.evaluation.runner import Recorded, Run
 from baselines.evaluation.score import regime_of
 from baselines.evaluation.store import Stored, reading, write
 from baselines.evaluation.suites import Suite
@@ -102,7 +102,7 @@ def read(suite: Suite, policy: str, folder: Path = FOLDER) -> list[Run]:
     with reading(found(folder, f"{source}/{policy}.npz")) as stored:
         record, rows = stored.record, stored.arrays["measures"].astype(np.float64)
         bounds = np.cumsum([0, *record["episodes"]]).tolist()
-        cells, when = cells_of(suite, record.get("regimes", REGIMES)), Recorded(record["date"], record["versions"])
+        cells, when = suite.cells_in(record.get("regimes", REGIMES)), Recorded(record["date"], record["versions"])
         runs = []
         for i, (cell, a, b) in enumerate(zip(cells, bounds[:-1], bounds[1:], strict=True)):
             *values, lost = rows[:, a:b]
@@ -159,11 +159,6 @@ def regimes_of(policy: str) -> tuple[str, ...]:
     return tuple(regime for regime in REGIMES if regime in own) or REGIMES
 
 
-def cells_of(suite: Suite, regimes: Sequence[str]) -> list[Cell]:
-    """Return a suite's cells in these regimes."""
-    return [cell for cell in suite.cells if regime_of(cell.scenario.name) in regimes]
-
-
 def save(
     suite: Suite,
     runs: Sequence[Run],
@@ -177,7 +172,7 @@ def save(
         ValueError: a run failed, or is missing.
     """
     policy, own = runs[0].policy, {run.scenario.name: run for run in runs if run.measures is not None}
-    cases = [cell.scenario.name for cell in cells_of(suite, regimes)]
+    cases = [cell.scenario.name for cell in suite.cells_in(regimes)]
     if missing := [case for case in cases if case not in own]:
         raise ValueError(f"{policy} has no result in {', '.join(missing)}")
     ordered = [own[case] for case in cases]

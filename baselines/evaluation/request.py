@@ -84,11 +84,6 @@ class Request:
             options, command, suite, task.hash, task.cells, names, tuple(pairs), workers, anchors, earlier, tuple(notes)
         )
 
-    @property
-    def steps(self) -> int:
-        """Control steps of all that is to run."""
-        return sum(len(cell.episodes) * cell.scenario.steps for _, cell in self.pairs)
-
 
 class _Task(NamedTuple):
     """Cells, the hash of them, and what is recorded of them."""

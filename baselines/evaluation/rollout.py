@@ -60,7 +60,7 @@ class Moment(NamedTuple):
     running: NDArray[np.bool_]  # shape (N,), not ended before the step; what is said of the others means nothing
     lost: NDArray[np.bool_]  # shape (N,), ended by this step, beyond the lost distance
     saturated: NDArray[np.bool_]  # shape (N,), an actuator was commanded to its limit
-    following: Array  # what is observed next, of the next episode where autoreset has begun one, shape (N, terms)
+    following: Array  # what is observed next, of the next episode one step after the end, shape (N, terms)
 
 
 class Watch:
@@ -102,7 +102,7 @@ def play(policy: Policy, begun: Begun, steps: int, watch: Watch | None = None) -
 
     Args:
         policy: what acts; it gets its own memory back, and `episode_start`, True at an episode's first step.
-        begun: the environment and its first observation.
+        begun: the environment, whose next episodes begin one step after the end, and its first observation.
         steps: most steps.
         watch: what measures the policy's time.
 
@@ -112,6 +112,7 @@ def play(policy: Policy, begun: Begun, steps: int, watch: Watch | None = None) -
     (env, observation), watch = begun, watch or Watch()
     privileged = policy if isinstance(policy, Privileged) else None
     memory, first, running = None, np.ones(env.num_envs, dtype=bool), np.ones(env.num_envs, dtype=bool)
+    ended = ~running  # by the last step: the coming one begins the next episodes there
     for k in range(steps):
         with watch:
             if privileged:
@@ -120,12 +121,9 @@ def play(policy: Policy, begun: Begun, steps: int, watch: Watch | None = None) -
         watch.count(env.num_envs, k)
         command = _checked(action, running, k)
         following, reward, terminated, truncated, info = env.step(command)
-        first, error, saturated = terminated | truncated, info["position_error"], info["saturated"]
-        if "final_info" in info:
-            error = np.where(first, info["final_info"]["position_error"], error)
-            saturated = saturated | info["final_info"]["saturated"]
-        yield Moment(observation, command, reward, error, running, running & terminated, saturated, following)
-        observation, running = following, running & ~first
+        first, ended, lost = ended, terminated | truncated, running & terminated
+        yield Moment(observation, command, reward, info["position_error"], running, lost, info["saturated"], following)
+        observation, running = following, running & ~ended
         if not running.any():
             return
 
@@ -133,7 +131,6 @@ def play(policy: Policy, begun: Begun, steps: int, watch: Watch | None = None) -
 def beginning(
     cells: Sequence[tuple[Scenario, Sequence[Episode]]],
     preview: tuple[int, ...],
-    autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP,
     bodies: MadeBodies | None = None,
 ) -> Begun:
     """Return the beginning of the episodes of some scenarios, all side by side.
@@ -141,13 +138,15 @@ def beginning(
     Args:
         cells: scenarios of the same number of substeps, with episodes of each.
         preview: what is observed of the reference ahead, see `auv_gym.task.preview`.
-        autoreset_mode: with NEXT_STEP the environment shows the end of an episode for one step.
         bodies: makes the vehicles of another simulator, if it is to move them.
     """
-    # What an environment begins where an episode has ended is left alone: a straight line, which costs nothing to plan.
+    # What an environment begins where an episode has ended is left alone: a straight line, which costs nothing to plan,
+    # one step later, so that nothing is planned where all episodes end together.
     after = [replace(scenario, path=Line(episodes[0].path.speed)) for scenario, episodes in cells]
     scenarios = [scenario for scenario, (_, own) in zip(after, cells, strict=True) for _ in own]
-    env = UnderactuatedAUVTrackVectorEnv(len(scenarios), scenarios, preview=preview, autoreset_mode=autoreset_mode)
+    env = UnderactuatedAUVTrackVectorEnv(
+        len(scenarios), scenarios, preview=preview, autoreset_mode=AutoresetMode.NEXT_STEP
+    )
     if bodies is not None:
         env.embody(bodies)
     observation, _ = env.reset(seed=0, options={"episode": [episode for _, own in cells for episode in own]})

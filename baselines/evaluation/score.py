@@ -21,7 +21,7 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.physics.units import Units
 from auv_gym.scenarios.presets import REGIMES
 from auv_gym.scenarios.scenario import Scenario
-from baselines.evaluation.metrics import RESAMPLES, Measures, resamplings, seed_shares
+from baselines.evaluation.metrics import RESAMPLES, Ended, Measures, resamplings, seed_shares
 
 EXPERT = "backstepping"  # the policy that scores 0
 ORACLE = "oracle"  # the policy that knows plant and sea, and regulates; it scores 1 in the oldest suites
@@ -124,38 +124,33 @@ def in_paper_units(m: Measures, scenario: Scenario) -> Measures:
 
 def cap_of(scenario: Scenario) -> float:
     """Return the tail RMSE [m] from which an episode of a scenario is lost, infinite where it belongs to no regime."""
-    return unit_of(scenario) * largest_tail(waters_of(scenario.name))
+    return unit_of(scenario) * largest_tail(scenario.name)
 
 
-def largest_tail(regime: str | None) -> float:
-    """Return the tail RMSE [m] from which an episode is lost: infinite for scenarios that belong to no regime."""
-    return LARGEST_TAIL[regime] if regime else math.inf
+def largest_tail(scenario: str) -> float:
+    """Return the same in metres of the paper's vehicle, by the scenario's name; see `in_paper_units`."""
+    waters = waters_of(scenario)
+    return LARGEST_TAIL[waters] if waters else math.inf
 
 
-def is_lost(tail: Array, ended: NDArray[np.bool_], cap: float) -> NDArray[np.bool_]:
-    """Return which episodes are lost, the one rule of it.
+def is_lost(ended: Measures | Ended, cap: float) -> NDArray[np.bool_]:
+    """Return which episodes are lost, the one rule of it: those that ended so, and those whose tail reaches the cap.
 
     Args:
-        tail: tail RMSE [m].
-        ended: whether they ended beyond the lost distance, shape as `tail`.
-        cap: tail [m] from which they count as lost.
+        ended: how they ended.
+        cap: tail RMSE [m] from which they count as lost, see `cap_of`.
     """
-    return ended | ~(tail < cap)
+    return ended.lost | ~(ended.tail < cap)
 
 
-def cut(tail: Array, ended: NDArray[np.bool_], cap: float) -> Array:
-    """Return the tail RMSE [m] with the cap in place of those of episodes that are lost; see `is_lost`."""
-    return np.where(is_lost(tail, ended, cap), cap, tail) if math.isfinite(cap) else tail
-
-
-def capped(m: Measures, regime: str | None) -> Array:
-    """Return the tail RMSE [m], shape (M,), cut at `LARGEST_TAIL`: that of an episode that was lost."""
-    return cut(m.tail, m.lost, largest_tail(regime))
-
-
-def losses(m: Measures, regime: str | None) -> int:
+def losses(ended: Measures | Ended, cap: float) -> int:
     """Return how many episodes are lost, see `is_lost`."""
-    return int(is_lost(m.tail, m.lost, largest_tail(regime)).sum())
+    return int(is_lost(ended, cap).sum())
+
+
+def capped(ended: Measures | Ended, cap: float) -> Array:
+    """Return the tail RMSE [m] with the cap in place of those of episodes that are lost; without a cap as it is."""
+    return np.where(is_lost(ended, cap), cap, ended.tail) if math.isfinite(cap) else ended.tail
 
 
 def relative_error(rival: Sequence[Array], own: Sequence[Array]) -> Score:

@@ -4,23 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from auv_gym.physics.namespaces import Array
 from auv_gym.task.policy import Policy
-from baselines.evaluation.metrics import tail_rmse
+from baselines.evaluation.metrics import Ended, tail_rmse
 from baselines.evaluation.rollout import Moment, Repeatable, beginning
 from baselines.evaluation.runner import Cell
-
-
-class Ended(NamedTuple):
-    """How the M episodes of a cell ended."""
-
-    tail: Array  # [m] tail RMSE, shape (M,); of an episode that was lost it means nothing
-    lost: NDArray[np.bool_]  # ended beyond the scenario's lost distance, shape (M,)
 
 
 class SideBySide:
@@ -37,7 +27,7 @@ class SideBySide:
         self._episodes = Repeatable(partial(beginning, [(cell.scenario, cell.episodes) for cell in cells]))
 
     def run(self, policy: Policy, watch: Callable[[int, Moment], None] = lambda *_: None) -> list[Ended]:
-        """Return how the episodes of each cell end.
+        """Return how the episodes of each cell end, arrays of shape (M,).
 
         Args:
             policy: what acts; none that looks behind the observation.

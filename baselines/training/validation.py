@@ -20,7 +20,7 @@ from auv_gym.task.policy import Policy
 from baselines.agents.features import ERRORS, scaled_errors
 from baselines.evaluation.rollout import Moment
 from baselines.evaluation.runner import Cell, drawn
-from baselines.evaluation.score import cut, is_lost, largest_tail, regime_of, waters_of
+from baselines.evaluation.score import capped, is_lost, largest_tail, regime_of
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.evaluation.suites import load
 from baselines.evaluation.suites.yardsticks import Yardstick, kept, measured
@@ -86,8 +86,8 @@ class Validation:
             scaled[k] = np.where(moment.running, seen, math.nan)
 
         found = list(zip(self._caps, self._episodes.run(policy, watch), strict=True))
-        tails = [cut(ended.tail, ended.lost, cap) for cap, ended in found]
-        gone = [is_lost(ended.tail, ended.lost, cap) for cap, ended in found]
+        tails = [capped(ended, cap) for cap, ended in found]
+        gone = [is_lost(ended, cap) for cap, ended in found]
         scores = [self.score(_mean(own), regime) for regime, own in self._by_regime(tails).items()]
         return Verdict(float(np.mean(scores)), _mean(tails), _mean(gone), _seen(scaled))
 
@@ -115,7 +115,7 @@ def _seen(scaled: Array) -> tuple[float, ...]:
 
 
 def _cap(scenario: Scenario) -> float:
-    cap = largest_tail(waters_of(scenario.name))
+    cap = largest_tail(scenario.name)
     return cap if math.isfinite(cap) else scenario.lost_distance
 
 

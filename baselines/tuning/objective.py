@@ -17,9 +17,9 @@ from auv_gym.scenarios.presets import CASES, PRESETS
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import PAPER, Craft
 from auv_gym.task.policy import Policy
-from baselines.evaluation.metrics import effort, smoothness, tail_rmse
+from baselines.evaluation.metrics import Ended, effort, smoothness, tail_rmse
 from baselines.evaluation.rollout import Begun, Repeatable
-from baselines.evaluation.score import LARGEST_TAIL, cut, is_lost
+from baselines.evaluation.score import LARGEST_TAIL, capped, is_lost
 
 _WORLDS = ("plain", "adverse")
 """What controllers are tuned for: a regime's eight cases alone, or those and, as often, the adverse storm."""
@@ -109,9 +109,8 @@ class Course:
         """
         moments = list(self._episodes.play(policy, self.steps))
         errors, actions = (np.array([getattr(m, key) for m in moments]) for key in ("error", "command"))
-        tail, farther = tail_rmse(errors), errors.max(axis=0) > self.lost_distance
-        tail = cut(tail, farther, self.cap)
-        return tail, is_lost(tail, farther, self.cap), actions
+        ended = Ended(tail_rmse(errors), errors.max(axis=0) > self.lost_distance)
+        return capped(ended, self.cap), is_lost(ended, self.cap), actions
 
 
 @lru_cache(maxsize=2)

@@ -20,7 +20,7 @@ from baselines.evaluation import recorded, suites
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.rollout import Moment, Repeatable, beginning, rollout
 from baselines.evaluation.runner import drawn
-from baselines.evaluation.score import Score, capped, fixed, fixed_ends, lead, regime_of
+from baselines.evaluation.score import Score, capped, fixed, fixed_ends, largest_tail, lead, regime_of
 from baselines.export.c_header import c_header
 from baselines.export.onnx_model import onnx_model
 from baselines.export.parts import Exported, exported
@@ -164,13 +164,13 @@ def _scores(name: str, policies: Mapping[str, Policy], episodes: int) -> dict[st
 
     def tails(rows: Mapping[str, Measures | None]) -> list[NDArray[np.float64]]:
         found = ((c.scenario.name, rows[c.scenario.name]) for c in cells)
-        return [capped(m[:episodes], regime_of(cell)) for cell, m in found if m is not None]
+        return [capped(m[:episodes], largest_tail(cell)) for cell, m in found if m is not None]
 
     expert, oracle, own = (tails(rows) for rows in kept)
     result = {"numpy": _triple(lead(expert, expert, [t[None] for t in own], oracle))}
     for key, policy in policies.items():
         runs = [rollout(policy, c.scenario, c.episodes[:episodes]).measures for c in cells]
-        theirs = [capped(m, regime_of(c.scenario.name)) for c, m in zip(cells, runs, strict=True)]
+        theirs = [capped(m, largest_tail(c.scenario.name)) for c, m in zip(cells, runs, strict=True)]
         result[key] = _triple(lead(expert, theirs, [t[None] for t in own], oracle))
     return result
 

@@ -25,7 +25,7 @@ from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import most_lost
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import Cell, drawn
-from baselines.evaluation.score import BOUND, EXPERT, ORACLE, is_lost, largest_tail, regime_of
+from baselines.evaluation.score import BOUND, EXPERT, ORACLE, largest_tail, losses
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
 from baselines.tools.files import json_text, read_json, write_atomically
@@ -82,7 +82,7 @@ def counted(scenario: Scenario, first: int, episodes: int) -> Count:
     seed = OPTIMUM.first + first
     cell = drawn(scenario, episodes, seed)
     found = rollout(make_policy(BOUND, scenario.vehicle), scenario, cell.episodes)
-    tail, cap = found.measures.tail, largest_tail(regime_of(scenario.name))
+    tail = found.measures.tail
     far = np.flatnonzero(~(tail < GOOD)).tolist()
     rivals = {policy: _tails(policy, cell, far) for policy in (ORACLE, EXPERT)} if far else {}
     astray = tuple(
@@ -90,7 +90,7 @@ def counted(scenario: Scenario, first: int, episodes: int) -> Count:
         for j, i in enumerate(far)
     )
     errors = found.errors[scenario.steps // 3 :]
-    lost = int(is_lost(tail, found.measures.lost, cap).sum())
+    lost = losses(found.measures, largest_tail(scenario.name))
     return Count(episodes, lost, float(tail.sum()), float(tail.max()), float(errors.max()), astray)
 
 

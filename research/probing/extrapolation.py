@@ -20,7 +20,7 @@ from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
 from baselines.control.backstepping import StabilityWarning
 from baselines.evaluation.runner import Cell
-from baselines.evaluation.score import LARGEST_TAIL, cut, is_lost
+from baselines.evaluation.score import LARGEST_TAIL, capped, losses
 from baselines.evaluation.side_by_side import SideBySide
 from research.probing.collect import at_speed, episodes_of
 from research.probing.watching import acting
@@ -146,7 +146,7 @@ def stretched(name: str, regime: str, episodes: int | None = None) -> dict[str, 
             warnings.filterwarnings("ignore", "this agent was trained at reference speeds")
             cells = [Cell(scenario, episodes_of(scenario, count)) for scenario in scenarios]
             ended = SideBySide(cells).run(acting(name, scenarios[0].vehicle))
-        tails = [np.round(cut(e.tail, e.lost, cap), 5).tolist() for e in ended]
-        lost = [int(is_lost(e.tail, e.lost, cap).sum()) for e in ended]
+        tails = [np.round(capped(e, cap), 5).tolist() for e in ended]
+        lost = [losses(e, cap) for e in ended]
         found["parameters"][key] = {"values": list(parameter.values), "tails_m": tails, "lost": lost}
     return found

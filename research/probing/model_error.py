@@ -20,7 +20,7 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from baselines.control.backstepping import StabilityWarning
 from baselines.evaluation import recorded
 from baselines.evaluation.runner import Cell
-from baselines.evaluation.score import LARGEST_TAIL, RIVAL, Score, capped, cut, is_lost, lead, regime_of, seeds_score
+from baselines.evaluation.score import LARGEST_TAIL, RIVAL, Score, capped, lead, losses, seeds_score
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.evaluation.suites import load
 from research.probing.collect import HULL, SEED
@@ -85,8 +85,7 @@ def wrong(vehicle: Vehicle, mistaken: Mapping[str, float], size: float, way: Way
 
 def cells_of(regime: str, episodes: int) -> list[Cell]:
     """Return the first episodes of each cell of a regime in the suite."""
-    own = (cell for cell in load(_SUITE).cells if regime_of(cell.scenario.name) == regime)
-    return [Cell(cell.scenario, cell.episodes[:episodes]) for cell in own]
+    return [Cell(cell.scenario, cell.episodes[:episodes]) for cell in load(_SUITE).cells_in((regime,))]
 
 
 def with_wrong_models(name: str, regime: str, episodes: int | None = None) -> dict[str, Any]:
@@ -133,7 +132,7 @@ def _recorded(policy: str, regime: str, cells: Sequence[Cell]) -> list[Array]:
     """Return the capped tails [m] that are recorded of a policy in episodes of the suite, cell by cell."""
     runs = {run.scenario.name: run.measures for run in recorded.read(load(_SUITE), policy)}
     rows = ((runs[cell.scenario.name], len(cell.episodes)) for cell in cells)
-    return [capped(row[:count], regime) for row, count in rows if row is not None]
+    return [capped(row[:count], LARGEST_TAIL[regime]) for row, count in rows if row is not None]
 
 
 def _tails(name: str, model: Vehicle, there: SideBySide, regime: str) -> tuple[list[Array], int]:
@@ -142,7 +141,7 @@ def _tails(name: str, model: Vehicle, there: SideBySide, regime: str) -> tuple[l
     with warnings.catch_warnings():  # that its law may be unstable for such a model is a part of the price
         warnings.simplefilter("ignore", StabilityWarning)
         ended = there.run(acting(name, model))
-    return [cut(e.tail, e.lost, cap) for e in ended], sum(int(is_lost(e.tail, e.lost, cap).sum()) for e in ended)
+    return [capped(e, cap) for e in ended], sum(losses(e, cap) for e in ended)
 
 
 def _compared(zero: Sequence[Array], right: Sequence[Array], each: Sequence[Array], one: Sequence[Array]) -> Any:

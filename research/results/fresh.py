@@ -20,7 +20,7 @@ from auv_gym.installation import checkout
 from auv_gym.scenarios.presets import REGIMES
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.runner import drawn, run_all
-from baselines.evaluation.score import ADVERSE_RIVAL, EXPERT, FORESIGHTED, RIVAL, regime_of
+from baselines.evaluation.score import ADVERSE_RIVAL, EXPERT, FORESIGHTED, RIVAL
 from baselines.evaluation.suites import Suite
 from baselines.policies import list_policies
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
@@ -112,7 +112,7 @@ def main(arguments: Sequence[str]) -> int:
 def _kept(suite: Suite, policy: str, options: Options) -> bool:
     """Run a policy through the cells of its regimes and keep what it did; return whether it could."""
     regimes = recorded.regimes_of(policy)
-    cells = [cell for cell in suite.cells if regime_of(cell.scenario.name) in regimes]
+    cells = suite.cells_in(regimes)
     if not cells:
         return True
     runs = run_all((policy,), cells, Workers(options.jobs))

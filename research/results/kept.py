@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from auv_gym.scenarios.presets import REGIMES
 from baselines.agents.names import shipped_agents
-from baselines.evaluation.score import is_lost, largest_tail, regime_of, waters_of
+from baselines.evaluation.score import is_lost, largest_tail, regime_of
 from research.pages import table
 from research.results.collection import Results
 
@@ -17,9 +17,7 @@ from research.results.collection import Results
 def gone(results: Results, policy: str, regime: str) -> NDArray[np.bool_]:
     """Return which episodes of a regime a policy loses, case by case, shape (M,); (0,) if it did not run."""
     own = [r for r in results.runs if r.policy == policy and regime_of(r.scenario.name) == regime]
-    parts = [
-        is_lost(r.measures.tail, r.measures.lost, largest_tail(waters_of(r.scenario.name))) for r in own if r.measures
-    ]
+    parts = [is_lost(r.measures, largest_tail(r.scenario.name)) for r in own if r.measures]
     return np.concatenate(parts) if parts else np.zeros(0, dtype=np.bool_)
 
 

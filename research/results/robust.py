@@ -7,7 +7,7 @@ from typing import Any
 
 from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import REGIMES
-from baselines.evaluation.score import FORESIGHTED, RIVAL, capped, fixed, regime_of
+from baselines.evaluation.score import FORESIGHTED, LARGEST_TAIL, RIVAL, capped, fixed, regime_of
 from research.pages import table
 from research.results.collection import Results, results_of
 from research.results.leads import KINDS, LEVEL, WORST, Estimate, holm, ratios
@@ -79,7 +79,7 @@ def tails_of(policy: str, results: Results, studies: Mapping[str, Study], regime
     if study is not None and study.regime == regime and (own := study.suites.get(results.suite.source[0])) is not None:
         return dict(zip(own.cells, own.capped(), strict=True))
     found = [r for r in results.runs if r.policy == policy and regime_of(r.scenario.name) == regime]
-    return {r.scenario.name: capped(r.measures, regime)[None] for r in found if r.measures is not None}
+    return {r.scenario.name: capped(r.measures, LARGEST_TAIL[regime])[None] for r in found if r.measures is not None}
 
 
 def _text(estimate: Estimate, p: float) -> str:

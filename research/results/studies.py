@@ -11,7 +11,7 @@ from matplotlib.ticker import LogLocator
 
 from auv_gym.physics.namespaces import Array
 from baselines.evaluation.report.columns import lost_text
-from baselines.evaluation.score import EXPERT, RIVAL, capped, interval_text, lead, score_text, seeds_score, waters_of
+from baselines.evaluation.score import EXPERT, RIVAL, capped, interval_text, largest_tail, lead, score_text, seeds_score
 from baselines.tools.figure_style import LOOKS, REFERENCE, panels, to_png
 from research.pages import table
 from research.results.collection import Results, results_of
@@ -107,7 +107,7 @@ def _row(name: str, study: Study, results: Results) -> list[str]:
 def _tails(results: Results, policy: str, own: InSuite, cut: bool = False) -> list[Array]:
     """Return a policy's tails in the cells that agents ran in, shape (M,) each, cut at `score.LARGEST_TAIL` or not."""
     by_case = {r.scenario.name: r.measures for r in results.runs if r.policy == policy and r.measures is not None}
-    tails = (capped(by_case[cell], waters_of(cell)) if cut else by_case[cell].tail for cell in own.cells)
+    tails = (capped(by_case[cell], largest_tail(cell)) if cut else by_case[cell].tail for cell in own.cells)
     return [tail[: ran.shape[1]] for tail, ran in zip(tails, own.tails, strict=True)]
 
 

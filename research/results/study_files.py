@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import Array
 from baselines.evaluation import suites
-from baselines.evaluation.metrics import Measures
+from baselines.evaluation.metrics import Ended, Measures
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import cut, in_paper_units, is_lost, largest_tail, waters_of
+from baselines.evaluation.score import capped, in_paper_units, largest_tail, losses
 from baselines.evaluation.store import Stored, reading, write
 from baselines.tools.files import versions
 from research import DATA
@@ -61,15 +61,17 @@ class InSuite:
 
     def capped(self) -> tuple[Array, ...]:
         """Return the tails with that of an episode that was lost cut at `score.LARGEST_TAIL`."""
-        return tuple(cut(*own) for own in zip(self.tails, self.lost, self._caps, strict=True))
+        return tuple(capped(*cell) for cell in self._ended)
 
     def losses(self) -> int:
         """Return how many episodes of all seeds are lost, see `score.is_lost`."""
-        return sum(int(is_lost(*own).sum()) for own in zip(self.tails, self.lost, self._caps, strict=True))
+        return sum(losses(*cell) for cell in self._ended)
 
     @property
-    def _caps(self) -> list[float]:
-        return [largest_tail(waters_of(cell)) for cell in self.cells]
+    def _ended(self) -> list[tuple[Ended, float]]:
+        """How the episodes of each cell ended, and the cap of their tails [m]."""
+        parts = zip(self.tails, self.lost, map(largest_tail, self.cells), strict=True)
+        return [(Ended(tail, lost), cap) for tail, lost, cap in parts]
 
 
 @dataclass(frozen=True)

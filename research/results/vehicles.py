@@ -25,6 +25,7 @@ from baselines.evaluation.score import (
     fixed,
     fixed_ends,
     interval_text,
+    largest_tail,
     losses,
     paired,
     regime_of,
@@ -32,7 +33,6 @@ from baselines.evaluation.score import (
     score,
     score_text,
     vehicle_of,
-    waters_of,
 )
 from baselines.tools.figure_style import panels, styled, to_png
 from research.pages import table
@@ -76,13 +76,13 @@ class Pair:
     @cached_property
     def error(self) -> Score:
         """The geometric mean over cells of the policy's mean tail, capped, over the rival's."""
-        sides = ([capped(m, waters_of(name)) for name, m in side.items()] for side in (self.rival, self.own))
+        sides = ([capped(m, largest_tail(name)) for name, m in side.items()] for side in (self.rival, self.own))
         return relative_error(*sides)
 
     def error_above(self, least: float) -> float:
         """Return the same ratio where no mean error counts as less than this [m]: both are good enough there."""
         sides = (
-            [max(least, capped(m, waters_of(name)).mean()) for name, m in side.items()]
+            [max(least, capped(m, largest_tail(name)).mean()) for name, m in side.items()]
             for side in (self.own, self.rival)
         )
         own, rival = map(np.log, sides)
@@ -91,7 +91,7 @@ class Pair:
     @property
     def lost(self) -> int:
         """How many episodes the policy loses."""
-        return sum(losses(m, waters_of(name)) for name, m in self.own.items())
+        return sum(losses(m, largest_tail(name)) for name, m in self.own.items())
 
     @property
     def episodes(self) -> int:
@@ -219,7 +219,7 @@ def of_seeds(rival: Mapping[str, Measures], studies: Mapping[str, Study]) -> lis
     for agent, found in agents.items():
         tails = {cell: tail for each in found for cell, tail in zip(each.cells, each.capped(), strict=True)}
         if rival.keys() <= tails.keys():
-            theirs = {cell: capped(m, waters_of(cell))[: tails[cell].shape[1]] for cell, m in rival.items()}
+            theirs = {cell: capped(m, largest_tail(cell))[: tails[cell].shape[1]] for cell, m in rival.items()}
             troubled = list(filter(_troubled, rival))
             ratios = (relative_error([theirs[c] for c in few], [tails[c] for c in few]) for few in (theirs, troubled))
             own = [each for each in found if {*each.cells} <= rival.keys()]
@@ -257,7 +257,7 @@ def _score(results: Results, policy: str, names: Sequence[str]) -> Score:
     """Return the capped score of a policy in these cells together."""
     cases, (zero, one) = results.cases, results.suite.anchors
     three = [paired(*(cases[name][key] for key in (zero, policy, one))) for name in names]
-    cut = [[capped(m, waters_of(name)) for m in own] for name, own in zip(names, three, strict=True)]
+    cut = [[capped(m, largest_tail(name)) for m in own] for name, own in zip(names, three, strict=True)]
     return score(*zip(*cut, strict=True))
 
 
@@ -287,7 +287,7 @@ def _anchors(results: Results) -> str:
     for policy in (EXPERT, BOUND):
         own = [run for run in results.runs if run.policy == policy and run.measures is not None]
         cases = measures_of(own)
-        count = sum(losses(case[policy], waters_of(name)) for name, case in cases.items())
+        count = sum(losses(case[policy], largest_tail(name)) for name, case in cases.items())
         lost[policy] = f"{count} of {sum(len(case[policy]) for case in cases.values())}"
     better = nearer(results)
     if better:

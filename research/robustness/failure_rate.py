@@ -27,7 +27,7 @@ from baselines.evaluation.metrics import most_lost
 from baselines.evaluation.request import checked_policies, checked_scenario
 from baselines.evaluation.rollout import PolicyError, rollout
 from baselines.evaluation.runner import drawn
-from baselines.evaluation.score import is_lost, largest_tail, waters_of
+from baselines.evaluation.score import largest_tail, losses
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
 from baselines.tools.files import json_text, read_json, write_atomically
@@ -85,8 +85,7 @@ def counted(policy: str, scenario: Scenario, first: int, episodes: int) -> tuple
     """
     cell = drawn(scenario, episodes, FAILURE_RATE.first + first)
     found = rollout(make_policy(policy, scenario.vehicle), scenario, cell.episodes).measures
-    lost = is_lost(found.tail, found.lost, largest_tail(waters_of(scenario.name)))
-    return episodes, int(lost.sum()), float(found.tail.max())
+    return episodes, losses(found, largest_tail(scenario.name)), float(found.tail.max())
 
 
 def kept(file: Path = FILE) -> dict[str, dict[str, Any]]:

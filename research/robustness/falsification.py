@@ -28,7 +28,7 @@ from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.request import checked_folder, checked_policies
 from baselines.evaluation.rollout import PolicyError
 from baselines.evaluation.runner import Cell, drawn
-from baselines.evaluation.score import cut, is_lost, largest_tail
+from baselines.evaluation.score import LARGEST_TAIL, capped, losses
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, check_words, parse
@@ -108,13 +108,13 @@ def closeness(search: Search, cells: Sequence[Cell]) -> tuple[Array, Array]:
     The first is the logarithm of the middle tail error over the one from which an episode is lost: 0 and more where
     most are; shape (cells,) each.
     """
-    cap = largest_tail(search.regime)
+    cap = LARGEST_TAIL[search.regime]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StabilityWarning)
         warnings.filterwarnings("ignore", "this agent was trained at reference speeds")
         ended = SideBySide(cells).run(make_policy(search.policy, cells[0].scenario.vehicle))
-    tails = [cut(e.tail, e.lost, cap) for e in ended]
-    lost = [is_lost(e.tail, e.lost, cap).sum() for e in ended]
+    tails = [capped(e, cap) for e in ended]
+    lost = [losses(e, cap) for e in ended]
     return np.log(np.array([np.quantile(t, 0.5, method="lower") for t in tails]) / cap), np.array(lost)
 
 

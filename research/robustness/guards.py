@@ -23,7 +23,7 @@ from baselines.evaluation import recorded, suites
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.request import checked_policies
 from baselines.evaluation.runner import Cell
-from baselines.evaluation.score import EXPERT, capped, is_lost, largest_tail, waters_of
+from baselines.evaluation.score import EXPERT, LARGEST_TAIL, capped, is_lost, largest_tail, losses
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, parse
@@ -70,16 +70,16 @@ def in_suite(policy: str, suite: suites.Suite, most: int) -> dict[str, Any]:
     tails: dict[str, list[Array]] = {key: [] for key in TAILS}
     for cell in cells:
         few, name = cell.episodes[:most], cell.scenario.name
-        cap = largest_tail(waters_of(name))
+        cap = largest_tail(name)
         measured = [by_policy[who][name].measures for who in (EXPERT, policy)]
         expert, bare = (m[: len(few)] for m in measured if m is not None)
-        gone = [is_lost(m.tail, m.lost, cap) for m in (expert, bare)]
+        gone = [is_lost(m, cap) for m in (expert, bare)]
         tail, lost = _with_guard(policy, Cell(cell.scenario, few), cap)
         counts["episodes"] += len(few)
         for key, mine in (("", gone[1]), ("guarded_", lost)):
             counts[f"{key}lost"] += int(mine.sum())
             counts[f"{key}expert_keeps"] += int((mine & ~gone[0]).sum())
-        tails["tail_mm"].append(capped(bare, waters_of(name)))
+        tails["tail_mm"].append(capped(bare, cap))
         tails["guarded_tail_mm"].append(tail)
     return {**counts, **{key: 1e3 * float(np.concatenate(own).mean()) for key, own in tails.items()}}
 
@@ -90,8 +90,8 @@ def _with_guard(policy: str, cell: Cell, cap: float) -> tuple[Array, Any]:
     for first in range(0, len(cell.episodes), AT_ONCE):
         part = Cell(cell.scenario, cell.episodes[first : first + AT_ONCE])
         (ended,) = SideBySide([part]).run(make_policy(f"{policy}{GUARD}", cell.scenario.vehicle))
-        lost.append(is_lost(ended.tail, ended.lost, cap))
-        tails.append(np.where(lost[-1], cap, ended.tail))
+        lost.append(is_lost(ended, cap))
+        tails.append(capped(ended, cap))
     return np.concatenate(tails), np.concatenate(lost)
 
 
@@ -103,14 +103,11 @@ def failing(policy: str, regime: str) -> dict[str, dict[str, int]]:
     """
     if (folder := agent_folder(policy)) is None:
         raise ValueError(f"{policy!r} is no agent, so no network of it can fail")
-    agent, place, cap = Agent.load(folder), episodes_of(regime, NORMAL, PER_CASE), largest_tail(regime)
+    agent, place, cap = Agent.load(folder), episodes_of(regime, NORMAL, PER_CASE), LARGEST_TAIL[regime]
     third, found = place.steps // 3, {}
     for failure in FAILURES:
         bare, inner = (Failing(agent, failure, third) for _ in range(2))
-        lost = [
-            sum(int(is_lost(e.tail, e.lost, cap).sum()) for e in place.run(who))
-            for who in (bare, Guarded(inner, bounded_law()))
-        ]
+        lost = [sum(losses(e, cap) for e in place.run(who)) for who in (bare, Guarded(inner, bounded_law()))]
         found[failure] = {"episodes": len(place.of), "lost": lost[0], "guarded_lost": lost[1]}
     return found
 

@@ -20,7 +20,7 @@ from baselines.agents.names import agent_folder
 from baselines.agents.networks import Gru
 from baselines.control.backstepping import StabilityWarning
 from baselines.evaluation.runner import drawn
-from baselines.evaluation.score import EXPERT, LARGEST_TAIL, cut, is_lost
+from baselines.evaluation.score import EXPERT, LARGEST_TAIL, capped, losses
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.policies import make_policy
 from baselines.similar import made_for
@@ -114,8 +114,8 @@ def outcome(who: str | Agent, regime: str, situation: str, episodes: int) -> Out
         warnings.simplefilter("ignore", StabilityWarning)
         warnings.filterwarnings("ignore", "this agent was trained at reference speeds")
         found = place.run(_policy(who, situation, first))
-    tails: Sequence[Array] = [cut(ended.tail, ended.lost, cap) for ended in found]
-    return Outcome(np.concatenate(tails), sum(int(is_lost(e.tail, e.lost, cap).sum()) for e in found))
+    tails: Sequence[Array] = [capped(ended, cap) for ended in found]
+    return Outcome(np.concatenate(tails), sum(losses(e, cap) for e in found))
 
 
 def _policy(who: str | Agent, situation: str, scenario: Scenario) -> Policy:

@@ -11,9 +11,8 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from baselines.evaluation import recorded, suites
-from baselines.evaluation.progress import progress
-from baselines.evaluation.runner import STEP_LIMIT, Cell, Run, runs
-from baselines.evaluation.score import regime_of
+from baselines.evaluation.progress import run_and_show
+from baselines.evaluation.runner import STEP_LIMIT, Cell, Run
 from baselines.evaluation.suites.yardsticks import keep
 from baselines.policies import list_policies
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
@@ -149,7 +148,7 @@ def _record(name: str, options: Options) -> int:
     suite, status = suites.load(name), DONE
     for policy in options.policy or tuple(list_policies()):
         regimes = recorded.regimes_of(policy)
-        own = [cell for cell in suite.cells if regime_of(cell.scenario.name) in regimes]
+        own = suite.cells_in(regimes)
         found = _run(policy, [Cell(cell.scenario, cell.episodes[: options.episodes]) for cell in own], options)
         try:
             recorded.save(suite, found, versions(), regimes=regimes)
@@ -185,11 +184,5 @@ def _verify(name: str, options: Options) -> int:
 
 
 def _run(policy: str, cells: Sequence[Cell], options: Options) -> list[Run]:
-    """Return a policy's runs, telling how far they are."""
-    found = []
-    with progress(len(cells), sum(len(cell.episodes) * cell.scenario.steps for cell in cells)) as report:
-        pairs = [(policy, cell) for cell in cells]
-        for result in runs(pairs, Workers(options.jobs), options.step_limit, report.board.note):
-            report.run(result)
-            found.append(result)
-    return found
+    """Return a policy's runs, and show on stderr how far they are."""
+    return run_and_show([(policy, cell) for cell in cells], Workers(options.jobs), options.step_limit)

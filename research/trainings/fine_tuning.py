@@ -27,7 +27,7 @@ from baselines.agents.names import agent_folder
 from baselines.evaluation.metrics import resamplings
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
-from baselines.evaluation.score import EXPERT, LARGEST_TAIL, RIVAL, cut, is_lost, relative_error
+from baselines.evaluation.score import EXPERT, RIVAL, capped, in_paper_units, largest_tail, losses, relative_error
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, read_json, write_atomically
@@ -133,10 +133,9 @@ def errors(policy: str, vehicle: str, episodes: int) -> dict[str, Any]:
         scenario = preset(f"cruise-{case}@{vehicle}")
         found = drawn(scenario, episodes, FINE_TUNING.first)
         measures = rollout(make_policy(policy, scenario.vehicle), scenario, found.episodes).measures
-        own = measures.tail / Units.of(scenario.vehicle).length
-        cap = LARGEST_TAIL["cruise"]
-        tails.append([float(f"{x:.4g}") for x in cut(own, measures.lost, cap)])
-        lost.append(int(is_lost(own, measures.lost, cap).sum()))
+        own, cap = in_paper_units(measures, scenario), largest_tail(scenario.name)
+        tails.append([float(f"{x:.4g}") for x in capped(own, cap)])
+        lost.append(losses(own, cap))
     return {"tails": tails, "lost": lost}
 
 

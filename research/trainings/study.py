@@ -17,10 +17,9 @@ from auv_gym.installation import checkout
 from auv_gym.scenarios.presets import REGIMES
 from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation import suites
-from baselines.evaluation.progress import progress
+from baselines.evaluation.progress import run_and_show
 from baselines.evaluation.recorded import SUITES
-from baselines.evaluation.runner import Cell, Run, runs
-from baselines.evaluation.score import regime_of
+from baselines.evaluation.runner import Cell, Run
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.workers import Workers
 from baselines.training.command import train
@@ -166,15 +165,11 @@ def studied(variant: Variant, request: Request, jobs: int) -> Study:
 
 def cells_of(suite: str, regime: str) -> list[Cell]:
     """Return the cells of a frozen suite in a regime."""
-    return [cell for cell in suites.load(suite).cells if regime_of(cell.scenario.name) == regime]
+    return suites.load(suite).cells_in((regime,))
 
 
 def _rolled_out(agents: Sequence[str], cells: Sequence[Cell], jobs: int) -> list[list[Run]]:
     """Return the runs of each agent in the cells."""
-    steps = sum(len(cell.episodes) * cell.scenario.steps for cell in cells)
-    with progress(len(agents) * len(cells), len(agents) * steps) as report:
-        found: dict[tuple[str, str], Run] = {}
-        for run in runs([(agent, cell) for cell in cells for agent in agents], Workers(jobs), note=report.board.note):
-            report.run(run)
-            found[run.policy, run.scenario.name] = run
+    every = run_and_show([(agent, cell) for cell in cells for agent in agents], Workers(jobs))
+    found = {(run.policy, run.scenario.name): run for run in every}
     return [[found[agent, cell.scenario.name] for cell in cells] for agent in agents]

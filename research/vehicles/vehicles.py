@@ -30,7 +30,7 @@ from baselines.control import POLICIES, make_controller
 from baselines.evaluation.metrics import RESAMPLES
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
-from baselines.evaluation.score import LARGEST_TAIL, RIVAL, cut, is_lost
+from baselines.evaluation.score import LARGEST_TAIL, RIVAL, capped, losses
 from baselines.gains.loading import load_gains
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, parse
@@ -87,10 +87,10 @@ def scaling(craft: Craft, names: Sequence[str], episodes: int) -> dict[str, Any]
 
     def done(make: Callable[[str, Vehicle], Policy], name: str) -> dict[str, float]:
         measures = rollout(make(name, craft.vehicle), scenario, cell.episodes).measures
-        tail, gone = cut(measures.tail, measures.lost, cap), is_lost(measures.tail, measures.lost, cap)
+        tail = capped(measures, cap)
         spread = stats.bootstrap((tail,), np.mean, n_resamples=RESAMPLES, rng=np.random.default_rng(0), batch=256)
         ends = (end / craft.vehicle.length for end in spread.confidence_interval)
-        return {"error": tail.mean() / craft.vehicle.length, "interval": list(ends), "lost": int(gone.sum())}
+        return {"error": tail.mean() / craft.vehicle.length, "interval": list(ends), "lost": losses(measures, cap)}
 
     made = {name: {"after": done(make_policy, name), "before": done(make_controller, name)} for name in names}
     return {"episodes": episodes, "policies": made}

@@ -15,7 +15,7 @@ from baselines.evaluation.report.columns import Column, digits, ranked
 from baselines.evaluation.report.numbers import compare, pool
 from baselines.evaluation.report.terminal import entries_table
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import capped, is_lost, losses, score
+from baselines.evaluation.score import capped, is_lost, largest_tail, losses, score
 
 
 def test_metrics_by_hand():
@@ -89,10 +89,12 @@ def test_the_bound_on_what_is_lost(lost, episodes, most):
 
 def test_one_rule_of_what_is_lost():
     m = measures([0.1, 2.0, 0.1, math.nan], [False, False, True, False])
-    assert is_lost(m.tail, m.lost, 2.0).tolist() == [False, True, True, True]
-    assert (losses(m, "cruise"), losses(measures([0.1, 9.0], [True, False]), None)) == (3, 1)
-    np.testing.assert_array_equal(capped(m, "cruise"), [0.1, 2.0, 2.0, 2.0])
-    np.testing.assert_array_equal(capped(measures([9.0, 7.0], [True, False]), None), [9.0, 7.0])
+    assert is_lost(m, 2.0).tolist() == [False, True, True, True]
+    assert (losses(m, 2.0), losses(measures([0.1, 9.0], [True, False]), math.inf)) == (3, 1)
+    np.testing.assert_array_equal(capped(m, 2.0), [0.1, 2.0, 2.0, 2.0])
+    np.testing.assert_array_equal(capped(measures([9.0, 7.0], [True, False]), math.inf), [9.0, 7.0])
+    caps = {name: largest_tail(name) for name in ("slow-storm", "cruise-calm@remus100", "cruise-deep-storm", "harbour")}
+    assert list(caps.values()) == [0.6, 2.0, 5.0, math.inf]
 
 
 def test_the_best_comes_first_and_what_failed_last():

@@ -8,7 +8,7 @@ from rich.console import Console
 from auv_gym.scenarios.presets import PRESETS
 from baselines.evaluation import progress as module
 from baselines.evaluation.progress import INTERVAL, Board, Clock, progress
-from baselines.evaluation.runner import drawn, runs
+from baselines.evaluation.runner import drawn
 from baselines.tools.workers import Workers
 
 
@@ -36,12 +36,11 @@ def test_time_that_is_left():
 
 
 def test_workers_write_on_the_board(capsys):
-    cells = [drawn(PRESETS["slow-calm"], 3, 0)]
-    steps = 2 * 3 * PRESETS["slow-calm"].steps
-    with progress(2, steps) as report:
-        for run in runs([(p, cells[0]) for p in ("backstepping", "open-loop")], Workers(2), note=report.board.note):
-            report.run(run)
-        assert report.board.total() == steps
+    cell = drawn(PRESETS["slow-calm"], 3, 0)
+    pairs = [(policy, cell) for policy in ("backstepping", "open-loop")]
+    with progress(pairs) as report:
+        assert {run.policy for run in report.runs(pairs, Workers(2))} == {"backstepping", "open-loop"}
+        assert report.board.total() == 2 * 3 * PRESETS["slow-calm"].steps
         time.sleep(2 * INTERVAL)  # let the watcher look
     lines = capsys.readouterr().err.splitlines()
     assert sorted(line.split("] ")[1].split(",")[0] for line in lines) == [
@@ -53,9 +52,10 @@ def test_workers_write_on_the_board(capsys):
 def test_live_line_on_a_terminal(monkeypatch):
     out = io.StringIO()
     monkeypatch.setattr(module, "Console", lambda **_: Console(file=out, force_terminal=True, width=100))
-    with progress(1, 10) as report:
+    cell = drawn(PRESETS["slow-calm"], 1, 0)
+    with progress([("a policy", cell)]) as report:
         report.message("a policy")
-        report.board.note("0-0", 5)
+        report.board.note("0-0", cell.scenario.steps // 2)
         time.sleep(3 * INTERVAL)
     for text in ("a policy", "50%", "left"):
         assert text in out.getvalue()

@@ -28,7 +28,7 @@ from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import most_lost
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
-from baselines.evaluation.score import is_lost
+from baselines.evaluation.score import losses
 from baselines.tools.command_line import run
 from baselines.tools.files import read_json
 from research.results import kept
@@ -91,7 +91,7 @@ def test_failures_are_counted_and_counting_goes_on(tmp_path, monkeypatch, capsys
     assert run(failure_rate.main, failure_rate.PROGRAM, [*arguments, "--episodes", "4"]) == 0
     scenario = PRESETS["slow-current"]
     measures = rollout(make_policy("open-loop"), scenario, drawn(scenario, 4, FAILURE_RATE.first).episodes).measures
-    lost = int(is_lost(measures.tail, measures.lost, 0.6).sum())
+    lost = losses(measures, 0.6)
     assert lost > 0
     assert f"{lost} of 4 lost, at most" in capsys.readouterr().out
     (count,) = failure_rate.kept(Path("counts.json"))["open-loop"]["counts"].values()
@@ -325,7 +325,7 @@ def test_search_finds_a_sea_that_loses_the_policy_and_writes_it(tmp_path, monkey
     (entry,) = falsification.kept(Path("seas/seas.json")).values()
     scenario = Scenario.load("seas/cruise-storm-that-loses-backstepping.toml")
     again = rollout(make_policy("backstepping"), scenario, drawn(scenario, 4, FALSIFICATION.end - 4).episodes).measures
-    assert is_lost(again.tail, again.lost, 2.0).sum() == entry["lost"] >= 2
+    assert losses(again, 2.0) == entry["lost"] >= 2
     assert max(abs(x) for name, x in entry["coordinates"].items() if name != "direction") == pytest.approx(
         entry["severity"]
     )
@@ -344,8 +344,9 @@ def test_kept_seas_lose_whom_they_should(name):
     seed = FALSIFICATION.end - falsification.CONFIRMED
     if entry["policy"] != "nmpc":  # which takes its time
         measures = rollout(make_policy(entry["policy"]), scenario, drawn(scenario, 8, seed).episodes).measures
-        lost = is_lost(measures.tail, measures.lost, 2.0 if scenario.name.startswith("cruise") else 0.6)
-        assert lost.sum() >= 2  # of 8, where half of 64 are lost
+        assert (
+            losses(measures, 2.0 if scenario.name.startswith("cruise") else 0.6) >= 2
+        )  # of 8, where half of 64 are lost
 
 
 def test_rows_are_of_what_acts_now():

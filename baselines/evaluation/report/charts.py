@@ -36,10 +36,7 @@ def rate_chart(policies: Sequence[str]) -> Spec:
     return _frame(
         [
             {"mark": {"type": "rule", "color": QUIET}, "encoding": {"y": {"datum": 0}}},
-            {
-                "mark": {"type": "line", "strokeWidth": 1.8},
-                "encoding": {"x": x, "y": y, **looks.of("color", "strokeDash")},
-            },
+            {"mark": _LINE, "encoding": {"x": x, "y": y, **looks.of("color", "strokeDash")}},
             {
                 "mark": {"type": "point", "filled": True, "size": 45, "opacity": 1},
                 "encoding": {"x": x, "y": y, **looks.of("color", "shape"), "tooltip": told},
@@ -74,14 +71,10 @@ def _scale(names: list[str], values: list[Any]) -> Spec:
 
 
 def _number(field: str, title: str | None = None, log: bool = False, **scale: Any) -> Spec:
-    kind = {"zero": False, "nice": True} | ({"type": "log"} if log else {})
+    kind = {"type": "log"} if log else {}
     axis = {"title": title, "labelSeparation": 6, "tickCount": 5}
-    return {
-        "field": field,
-        "type": "quantitative",
-        "axis": axis,
-        "scale": {**kind, "zero": False, "nice": True, **scale},
-    }
+    scales = {**kind, "zero": False, "nice": True, **scale}
+    return {"field": field, "type": "quantitative", "axis": axis, "scale": scales}
 
 
 def _told(*fields: tuple[str, str]) -> list[Spec]:
@@ -146,7 +139,7 @@ def _shares(looks: _Looks) -> Spec:
     return _frame(
         [
             {
-                "mark": {"type": "line", "interpolate": "step-after", "strokeWidth": 1.8},
+                "mark": {**_LINE, "interpolate": "step-after"},
                 "encoding": {
                     "x": _number("tail", "tail error of an episode [m]; dotted: lost", log=True),
                     "y": {"field": "share", "type": "quantitative", **share},
@@ -175,13 +168,8 @@ def _bands(looks: _Looks) -> Spec:
                 "encoding": {"x": t, "y": {**error, "field": "low"}, "y2": {"field": "high"}, **looks.of("color")},
             },
             {
-                "mark": {"type": "line", "strokeWidth": 1.8},
-                "encoding": {
-                    "x": t,
-                    "y": error,
-                    **looks.of("color", "strokeDash"),
-                    "tooltip": _NAMED,
-                },
+                "mark": _LINE,
+                "encoding": {"x": t, "y": error, **looks.of("color", "strokeDash"), "tooltip": _NAMED},
             },
             {
                 "data": {"name": "tails"},
@@ -200,13 +188,8 @@ def _errors(looks: _Looks) -> Spec:
     return _frame(
         [
             {
-                "mark": {"type": "line", "strokeWidth": 1.8},
-                "encoding": {
-                    "x": t,
-                    "y": error,
-                    **looks.of("color", "strokeDash"),
-                    "tooltip": _NAMED,
-                },
+                "mark": _LINE,
+                "encoding": {"x": t, "y": error, **looks.of("color", "strokeDash"), "tooltip": _NAMED},
             },
             {
                 "data": {"values": [{}]},

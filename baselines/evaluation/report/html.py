@@ -7,13 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from auv_gym.scenarios.presets import REGIMES
 from baselines.evaluation.report.columns import Column, definitions, lost_text, ranked, used
 from baselines.evaluation.report.numbers import Entry, Result, recordings
 from baselines.evaluation.report.page import mixed, render
 from baselines.evaluation.report.page_data import at_first, by_scenario, look_of, page_data
 from baselines.evaluation.request import Request
-from baselines.evaluation.score import EXPERT, FORESIGHTED, Score, fixed, fixed_ends, score_text
+from baselines.evaluation.score import EXPERT, FORESIGHTED, Score, fixed, fixed_ends, regime_of, score_text
 from baselines.tools.figure_style import look
 from baselines.tools.files import versions
 
@@ -24,7 +23,7 @@ _LEAST = -0.2
 
 
 @dataclass(frozen=True)
-class Cell:
+class TableCell:
     """A cell of a table: its text, and what it is sorted by."""
 
     text: str
@@ -40,7 +39,7 @@ class Line:
     look: int | None  # which of the page's looks; None where it failed
     colour: str
     shown: bool  # whether the charts show it at first
-    cells: list[Cell]
+    cells: list[TableCell]
     interval: dict[str, float] | None  # of the score, see `_place`
     failed: bool
 
@@ -63,7 +62,11 @@ def report_html(request: Request, results: Sequence[Result], pooled: Sequence[En
     policies = list(dict.fromkeys(r.run.policy for r in results if r.entry.summary is not None))
     shown = at_first([r for r in results if r.entry.summary is not None], pooled)
     scored = any(entry.score for entry in pooled)
-    lone = [r.entry for r in results if not scored or _regime(r) not in {entry.place for entry in pooled}]
+    lone = [
+        r.entry
+        for r in results
+        if not scored or regime_of(r.run.scenario.name) not in {entry.place for entry in pooled}
+    ]
     return render(
         "report.html",
         page_data(results, pooled),
@@ -96,10 +99,6 @@ def _plural(count: int, what: str) -> str:
     return f"{count} {what}{'' if count == 1 else 's'}"
 
 
-def _regime(result: Result) -> str | None:
-    return next((regime for regime in REGIMES if result.run.scenario.name.startswith(f"{regime}-")), None)
-
-
 def _boards(entries: Sequence[Entry], policies: Sequence[str], shown: set[str]) -> list[Board]:
     places = dict.fromkeys(entry.place for entry in entries)
     return [_board(place, [e for e in entries if e.place == place], policies, shown) for place in places]
@@ -119,7 +118,7 @@ def _weight(column: Column) -> int:
 
 def _line(entry: Entry, columns: Sequence[Column], policies: Sequence[str], shown: set[str]) -> Line:
     failed = entry.summary is None
-    cells = [Cell("failed" if failed else column.text(entry), _key(column.of(entry))) for column in columns]
+    cells = [TableCell("failed" if failed else column.text(entry), _key(column.of(entry))) for column in columns]
     index = None if failed else policies.index(entry.policy)
     colour = "" if failed else look(entry.policy, policies).colour
     mark = "*" if entry.recorded else ""
@@ -162,7 +161,7 @@ def _maps(results: Sequence[Result], policies: Sequence[str]) -> list[dict[str, 
     """Return for each regime the scores case by case: a line for each policy, a colour for each score."""
     found: dict[str, dict[str, dict[str, Score | None]]] = {}
     for result in results:
-        if (regime := _regime(result)) is not None:
+        if (regime := regime_of(result.run.scenario.name)) is not None:
             own = found.setdefault(regime, {}).setdefault(result.run.policy, {})
             own[result.run.scenario.name] = result.entry.score
     maps = []

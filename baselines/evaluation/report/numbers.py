@@ -20,13 +20,13 @@ from baselines.evaluation.score import (
     Score,
     capped,
     in_paper_units,
+    largest_tail,
     losses,
     paired,
     regime_of,
     score,
     unit_of,
     vehicle_of,
-    waters_of,
 )
 
 Case = Mapping[str, Measures]
@@ -103,7 +103,7 @@ def _places(scenarios: Sequence[str]) -> dict[str, list[str]]:
 
 def _entry(place: str, runs: Sequence[Run], by_name: Mapping[str, Case], anchors: Anchors) -> Entry:
     """Return the figures of one policy's runs, all together, in these cases."""
-    policy, cases, waters = runs[0].policy, list(by_name.values()), [waters_of(name) for name in by_name]
+    policy, cases, caps = runs[0].policy, list(by_name.values()), list(map(largest_tail, by_name))
     seconds, recorded = float(np.mean([run.decision_seconds for run in runs])), runs[0].recorded is not None
     if any(policy not in case for case in cases):
         return Entry(policy, place, recorded, seconds)
@@ -121,20 +121,20 @@ def _entry(place: str, runs: Sequence[Run], by_name: Mapping[str, Case], anchors
     if all(zero in case and one in case for case in cases):
         three = list(zip(*(paired(c[zero], c[policy], c[one]) for c in cases), strict=True))
         plain = score(*([m.tail for m in column] for column in three))
-        cut = score(*(_capped(column, waters) for column in three))
+        cut = score(*(_capped(column, caps) for column in three))
     error_ratio = math.nan
     if all(RIVAL in case for case in cases):
         columns = zip(*(paired(case[policy], case[RIVAL]) for case in cases), strict=True)
-        error_ratio = ratio(*(float(np.concatenate(_capped(column, waters)).mean()) for column in columns))
+        error_ratio = ratio(*(float(np.concatenate(_capped(column, caps)).mean()) for column in columns))
     plainly = {run.scenario.name: run.measures for run in runs if run.measures is not None}
     shown = [plainly[name] for name in by_name] if len({unit_of(run.scenario) for run in runs}) == 1 else own
-    lost, summary = sum(map(losses, own, waters)), summarise(Measures.joined(shown), interval=len(own) == 1)
+    lost, summary = sum(map(losses, own, caps)), summarise(Measures.joined(shown), interval=len(own) == 1)
     return Entry(policy, place, recorded, seconds, summary, effort, smoothness, plain, cut, lost, error_ratio)
 
 
-def _capped(cases: Sequence[Measures], waters: Sequence[str | None]) -> list[Array]:
+def _capped(cases: Sequence[Measures], caps: Sequence[float]) -> list[Array]:
     """Return the capped tails [m] in each case."""
-    return list(map(capped, cases, waters))
+    return list(map(capped, cases, caps))
 
 
 def measures_of(runs: Sequence[Run]) -> dict[str, dict[str, Measures]]:

@@ -11,10 +11,10 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from baselines.evaluation.progress import progress
+from baselines.evaluation.progress import run_and_show
 from baselines.evaluation.report.terminal import console, entries_table
 from baselines.evaluation.request import checked_policies
-from baselines.evaluation.runner import STEP_LIMIT, Run, runs
+from baselines.evaluation.runner import STEP_LIMIT
 from baselines.evaluation.submission.files import MEASURED, Submission, read
 from baselines.evaluation.submission.reproduction import (
     RELATIVE,
@@ -115,13 +115,8 @@ def episodes_to_run(submission: Submission, share: float, seed: int | None) -> t
 def reproduce(submission: Submission, policy: str, episodes: Chosen, jobs: int, step_limit: float) -> int:
     """Run a share of the episodes again, print what differs and return the exit status."""
     checked_policies([policy])
-    again: list[Run] = []
-    cells = cells_of(submission, episodes)
-    with progress(len(cells), sum(len(cell.episodes) * cell.scenario.steps for cell in cells)) as report:
-        pairs = [(policy, cell) for cell in cells]
-        for run in runs(pairs, Workers(jobs), step_limit, report.board.note):
-            report.run(run)
-            again.append(run)
+    pairs = [(policy, cell) for cell in cells_of(submission, episodes)]
+    again = run_and_show(pairs, Workers(jobs), step_limit)
     if again[0].fingerprint != submission.fingerprint:
         print(f"note: {policy} is not the policy that was submitted: its fingerprint is another one", file=sys.stderr)
     count, found = sum(map(len, episodes.values())), mismatches(submission, episodes, again)

@@ -193,7 +193,7 @@ def _runs(suite: Suite, record: Mapping[str, Any], arrays: Mapping[str, NDArray[
 def _cells(suite: Suite, names: Any) -> list[Cell]:
     """Return the cells of these names, which must be all those of some regimes, in the suite's order."""
     regimes = {regime_of(name) for name in names if isinstance(name, str)} if isinstance(names, list) else set()
-    cells = [cell for cell in suite.cells if regime_of(cell.scenario.name) in regimes]
+    cells = suite.cells_in(regimes)
     if not cells or names != [cell.scenario.name for cell in cells]:
         raise ValueError(f"its cells are not those of {suite.name}, or of whole regimes of it")
     return cells

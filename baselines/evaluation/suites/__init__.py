@@ -15,7 +15,7 @@ from __future__ import annotations
 import bz2
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -33,7 +33,7 @@ from auv_gym.scenarios.records import from_record, to_record
 from auv_gym.scenarios.scenario import Scenario
 from baselines.control.truth import samples
 from baselines.evaluation.runner import Cell
-from baselines.evaluation.score import BY_ORACLE, Anchors
+from baselines.evaluation.score import BY_ORACLE, Anchors, regime_of
 
 FOLDER = Path(__file__).parent
 SUMS = "SHA256SUMS"  # file of the suites' hashes
@@ -59,6 +59,10 @@ class Suite:
     def source(self) -> tuple[str, str]:
         """Name and hash of the suite whose episodes these are, under which rows of them are kept."""
         return self.same_as or (self.name, self.hash)
+
+    def cells_in(self, regimes: Collection[str | None]) -> list[Cell]:
+        """Return the cells of some regimes, in the order of the suite."""
+        return [cell for cell in self.cells if regime_of(cell.scenario.name) in regimes]
 
 
 def list_suites() -> list[str]:

@@ -15,7 +15,7 @@ import numpy as np
 from auv_gym.physics.namespaces import Array
 from baselines.evaluation.rollout import PolicyError, rollout
 from baselines.evaluation.runner import Cell
-from baselines.evaluation.score import BY_ORACLE, cap_of, cut
+from baselines.evaluation.score import BY_ORACLE, cap_of, capped
 from baselines.evaluation.suites import FOLDER, Suite
 from baselines.policies import make_policy
 from baselines.tools.files import json_text, read_json, write_atomically
@@ -70,4 +70,4 @@ def _capped_tail(name: str, cell: Cell) -> Array:
         if name == BY_ORACLE.zero:
             raise
         return np.full(len(cell.episodes), math.inf)
-    return cut(measures.tail, measures.lost, cap_of(cell.scenario))
+    return capped(measures, cap_of(cell.scenario))
