@@ -39,6 +39,8 @@ class Options:
 
     Each policy runs with each noise, all of them in episodes of their own. Exit status: 0 done, 1 a policy failed or
     the dataset could not be written, 2 wrong usage.
+
+    Example: auv-gym dataset --policy backstepping --scenario cruise-storm --episodes 100
     """
 
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ("backstepping",)
