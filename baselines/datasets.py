@@ -26,7 +26,7 @@ from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.observation import SIZE
 from auv_gym.task.policy import Policy, preview_of
 from baselines.evaluation.episodes import EpisodeRecord, run_episodes
-from baselines.tools.command_line import DONE, UsageError, called, parse, run, typed
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse, typed
 
 PROGRAM = "auv-gym dataset"
 LIBRARY_FOLDER = "MINARI_DATASETS_PATH"
@@ -39,6 +39,8 @@ class Options:
 
     Each policy runs with each noise, all of them in episodes of their own. Exit status: 0 done, 1 a policy failed or
     the dataset could not be written, 2 wrong usage.
+
+    Example: auv-gym dataset --policy backstepping --scenario cruise-storm --episodes 100
     """
 
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ("backstepping",)
@@ -137,11 +139,8 @@ def _write(parts: Sequence[Part], scenario: Scenario, name: str, folder: Path, c
         card: Markdown, kept in the dataset's folder and as its description.
 
     Raises:
-        ImportError: Minari is not installed.
         ValueError: Minari refuses the id, or there is a dataset of that id.
     """
-    if find_spec("minari") is None or find_spec("h5py") is None:
-        raise ImportError(f"datasets need Minari: {install('data')}")
     folder.mkdir(parents=True, exist_ok=True)
     before = os.environ.get(LIBRARY_FOLDER)
     os.environ[LIBRARY_FOLDER] = str(folder.resolve())  # relative ones confuse it
@@ -269,12 +268,8 @@ def main(arguments: Sequence[str]) -> int:
         raise UsageError(str(error)) from error
     except PolicyError as error:
         print(f"{called(PROGRAM)}: {error}", file=sys.stderr)
-        return 1
+        return FAILED
     episodes = sum(len(part.records) for part in parts)
     steps = sum(len(record.actions) for part in parts for record in part.records)
     print(f"{name}: {episodes} episodes, {steps} steps in {folder / name}")
     return DONE
-
-
-if __name__ == "__main__":
-    sys.exit(run(main, PROGRAM))

@@ -72,14 +72,14 @@ def cluster(environment):
         started.shutdown()
 
 
-def begun(environment, verb, *words):
-    command = [sys.executable, "-m", "baselines", verb, *map(str, words)]
+def begun(environment, name, *words):
+    command = [sys.executable, "-m", "baselines", name, *map(str, words)]
     return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def called(environment, verb, *words):
+def called(environment, name, *words):
     """Run a command and return how it ends and what it says on stderr."""
-    process = begun(environment, verb, *words)
+    process = begun(environment, name, *words)
     err = process.communicate(timeout=PATIENT)[1]
     return process.returncode, err
 
@@ -138,11 +138,11 @@ def test_a_training_outlives_a_worker_and_a_node(cluster, environment, victim, t
         assert (there / seed / AGENT / WEIGHTS).read_bytes() == (here / seed / AGENT / WEIGHTS).read_bytes()
 
 
-@pytest.mark.parametrize("verb", ["evaluate", "train"])
-def test_an_address_that_says_nothing_fails_soon(environment, verb, tmp_path):
+@pytest.mark.parametrize("name", ["evaluate", "train"])
+def test_an_address_that_says_nothing_fails_soon(environment, name, tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"127.0.0.1:{server.getsockname()[1]}"
-        status, err = called(environment, verb, "--cluster", address, "--out", tmp_path / "out")
+        status, err = called(environment, name, "--cluster", address, "--out", tmp_path / "out")
         start = time.monotonic()
         with pytest.raises(ClusterError):
             connect(address)

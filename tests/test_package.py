@@ -6,11 +6,12 @@
 import ast
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
 from email import message_from_bytes
-from importlib import metadata
+from importlib import import_module, metadata
 
 import package
 import pytest
@@ -21,7 +22,7 @@ from baselines import __main__ as product
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.options import Options
 from baselines.evaluation.request import Request
-from baselines.tools.command_line import called, run, typed
+from baselines.tools.command_line import called, parse, run, typed
 from research import __main__ as research
 
 HERE = ("--no-isolation", "--skip-dependency-check")
@@ -126,7 +127,15 @@ def test_help_and_results_name_the_program_as_it_was_called(monkeypatch, capsys)
     assert called("evaluate.py") == "evaluate.py"
 
 
-def test_the_list_of_verbs_imports_none_of_them():
+@pytest.mark.parametrize("name", ["tune", "identify", "export", "video", "dataset"])
+def test_the_example_in_the_help_of_a_command_is_understood(name):
+    options = import_module(product.COMMANDS[name].module).Options
+    program, command, *words = shlex.split(re.search(r"Example: (.*)", options.__doc__)[1])
+    assert (program, command) == ("auv-gym", name)
+    assert isinstance(parse(options, words, program), options)
+
+
+def test_the_list_of_commands_imports_none_of_them():
     code = "import sys, baselines.__main__ as m; m.usage('x', m.COMMANDS); print(*sys.modules)"
     environment = os.environ | {"PYTHONPATH": str(package.ROOT)}
     loaded = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)

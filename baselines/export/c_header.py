@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -164,18 +164,8 @@ def _comment(agent: Exported, names: Mapping[str, str]) -> str:
         for key, text in agent.facts.items()
         for line in textwrap.wrap(f"{key}: {text}", WIDTH, subsequent_indent="  ")
     ]
-    use = _USE.format(**names).strip()
-    return "\n".join(
-        (
-            "/*",
-            "An agent of auv_gym with its expert inside, printed by its command for export.",
-            "",
-            use,
-            "",
-            *facts,
-            "*/",
-        )
-    )
+    title = "An agent of auv_gym with its expert inside, printed by its command for export."
+    return "\n".join(("/*", title, "", _USE.format(**names).strip(), "", *facts, "*/"))
 
 
 def _functions(agent: Exported, precision: str, weights: str, prefix: str) -> str:
@@ -221,7 +211,8 @@ def _calls(agent: Exported, precision: str) -> dict[str, str]:
     given = {"observation": "observation", "ahead": f"observation + {len(agent.columns) - 2 * len(agent.preview)}"}
     given |= {"correction": "memory->correction", "integrals": "memory->integrals"}
     see = parameters(agent.see.arguments, agent.seen)
-    encode = parameters(*_sides(agent))
+    kernel = measurement_kernel(agent.preview, agent.span)
+    encode = parameters(kernel.arguments, kernel.results)
     own = {"observation": "observation", "last": "memory->command"}
     hidden = agent.agent.network.memory
     network = (
@@ -237,8 +228,3 @@ def _calls(agent: Exported, precision: str) -> dict[str, str]:
         "computed": ", ".join(network),
         "keep": f"for (i = 0; i < {hidden}; i++) memory->hidden[i] = next[i];\n    " if hidden else "",
     }
-
-
-def _sides(agent: Exported) -> tuple[Mapping[str, Sequence[Any]], Mapping[str, Sequence[Any]]]:
-    kernel = measurement_kernel(agent.preview, agent.span)
-    return kernel.arguments, kernel.results

@@ -24,6 +24,8 @@ class Options:
     """Write an agent, its expert inside, as a C99 header and as an ONNX model.
 
     Exit status: 0 done, 2 wrong usage.
+
+    Example: auv-gym export helm-any --vehicle lauv --format c
     """
 
     agent: Annotated[Positional[str], arg(metavar="AGENT")]

@@ -55,7 +55,7 @@ class _Writer:
 
         self.precision = precision
         self.real = TensorProto.FLOAT if precision == "float32" else TensorProto.DOUBLE
-        self.single_type = TensorProto.FLOAT
+        self.single = TensorProto.FLOAT
         self.nodes: list[Any] = []
         self.constants: dict[str, Any] = {}
 
@@ -92,7 +92,7 @@ class _Writer:
             elif operation == "constant":
                 names[i] = self.number(arguments[0])
             elif operation == "single":
-                self.node("Cast", [names[arguments[0]]], [f"{names[i]}_single"], to=self.single_type)
+                self.node("Cast", [names[arguments[0]]], [f"{names[i]}_single"], to=self.single)
                 self.node("Cast", [f"{names[i]}_single"], [names[i]], to=self.real)
             else:
                 self.node(OPERATORS[operation], [names[a] for a in arguments], [names[i]])
@@ -119,15 +119,15 @@ class _Writer:
                 self.constant(argument, program.constants[argument]) if isinstance(argument, str) else names[argument]
             )
 
-        for i, (operation, arguments, size) in enumerate((n.operation, n.arguments, n.size) for n in program.nodes):
-            names[i] = f"network{i}"
+        for i, node in enumerate(program.nodes):
+            operation, arguments, names[i] = node.operation, node.arguments, f"network{i}"
             if operation == "input":
                 names[i] = given.get(arguments[0], "")
             elif operation == "slice":
-                ends = (self.constant(f"at_{k}", [k], np.int64) for k in (arguments[1], arguments[1] + size, 1))
-                self.node(
-                    "Slice", [names[arguments[0]], *list(ends)[:2], self.constant("at_1", [1], np.int64)], [names[i]]
+                first, end, axis = (
+                    self.constant(f"at_{k}", [k], np.int64) for k in (arguments[1], arguments[1] + node.size, 1)
                 )
+                self.node("Slice", [names[arguments[0]], first, end, axis], [names[i]])
             elif operation == "concatenate":
                 self.node("Concat", [names[a] for a in arguments], [names[i]], axis=1)
             elif operation == "dot":
@@ -174,14 +174,12 @@ def onnx_model(agent: Exported, precision: str = "float64") -> Any:
 
 def _wired(writer: _Writer, agent: Exported) -> dict[str, str]:
     """Add features, network and command, and return the names of the model's outputs by what they are."""
-    see, arrays = agent.see, {"observation": "observation", "integrals": "integrals", "correction": "correction"}
-    size = len(agent.columns) - 2 * len(agent.preview)
+    see = agent.see
     given = {s.node[1]: s.node[1] for own in see.arguments.values() for s in own}
     columns = [s.node[1] for s in see.arguments["observation"]] + [s.node[1] for s in see.arguments["ahead"]]
     writer.split("observation", columns)
-    for name in list(arrays)[1:]:
+    for name in ("integrals", "correction"):
         writer.split(name, [s.node[1] for s in see.arguments[name]])
-    assert size == len(see.arguments["observation"])
     names = writer.equation("see", see.graph, [s for own in agent.seen.values() for s in own], given)
     seen: dict[str, list[str]] = {}
     for name, own in agent.seen.items():

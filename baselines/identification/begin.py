@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import MISSING, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.stiffness import fastest_rate
 from auv_gym.physics.vehicle import Coefficients, Vehicle
-from baselines.identification.least_squares import first_states, fit, leave
+from baselines.identification.least_squares import Indices, first_states, fit, leave
 from baselines.identification.log import Log
 from baselines.identification.model import CURRENT, HULL, LIMITS, PARAMETERS, Model
 from baselines.identification.start import WINDOWS, Start, start
@@ -32,8 +31,6 @@ TRIED = 3  # rough starts that are fitted from, the best ones
 FINEST = 1.0  # largest product of an integration step and the hull's fastest rate
 _SUBSTEPS = (1, 2, 4)  # integration steps that a row may have
 
-
-Indices = NDArray[np.int64]
 LOST = (
     "the simulator follows this log from no values that were tried; are commands in [N] and [N m], do they hold until "
     "the next row, and are rows close enough for the vehicle?"

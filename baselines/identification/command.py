@@ -35,6 +35,8 @@ class Options:
     commands F_u [N], F_r [N m] that hold from a row to the next.
 
     Exit status: 0 done, 1 the log does not show a whole vehicle, 2 wrong usage.
+
+    Example: auv-gym identify log.csv --terms X_uu --out vehicle
     """
 
     log: Annotated[Positional[Path], arg(metavar="LOG.csv")]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 import re
 from collections.abc import Sequence
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from auv_gym.physics.namespaces import Array
+from baselines.tools.files import read_bytes
 
 COLUMNS = {
     "t": "s",
@@ -30,7 +32,6 @@ MEASURED = tuple(COLUMNS)[1:7]  # what sensors say
 COMMANDS = tuple(COLUMNS)[7:]  # what was asked of the actuators
 _SHORTEST = 50  # fewest rows of a log
 _LARGEST = 30_000  # most rows of a log
-_LARGEST_FILE = 2**26  # [B]
 
 
 @dataclass(frozen=True)
@@ -105,12 +106,10 @@ class Log:
             ValueError: the file is no table of numbers, lacks a column, says another unit, or holds no log.
             OSError: it cannot be read.
         """
-        file = Path(file)
-        if file.exists() and not (file.is_file() and file.stat().st_size <= _LARGEST_FILE):
-            raise ValueError(f"{file} is no regular file of at most {_LARGEST_FILE} bytes")
+        data = read_bytes(Path(file))
         try:
-            with file.open(encoding="utf-8-sig", newline="") as stream:
-                rows = [row for row in csv.reader(stream, strict=True) if row]
+            stream = io.StringIO(data.decode("utf-8-sig"), newline="")
+            rows = [row for row in csv.reader(stream, strict=True) if row]
         except (UnicodeDecodeError, csv.Error) as error:
             raise ValueError(f"{file} is not valid CSV: {error}") from error
         try:

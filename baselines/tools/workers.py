@@ -78,7 +78,7 @@ class Workers:
         """Yield what the function returns for each task's arguments, as it arrives.
 
         A worker gets one thread, since it shares its machine with the others, and ends with the process that started
-        it: Ctrl-C, which a terminal sends to all of them, is that one's alone to answer. On a cluster every machine
+        it. A terminal sends Ctrl-C to all of them; only the starting process handles it. On a cluster every machine
         needs this project in the same version, and the files that the arguments name.
 
         Raises:
@@ -97,9 +97,9 @@ def _beside(function: Callable[..., Any], tasks: Sequence[tuple[Any, ...]], jobs
     """Yield the results of so many worker processes on this machine."""
     calls, found = [joblib.delayed(function)(*task) for task in tasks], None
     each = {"inner_max_num_threads": 1, "initializer": _end_with, "initargs": (os.getpid(),)}
-    with _told_of_losses():
+    with _losses_as_worker_errors():
         try:
-            with joblib.parallel_config(backend="loky", **each), _deaf_to_interrupts():
+            with joblib.parallel_config(backend="loky", **each), _interrupts_blocked():
                 found = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")(calls)
         except KeyboardInterrupt as interrupt:
             if found is not None:
@@ -117,7 +117,7 @@ class Elsewhere:
     def __init__(self, make: Callable[..., Any], *arguments: Any) -> None:
         """Begin to make an object; what that raises the first call does."""
         spawn = multiprocessing.get_context("spawn")
-        with _deaf_to_interrupts():  # not joblib's processes: one whose memory grows is replaced there by another
+        with _interrupts_blocked():  # not joblib's processes: one whose memory grows is replaced there by another
             self._process = futures.ProcessPoolExecutor(1, spawn, initializer=_end_with, initargs=(os.getpid(),))
             self._made = self._process.submit(_keep, make, arguments)
 
@@ -127,11 +127,11 @@ class Elsewhere:
         Raises:
             WorkerError: the process was lost, here or where it is waited for.
         """
-        with _told_of_losses():
+        with _losses_as_worker_errors():
             answer = self._process.submit(_call, method, arguments)
 
         def wait() -> Any:
-            with _told_of_losses():
+            with _losses_as_worker_errors():
                 self._made.result()
                 return answer.result()
 
@@ -155,8 +155,8 @@ def _call(method: str, arguments: Sequence[Any]) -> Any:
 
 
 @contextmanager
-def _told_of_losses() -> Iterator[None]:
-    """Raise `WorkerError` in place of what a pool of processes does, joblib's or Python's, that has lost one."""
+def _losses_as_worker_errors() -> Iterator[None]:
+    """Raise `WorkerError` where a pool of processes, joblib's or Python's, has lost a worker."""
     try:
         yield
     except BrokenProcessPool as error:
@@ -165,11 +165,11 @@ def _told_of_losses() -> Iterator[None]:
 
 
 @contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Let the processes that begin in this block be deaf to Ctrl-C; here it is answered at the end of the block.
+def _interrupts_blocked() -> Iterator[None]:
+    """Block SIGINT in the processes that start in this block; this process handles it at the end of the block.
 
-    What is blocked stays so in a child, from before its first line. A handler of its own would come too late: a worker
-    imports for seconds first, and an interrupt in between is a traceback.
+    A child inherits the blocked signal before its first line runs. A handler that the child installs would come too
+    late: a worker imports for seconds first, and an interrupt in between is a traceback.
     """
     if sys.platform == "win32":  # has no masks
         yield
@@ -184,7 +184,7 @@ def _deaf_to_interrupts() -> Iterator[None]:
 
 
 def _end_with(parent: int) -> None:
-    """Let this worker process end with its parent, even with one that is killed."""
+    """End this worker process when its parent ends, even if the parent is killed."""
 
     def watch() -> None:
         while os.getppid() == parent:

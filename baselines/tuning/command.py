@@ -39,6 +39,8 @@ class Options:
     For another vehicle the search begins at the shipped gains, in the vehicle's own units, and they go to
     runs/tune/NAME-REGIME@VEHICLE.json: make_policy(NAME, vehicle=..., gains=...) takes them.
     Exit status: 0 done, 2 wrong usage.
+
+    Example: auv-gym tune los-pid --regime cruise --dry
     """
 
     name: Annotated[Positional[str], arg(metavar="NAME")]

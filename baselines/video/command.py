@@ -39,6 +39,8 @@ class Options:
     """Film policies side by side in one episode, the same sea for all, with the position errors of all below.
 
     Exit status: 0 done, 1 a policy failed or the file could not be written, 2 wrong usage.
+
+    Example: auv-gym video --policy backstepping apg-cruise --scenario cruise-storm --seed 6 --out storm.mp4
     """
 
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = (EXPERT,)
