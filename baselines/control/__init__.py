@@ -11,7 +11,6 @@ from auv_gym.task.policy import Policy
 from baselines.control.adaptive import make_adaptive
 from baselines.control.backstepping import Backstepping
 from baselines.control.backstepping_tuned import make_backstepping_tuned, make_normalised_tuned
-from baselines.control.clairvoyant.policy import Clairvoyant
 from baselines.control.current_observer import make_current_observer
 from baselines.control.ekf_law import make_ekf_adverse, make_ekf_law
 from baselines.control.ilos import make_ilos
@@ -20,7 +19,8 @@ from baselines.control.los_pid import make_los_pid
 from baselines.control.lqi import make_lqi
 from baselines.control.nmpc.controller import make_nmpc, make_nmpc_adverse
 from baselines.control.open_loop import OpenLoop
-from baselines.control.oracle import Oracle
+from baselines.control.privileged.clairvoyant import Clairvoyant
+from baselines.control.privileged.oracle import Oracle
 from baselines.control.smc_dob import make_smc_dob
 
 POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {

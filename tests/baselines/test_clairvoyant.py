@@ -11,10 +11,10 @@ from auv_gym.physics.rows import leaves
 from auv_gym.scenarios.presets import CASES, PRESETS
 from auv_gym.task.simulation import Parameters, start, step
 from baselines import make_policy
-from baselines.control.clairvoyant.policy import arriving, oracle_actions
-from baselines.control.clairvoyant.problem import HEAD, PRICE, Problem
-from baselines.control.clairvoyant.solver import TOLERANCE, solved
-from baselines.control.truth import Truth
+from baselines.control.privileged.clairvoyant import arriving, oracle_actions
+from baselines.control.privileged.problem import HEAD, PRICE, Problem
+from baselines.control.privileged.solver import TOLERANCE, solved
+from baselines.control.privileged.truth import Truth
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.suites import load

@@ -5,7 +5,7 @@ import pytest
 
 from auv_gym.scenarios.presets import CASES, PRESETS
 from baselines import make_policy
-from baselines.control.oracle import ASTRAY, fleet, regulators, rehearsed, settling_gains, true_plan
+from baselines.control.privileged.oracle import ASTRAY, fleet, regulators, rehearsed, settling_gains, true_plan
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.policy import Privileged
