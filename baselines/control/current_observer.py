@@ -14,7 +14,7 @@ mistaken for current.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache, partial
+from functools import cache
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -30,7 +30,6 @@ from baselines.control.backstepping import UNDAMPED_GAINS, Gains, tracking_force
 from baselines.control.ekf_law import undamped_symbols
 from baselines.estimation.kalman import VEHICLE_ROWS, repeated
 from baselines.estimation.water_frame import Planned, Sea, planned, reference_motion, water_errors
-from baselines.gains.loading import tuned_policy
 from baselines.policy import Memory
 
 OBSERVER_GAINS = (*UNDAMPED_GAINS, "fast", "slow")
@@ -152,7 +151,3 @@ def sampled_gains(drag: Number, poles: tuple[Number, Number], dt: Number, ns: Na
     a, (fast, slow) = ns.exp(-drag * dt), (ns.exp(-pole * dt) for pole in poles)
     follow = (1 - fast) * (1 - slow) / (1 - a)
     return 1 - fast * slow / a - follow, follow
-
-
-make_current_observer = partial(tuned_policy, "current-observer", OBSERVER_GAINS, CurrentObserver)
-"""Returns the controller as a policy; its arguments `gains` and `vehicle` are those of `tuned_policy`."""

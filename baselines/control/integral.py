@@ -9,7 +9,6 @@ along the hull takes a little thrust, the same current across it a whole crab an
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 
 import numpy as np
 
@@ -18,7 +17,6 @@ from auv_gym.physics.vehicle import Vehicle
 from auv_gym.task.observation import Observation
 from baselines.control.backstepping import LAW_GAINS, Gains, bounded_error, tracking_forces
 from baselines.control.inertial_integral import integrated, seen_from_body
-from baselines.gains.loading import tuned_policy
 from baselines.policy import Memory
 
 INTEGRAL_GAINS = ("rate", "horizon", "surge")
@@ -49,8 +47,3 @@ class IntegralLaw:
         e_x, e_y, *rest = bounded_error(o, self.horizon, ARRAYS)
         F_u, F_r = tracking_forces((e_x + self.surge * eta_x, e_y + eta_y, *rest), self.vehicle, self.gains, ARRAYS)
         return F_u, F_r, (xi.T,)
-
-
-make_integral = partial(tuned_policy, "integral", PRINTED_GAINS, IntegralLaw)
-make_integral_normalised = partial(tuned_policy, "integral-normalised", NORMALISED_GAINS, IntegralLaw)
-"""Return the law with integral action as a policy; the arguments `gains` and `vehicle` are those of `tuned_policy`."""

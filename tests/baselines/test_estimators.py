@@ -22,7 +22,7 @@ from auv_gym.task.simulation import PARAMETER_ROWS, Parameters, Parts, start, st
 from baselines import make_policy
 from baselines.control.backstepping import Gains, tracking_forces
 from baselines.control.current_observer import sampled_gains
-from baselines.control.ekf_law import EKF_GAINS, make_ekf_law
+from baselines.control.ekf_law import EKF_GAINS
 from baselines.estimation.filter_equations import Belief
 from baselines.estimation.kalman import HYPOTHESES, ODDS, ExtendedKalmanFilter, believed, tuning_of
 from baselines.estimation.sea_model import Estimate
@@ -101,7 +101,7 @@ def test_filter_finds_the_current_through_noise():
     """A path that turns tells current and load apart, if the load is believed to be steady."""
     calm = dict.fromkeys(("surge_bias", "sway_bias", "yaw_bias", "surge_waves", "sway_waves", "yaw_waves"), 0.01)
     gains = {**load_gains("ekf", "cruise", EKF_GAINS), "current": 0.01, "gust": 0.001, **calm}
-    memory, env = belief(replace(CURRENT, sensors=PRESETS["cruise-noise"].sensors), make_ekf_law(gains))
+    memory, env = belief(replace(CURRENT, sensors=PRESETS["cruise-noise"].sensors), make_policy("ekf", gains=gains))
     z = Estimate(*likelier(memory).state)
     off = np.hypot(z.V_x - env.current[:, 0], z.V_y - env.current[:, 1])
     assert np.hypot(*env.current.T).mean() > 0.2
