@@ -11,7 +11,7 @@ from auv_gym.physics.vehicle import Vehicle
 from auv_gym.task.policy import Policy
 from baselines.control.adaptive import Adaptive, AdaptiveGains
 from baselines.control.backstepping import LAW_GAINS, SCALED_GAINS, Backstepping, make_tuned
-from baselines.control.current_observer import OBSERVER_GAINS, CurrentObserver
+from baselines.control.current_observer import CurrentObserver, ObserverGains
 from baselines.control.ekf_law import ADVERSE_GAINS, EKF_GAINS, EkfLaw
 from baselines.control.ilos import Ilos, IlosGains
 from baselines.control.integral import NORMALISED_GAINS, PRINTED_GAINS, IntegralLaw
@@ -30,7 +30,7 @@ TUNED: dict[str, tuple[tuple[str, ...], Callable[[Mapping[str, float], Vehicle],
     "integral-normalised": (NORMALISED_GAINS, IntegralLaw),
     "los-pid": (PIDGains._fields, LineOfSightPID),
     "lqi": (LqiWeights._fields, LQI),
-    "current-observer": (OBSERVER_GAINS, CurrentObserver),
+    "current-observer": (ObserverGains._fields, CurrentObserver),
     "ilos": (IlosGains._fields, Ilos),
     "adaptive": (AdaptiveGains._fields, Adaptive),
     "smc-dob": (SmcGains._fields, SmcDob),

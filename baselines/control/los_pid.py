@@ -18,7 +18,7 @@ from auv_gym.physics.namespaces import ARRAYS, Array, wrap_angle
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.task.observation import Observation
 from baselines.control.backstepping import bounded_error
-from baselines.control.inertial_integral import integrated, seen_from_body
+from baselines.control.integral import integrated, seen_from_body
 from baselines.policy import Memory, first_order, reference_speed
 
 LARGEST_INTEGRAL = 0.5
@@ -29,7 +29,7 @@ class PIDGains(NamedTuple):
     """Gains of guidance and autopilots."""
 
     lookahead: float  # [s] distance to the point steered for, as a travel time of the reference
-    rate: float  # [1/s] of the position error's integral, see `inertial_integral`
+    rate: float  # [1/s] of the position error's integral, see `integral.integrated`
     horizon: float  # [s] bound of error and integral as a travel time of the reference
     crab: float  # [1] share of the measured drift angle that the heading leans against
     crab_time: float  # [s] low-pass of that angle

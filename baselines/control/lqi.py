@@ -19,7 +19,7 @@ from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.task.observation import Observation
 from baselines.control.backstepping import bounded_error
-from baselines.control.inertial_integral import integrated, seen_from_body
+from baselines.control.integral import integrated, seen_from_body
 from baselines.control.linearisation import error_dynamics
 from baselines.policy import Memory, first_order
 
@@ -54,7 +54,7 @@ class LqiWeights(NamedTuple):
     yaw_effort: float  # [m]
     yaw_rate: float  # [m s]
     lag: float  # [s] time constant that the actuators are believed to have
-    rate: float  # [1/s] of the integral, see `inertial_integral`
+    rate: float  # [1/s] of the integral, see `integral.integrated`
     horizon: float  # [s] bound of error and integral as a travel time of the reference
 
 
