@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import vl_convert
@@ -43,21 +43,22 @@ def charts_png(results: Sequence[Result], pooled: Sequence[Entry]) -> dict[str, 
     return found
 
 
-def _png(spec: Spec, rows: Iterable[Any], others: Mapping[str, Any] | None = None) -> bytes:
+def _png(spec: Spec, rows: Sequence[Any], others: Mapping[str, Any] | None = None) -> bytes:
     """Return a chart with its rows and a legend as a PNG file."""
-    filled = {**_with_legend(spec), "width": WIDTH, "datasets": {"rows": list(rows), **(others or {})}}
+    names = list(dict.fromkeys(row["policy"] for row in rows))
+    filled = {**_with_legend(spec, names), "width": WIDTH, "datasets": {"rows": rows, **(others or {})}}
     picture: bytes = vl_convert.vegalite_to_png(filled, scale=_SCALE)
     return picture
 
 
-def _with_legend(node: Any) -> Any:
-    """Return a specification in which the colours have a legend; on the page the table of policies is the legend."""
+def _with_legend(node: Any, names: Sequence[str]) -> Any:
+    """Return a specification with a legend of the policies of these names; on the page their table is the legend."""
     if isinstance(node, list):
-        return [_with_legend(item) for item in node]
+        return [_with_legend(item, names) for item in node]
     if not isinstance(node, dict):
         return node
-    legend = {"title": None, "orient": "bottom", "columns": 4, "symbolOpacity": 1}
-    kept = {key: _with_legend(value) for key, value in node.items()}
+    legend = {"title": None, "orient": "bottom", "columns": 4, "symbolOpacity": 1, "symbolLimit": 0, "values": names}
+    kept = {key: _with_legend(value, names) for key, value in node.items()}
     if "color" in kept and isinstance(kept["color"], dict) and "field" in kept["color"]:
         kept["color"] = {**kept["color"], "legend": legend}
     return kept

@@ -1,10 +1,10 @@
 """Frozen suites: a score means the same wherever and whenever it was measured.
 
 A file NAME.json.bz2 holds every episode's parameters and the seed of its noise. It is made once, by
-`python -m baselines.evaluation.suites build NAME`; SHA256SUMS has the hash of its text, and a file with another one is
+`python -m research suites build NAME`; SHA256SUMS has the hash of its text, and a file with another one is
 refused. It also holds a digest of what its episodes generate, some values of each reference and tape, so that a planner
 or a random stream that has changed is noticed: a sample is compared on every load, all of it by
-`python -m baselines.evaluation.suites check NAME`.
+`python -m research suites check NAME`.
 
 A suite is episodes and the anchors of its score. One with other anchors for known episodes names their suite, with its
 hash, in place of them: what a policy did in one counts in both.

@@ -1,6 +1,6 @@
 """What the anchors do in the cells of a frozen suite, kept beside it: the ends of a validation's score.
 
-`python -m baselines.evaluation.suites yardsticks NAME` measures and writes them.
+`python -m research suites yardsticks NAME` measures and writes them.
 """
 
 from __future__ import annotations
