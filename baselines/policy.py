@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
@@ -13,12 +14,15 @@ from numpy.typing import NDArray
 from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.task.observation import Observation, action_of, decode_observation
+from auv_gym.task.observation import SCALES, SIZE, Observation, action_of, decode_observation, decoded_terms
 from auv_gym.task.policy import preview_of
 from auv_gym.task.preview import columns_behind
 
 Memory: TypeAlias = tuple[NDArray[Any], ...]
 """What a controller remembers: arrays whose leading axis counts the N vehicles it steers."""
+
+Starts: TypeAlias = NDArray[np.bool_] | None
+"""Where episodes begin, shape (N,); None: where nothing is remembered."""
 
 U_R = Observation._fields.index("u_R")  # where u_R stands in a list of terms, faster to make than an `Observation`
 V_R = Observation._fields.index("v_R")  # where v_R stands in a list of terms
@@ -26,6 +30,8 @@ A_U = Observation._fields.index("a_u")
 """Column of an observation with the last surge command; that of the yaw command is the next one."""
 CRUISE_SPEED = 0.4
 """Reference speed [m/s] above which controllers use their gains for cruise."""
+ALL_SPEEDS = (0.0, math.inf)
+"""Reference speeds [m/s] of a policy that is made for every one."""
 SPEED_FLOOR = 0.02
 """Floor [m/s] under a reference speed that something is divided by."""
 
@@ -77,13 +83,24 @@ class Privileged(Protocol):
         """Look at the vector environment before each `predict`: `state`, `force`, `current`, `time`."""
 
 
-class Remembering:
-    """A controller with memory as a policy with Stable-Baselines3's `predict`."""
+class Batched(ABC):
+    """A policy, with Stable-Baselines3's `predict`, that acts on batches: one observation is a batch of one.
 
-    def __init__(self, controller: Controller) -> None:
-        """Wrap a controller; it stays reachable as `controller`, what it wants to see ahead as `preview`."""
-        self.controller = controller
-        self.preview = preview_of(controller)
+    Attributes:
+        preview: control periods ahead at which it wants to know where the reference is.
+        speeds: reference speeds [m/s], least and largest, that it was made for; `predict` warns once of others.
+        remembers: whether `predict` warns where its memory is dropped.
+    """
+
+    preview: tuple[int, ...] = ()
+    speeds: tuple[float, float] = ALL_SPEEDS
+    remembers = False
+
+    @abstractmethod
+    def actions(
+        self, rows: NDArray[Any], state: Memory | None, episode_start: Starts, deterministic: bool
+    ) -> tuple[NDArray[np.float32], Memory | None]:
+        """Return actions (N, 2) for observations (N, n), and the memory; for the other arguments see `predict`."""
 
     def predict(
         self,
@@ -96,17 +113,58 @@ class Remembering:
 
         Memory begins anew where `state` is None or `episode_start`, shape (N,), is True.
 
+        Args:
+            observation: one (n,), or a batch (N, n): the terms, the preview, and perhaps further columns.
+            state: the memory that the last call returned.
+            episode_start: True where an episode begins.
+            deterministic: False for a draw from what a stochastic policy might do.
+
         Raises:
             ValueError: the observation has the wrong shape or too short a preview, or `state` is of another number of
                 vehicles.
         """
-        rows, o, extra = batched(observation, self.preview)
+        rows = observation[None] if observation.ndim == 1 else observation
+        if rows.ndim != 2 or rows.shape[1] < SIZE + 2 * len(self.preview):
+            decoded_terms(observation)  # both say what is wrong
+            columns_behind(rows, self.preview)
         if state is None:
-            warn_of_lost_memory(rows, episode_start)
-        state = renewed(state, self.controller.start(len(rows)), episode_start)
-        F_u, F_r, state = self.controller.forces(o, state, extra)
-        action = np.stack(action_of((F_u, F_r), o, ARRAYS), axis=1).astype(np.float32)
-        return (action[0] if observation.ndim == 1 else action), state
+            if self.remembers:
+                warn_of_lost_memory(rows, episode_start)
+            if self.speeds != ALL_SPEEDS:
+                self._warn_of_speed(rows)
+        action, memory = self.actions(rows, state, episode_start, deterministic)
+        return (action[0] if observation.ndim == 1 else action), memory
+
+    def _warn_of_speed(self, rows: NDArray[Any]) -> None:
+        """Warn once where a reference's speed is none of `speeds`."""
+        speed, (low, high) = np.hypot(rows[:, U_R] * SCALES[U_R], rows[:, V_R] * SCALES[V_R]), self.speeds
+        if ((speed < low) | (speed > high)).any():
+            self.speeds = ALL_SPEEDS
+            warnings.warn(
+                f"this policy was trained at reference speeds of {low:.3g} to {high:.3g} m/s, and the episode begins "
+                f"at {speed.min():.2g} to {speed.max():.2g} m/s: choose the agent of that regime",
+                stacklevel=3,
+            )
+
+
+class Remembering(Batched):
+    """A controller with memory as a policy."""
+
+    remembers = True
+
+    def __init__(self, controller: Controller) -> None:
+        """Wrap a controller; it stays reachable as `controller`, what it wants to see ahead as `preview`."""
+        self.controller = controller
+        self.preview = preview_of(controller)
+
+    def actions(
+        self, rows: NDArray[Any], state: Memory | None, episode_start: Starts, deterministic: bool
+    ) -> tuple[NDArray[np.float32], Memory | None]:
+        """Return actions and memory, see `Batched`."""
+        del deterministic
+        o, state = decode_observation(rows), renewed(state, self.controller.start(len(rows)), episode_start)
+        F_u, F_r, state = self.controller.forces(o, state, rows[:, SIZE:])
+        return np.stack(action_of((F_u, F_r), o, ARRAYS), axis=1).astype(np.float32), state
 
 
 class BySpeed:
@@ -135,20 +193,6 @@ class BySpeed:
         C_u, C_r, cruise_after = self.cruise.forces(o, memory, extra)
         chosen = tuple(np.where(along(fast, a), b, a) for a, b in zip(after, cruise_after, strict=True))
         return np.where(fast, C_u, F_u), np.where(fast, C_r, F_r), chosen
-
-
-def batched(observation: NDArray[Any], preview: Sequence[int]) -> tuple[NDArray[Any], Observation, NDArray[Any]]:
-    """Return observations as rows (N, n), their terms in SI units, and what they hold behind the terms.
-
-    Args:
-        observation: one (n,), or a batch (N, n).
-        preview: what there must be behind the terms at least.
-
-    Raises:
-        ValueError: the shape is wrong, or the preview too short.
-    """
-    rows = observation[None] if observation.ndim == 1 else observation
-    return rows, decode_observation(rows), columns_behind(rows, preview)
 
 
 def renewed(state: Memory | None, fresh: Memory, episode_start: NDArray[np.bool_] | None) -> Memory:

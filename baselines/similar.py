@@ -7,8 +7,6 @@ units, has gains that are functions of the vehicle. Actions are shares of the li
 
 from __future__ import annotations
 
-import math
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -19,11 +17,9 @@ from auv_gym.physics.namespaces import FLOATS, Namespace, Number
 from auv_gym.physics.units import POWERS, Units, in_paper_units
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.vehicles import as_vehicle
-from auv_gym.task.observation import SCALES, SIZE, TERMS
+from auv_gym.task.observation import TERMS
 from auv_gym.task.policy import Law, Policy, preview_of, traceable
-from baselines.policy import U_R, V_R
-
-ALL = (0.0, math.inf)  # speeds [m/s] of a policy that is at home at every one
+from baselines.policy import ALL_SPEEDS, Batched, Memory, Starts
 
 
 def made_for(vehicle: Vehicle | str | Mapping[str, Any] | None, make: Callable[[Any], Policy]) -> Policy:
@@ -52,7 +48,7 @@ def shown_factors(units: Units) -> list[float]:
     return [1 / units.factor(*POWERS[term.unit]) for term in TERMS]
 
 
-class Similar:
+class Similar(Batched):
     """A policy for the paper's units as one for SI units, with Stable-Baselines3's `predict`; its memory is the same.
 
     Args:
@@ -62,45 +58,23 @@ class Similar:
 
     def __init__(self, policy: Policy, units: Units) -> None:
         self.policy, self.units, self.preview = policy, units, preview_of(policy)
-        own, rate = getattr(policy, "speeds", ALL), units.factor(length=1, time=-1)
-        self._speeds = own[0] * rate, own[1] * rate
-        if own != ALL:
-            policy.speeds = ALL  # type: ignore[attr-defined]  # its warning is given here, in SI units
+        if isinstance(policy, Batched):  # its warning of speeds is given here, in SI units
+            low, high = policy.speeds
+            rate, policy.speeds = units.factor(length=1, time=-1), ALL_SPEEDS
+            self.speeds = low * rate, high * rate
         self._factors = np.array(shown_factors(units) + [1 / units.length] * (2 * len(self.preview)))
 
-    def predict(
-        self,
-        observation: NDArray[Any],
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """Return the action for an observation (n,), or actions (N, 2) for (N, n), and the memory for the next call.
+    def actions(
+        self, rows: NDArray[Any], state: Memory | None, episode_start: Starts, deterministic: bool
+    ) -> tuple[NDArray[np.float32], Memory | None]:
+        """Return actions and memory, see `Batched`.
 
         Columns behind the terms and the preview, such as the residual environment's, are handed on as they are. The
         bounds of an observation do not cut what is shown.
-
-        Raises:
-            ValueError: see the policy's own `predict`.
         """
-        shown, known = observation.astype(np.float64), len(self._factors)
-        if shown.shape and shown.shape[-1] >= SIZE:  # the policy itself says what is wrong with the shape
-            if state is None:
-                self._warn_of_speed(observation[..., U_R] * SCALES[U_R], observation[..., V_R] * SCALES[V_R])
-            shown[..., :known] *= self._factors[: shown.shape[-1]]
+        shown = rows.astype(np.float64)
+        shown[:, : len(self._factors)] *= self._factors
         return self.policy.predict(shown, state, episode_start, deterministic)
-
-    def _warn_of_speed(self, u_R: NDArray[Any], v_R: NDArray[Any]) -> None:
-        """Warn once, in SI units, where a reference's speed is far from what the policy has seen."""
-        speed = np.hypot(u_R, v_R)
-        if ((speed < self._speeds[0]) | (speed > self._speeds[1])).any():
-            warnings.warn(
-                f"this policy was trained at speeds that are {self._speeds[0]:.3g} to {self._speeds[1]:.3g} m/s for "
-                f"this vehicle, and the episode begins at {speed.min():.2g} to {speed.max():.2g} m/s: choose the agent "
-                "of that regime",
-                stacklevel=3,
-            )
-            self._speeds = 0.0, math.inf
 
 
 class SimilarLaw(Law):

@@ -21,12 +21,12 @@ from auv_gym.physics.intervals import check_number
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.vehicles import as_vehicle
-from auv_gym.task.observation import SIZE, Observation
+from auv_gym.task.observation import SIZE, Observation, decode_observation
 from auv_gym.task.policy import Policy, preview_of
 from auv_gym.task.preview import shared_preview
 from baselines.agents.residual_policy import ResidualPolicy
 from baselines.control.backstepping import GAINS, Backstepping, Gains, backstepping_errors
-from baselines.policy import Memory, batched, first_order, is_fast, reference_speed, renewed
+from baselines.policy import Batched, Memory, Starts, first_order, is_fast, reference_speed, renewed
 
 _CORRECTION = 1
 """Which array of an agent's memory is its last correction, shape (N, 2)."""
@@ -104,8 +104,8 @@ def bounded_law(vehicle: Vehicle | str | Mapping[str, Any] | None = None) -> Bac
     return Backstepping(vehicle=PAPER_VEHICLE if vehicle is None else as_vehicle(vehicle), horizon=HORIZON)
 
 
-class Guarded:
-    """A policy with a guard, with Stable-Baselines3's `predict`.
+class Guarded(Batched):
+    """A policy with a guard.
 
     Its memory: the guard's own, shape (N, 6); behind it the policy's, and that of the policy that it hands over to.
     With no alarm the commands are the policy's bit for bit, and once the other one has taken over they are that one's.
@@ -128,21 +128,11 @@ class Guarded:
         self.vehicle = PAPER_VEHICLE if vehicle is None else as_vehicle(vehicle)
         self.preview, self._seen, self._seen_by_fallback = shared_preview(preview_of(policy), preview_of(fallback))
 
-    def predict(
-        self,
-        observation: NDArray[Any],
-        state: Memory | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
+    def actions(
+        self, rows: NDArray[Any], state: Memory | None, episode_start: Starts, deterministic: bool
     ) -> tuple[NDArray[np.float32], Memory | None]:
-        """Return the action (2,) or actions (N, 2) and the memory, its arrays with leading axis N (1 for one).
-
-        Memory begins anew where `state` is None or `episode_start`, shape (N,), is True.
-
-        Raises:
-            ValueError: the observation has the wrong shape, or `state` is of another number of vehicles.
-        """
-        rows, o, extra = batched(observation, self.preview)
+        """Return actions and memory, see `Batched`."""
+        o, extra = decode_observation(rows), rows[:, SIZE:]
         split = 1 + int(state[0][0, ARRAYS_OF_POLICY]) if state else 1
         own = renewed(state and state[:1], (np.zeros((len(rows), 6)),), episode_start)[0]
         pasts = (state[1:split] or None, state[split:] or None) if state else (None, None)
@@ -160,7 +150,7 @@ class Guarded:
         own[:, ARRAYS_OF_POLICY] = len(past or ())
         mixed = (other + share * (action - other)).astype(np.float32)
         command = np.where(share >= 1.0, action, np.where(share <= 0.0, other, mixed))
-        return (command[0] if observation.ndim == 1 else command), (own, *(past or ()), *(its or ()))
+        return command, (own, *(past or ()), *(its or ()))
 
     def _watched(self, o: Observation, before: Array, begins: NDArray[np.bool_]) -> Array:
         """Return the guard's memory after a look at the observation."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from auv_gym.task.observation import SIZE
 from auv_gym.task.preview import checked_preview
-from baselines.policy import Memory, renewed
+from baselines.policy import Batched, Memory, Starts, renewed
 from baselines.tools.files import guarded, read_bytes
 
 SUFFIX = ".onnx"
@@ -27,7 +27,7 @@ NEXT = "next_"
 """What the name of an output begins with that is a memory."""
 
 
-class OnnxModel:
+class OnnxModel(Batched):
     """A model as a policy; it wants to see `preview`."""
 
     def __init__(self, source: Path | bytes) -> None:
@@ -69,23 +69,16 @@ class OnnxModel:
                 )
             self.predict(np.zeros((2, *width)))
 
-    def predict(
-        self,
-        observation: NDArray[Any],
-        state: Memory | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
+    def actions(
+        self, rows: NDArray[Any], state: Memory | None, episode_start: Starts, deterministic: bool
     ) -> tuple[NDArray[np.float32], Memory | None]:
-        """Return the action (2,) or actions (N, 2) and the memory, an array for each input that is one.
+        """Return actions and the memory, an array for each input that is one, see `Batched`.
 
         Raises:
-            ValueError: the observation has the wrong shape, `state` is of another number of vehicles, or the model
-                gives no two numbers for each of them.
+            ValueError: the model gives no two numbers for each vehicle.
         """
-        rows = np.atleast_2d(observation)
+        del deterministic
         n, width = len(rows), self._sizes["observation"][0]
-        if rows.ndim != 2 or rows.shape[1] < width:
-            raise ValueError(f"observation has shape {observation.shape}; it must be ({width},) or (N, {width})")
         fresh = tuple(np.zeros((n, *self._sizes[name]), self._types[name]) for name in self._memory)
         memory = renewed(state, fresh, episode_start)
         given = {"observation": rows[:, :width].astype(self._types["observation"])}
@@ -94,8 +87,7 @@ class OnnxModel:
         if any(a.shape != b.shape for a, b in zip((action, *after), (np.empty((n, 2)), *fresh), strict=True)):
             shapes = [a.shape for a in (action, *after)]
             raise ValueError(f"the ONNX model gives arrays of shapes {shapes} for {n} observations")
-        actions = action.astype(np.float32)
-        return (actions[0] if observation.ndim == 1 else actions), tuple(after)
+        return action.astype(np.float32), tuple(after)
 
 
 def _preview(metadata: dict[str, str]) -> tuple[int, ...]:

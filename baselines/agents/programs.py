@@ -25,7 +25,7 @@ from auv_gym.scenarios.records import to_record
 from auv_gym.task.observation import SIZE, TERMS, Observation, encode_observation
 from auv_gym.task.preview import checked_preview
 from baselines.agents.names import COMMAND
-from baselines.policy import Memory
+from baselines.policy import Batched, Memory, Starts
 from baselines.tools.files import checked_plain, guarded
 
 PROTOCOL = 1
@@ -50,7 +50,7 @@ class ProgramError(ValueError):
     """A program cannot be started, has ended, is silent, or answers what is no answer."""
 
 
-class Program:
+class Program(Batched):
     """A program as a policy. It remembers by itself, and so can steer one set of vehicles at a time.
 
     Attributes:
@@ -79,33 +79,28 @@ class Program:
         ahead = [x for n in self.preview for x in (_EXAMPLE.u_R * _EXAMPLE.dt * n, 0.0)]
         self.predict(np.append(encode_observation(_EXAMPLE), ahead))
 
-    def predict(
-        self,
-        observation: NDArray[Any],
-        state: Memory | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
+    def actions(
+        self, rows: NDArray[Any], state: Memory | None, episode_start: Starts, deterministic: bool
     ) -> tuple[NDArray[np.float32], Memory | None]:
-        """Return the action (2,) or actions (N, 2), and what only counts the vehicles: the program itself remembers.
+        """Return actions, and what only counts the vehicles: the program itself remembers; see `Batched`.
 
         It is told that episodes start where `state` is None or `episode_start`, shape (N,), is True.
 
         Raises:
             ProgramError: it has ended, is silent, or gives no N pairs of numbers.
-            ValueError: the observation has the wrong shape, or `state` is of another number of vehicles.
+            ValueError: the observation has too many columns, or `state` is of another number of vehicles.
         """
-        rows, width = np.atleast_2d(observation), SIZE + 2 * len(self.preview)
-        if rows.ndim != 2 or rows.shape[1] != width:
-            raise ValueError(f"observation has shape {observation.shape}; it must be ({width},) or (N, {width})")
-        n = len(rows)
+        del deterministic
+        n, width = len(rows), SIZE + 2 * len(self.preview)
+        if rows.shape[1] != width:
+            raise ValueError(f"observation has shape {rows.shape}; it must be ({width},) or (N, {width})")
         if state is not None and len(state[0]) != n:
             raise ValueError(f"state is of {len(state[0])} vehicles, the observation of {n}")
         begins = state is None or (False if episode_start is None else episode_start)
         starts = np.broadcast_to(np.asarray(begins, dtype=bool), n)
         question = {"observations": rows.tolist(), "starts": starts.tolist()}
         with self._talk.blamed():
-            actions = _actions(self._talk.ask(question, START + n * self.step_limit), n)
-        return (actions if observation.ndim == 2 else actions[0]), (np.zeros((n, 0)),)
+            return _actions(self._talk.ask(question, START + n * self.step_limit), n), (np.zeros((n, 0)),)
 
 
 def greeting(vehicle: Vehicle) -> dict[str, Any]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import warnings
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any, cast
@@ -13,7 +11,7 @@ from numpy.typing import NDArray
 
 from auv_gym.codegen.graph import SYMBOLS, Symbol, single
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.physics.namespaces import ARRAYS, Array
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients
 from auv_gym.task.observation import SIZE, action_of, decode
@@ -21,7 +19,7 @@ from auv_gym.task.policy import Forces, Law, Policy, corrected, preview_of, trac
 from auv_gym.task.preview import shared_preview
 from baselines.agents.features import STANDARD, Inputs, scaled_errors
 from baselines.agents.networks import ACTIONS, Network, Weights
-from baselines.policy import U_R, V_R, Memory, batched, renewed, squared_speed, warn_of_lost_memory
+from baselines.policy import ALL_SPEEDS, Batched, Memory, Starts, renewed
 from baselines.similar import shown_factors
 
 BLOCK = 128
@@ -89,14 +87,15 @@ class _Desk:
         self.command = command.bound(**{name: self.arrays[name] for name in command.rows})
 
 
-class ResidualPolicy:
-    """command = clip(expert + authority * network(features)), with Stable-Baselines3's `predict`.
+class ResidualPolicy(Batched):
+    """command = clip(expert + authority * network(features)).
 
     Its memory: what its inputs remember, (N, `Inputs.memory`); the last correction, (N, 2); the network's hidden
     state, (N, hidden); and behind them whatever the expert remembers. A network that gives zero leaves the expert's
     actions as they are, bit for bit. It is for one thread at a time.
     """
 
+    remembers = True
     OWN = 3
     """Arrays of its memory in front of the expert's."""
 
@@ -109,14 +108,13 @@ class ResidualPolicy:
         region: Sequence[float] | None = None,
         inputs: Inputs = STANDARD,
         precision: str = "float64",
-        speeds: tuple[float, float] = (0.0, math.inf),
+        speeds: tuple[float, float] = ALL_SPEEDS,
         hull: Coefficients = PAPER_VEHICLE.coefficients,
     ) -> None:
         """Make the policy of checked weights.
 
         With a region, see `trust`, corrections fade outside of it; the network computes in a precision, "float64" or
-        "float32". Where an episode begins at a reference speed [m/s] outside of `speeds`, a warning says so, once. The
-        hull is the known vehicle, see `Inputs.update`.
+        "float32". For the speeds see `Batched`. The hull is the known vehicle, see `Inputs.update`.
         """
         self.speeds = speeds
         self.region, self.inputs = None if region is None else np.array(region), inputs
@@ -132,27 +130,12 @@ class ResidualPolicy:
         """Return everything but the addresses of memory."""
         return self.__dict__ | {"_desk": None}
 
-    def predict(
-        self,
-        observation: NDArray[Any],
-        state: Memory | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
+    def actions(
+        self, rows: NDArray[Any], state: Memory | None, episode_start: Starts, deterministic: bool
     ) -> tuple[NDArray[np.float32], Memory | None]:
-        """Return the action (2,) or actions (N, 2) and the memory, its arrays with leading axis N (1 for one).
-
-        Memory begins anew where `state` is None or `episode_start`, shape (N,), is True.
-
-        Raises:
-            ValueError: the observation has the wrong shape, or `state` is of another number of vehicles.
-        """
-        rows = observation[None] if observation.ndim == 1 else observation
-        if rows.ndim != 2 or rows.shape[1] < SIZE + 2 * len(self.preview):
-            batched(observation, self.preview)  # says what is wrong
+        """Return actions and memory, see `Batched`."""
+        del deterministic
         n = len(rows)
-        if state is None:
-            warn_of_lost_memory(rows, episode_start)
-            self._warn_of_speed(rows)
         integrals, correction, hidden = self._renewed(state, n, episode_start)
         desk = self._at(n)
         arrays = desk.arrays
@@ -174,21 +157,8 @@ class ResidualPolicy:
             correction = correction * trust(arrays["errors"], self.region)
         arrays["correction"][:], arrays["authority"][:] = correction, self.authority[:, None]
         desk.command(0, 1)
-        command = arrays["command"].T.astype(np.float32)
         memory = arrays["integrals"].T.copy(), arrays["correction"].T.copy(), hidden.T, *(past or ())
-        return (command[0] if observation.ndim == 1 else command), memory
-
-    def _warn_of_speed(self, rows: NDArray[Any]) -> None:
-        """Warn once where the reference's speed is far from what the network has seen."""
-        terms = decode(rows[:, :SIZE].T, ARRAYS)
-        speed = np.sqrt(squared_speed(terms[U_R], terms[V_R], ARRAYS))
-        if ((speed < self.speeds[0]) | (speed > self.speeds[1])).any():
-            warnings.warn(
-                f"this agent was trained at reference speeds of {self.speeds[0]:g} to {self.speeds[1]:g} m/s, and the "
-                f"episode begins at {speed.min():.2g} to {speed.max():.2g} m/s: choose the agent of that regime",
-                stacklevel=3,
-            )
-            self.speeds = 0.0, math.inf
+        return arrays["command"].T.astype(np.float32), memory
 
     def _applied(self, features: Array, hidden: Array) -> tuple[Array, Array]:
         """Return correction and hidden state of `Network.forward`, block by block."""
@@ -200,7 +170,7 @@ class ResidualPolicy:
         correction, hidden = (np.concatenate(rows, axis=1) for rows in zip(*parts, strict=True))
         return correction, hidden
 
-    def _renewed(self, state: Memory | None, n: int, episode_start: NDArray[np.bool_] | None) -> Memory:
+    def _renewed(self, state: Memory | None, n: int, episode_start: Starts) -> Memory:
         """Return this policy's own memory of n vehicles."""
         if state and len(state[0]) == n and (episode_start is None or not np.count_nonzero(episode_start)):
             return state[: self.OWN]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from auv_gym.installation import install
 from auv_gym.task.observation import SIZE
 from auv_gym.task.policy import Policy, checked_authority
-from baselines.policy import Memory
+from baselines.policy import Batched, Memory, Starts
 
 _ALGORITHMS = {
     "stable_baselines3.common.policies": ("stable_baselines3", "PPO"),
@@ -35,7 +35,7 @@ LARGEST_DATA = 2**26
 """Largest description [bytes] that is read."""
 
 
-class Model:
+class Model(Batched):
     """A model whose observations are normalised as they were in training, and whose action may correct an expert's."""
 
     def __init__(self, model: Any, statistics: Any, expert: Policy | None, authority: Any = _AUTHORITY) -> None:
@@ -43,20 +43,14 @@ class Model:
         self.model, self.statistics, self.expert = model, statistics, expert
         self.authority = np.array(checked_authority(authority))
 
-    def predict(
-        self,
-        observation: NDArray[Any],
-        state: Memory | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
+    def actions(
+        self, rows: NDArray[Any], state: Memory | None, episode_start: Starts, deterministic: bool
     ) -> tuple[NDArray[np.float32], Memory | None]:
-        """Return the action (2,) or actions (N, 2) and the model's memory."""
+        """Return actions and the model's memory, see `Batched`."""
         if self.expert is None:
-            action, state = self._act(observation, state, episode_start, deterministic)
-            return action, state
-        base, _ = self.expert.predict(observation, None, episode_start, deterministic)
-        seen = np.concatenate((observation, base), axis=-1)
-        correction, state = self._act(seen, state, episode_start, deterministic)
+            return self._act(rows, state, episode_start, deterministic)
+        base, _ = self.expert.predict(rows, None, episode_start, deterministic)
+        correction, state = self._act(np.hstack((rows, base)), state, episode_start, deterministic)
         action = base.astype(np.float64) + self.authority * np.clip(correction, -1.0, 1.0)
         return np.clip(action, -1.0, 1.0).astype(np.float32), state
 

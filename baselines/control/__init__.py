@@ -4,24 +4,46 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.task.policy import Policy
-from baselines.control.adaptive import make_adaptive
-from baselines.control.backstepping import Backstepping
-from baselines.control.backstepping_tuned import make_backstepping_tuned, make_normalised_tuned
-from baselines.control.clairvoyant.policy import Clairvoyant
-from baselines.control.current_observer import make_current_observer
-from baselines.control.ekf_law import make_ekf_adverse, make_ekf_law
-from baselines.control.ilos import make_ilos
-from baselines.control.integral import make_integral, make_integral_normalised
-from baselines.control.los_pid import make_los_pid
-from baselines.control.lqi import make_lqi
-from baselines.control.nmpc.controller import make_nmpc, make_nmpc_adverse
+from baselines.control.adaptive import Adaptive, AdaptiveGains
+from baselines.control.backstepping import LAW_GAINS, SCALED_GAINS, Backstepping, make_tuned
+from baselines.control.current_observer import CurrentObserver, ObserverGains
+from baselines.control.ekf_law import ADVERSE_GAINS, EKF_GAINS, EkfLaw
+from baselines.control.ilos import Ilos, IlosGains
+from baselines.control.integral import NORMALISED_GAINS, PRINTED_GAINS, IntegralLaw
+from baselines.control.los_pid import LineOfSightPID, PIDGains
+from baselines.control.lqi import LQI, LqiWeights
+from baselines.control.nmpc.controller import make_nmpc
 from baselines.control.open_loop import OpenLoop
-from baselines.control.oracle import Oracle
-from baselines.control.smc_dob import make_smc_dob
+from baselines.control.privileged.clairvoyant import Clairvoyant
+from baselines.control.privileged.oracle import Oracle
+from baselines.control.smc_dob import SmcDob, SmcGains
+from baselines.gains.loading import tuned_policy
+from baselines.policy import Controller
+
+TUNED: dict[str, tuple[tuple[str, ...], Callable[[Mapping[str, float], Vehicle], Controller]]] = {
+    "integral": (PRINTED_GAINS, IntegralLaw),
+    "integral-normalised": (NORMALISED_GAINS, IntegralLaw),
+    "los-pid": (PIDGains._fields, LineOfSightPID),
+    "lqi": (LqiWeights._fields, LQI),
+    "current-observer": (ObserverGains._fields, CurrentObserver),
+    "ilos": (IlosGains._fields, Ilos),
+    "adaptive": (AdaptiveGains._fields, Adaptive),
+    "smc-dob": (SmcGains._fields, SmcDob),
+    "ekf": (EKF_GAINS, EkfLaw),
+    "ekf-adverse": (ADVERSE_GAINS, EkfLaw),
+}
+"""Controllers with memory by name: the names of their gains, and what makes them from gains for a vehicle."""
+
+
+def _tuned(name: str) -> Callable[..., Policy]:
+    """Return the factory of a controller of `TUNED`, with the arguments `gains` and `vehicle` of `tuned_policy`."""
+    return partial(tuned_policy, name, *TUNED[name])
+
 
 POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
     "backstepping": (
@@ -32,32 +54,44 @@ POLICIES: dict[str, tuple[Callable[..., Policy], dict[str, Any], str]] = {
     "backstepping-paper": (Backstepping, {"gains": "paper"}, "the paper's law with the paper's gains at every speed"),
     "backstepping-robust": (Backstepping, {"gains": "robust"}, "the paper's law, gains tuned for decay up to 2 m/s"),
     "backstepping-normalised": (Backstepping, {"gains": "normalised"}, "the speed-normalised law, spin-safe gains"),
-    "backstepping-tuned": (make_backstepping_tuned, {}, "the paper's law, its gains tuned as everybody's"),
+    "backstepping-tuned": (
+        partial(make_tuned, "backstepping-tuned", LAW_GAINS),
+        {},
+        "the paper's law, its gains tuned as everybody's",
+    ),
     "backstepping-normalised-tuned": (
-        make_normalised_tuned,
+        partial(make_tuned, "backstepping-normalised-tuned", SCALED_GAINS),
         {},
         "the speed-normalised law, its gains tuned as everybody's",
     ),
-    "integral": (make_integral, {}, "the paper's law with the position error's integral"),
+    "integral": (_tuned("integral"), {}, "the paper's law with the position error's integral"),
     "integral-normalised": (
-        make_integral_normalised,
+        _tuned("integral-normalised"),
         {},
         "the speed-normalised law with the position error's integral",
     ),
-    "ilos": (make_ilos, {}, "integral line-of-sight guidance with a sway observer, for trajectories"),
-    "los-pid": (make_los_pid, {}, "line-of-sight guidance, PID autopilots and the planner's feed-forward"),
-    "smc-dob": (make_smc_dob, {}, "sliding-mode control with a disturbance observer and boundary layers"),
-    "lqi": (make_lqi, {}, "linear-quadratic control with integral action, gains scheduled with speed and turn rate"),
-    "adaptive": (make_adaptive, {}, "the speed-normalised law in the water frame with L1 adaptive augmentation"),
+    "ilos": (_tuned("ilos"), {}, "integral line-of-sight guidance with a sway observer, for trajectories"),
+    "los-pid": (_tuned("los-pid"), {}, "line-of-sight guidance, PID autopilots and the planner's feed-forward"),
+    "smc-dob": (_tuned("smc-dob"), {}, "sliding-mode control with a disturbance observer and boundary layers"),
+    "lqi": (
+        _tuned("lqi"),
+        {},
+        "linear-quadratic control with integral action, gains scheduled with speed and turn rate",
+    ),
+    "adaptive": (_tuned("adaptive"), {}, "the speed-normalised law in the water frame with L1 adaptive augmentation"),
     "current-observer": (
-        make_current_observer,
+        _tuned("current-observer"),
         {},
         "the speed-normalised law in the water frame, a simple observer",
     ),
-    "ekf": (make_ekf_law, {}, "the same on an extended Kalman filter of vehicle, actuators and sea"),
+    "ekf": (_tuned("ekf"), {}, "the same on an extended Kalman filter of vehicle, actuators and sea"),
     "nmpc": (make_nmpc, {}, "nonlinear model predictive control on the same filter, with a preview of the path"),
-    "ekf-adverse": (make_ekf_adverse, {}, "the law of ekf on a filter of biased sensors and weak, late actuators too"),
-    "nmpc-adverse": (make_nmpc_adverse, {}, "the control of nmpc on that filter"),
+    "ekf-adverse": (
+        _tuned("ekf-adverse"),
+        {},
+        "the law of ekf on a filter of biased sensors and weak, late actuators too",
+    ),
+    "nmpc-adverse": (make_nmpc, {"adverse": True}, "the control of nmpc on that filter"),
     "oracle": (Oracle, {}, "knows plant, current, waves and lag, now and in future: a regulator; evaluation only"),
     "clairvoyant": (
         Clairvoyant,

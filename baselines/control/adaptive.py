@@ -17,7 +17,6 @@ cancelled below a bandwidth.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any, NamedTuple, cast
 
 from auv_gym.physics.errors import to_body, to_world
@@ -28,7 +27,6 @@ from baselines.control.backstepping import tracking_forces
 from baselines.control.ekf_law import undamped_symbols
 from baselines.control.traced import TracedController, TracedLaw, effective_periods, foreseen_velocities
 from baselines.estimation.water_frame import Planned, Sea, planned, reference_motion, water_errors
-from baselines.gains.loading import tuned_policy
 
 LARGEST_SIGMA = 10.0
 """Bound [m/s^2], [rad/s^2] of sigma."""
@@ -156,7 +154,3 @@ class Adaptive(TracedController):
     """The controller; its gains are the fields of `AdaptiveGains`."""
 
     law = TracedLaw(adaptive, AdaptiveGains, AdaptiveMemory)
-
-
-make_adaptive = partial(tuned_policy, "adaptive", AdaptiveGains._fields, Adaptive)
-"""Returns the controller as a policy; its arguments `gains` and `vehicle` are those of `tuned_policy`."""

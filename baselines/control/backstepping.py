@@ -17,9 +17,10 @@ from typing import Any, NamedTuple
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.namespaces import FLOATS, Namespace, Number
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
+from auv_gym.scenarios.presets import REGIMES
 from auv_gym.scenarios.vehicles import as_vehicle
 from auv_gym.task.policy import Law
-from baselines.gains.loading import FOLDER
+from baselines.gains.loading import FOLDER, load_gains
 from baselines.policy import U_R, V_R, is_fast, reference_speed, squared_speed
 
 NAME = "backstepping"  # that the file of its gains begins with
@@ -194,3 +195,20 @@ class Backstepping(Law):
                 StabilityWarning,
                 stacklevel=4,
             )
+
+
+def make_tuned(
+    name: str, names: Sequence[str], vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE
+) -> Backstepping:
+    """Return the law with gains that were tuned with the budget of every controller, by the speed of the reference.
+
+    Args:
+        name: that the files of its gains begin with.
+        names: of its gains.
+        vehicle: the vehicle that the law believes in; an object, a name or a dict.
+
+    Raises:
+        ValueError: unknown vehicle, or a file is not what it must be, see `load_gains`.
+    """
+    slow, cruise = (Gains(**load_gains(name, regime, names)) for regime in REGIMES)
+    return Backstepping((slow, cruise), vehicle)

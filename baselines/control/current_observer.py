@@ -13,32 +13,33 @@ mistaken for current.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import cache, partial
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
-import numpy as np
-
-from auv_gym.codegen.graph import SYMBOLS, Symbol
-from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.dynamics import rk4_step
 from auv_gym.physics.errors import to_body, to_world
-from auv_gym.physics.namespaces import Array, Namespace, Number
+from auv_gym.physics.namespaces import Namespace, Number
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.task.observation import Observation, V
-from baselines.control.backstepping import UNDAMPED_GAINS, Gains, tracking_forces
+from baselines.control.backstepping import tracking_forces
 from baselines.control.ekf_law import undamped_symbols
-from baselines.estimation.kalman import VEHICLE_ROWS, repeated
+from baselines.control.traced import TracedController, TracedLaw
 from baselines.estimation.water_frame import Planned, Sea, planned, reference_motion, water_errors
-from baselines.gains.loading import tuned_policy
-from baselines.policy import Memory
-
-OBSERVER_GAINS = (*UNDAMPED_GAINS, "fast", "slow")
-"""Names of the gains: the law's, see `backstepping.undamped`, and the observer's poles [1/s]."""
 
 
-class Observed(NamedTuple):
-    """What the observer remembers."""
+class ObserverGains(NamedTuple):
+    """Gains of the law, see `backstepping.undamped`, and the observer's poles."""
+
+    k: Number  # [1/s]
+    cu: Number  # [1/s]
+    c: Number  # [1/s]
+    cr: Number  # [1/s]
+    reference_speed: Number  # [m/s]
+    fast: Number  # [1/s]
+    slow: Number  # [1/s]
+
+
+class ObserverMemory(NamedTuple):
+    """What is remembered: of the observer, then of the planner in the water frame, see `water_frame.Planned`."""
 
     begun: Number  # 1 once it has run, 0 before
     u: Number  # [m/s] of the copy, relative to the water
@@ -47,74 +48,33 @@ class Observed(NamedTuple):
     r: Number  # [rad/s] measured
     V_x: Number  # [m/s] the current c in the world
     V_y: Number  # [m/s]
+    count: Number
+    a_x: Number
+    a_y: Number
+    before_x: Number
+    before_y: Number
+    w: Number
+    rest: Number
 
 
-class CurrentObserver:
-    """The law with its observer, a `Controller`.
-
-    Its memory: the rows of an `Observed`, shape (N, 7); those of the planner, a `water_frame.Planned`, shape (N, 7).
-    """
-
-    def __init__(self, gains: Mapping[str, float], vehicle: Vehicle) -> None:
-        """Make the controller; its gains are named in `OBSERVER_GAINS`."""
-        self._known = np.array((*vehicle.coefficients, *(gains[name] for name in OBSERVER_GAINS)))[:, None]
-
-    def start(self, n: int) -> Memory:
-        """Return the memory at the start of n episodes."""
-        return np.zeros((len(Observed._fields), n)).T, np.zeros((len(Planned._fields), n)).T
-
-    def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
-        """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
-        seen, plan = memory
-        terms = np.array(o)
-        known = repeated(self._known, terms.shape[1])
-        found = observer_kernel()(o=terms, known=known, seen=seen.T, plan=plan.T)
-        F_u, F_r = found["force"]
-        return F_u, F_r, (found["seen"].T, found["plan"].T)
-
-
-@cache
-def observer_kernel() -> Kernel:
-    """Return the kernel of observer and law, which takes observation, vehicle and gains, and what is remembered."""
-
-    def equation(
-        o: Sequence[Symbol], known: Sequence[Symbol], seen: Sequence[Symbol], plan: Sequence[Symbol]
-    ) -> Mapping[str, Sequence[Any]]:
-        coefficients, (*gains, fast, slow) = Coefficients(*known[:VEHICLE_ROWS]), known[VEHICLE_ROWS:]
-        terms, ns = Observation(*o), SYMBOLS
-        after = observed(terms, Observed(*seen), (fast, slow), coefficients, ns)
-        following, force = _law_forces(terms, after, Planned(*plan), coefficients, undamped_symbols(gains), ns)
-        return {"seen": after, "plan": following, "force": force}
-
-    rows = {"o": len(Observation._fields), "known": VEHICLE_ROWS + len(OBSERVER_GAINS)}
-    rows |= {"seen": len(Observed._fields), "plan": len(Planned._fields)}
-    return Kernel.traced(equation, rows, structural=True, blocked=True)
-
-
-def _law_forces(
-    o: Observation, seen: Observed, plan: Planned, coefficients: Coefficients, gains: Gains, ns: Namespace
-) -> tuple[Planned, tuple[Number, Number]]:
-    """Return what the planner remembers, and F_u [N], F_r [N m].
-
-    Args:
-        o: the observation in SI units.
-        seen: the observer with it.
-        plan: what the planner remembers.
-        coefficients: of the vehicle.
-        gains: of the law.
-        ns: the namespace of the numbers.
-    """
-    motion, sea = reference_motion(o, coefficients, ns), Sea(seen.V_x, seen.V_y)
-    plan, R = planned(plan, motion, sea, o.dt, coefficients, ns)
-    V_u, V_v = to_body(seen.V_x, seen.V_y, o.cos_psi, o.sin_psi)
-    errors = water_errors((o.e_x, o.e_y, seen.psi, o.u_R + o.u_e - V_u, o.v_R + o.v_e - V_v, seen.r), R, ns)
-    return plan, tracking_forces(errors, cast(Vehicle, coefficients), gains, ns)
+def current_observer(
+    o: Observation, before: ObserverMemory, g: ObserverGains, vehicle: Coefficients, ns: Namespace
+) -> tuple[ObserverMemory, tuple[Number, Number]]:
+    """Return what is remembered, and F_u [N], F_r [N m]; see `traced.Equation`."""
+    seen = observed(o, before, (g.fast, g.slow), vehicle, ns)
+    _, _, _, psi, r, V_x, V_y = seen
+    motion = reference_motion(o, vehicle, ns)
+    plan, R = planned(Planned(*before[len(seen) :]), motion, Sea(V_x, V_y), o.dt, vehicle, ns)
+    V_u, V_v = to_body(V_x, V_y, o.cos_psi, o.sin_psi)
+    errors = water_errors((o.e_x, o.e_y, psi, o.u_R + o.u_e - V_u, o.v_R + o.v_e - V_v, r), R, ns)
+    law = undamped_symbols((g.k, g.cu, g.c, g.cr, g.reference_speed))
+    return ObserverMemory._make((*seen, *plan)), tracking_forces(errors, cast(Vehicle, vehicle), law, ns)
 
 
 def observed(
-    o: Observation, before: Observed, poles: tuple[Number, Number], coefficients: Coefficients, ns: Namespace
-) -> Observed:
-    """Return the observer after one more observation.
+    o: Observation, before: ObserverMemory, poles: tuple[Number, Number], coefficients: Coefficients, ns: Namespace
+) -> tuple[Number, ...]:
+    """Return the first rows of `ObserverMemory`, the observer's, after one more observation.
 
     Args:
         o: the observation in SI units.
@@ -137,7 +97,7 @@ def observed(
     found = u + copy_u * nu_u, v + copy_v * nu_v, before.V_x + x, before.V_y + y
     u, v, V_x, V_y = (ns.clip(velocity, -V, V) for velocity in found)  # finite even where the vehicle spins
     psi = ns.arctan2(o.sin_psi, o.cos_psi)
-    return Observed(ns.where(before.begun > 0.0, before.begun, 1.0), u, v, psi, o.r_R + o.r_e, V_x, V_y)
+    return ns.where(before.begun > 0.0, before.begun, 1.0), u, v, psi, o.r_R + o.r_e, V_x, V_y
 
 
 def sampled_gains(drag: Number, poles: tuple[Number, Number], dt: Number, ns: Namespace) -> tuple[Number, Number]:
@@ -154,5 +114,7 @@ def sampled_gains(drag: Number, poles: tuple[Number, Number], dt: Number, ns: Na
     return 1 - fast * slow / a - follow, follow
 
 
-make_current_observer = partial(tuned_policy, "current-observer", OBSERVER_GAINS, CurrentObserver)
-"""Returns the controller as a policy; its arguments `gains` and `vehicle` are those of `tuned_policy`."""
+class CurrentObserver(TracedController):
+    """The controller; its gains are the fields of `ObserverGains`."""
+
+    law = TracedLaw(current_observer, ObserverGains, ObserverMemory)

@@ -7,7 +7,7 @@ runs ahead of the actuators by what they are behind, as far as their lag is know
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache, partial
+from functools import cache
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -33,7 +33,6 @@ from baselines.estimation.kalman import (
 )
 from baselines.estimation.sea_model import SIZE, WAVE_FREQUENCY, Estimate, wave_transition, waves_after
 from baselines.estimation.water_frame import Planned, Sea, planned, reference_motion, water_errors
-from baselines.gains.loading import tuned_policy
 from baselines.policy import Memory, is_fast, squared_speed
 
 _NEAR = 3.0  # [s] bound of the position error that the tuned gains see, see `backstepping.bounded_error`
@@ -161,8 +160,3 @@ def foreseen_sea(z: Estimate, dt: Number, ns: Namespace) -> tuple[Number, Number
     X_wave, _, Y_wave, Y_swing, N_wave, _ = waves_after(z, wave_transition(0.5 * dt, ns))
     Y_rate = WAVE_FREQUENCY * Y_swing
     return z.X + X_wave, z.N + N_wave, Sea(z.V_x, z.V_y, z.V_x_rate, z.V_y_rate, z.Y + Y_wave, Y_rate)
-
-
-make_ekf_law = partial(tuned_policy, "ekf", EKF_GAINS, EkfLaw)
-make_ekf_adverse = partial(tuned_policy, "ekf-adverse", ADVERSE_GAINS, EkfLaw)
-"""Return the controller as a policy, the second one believing in faults; see `tuned_policy` for the arguments."""

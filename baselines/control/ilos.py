@@ -18,7 +18,6 @@ and yaw are linearised with velocities relative to the water.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import NamedTuple
 
 from auv_gym.physics.errors import to_body, to_world
@@ -26,7 +25,6 @@ from auv_gym.physics.namespaces import Namespace, Number, wrap_angle
 from auv_gym.physics.vehicle import Coefficients
 from auv_gym.task.observation import Observation, V
 from baselines.control.traced import TracedController, TracedLaw
-from baselines.gains.loading import tuned_policy
 from baselines.policy import reference_speed
 
 LARGEST_SHARE = 0.8
@@ -126,7 +124,3 @@ class Ilos(TracedController):
     """The controller; its gains are the fields of `IlosGains`."""
 
     law = TracedLaw(ilos, IlosGains, IlosMemory)
-
-
-make_ilos = partial(tuned_policy, "ilos", IlosGains._fields, Ilos)
-"""Returns the controller as a policy; its arguments `gains` and `vehicle` are those of `tuned_policy`."""

@@ -8,18 +8,17 @@ along the hull takes a little thrust, the same current across it a whole crab an
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from functools import partial
 
 import numpy as np
 
+from auv_gym.physics.errors import to_body, to_world
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.task.observation import Observation
 from baselines.control.backstepping import LAW_GAINS, Gains, bounded_error, tracking_forces
-from baselines.control.inertial_integral import integrated, seen_from_body
-from baselines.gains.loading import tuned_policy
-from baselines.policy import Memory
+from baselines.policy import Memory, reference_speed
 
 INTEGRAL_GAINS = ("rate", "horizon", "surge")
 """[1/s] of the integral; [s] bound of error and integral as a travel time of the reference; [1] share of surge."""
@@ -51,6 +50,27 @@ class IntegralLaw:
         return F_u, F_r, (xi.T,)
 
 
-make_integral = partial(tuned_policy, "integral", PRINTED_GAINS, IntegralLaw)
-make_integral_normalised = partial(tuned_policy, "integral-normalised", NORMALISED_GAINS, IntegralLaw)
-"""Return the law with integral action as a policy; the arguments `gains` and `vehicle` are those of `tuned_policy`."""
+def integrated(xi: Array, o: Observation, rate: float, horizon: float) -> Array:
+    """Return xi, shape (2, N) [m], one control period later: xi' = rate R(psi) e, in the world frame.
+
+    Against windup: the error e is the bounded one, see `backstepping.bounded_error`; xi stays in the same bound, the
+    distance that the reference travels in `horizon` [s]; and xi is held while an actuator is at its limit.
+
+    Args:
+        xi: the integral so far, shape (2, N).
+        o: the observation, fields of shape (N,).
+        rate: [1/s].
+        horizon: [s].
+    """
+    e_x, e_y, *_ = bounded_error(o, horizon, ARRAYS)
+    moves = (np.abs(o.a_u) < 1.0) & (np.abs(o.a_r) < 1.0)
+    grown: Array = xi + rate * o.dt * moves * np.array(to_world(e_x, e_y, o.cos_psi, o.sin_psi))
+    bound = horizon * reference_speed(o.u_R, o.v_R, ARRAYS)
+    shrunk: Array = grown * np.minimum(1.0, bound / np.maximum(np.hypot(*grown), math.ulp(1.0)))
+    return shrunk
+
+
+def seen_from_body(xi: Array, o: Observation) -> Array:
+    """Return R(psi)^T xi, shape (2, N) [m]."""
+    x, y = xi
+    return np.array(to_body(x, y, o.cos_psi, o.sin_psi))

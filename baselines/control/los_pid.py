@@ -9,7 +9,6 @@ Control Systems Technology 22(6):2287-2301, 2014). The heading autopilot is a PI
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,8 +18,7 @@ from auv_gym.physics.namespaces import ARRAYS, Array, wrap_angle
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.task.observation import Observation
 from baselines.control.backstepping import bounded_error
-from baselines.control.inertial_integral import integrated, seen_from_body
-from baselines.gains.loading import tuned_policy
+from baselines.control.integral import integrated, seen_from_body
 from baselines.policy import Memory, first_order, reference_speed
 
 LARGEST_INTEGRAL = 0.5
@@ -31,7 +29,7 @@ class PIDGains(NamedTuple):
     """Gains of guidance and autopilots."""
 
     lookahead: float  # [s] distance to the point steered for, as a travel time of the reference
-    rate: float  # [1/s] of the position error's integral, see `inertial_integral`
+    rate: float  # [1/s] of the position error's integral, see `integral.integrated`
     horizon: float  # [s] bound of error and integral as a travel time of the reference
     crab: float  # [1] share of the measured drift angle that the heading leans against
     crab_time: float  # [s] low-pass of that angle
@@ -87,7 +85,3 @@ class LineOfSightPID:
         F_u = o.F_uR - m22 * (v * r - o.v_R * o.r_R) + m11 * u_dot
         F_r = o.F_rR + g.munk * (m22 - m11) * (u * v - o.u_R * o.v_R) + m33 * r_dot
         return F_u, F_r, (xi.T, crab, total)
-
-
-make_los_pid = partial(tuned_policy, "los-pid", PIDGains._fields, LineOfSightPID)
-"""Returns the controller as a policy; its arguments `gains` and `vehicle` are those of `tuned_policy`."""

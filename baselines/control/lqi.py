@@ -10,7 +10,7 @@ Motion Control, 2nd ed., 2021, section 16.1.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -19,9 +19,8 @@ from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.task.observation import Observation
 from baselines.control.backstepping import bounded_error
-from baselines.control.inertial_integral import integrated, seen_from_body
+from baselines.control.integral import integrated, seen_from_body
 from baselines.control.linearisation import error_dynamics
-from baselines.gains.loading import tuned_policy
 from baselines.policy import Memory, first_order
 
 if TYPE_CHECKING:  # SciPy is imported where it is used: most policies need none of it
@@ -55,7 +54,7 @@ class LqiWeights(NamedTuple):
     yaw_effort: float  # [m]
     yaw_rate: float  # [m s]
     lag: float  # [s] time constant that the actuators are believed to have
-    rate: float  # [1/s] of the integral, see `inertial_integral`
+    rate: float  # [1/s] of the integral, see `integral.integrated`
     horizon: float  # [s] bound of error and integral as a travel time of the reference
 
 
@@ -166,7 +165,3 @@ class LQI:
             rows = (designs == (dt, *limits)).all(axis=1)
             K[rows] = gain_schedule(self.vehicle, self.weights, dt, (limits[0], limits[1]))(points[rows])
         return K
-
-
-make_lqi = partial(tuned_policy, "lqi", LqiWeights._fields, LQI)
-"""Returns the controller as a policy; its arguments `gains` and `vehicle` are those of `tuned_policy`."""

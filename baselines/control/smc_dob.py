@@ -16,7 +16,6 @@ drift angle the vehicle will settle, and the heading is turned against that angl
 
 from __future__ import annotations
 
-from functools import partial
 from typing import NamedTuple
 
 from auv_gym.physics.errors import to_world
@@ -24,7 +23,6 @@ from auv_gym.physics.namespaces import Namespace, Number, wrap_angle
 from auv_gym.physics.vehicle import Coefficients
 from auv_gym.task.observation import Observation
 from baselines.control.traced import TracedController, TracedLaw, effective_periods, foreseen_velocities
-from baselines.gains.loading import tuned_policy
 from baselines.policy import reference_speed
 
 LARGEST_LOAD = 10.0
@@ -122,7 +120,3 @@ class SmcDob(TracedController):
     """The controller; its gains are the fields of `SmcGains`."""
 
     law = TracedLaw(smc_dob, SmcGains, SmcMemory)
-
-
-make_smc_dob = partial(tuned_policy, "smc-dob", SmcGains._fields, SmcDob)
-"""Returns the controller as a policy; its arguments `gains` and `vehicle` are those of `tuned_policy`."""

@@ -82,7 +82,7 @@ def _of_controller(name: str) -> str:
     code = list(_closure(*(part.__module__ for part in parts if callable(part))))
     if not code and (file := inspect.getsourcefile(inspect.getmodule(factory) or type(factory))):
         code = [_unit(Path(file))]
-    words = set().union(*(unit.words for unit in code))
+    words = {part for part in parts if isinstance(part, str)}.union(*(unit.words for unit in code))
     gains = [file for file in sorted(GAINS.glob("*.json")) if file.stem.rpartition("-")[0] in words]
     numbers = [json.dumps([file.name, _gains(file)], sort_keys=True) for file in gains]
     settings = [repr(part) for part in parts if not callable(part)] + [repr(sorted(options.items()))]

@@ -4,22 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Protocol
 
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.task.policy import Policy
-from baselines.control import ekf_law
-from baselines.control.adaptive import AdaptiveGains, make_adaptive
+from baselines.control import POLICIES, TUNED
 from baselines.control.backstepping import LAW_GAINS, SCALED_GAINS, Backstepping, Gains
-from baselines.control.current_observer import OBSERVER_GAINS, make_current_observer
-from baselines.control.ekf_law import EKF_GAINS, make_ekf_adverse, make_ekf_law
-from baselines.control.ilos import IlosGains, make_ilos
-from baselines.control.integral import NORMALISED_GAINS, PRINTED_GAINS, make_integral, make_integral_normalised
-from baselines.control.los_pid import PIDGains, make_los_pid
-from baselines.control.lqi import LqiWeights, make_lqi
-from baselines.control.nmpc import controller as nmpc
-from baselines.control.nmpc.controller import NMPC_GAINS, make_nmpc, make_nmpc_adverse
-from baselines.control.smc_dob import SmcGains, make_smc_dob
+from baselines.control.nmpc.controller import ADVERSE_GAINS, NMPC_GAINS
 
 
 class Maker(Protocol):
@@ -43,27 +35,24 @@ def _printed(gains: dict[str, float], vehicle: Vehicle = PAPER_VEHICLE) -> Backs
     return Backstepping(Gains(**gains), vehicle)
 
 
-LQI_SWEEP = dict.fromkeys(("surge_effort", "surge_rate", "yaw_effort", "yaw_rate"), 1.0)
-"""The weights of the commands of `lqi` follow the factor of a sweep."""
-EKF_SWEEP = dict.fromkeys(("k", "cu", "c", "cr"), -0.25)
-"""The law of `ekf` has no weights: all of its rates go down."""
-NMPC_SWEEP = dict.fromkeys(("surge", "yaw"), 1.0)
-"""The weights of the commands of `nmpc` follow the factor of a sweep."""
+def _tunable(name: str, names: Sequence[str]) -> Tunable:
+    """Return the entry of a controller whose factory takes gains; one that knows of faults is tuned among them."""
+    factory, options, _ = POLICIES[name]
+    world = "adverse" if name.endswith("-adverse") else "plain"
+    return Tunable(partial(factory, **options), names, world, SWEEPS.get(name, {}))
 
+
+SWEEPS: Mapping[str, Mapping[str, float]] = {
+    "lqi": dict.fromkeys(("surge_effort", "surge_rate", "yaw_effort", "yaw_rate"), 1.0),  # weights of the commands
+    "ekf": dict.fromkeys(("k", "cu", "c", "cr"), -0.25),  # it has no such weights: all rates of its law go down
+    "nmpc": dict.fromkeys(("surge", "yaw"), 1.0),  # weights of the commands
+}
+"""By name, the powers of a sweep's factor that gains follow."""
 TUNABLES: dict[str, Tunable] = {
     "backstepping-tuned": Tunable(_printed, LAW_GAINS),
     "backstepping-normalised-tuned": Tunable(_printed, SCALED_GAINS),
-    "integral": Tunable(make_integral, PRINTED_GAINS),
-    "integral-normalised": Tunable(make_integral_normalised, NORMALISED_GAINS),
-    "los-pid": Tunable(make_los_pid, PIDGains._fields),
-    "lqi": Tunable(make_lqi, LqiWeights._fields, sweep=LQI_SWEEP),
-    "current-observer": Tunable(make_current_observer, OBSERVER_GAINS),
-    "ilos": Tunable(make_ilos, IlosGains._fields),
-    "adaptive": Tunable(make_adaptive, AdaptiveGains._fields),
-    "smc-dob": Tunable(make_smc_dob, SmcGains._fields),
-    "ekf": Tunable(make_ekf_law, EKF_GAINS, sweep=EKF_SWEEP),
-    "ekf-adverse": Tunable(make_ekf_adverse, ekf_law.ADVERSE_GAINS, "adverse"),
-    "nmpc": Tunable(make_nmpc, NMPC_GAINS, sweep=NMPC_SWEEP),
-    "nmpc-adverse": Tunable(make_nmpc_adverse, nmpc.ADVERSE_GAINS, "adverse"),
+    **{name: _tunable(name, names) for name, (names, _) in TUNED.items()},
+    "nmpc": _tunable("nmpc", NMPC_GAINS),
+    "nmpc-adverse": _tunable("nmpc-adverse", ADVERSE_GAINS),
 }
-"""What can be tuned, by name: add an entry here."""
+"""What can be tuned, by name: add an entry here; a controller of `TUNED` is among them."""

@@ -20,7 +20,7 @@ import numpy as np
 from auv_gym.installation import checkout
 from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES
 from auv_gym.scenarios.scenario import Scenario
-from baselines.control.clairvoyant.solver import GOOD
+from baselines.control.privileged.solver import GOOD
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import most_lost
 from baselines.evaluation.rollout import rollout

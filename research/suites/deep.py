@@ -19,7 +19,7 @@ from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.presets import PRESETS, REGIMES
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.simulation import SAMPLE, estimated_position
-from baselines.control.truth import Truth
+from baselines.control.privileged.truth import Truth
 from baselines.evaluation.metrics import tail_rmse
 from baselines.evaluation.runner import Cell
 

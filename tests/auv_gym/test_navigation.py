@@ -22,7 +22,7 @@ from auv_gym.task.simulation import NOISE, SAMPLE
 from baselines import make_policy
 from baselines.agents.features import FEATURES
 from baselines.agents.networks import Gru
-from baselines.control.truth import samples
+from baselines.control.privileged.truth import samples
 from baselines.evaluation import suites
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import Cell, Recorded, run_all

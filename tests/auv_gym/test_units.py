@@ -119,12 +119,12 @@ def test_shown_columns_behind_the_terms_are_a_preview_or_left_alone():
 
         def predict(self, observation, state=None, episode_start=None, deterministic=True):
             self.shown = observation
-            return np.zeros(2, np.float32), state
+            return np.zeros((1, 2), np.float32), state
 
     seen = Seen()
     given = np.ones(SIZE + 4, dtype=np.float32)
     Similar(seen, UNITS).predict(given)
-    assert seen.shown[SIZE:].tolist() == [0.5, 0.5, 1.0, 1.0]
+    assert seen.shown[0, SIZE:].tolist() == [0.5, 0.5, 1.0, 1.0]
     assert given.tolist() == [1.0] * (SIZE + 4)  # not changed in place
 
 
@@ -141,7 +141,7 @@ def test_what_looks_behind_the_observation_is_not_wrapped(name):
 
 def test_a_regimes_agent_warns_of_speeds_in_si_units():
     policy = make_policy("apg-preview-slow", vehicle="otter")
-    with pytest.warns(UserWarning, match=r"trained at speeds that are 0 to 0.27 m/s for this vehicle") as caught:
+    with pytest.warns(UserWarning, match=r"trained at reference speeds of 0 to 0.27 m/s") as caught:
         run(policy, changed(PRESETS["cruise-calm"], "otter"), steps=2)
     assert len(caught) == 1
 

@@ -302,28 +302,6 @@ def test_decides_alike_in_single_precision_and_as_a_copy():
         observation, *_ = env.step(action)
 
 
-def test_memory_is_each_vehicles_own():
-    """Side by side, one by one and with a restart in between: the same actions."""
-    policy = agent(expert="ekf").policy()
-    rng = np.random.default_rng(0)
-    env = UnderactuatedAUVTrackEnv("cruise-storm")
-    first, _ = env.reset(seed=0)
-    observations = np.stack([first, *(env.step(rng.uniform(-1, 1, 2))[0] for _ in range(12))])
-    state, single, kept = None, None, []
-    for k, o in enumerate(observations):
-        batch = np.stack((o, observations[k - 6] if k >= 6 else o))
-        action, state = policy.predict(batch, state, np.array([k == 0, k == 6]))
-        alone, single = policy.predict(o, single)
-        np.testing.assert_allclose(action[0], alone, atol=1e-6)
-        if k < 6:
-            np.testing.assert_array_equal(action[0], action[1])
-            kept.append(alone)
-        elif k < 12:
-            np.testing.assert_allclose(action[1], kept[k - 6], atol=1e-6)
-    with pytest.raises(ValueError, match="of 2 vehicles"):
-        policy.predict(observations[0], state)
-
-
 def test_shipped_agents_are_policies_by_name(tmp_path, monkeypatch):
     from baselines.agents import names
 

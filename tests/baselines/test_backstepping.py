@@ -13,7 +13,7 @@ import baselines
 from auv_gym.physics.dynamics import rates
 from auv_gym.physics.namespaces import ARRAYS, FLOATS
 from auv_gym.physics.vehicle import PAPER_VEHICLE as V
-from auv_gym.task.observation import BOUNDS, SIZE, Observation, decode_observation, encode_observation
+from auv_gym.task.observation import SIZE, Observation, decode_observation, encode_observation
 from baselines.control.backstepping import GAINS, Backstepping, Gains, StabilityWarning, lyapunov_terms, tracking_forces
 from baselines.policy import action_of, is_fast, reference_speed
 
@@ -102,19 +102,6 @@ def test_normalised_form_is_the_same_in_scaled_errors_at_every_speed(e_x, e_y, p
     fast = observation(ratio * e_x, ratio * e_y, psi_e, ratio * 0.01, ratio * -0.02, 0.03, speed)
     assert tracking_forces(slow, V, gains) == pytest.approx(tracking_forces(slow, V, PAPER))
     assert tau(fast) == pytest.approx((ratio * tau(slow)[0], tau(slow)[1]), rel=1e-9, abs=1e-9)
-
-
-@pytest.mark.filterwarnings("ignore::baselines.control.backstepping.StabilityWarning")
-@pytest.mark.parametrize("name", [n for n in baselines.list_policies() if n.startswith("backstepping")])
-def test_batch_equals_single(name):
-    rows = np.random.default_rng(0).uniform(-0.3, 0.3, (20, SIZE)) * np.minimum(BOUNDS, 8)
-    rows[:, 13:15] = 3.0
-    policy = baselines.make_policy(name)
-    batch, state = policy.predict(rows, ("memory",))
-    assert (batch.dtype, batch.shape, state) == (np.float32, (20, 2), ("memory",))
-    singles = np.array([policy.predict(row)[0] for row in rows])
-    assert batch == pytest.approx(singles, rel=1e-6, abs=1e-6)
-    assert (np.abs(batch) <= 1).all()
 
 
 def test_auto_chooses_the_gains_by_speed():

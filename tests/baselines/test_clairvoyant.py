@@ -11,14 +11,13 @@ from auv_gym.physics.rows import leaves
 from auv_gym.scenarios.presets import CASES, PRESETS
 from auv_gym.task.simulation import Parameters, start, step
 from baselines import make_policy
-from baselines.control.clairvoyant.policy import arriving, oracle_actions
-from baselines.control.clairvoyant.problem import HEAD, PRICE, Problem
-from baselines.control.clairvoyant.solver import TOLERANCE, solved
-from baselines.control.truth import Truth
+from baselines.control.privileged.clairvoyant import arriving, oracle_actions
+from baselines.control.privileged.problem import HEAD, PRICE, Problem
+from baselines.control.privileged.solver import TOLERANCE, solved
+from baselines.control.privileged.truth import Truth
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.suites import load
-from baselines.policy import Privileged
 
 
 def optimum(scenario, episodes):
@@ -79,12 +78,3 @@ def test_commands_arrive_late():
     late = arriving(actions, np.array([0, 2]))
     np.testing.assert_array_equal(late[..., 0], actions[..., 0])
     np.testing.assert_array_equal(late[..., 1], [[0, 0], [0, 0], actions[0, :, 1]])
-
-
-def test_it_is_privileged_and_says_so():
-    best = make_policy("clairvoyant")
-    assert isinstance(best, Privileged)
-    with pytest.raises(RuntimeError, match="needs prepare"):
-        best.predict(np.zeros((1, 18)))
-    with pytest.raises(RuntimeError, match="needs prepare"):
-        best.observe(None)

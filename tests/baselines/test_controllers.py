@@ -16,23 +16,23 @@ from auv_gym.planning.paths import Circle, Line
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Start
 from auv_gym.task.observation import BOUNDS, SCALES
-from baselines.control.integral import NORMALISED_GAINS, PRINTED_GAINS
+from auv_gym.task.policy import preview_of
 from baselines.control.linearisation import error_dynamics
-from baselines.control.los_pid import PIDGains
 from baselines.control.lqi import LqiWeights, gain_schedule, optimal_gain, sampled_model
 from baselines.gains import loading as gain_files
 from baselines.gains.loading import load_gains
 from baselines.policy import CRUISE_SPEED, BySpeed
+from baselines.tuning.tunables import TUNABLES
 
 NAMES = ["integral", "integral-normalised", "los-pid", "lqi"]
 
 
-def final_errors(policy, speed, current, steps, turn_rate=0.0):
-    """Return the position errors [m] over the last tenth of a run on a steady path that began on the reference."""
+def final_errors(policy, speed, current, steps, turn_rate=0.0, largest=np.inf):
+    """Return the position errors [m] over the last tenth of a run on a steady path; none of it is beyond `largest`."""
     path = Circle(speed=speed, turn_rate=turn_rate) if turn_rate else Line(speed=speed)
     calm = replace(PRESETS["cruise-calm"], path=path, start=Start(), steps=steps + 1)
     scenario = replace(calm, current=RandomCurrent(speed=(current, current), direction=(1.2, 1.2)) if current else None)
-    env = UnderactuatedAUVTrackVectorEnv(1, scenario)
+    env = UnderactuatedAUVTrackVectorEnv(1, scenario, preview=preview_of(policy))
     env.reset(seed=3)
     velocity = np.stack(env.reference, axis=1)[:, 3:6]
     observation, _ = env.reset(seed=3, options={"initial_velocity": velocity})
@@ -41,14 +41,19 @@ def final_errors(policy, speed, current, steps, turn_rate=0.0):
         action, memory = policy.predict(observation, memory)
         observation, *_, info = env.step(action)
         errors.append(info["position_error"][0])
+    assert max(errors) < largest
     return np.array(errors[-steps // 10 :])
 
 
 @pytest.mark.parametrize("speed", [0.2, 1.0])
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES, "nmpc"])
 def test_on_the_reference_in_calm_water_it_stays(name, speed):
-    gains = load_gains(name, "cruise" if speed > CRUISE_SPEED else "slow", gain_names(name), "start")
-    assert final_errors(baselines.make_policy(name, gains=gains), speed, 0.0, 200, 0.05).max() < 2e-3 * speed
+    """With the gains that the search began at; those of nmpc are the tuned ones."""
+    part = "gains" if name == "nmpc" else "start"
+    gains = load_gains(name, "cruise" if speed > CRUISE_SPEED else "slow", gain_names(name), part)
+    largest = 0.03 * speed if name == "nmpc" else np.inf  # its filter has to find out that nothing is in the way
+    errors = final_errors(baselines.make_policy(name, gains=gains), speed, 0.0, 200, 0.05, largest)
+    assert errors.max() < 2e-3 * speed
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -77,35 +82,6 @@ def observations(n, regime="cruise"):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_batch_equals_single_and_regimes_mix(name):
-    mixed = np.concatenate((observations(2), observations(2, "slow")))
-    together, alone = baselines.make_policy(name), baselines.make_policy(name)
-    memory, memories = None, [None] * len(mixed)
-    for _ in range(5):
-        actions, memory = together.predict(mixed, memory)
-        for i, observation in enumerate(mixed):
-            action, memories[i] = alone.predict(observation, memories[i])
-            np.testing.assert_allclose(action, actions[i], rtol=1e-5, atol=1e-6)
-            for mine, ours in zip(memories[i], memory, strict=True):
-                np.testing.assert_allclose(mine[0], ours[i], rtol=1e-9, atol=1e-12)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_memory_begins_anew_where_an_episode_does(name):
-    policy, rows = baselines.make_policy(name), observations(3)
-    first, fresh = policy.predict(rows)
-    memory = fresh
-    for _ in range(20):
-        _, memory = policy.predict(rows, memory)
-    later, _ = policy.predict(rows, memory)
-    again, after = policy.predict(rows, memory, np.array([False, True, False]))
-    np.testing.assert_array_equal(again[1], first[1])
-    np.testing.assert_array_equal(again[[0, 2]], later[[0, 2]])
-    for a, b in zip(after, fresh, strict=True):
-        np.testing.assert_array_equal(a[1], b[1])
-
-
-@pytest.mark.parametrize("name", NAMES)
 def test_memory_stays_bounded_however_far_the_vehicle_is(name):
     policy = baselines.make_policy(name)
     rows = observations(4).copy()
@@ -123,9 +99,7 @@ def test_memory_stays_bounded_however_far_the_vehicle_is(name):
 
 
 def gain_names(name):
-    return {"integral": PRINTED_GAINS, "integral-normalised": NORMALISED_GAINS}.get(
-        name, PIDGains._fields if name == "los-pid" else LqiWeights._fields
-    )
+    return TUNABLES[name].names
 
 
 # The LQI against independent computations.

@@ -88,17 +88,6 @@ def test_jacobians_are_complex_step_derivatives(lag):
         np.testing.assert_allclose(H[:, :, j].T, exact, atol=1e-12)
 
 
-@pytest.mark.parametrize("vehicle", [PAPER_VEHICLE, DRAGGY])
-def test_jacobians_are_central_differences(vehicle):
-    rng = np.random.default_rng(1)
-    z, o = random_state(rng, 4), observed(rng, 4)
-    F, _ = kernel_jacobians(z, o, vehicle)
-    for j in range(SIZE):
-        shift = 1e-5 * np.eye(SIZE)[j][:, None]
-        ends = [moved(shifted, o, vehicle) for shifted in (z + shift, z - shift)]
-        np.testing.assert_allclose(F[:, :, j].T, (ends[0] - ends[1]) / 2e-5, rtol=1e-5, atol=1e-6)
-
-
 def test_jacobian_is_that_of_casadi():
     casadi = pytest.importorskip("casadi")
     rng = np.random.default_rng(2)

@@ -14,7 +14,7 @@ from auv_gym.task.observation import SIZE, Observation
 from baselines import make_policy
 from baselines.control.backstepping import GAINS, LAW_GAINS, tracking_forces
 from baselines.control.nmpc.controller import PREVIEW
-from baselines.control.oracle import REGULATORS, regulator
+from baselines.control.privileged.oracle import REGULATORS, regulator
 from baselines.gains.loading import gain_file
 
 U, DT = np.array([0.2, 1.0]), np.array([0.2, 0.1])

@@ -14,9 +14,7 @@ from auv_gym.codegen.kernel import Kernel
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
-from auv_gym.planning.paths import Circle
-from auv_gym.scenarios.scenario import Scenario, Start
-from auv_gym.task.observation import SIZE, Observation, action_of, decode_observation
+from auv_gym.task.observation import SIZE
 from baselines.control.nmpc.casadi_solver import CasadiSolver
 from baselines.control.nmpc.controller import NMPC_GAINS, PREVIEW, one_period_on
 from baselines.control.nmpc.gauss_newton import bounded_minimum, descent, improved, solved, stage_jacobian
@@ -78,29 +76,15 @@ def stage_slopes(vehicle, state, command, known):
 
 
 @pytest.mark.parametrize("vehicle", [PAPER_VEHICLE, DRAGGY])
-def test_derivatives_are_difference_quotients_of_the_stage(vehicle):
-    rng = np.random.default_rng(0)
-    start, ahead = random_problem(rng, 5)
-    both, known = np.concatenate((start, rng.normal(0, 40, (COMMANDS, 5)))), ahead.known[3]
-    AB = stage_slopes(vehicle, both[:STATES], both[STATES:], known)
-    for j in range(STATES + COMMANDS):
-        shift = 1e-4 * np.eye(STATES + COMMANDS)[j][:, None]
-        ends = [
-            np.array(stage(x[:STATES], x[STATES:], Stage(*known), vehicle.coefficients, ARRAYS))
-            for x in (both + shift, both - shift)
-        ]
-        np.testing.assert_allclose(AB[:, :, j].T, (ends[0] - ends[1]) / 2e-4, rtol=1e-7, atol=1e-8)
-
-
-def test_derivatives_are_those_of_casadi():
+def test_derivatives_are_those_of_casadi(vehicle):
     rng = np.random.default_rng(0)
     start, ahead = random_problem(rng, 3)
     commands, known = rng.normal(0, 40, (COMMANDS, 3)), ahead.known[3]
     both, stages = casadi.SX.sym("both", STATES + COMMANDS), casadi.SX.sym("stage", KNOWN)
     state, command = casadi.vertsplit(both)[:STATES], casadi.vertsplit(both)[STATES:]
-    after = casadi.vertcat(*stage(state, command, Stage(*casadi.vertsplit(stages)), DRAGGY.coefficients, casadi))
+    after = casadi.vertcat(*stage(state, command, Stage(*casadi.vertsplit(stages)), vehicle.coefficients, casadi))
     slopes = casadi.Function("slopes", [both, stages], [casadi.jacobian(after, both)])
-    ours = stage_slopes(DRAGGY, start, commands, known)
+    ours = stage_slopes(vehicle, start, commands, known)
     for i in range(3):
         expected = slopes(np.append(start[:, i], commands[:, i]), known[:, i])
         np.testing.assert_allclose(ours[i], np.array(expected), rtol=1e-10, atol=1e-12)
@@ -210,31 +194,6 @@ def observations(n, scenario="cruise-storm"):
     return UnderactuatedAUVTrackVectorEnv(n, scenario, preview=PREVIEW).reset(seed=7)[0]
 
 
-def run(policy, env, steps, observation, memory=None):
-    """Return the position errors [m], shape (steps, N)."""
-    errors, first = [], np.ones(env.num_envs, dtype=bool)
-    for _ in range(steps):
-        action, memory = policy.predict(observation, memory, first)
-        assert (np.abs(action) <= 1).all()
-        observation, *_, info = env.step(action)
-        first = np.zeros_like(first)
-        errors.append(info["position_error"])
-    return np.array(errors)
-
-
-@pytest.mark.parametrize(("speed", "dt"), [(0.2, 0.2), (1.0, 0.1)])
-def test_on_the_reference_in_calm_water_it_stays(speed, dt):
-    scenario = Scenario(path=Circle(speed=speed, turn_rate=0.05), start=Start(), control_dt=dt, steps=200)
-    policy = baselines.make_policy("nmpc")
-    env = UnderactuatedAUVTrackVectorEnv(1, scenario, preview=policy.preview)
-    env.reset(seed=3)
-    velocity = np.stack(env.reference, axis=1)[:, 3:6]
-    observation, _ = env.reset(seed=3, options={"initial_velocity": velocity})
-    errors = run(policy, env, 120, observation)
-    assert errors.max() < 0.03 * speed  # it has to find out that nothing is in the way
-    assert errors[-20:].max() < 2e-3 * speed
-
-
 def test_it_sees_a_turn_coming():
     """From the preview alone: the observation's own terms are those of a straight path."""
     policy, rows = baselines.make_policy("nmpc"), observations(2, "cruise-calm")
@@ -244,33 +203,6 @@ def test_it_sees_a_turn_coming():
     rows[:, SIZE::2], rows[:, SIZE + 1 :: 2] = ahead, [np.zeros_like(ahead), 0.05 * ahead**2]
     action, _ = policy.predict(rows)
     assert action[1, 1] > action[0, 1] + 0.01
-
-
-def test_batch_equals_single_and_regimes_mix():
-    mixed = np.concatenate((observations(2), observations(2, "slow-storm")))
-    together, alone = baselines.make_policy("nmpc"), baselines.make_policy("nmpc")
-    memory, memories = None, [None] * len(mixed)
-    for _ in range(4):
-        actions, memory = together.predict(mixed, memory)
-        for i, observation in enumerate(mixed):
-            action, memories[i] = alone.predict(observation, memories[i])
-            np.testing.assert_allclose(action, actions[i], atol=1e-4)
-            for mine, ours in zip(memories[i], memory, strict=True):
-                np.testing.assert_allclose(mine[0], ours[i], rtol=1e-6, atol=1e-2)
-
-
-def test_memory_begins_anew_where_an_episode_does():
-    policy, rows = baselines.make_policy("nmpc"), observations(3)
-    first, fresh = policy.predict(rows)
-    memory = fresh
-    for _ in range(5):
-        _, memory = policy.predict(rows, memory)
-    later, _ = policy.predict(rows, memory)
-    again, after = policy.predict(rows, memory, np.array([False, True, False]))
-    np.testing.assert_allclose(again[1], first[1], atol=1e-4)
-    np.testing.assert_allclose(again[[0, 2]], later[[0, 2]], atol=1e-4)
-    for a, b in zip(after, fresh, strict=True):
-        np.testing.assert_allclose(a[1], b[1], rtol=1e-9, atol=1e-2)
 
 
 @given(seed=st.integers(0, 2**31 - 1), size=st.floats(0, 1))
@@ -295,27 +227,6 @@ def test_a_spin_beyond_prediction_is_left_to_the_law():
     rows[0, 3:6] = np.array((16.0, 16.0, 8.0)) * (2, 2, 8)
     action, _ = policy.predict(rows)
     np.testing.assert_array_equal(action[0], law.predict(rows[0])[0])
-
-
-def test_without_a_compiler_decisions_are_the_same(monkeypatch):
-    """The printed Python, for several vehicles and for one, on what the compiled one sees."""
-    env = UnderactuatedAUVTrackVectorEnv(2, ["cruise-storm", "slow-storm"], preview=PREVIEW)
-    controller = baselines.make_policy("nmpc").controller.cruise
-    observation, _ = env.reset(seed=5)
-    memory, seen, decided = controller.start(2), [], []
-    for _ in range(25):
-        o = decode_observation(observation)
-        F_u, F_r, memory = controller.forces(o, memory, observation[:, SIZE:])
-        seen.append((o, observation[:, SIZE:]))
-        decided.append((F_u, F_r))
-        observation, *_ = env.step(np.stack(action_of((F_u, F_r), o, ARRAYS), axis=1))
-    monkeypatch.setattr(Kernel, "_native", property(lambda _: None))
-    for lanes in (slice(0, 2), slice(1, 2)):
-        memory = controller.start(len(range(2)[lanes]))
-        for (o, extra), forces in zip(seen, decided, strict=True):
-            own = Observation(*(row[lanes] for row in o))
-            *found, memory = controller.forces(own, memory, extra[lanes])
-            np.testing.assert_allclose(found, np.array(forces)[:, lanes], rtol=1e-9, atol=1e-6)
 
 
 def test_casadi_steers_alike():

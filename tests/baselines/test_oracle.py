@@ -5,10 +5,9 @@ import pytest
 
 from auv_gym.scenarios.presets import CASES, PRESETS
 from baselines import make_policy
-from baselines.control.oracle import ASTRAY, fleet, regulators, rehearsed, settling_gains, true_plan
+from baselines.control.privileged.oracle import ASTRAY, fleet, regulators, rehearsed, settling_gains, true_plan
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
-from baselines.policy import Privileged
 
 
 @pytest.mark.parametrize("regime", ["slow", "cruise"])
@@ -62,13 +61,3 @@ def test_the_fleet_has_every_vehicle():
     for i, vehicle in enumerate(vehicles):
         assert [row[i] for row in rows.coefficients] == list(vehicle.coefficients)
         assert rows.m11[i] == vehicle.m11
-
-
-def test_it_is_privileged_and_says_so():
-    oracle = make_policy("oracle")
-    assert isinstance(oracle, Privileged)
-    assert not isinstance(make_policy("backstepping"), Privileged)
-    with pytest.raises(RuntimeError, match="needs prepare"):
-        oracle.predict(np.zeros((1, 18)))
-    with pytest.raises(RuntimeError, match="needs prepare"):
-        oracle.observe(None)

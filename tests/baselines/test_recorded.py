@@ -141,22 +141,19 @@ def test_code_counts_and_what_it_says_of_itself_does_not(tmp_path):
     assert fingerprints._plain(ast.parse("'alone'\nx = 1")) == fingerprints._plain(ast.parse("x = 1"))
 
 
-def test_a_controller_is_made_of_its_modules_and_gains(tmp_path, monkeypatch):
-    made_of = fingerprints._closure("baselines.control.ekf_law")
-    words = set().union(*(unit.words for unit in made_of))
-    assert "ekf" in words
-    assert "nmpc" not in words
+@pytest.mark.parametrize("name", ["lqi", "ekf", "nmpc", "integral-normalised", "backstepping-tuned"])
+def test_a_controller_is_made_of_its_own_gains(name, tmp_path, monkeypatch):
     shutil.copytree(fingerprints.GAINS, tmp_path / "gains")
     monkeypatch.setattr(fingerprints, "GAINS", tmp_path / "gains")
-    before = {name: fingerprint(name) for name in ("ekf", "lqi")}
-    file = tmp_path / "gains" / "lqi-slow.json"
+    others = {"smc-dob", "los-pid", "adaptive"}
+    before = {own: fingerprint(own) for own in (name, *others)}
+    file = tmp_path / "gains" / f"{name}-slow.json"
     record = json.loads(file.read_text())
     file.write_text(json.dumps(record | {"command": "another"}))
-    assert fingerprint("lqi") == before["lqi"]
+    assert fingerprint(name) == before[name]
     record["gains"][next(iter(record["gains"]))] *= 1.5
     file.write_text(json.dumps(record))
-    assert fingerprint("lqi") != before["lqi"]
-    assert fingerprint("ekf") == before["ekf"]
+    assert {own for own in before if fingerprint(own) == before[own]} == others
 
 
 def test_of_an_agent_counts_what_acts(tmp_path, monkeypatch):

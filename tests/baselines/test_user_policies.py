@@ -227,16 +227,6 @@ def agent_of(scenarios, expert="backstepping"):
     return Agent(network, zeros, expert, (0.5, 0.5), scenarios)
 
 
-def test_an_experts_look_behind_the_observation_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="looks behind the observation"):
-        agent_of((), "oracle")
-    agent_of(()).save(tmp_path / "a")
-    record = tmp_path / "a" / "agent.json"
-    record.write_text(record.read_text().replace('"expert": "backstepping"', '"expert": "oracle"'))
-    with pytest.raises(ValueError, match="looks behind the observation"):
-        make_policy(str(tmp_path / "a"))
-
-
 def test_the_folder_of_a_training_stands_for_its_agent(tmp_path, monkeypatch, capsys):
     """An agent runs where it was not trained too, but not without a word."""
     monkeypatch.chdir(tmp_path)

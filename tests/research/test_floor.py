@@ -20,10 +20,10 @@ from auv_gym.scenarios.exogenous import (
 )
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.simulation import CURRENT, LOAD, Parameters, Plant, ground_state, moved
-from baselines.control.clairvoyant.policy import arriving, oracle_actions
-from baselines.control.clairvoyant.problem import TAIL, Problem
-from baselines.control.clairvoyant.solver import solved
-from baselines.control.truth import Truth
+from baselines.control.privileged.clairvoyant import arriving, oracle_actions
+from baselines.control.privileged.problem import TAIL, Problem
+from baselines.control.privileged.solver import solved
+from baselines.control.privileged.truth import Truth
 from baselines.evaluation.runner import drawn
 from research.lower_bounds.floor.filter import located
 from research.lower_bounds.floor.model import Model, has_floor

@@ -18,10 +18,9 @@ from auv_gym.scenarios.presets import CASES, as_scenario
 from auv_gym.scenarios.vehicles import craft, fleet
 from auv_gym.task.observation import SIZE
 from baselines import make_policy
-from baselines.control.clairvoyant.policy import arriving, oracle_actions
-from baselines.control.clairvoyant.problem import Problem
-from baselines.control.clairvoyant.receding import WINDOWS, foreseeing
-from baselines.control.clairvoyant.solver import TOLERANCE, refined, solved
+from baselines.control.privileged.clairvoyant import arriving, oracle_actions
+from baselines.control.privileged.problem import Problem
+from baselines.control.privileged.solver import TOLERANCE, WINDOWS, foreseeing, refined, solved
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.options import Options

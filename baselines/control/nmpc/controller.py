@@ -273,7 +273,3 @@ def make_nmpc(
         raise ValueError(f"unknown solver {solver!r}; allowed are {', '.join(SOLVERS)}")
     name, names = ("nmpc-adverse", ADVERSE_GAINS) if adverse else ("nmpc", NMPC_GAINS)
     return tuned_policy(name, names, partial(PredictiveControl, solver=solver), gains, vehicle)
-
-
-make_nmpc_adverse = partial(make_nmpc, adverse=True)
-"""Returns the controller whose filter believes in faults; see `make_nmpc` for the arguments."""

@@ -31,7 +31,7 @@ from auv_gym.planning.paths import PATHS
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.records import from_record, to_record
 from auv_gym.scenarios.scenario import Scenario
-from baselines.control.truth import samples
+from baselines.control.privileged.truth import samples
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import BY_ORACLE, Anchors, regime_of
 

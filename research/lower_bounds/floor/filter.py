@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import Array
-from baselines.control.clairvoyant.problem import TAIL
+from baselines.control.privileged.problem import TAIL
 from research.lower_bounds.floor.model import DRIVEN, Model
 
 SAMPLES = 16

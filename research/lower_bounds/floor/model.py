@@ -3,7 +3,7 @@
 Known are the true vehicle, the actuators and their lag, all commands, the mean current, the statistics of its gusts,
 the waves' frequencies and amplitudes, and the statistics of start and sensors. Not known are the numbers that were
 drawn: of the start, of the gusts, of the waves' phases and of the measurement errors. What that comes to is linearised
-about the way that the vehicle really takes where it is kept on its path, see `control.clairvoyant`.
+about the way that the vehicle really takes where it is kept on its path, see `control.privileged.clairvoyant`.
 
 The state z of an episode is what is off by (`POSE`) x, y [m], psi [rad], u, v [m/s], r [rad/s], velocities relative to
 the water; (`_GUSTS`) the gusts' process n and its filter s on each axis, in units of sigma, see
@@ -31,9 +31,9 @@ from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.exogenous import WAVE_ROWS, wave_components
 from auv_gym.scenarios.scenario import Scenario, Start
 from auv_gym.task.simulation import CURRENT, LOAD, PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts, moved
-from baselines.control.clairvoyant.policy import arriving, oracle_actions
-from baselines.control.clairvoyant.problem import ACTIONS, STATES, Course, Problem
-from baselines.control.clairvoyant.solver import solved
+from baselines.control.privileged.clairvoyant import arriving, oracle_actions
+from baselines.control.privileged.problem import ACTIONS, STATES, Course, Problem
+from baselines.control.privileged.solver import solved
 
 POSE = slice(0, 6)  # the part of z that is the pose
 _GUSTS = slice(6, 10)  # the part of z that is the gusts

@@ -10,7 +10,7 @@ before it is run, and one that goes astray under its regulator gets a softer one
 Its numbers with units are those for the paper's vehicle; for another one they are the similar ones
 (`auv_gym.physics.units`).
 
-It is a reference, not a bound, which `baselines.control.clairvoyant` is: others may be better in single episodes.
+It is a reference, not a bound, which `clairvoyant` beside it is: others may be better in single episodes.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.simulation import CURRENT, LOAD, start, step
 from baselines.control.linearisation import error_dynamics
-from baselines.control.truth import Truth, nothing_sent
+from baselines.control.privileged.truth import FullInformation, Truth, nothing_sent
 from baselines.estimation.water_frame import braked
 from baselines.policy import is_fast
 
@@ -63,7 +63,6 @@ _HARDEST_BRAKING = 0.35
 """Largest braking -V'/V through the water [1/s]: a little less than what `water_frame` allows the paper's vehicle."""
 SMOOTHING = 0.2
 """Width [s] of the Gauss filter on the current, whose gusts are too rough to be differentiated twice."""
-_BLIND = "the oracle needs prepare() before the reset and observe() before predict(), as evaluate.py calls them"
 
 
 @dataclass(frozen=True)
@@ -76,47 +75,16 @@ class TruePlan:
     units: Units  # of the known vehicle
 
 
-class Oracle:
+class Oracle(FullInformation):
     """The oracle as a privileged policy, see `baselines.policy.Privileged`."""
 
-    def __init__(self) -> None:
-        self._plan: TruePlan | None = None
-        self._action = np.zeros((0, 2), dtype=np.float32)
-
-    def prepare(self, scenario: Scenario, episodes: Sequence[Episode]) -> None:
-        """Plan for N episodes that are to run side by side."""
+    def _planned(self, scenario: Scenario, episodes: Sequence[Episode]) -> Truth:
         self._plan = true_plan(scenario, episodes)
         self._gains = settling_gains(scenario, episodes, self._plan)
-        self._dt = scenario.control_dt
-        self._sent = nothing_sent(len(episodes))
+        return self._plan.truth
 
-    def observe(self, env: Any) -> None:
-        """Decide on the true state of the vector environment."""
-        if self._plan is None:
-            raise RuntimeError(_BLIND)
-        k = np.rint(env.time / self._dt).astype(int)
-        x, y, psi, u, v, r = env.state.T
-        V_x, V_y = env.current.T
-        V_u, V_v = to_body(V_x, V_y, np.cos(psi), np.sin(psi))
-        action = decided(self._plan, self._gains, (x, y, psi, u - V_u, v - V_v, r), env.force.T, self._sent, k)
-        self._sent = np.concatenate((action[None], self._sent[:-1]))
-        self._action = action.T.astype(np.float32)
-
-    def predict(
-        self,
-        observation: NDArray[Any],
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
-        """Return the actions (N, 2) decided by the last `observe`, whatever the observation (N, 18) is.
-
-        Raises:
-            RuntimeError: nobody has let it look behind the observation.
-        """
-        if self._plan is None:
-            raise RuntimeError(_BLIND)
-        return self._action, state
+    def _decided(self, state: State, force: Array, sent: Array, k: NDArray[np.int64]) -> Array:
+        return decided(self._plan, self._gains, state, force, sent, k)
 
 
 def decided(plan: TruePlan, gains: Array, state: State, force: Array, sent: Array, k: NDArray[np.int64]) -> Array:

@@ -31,7 +31,7 @@ from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.simulation import PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts, Sample, moved
 from baselines.control.nmpc.gauss_newton import feedback_law
-from baselines.control.truth import Truth
+from baselines.control.privileged.truth import Truth
 
 STATES = 8  # x, y, psi, u, v, r of the vehicle and F_u, F_r of its actuators
 ACTIONS = 2  # a_u, a_r: commands as fractions of what action 1 gives

@@ -2,18 +2,24 @@
 
 It is the method of `baselines.control.nmpc.gauss_newton` over all of an episode, with the damping of K. Levenberg
 (Quarterly of Applied Mathematics 2(2):164-168, 1944): a step that disappoints makes the next one shorter.
+
+Where limits bind for long, the optimum is one of several that Gauss-Newton steps may end in, and the oracle's commands,
+which a regulator cuts at the limits, may lead to a poor one. A window that moves through the episode, optimised with
+all that will happen in it, goes along the limits from the start (D. Q. Mayne and H. Michalska, "Receding horizon
+control of nonlinear systems", IEEE Trans. Automatic Control 35(7):814-824, 1990).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import Array
-from baselines.control.clairvoyant.problem import Course, Problem, Way
 from baselines.control.nmpc.problem import replaced, taken
+from baselines.control.privileged.problem import Course, Problem, Way
 
 TOLERANCE = 1e-5
 """[m of the paper's vehicle] of the tail's root mean square: an episode is solved when a step that is hardly damped
@@ -30,6 +36,8 @@ LOOSER = 0.1  # factor on the damping where all of a step does
 _MOST_STEPS = 200  # for an episode
 GOOD = 0.002
 """[m of the paper's vehicle] tail from which other commands to begin with are tried."""
+_FADING = 0.5  # share of the last command that the periods after a window begin with
+_STEPS_OF_WINDOW = 20  # most Gauss-Newton steps in a window
 
 
 def solved(problem: Problem, guess: Array, others: Sequence[Callable[[Problem], Array]] = ()) -> Course:
@@ -85,3 +93,29 @@ def _stepped(problem: Problem, course: Course, way: Way) -> tuple[Course, NDArra
         if not few.size:
             break
     return best, whole
+
+
+class Window(NamedTuple):
+    """How far is looked ahead."""
+
+    ahead: int  # control periods that are optimised
+    kept: int  # of them, the first ones, whose commands are taken
+
+
+WINDOWS = Window(80, 40), Window(160, 40)
+"""Windows that are tried in turn: 8 s and 16 s at the cruise of the paper's vehicle."""
+
+
+def foreseeing(window: Window, problem: Problem) -> Array:
+    """Return the commands, shape (K, ACTIONS, N), that windows through an episode of K periods give."""
+    commands, begun, steps = np.zeros_like(problem.limits), problem.begun, len(problem.limits)
+    for first in range(0, steps, window.kept):
+        end = min(first + window.ahead, steps)
+        part = problem.between(first, end, begun)
+        course = refined(part, part.standing(commands[first:end].copy()), _STEPS_OF_WINDOW)
+        commands[first:end] = course.commands
+        commands[end : end + window.kept] = _FADING * course.commands[-1]
+        if end == steps:
+            break
+        begun = course.states[window.kept]
+    return commands

@@ -1,9 +1,11 @@
-"""What no competitor may know: all that the outside supplies to episodes, from the first step to the last."""
+"""Full information: all exogenous inputs of episodes from first step to last, and a policy that acts on them."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +13,14 @@ from numpy.typing import NDArray
 from auv_gym.envs.lanes import plan_of, reference_tables
 from auv_gym.physics.actuators import LONGEST_DELAY
 from auv_gym.physics.dynamics import State
+from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.rows import filled, leaves
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.exogenous import Tape
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.simulation import PLANT, Parameters, step
+from baselines.policy import Memory
 
 BODY = 8  # the first entries of a `Plant`: the state and the forces that the actuators apply
 
@@ -74,3 +78,62 @@ class Truth:
 def nothing_sent(n: int) -> Array:
     """Return the actions sent before the start of N episodes, see `Truth.foretell`."""
     return np.zeros((LONGEST_DELAY, 2, n))
+
+
+class FullInformation(ABC):
+    """A policy that decides on the true state, a `baselines.policy.Privileged`; what is observed does not count."""
+
+    _truth: Truth | None = None
+
+    @abstractmethod
+    def _planned(self, scenario: Scenario, episodes: Sequence[Episode]) -> Truth:
+        """Plan for N episodes, and return the truth about them."""
+
+    @abstractmethod
+    def _decided(self, state: State, force: Array, sent: Array, k: NDArray[np.int64]) -> Array:
+        """Return the actions of N vehicles, shape (2, N); the arguments are those of `Truth.foretell`."""
+
+    def prepare(self, scenario: Scenario, episodes: Sequence[Episode]) -> None:
+        """Plan for N episodes that are to run side by side.
+
+        Raises:
+            InfeasibleReferenceError: an episode's path cannot be followed in still water.
+        """
+        self._truth = self._planned(scenario, episodes)
+        self._dt, self._sent = scenario.control_dt, nothing_sent(len(episodes))
+
+    def observe(self, env: Any) -> None:
+        """Decide on the true state of the vector environment.
+
+        Raises:
+            RuntimeError: there is no plan, as `prepare` was not called.
+        """
+        self._check()
+        k = np.rint(env.time / self._dt).astype(int)
+        x, y, psi, u, v, r = env.state.T
+        V_x, V_y = env.current.T
+        V_u, V_v = to_body(V_x, V_y, np.cos(psi), np.sin(psi))
+        action = self._decided((x, y, psi, u - V_u, v - V_v, r), env.force.T, self._sent, k)
+        self._sent = np.concatenate((action[None], self._sent[:-1]))
+        self._action = action.T.astype(np.float32)
+
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: Memory | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], Memory | None]:
+        """Return the actions (N, 2) decided by the last `observe`, whatever the observation (N, 18) is.
+
+        Raises:
+            RuntimeError: there is no plan, as `prepare` was not called.
+        """
+        self._check()
+        return self._action, state
+
+    def _check(self) -> None:
+        if self._truth is None:
+            raise RuntimeError(
+                "this policy needs prepare() before the reset and observe() before predict(), as evaluate.py calls them"
+            )

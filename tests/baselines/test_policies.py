@@ -1,0 +1,81 @@
+"""What holds of every policy that competes: a batch is its members, memory begins anew, a compiler changes nothing."""
+
+import numpy as np
+import pytest
+
+from auv_gym.codegen import native
+from auv_gym.codegen.kernel import Kernel
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.task.observation import SIZE, Observation, action_of, decode_observation
+from auv_gym.task.policy import preview_of
+from baselines import list_policies, make_policy
+from baselines.policy import Privileged
+
+PLAIN = [name for name in list_policies() if not isinstance(make_policy(name), Privileged)]
+WRAPPED = ["helm:fade", "helm:guard", "apg-cruise:guard=ekf"]
+COMPILED = native.compiler() is not None and native.wanted()
+LOOSE = {"nmpc": 1e-4, "nmpc-adverse": 1e-4}
+"""Largest difference of actions between a batch and its members; the others' is 1e-5. Solvers stop at a tolerance."""
+
+
+@pytest.mark.filterwarnings("ignore:this policy was trained at", "ignore:these gains are stable")
+@pytest.mark.parametrize("name", [*PLAIN, *WRAPPED])
+def test_lanes_do_not_know_each_other(name):
+    """A batch is its members one by one, and an episode that begins in one lane begins there anew."""
+    policy = make_policy(name)
+    names = ["cruise-storm", "slow-storm", "cruise-actuator", "slow-calm"]
+    envs = [UnderactuatedAUVTrackVectorEnv(1, scenario, preview=preview_of(policy)) for scenario in names]
+    observation = np.concatenate([env.reset(seed=i)[0] for i, env in enumerate(envs)])
+    memory, single, first = None, [None] * 4, np.ones(4, dtype=bool)
+    for k in range(20):
+        if k == 12:
+            observation[1] = envs[1].reset(seed=77)[0][0]
+            first[1], single[1] = True, None
+        action, memory = policy.predict(observation, memory, first)
+        assert (action.shape, action.dtype) == ((4, 2), np.float32)
+        assert (np.abs(action) <= 1).all()
+        alone = []
+        for i in range(4):
+            one, single[i] = policy.predict(observation[i], single[i], first[i : i + 1])
+            alone.append(one)
+        if COMPILED and name in ("ekf", "current-observer"):
+            np.testing.assert_array_equal(action, alone)
+        np.testing.assert_allclose(action, alone, atol=LOOSE.get(name, 1e-5))
+        first = np.zeros(4, dtype=bool)
+        observation = np.concatenate([env.step(action[i : i + 1])[0] for i, env in enumerate(envs)])
+    if memory:
+        with pytest.raises(ValueError, match="of 4 vehicles"):
+            policy.predict(observation[:2], memory)
+
+
+@pytest.mark.parametrize(("name", "steps"), [("ekf", 120), ("nmpc", 25)])
+def test_without_a_compiler_decisions_are_the_same(name, steps, monkeypatch):
+    """The printed Python, for several vehicles and for one, on what the compiled law sees over an episode."""
+    controller = make_policy(name).controller.cruise
+    scenarios = ["cruise-storm", "slow-storm", "cruise-actuator"]
+    env = UnderactuatedAUVTrackVectorEnv(3, scenarios, preview=preview_of(controller))
+    observation, _ = env.reset(seed=5)
+    memory, seen, decided = controller.start(3), [], []
+    for _ in range(steps):
+        o, extra = decode_observation(observation), observation[:, SIZE:]
+        F_u, F_r, memory = controller.forces(o, memory, extra)
+        seen.append((o, extra))
+        decided.append((F_u, F_r))
+        observation, *_ = env.step(np.stack(action_of((F_u, F_r), o, ARRAYS), axis=1))
+    monkeypatch.setattr(Kernel, "_native", property(lambda _: None))
+    for lanes in (slice(0, 3), slice(1, 2)):
+        memory = controller.start(len(range(3)[lanes]))
+        for (o, extra), forces in zip(seen, decided, strict=True):
+            *found, memory = controller.forces(Observation(*(row[lanes] for row in o)), memory, extra[lanes])
+            np.testing.assert_allclose(found, np.array(forces)[:, lanes], rtol=1e-9, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["oracle", "clairvoyant"])
+def test_full_information_is_asked_for(name):
+    policy = make_policy(name)
+    assert isinstance(policy, Privileged)
+    with pytest.raises(RuntimeError, match="needs prepare"):
+        policy.predict(np.zeros((1, 18)))
+    with pytest.raises(RuntimeError, match="needs prepare"):
+        policy.observe(None)
