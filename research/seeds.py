@@ -12,8 +12,8 @@ FALSIFICATION = Seeds(55_000_000, 60_000_000)
 """Disturbances that make a policy fail are searched for on these."""
 HELD_OUT = Seeds(70_000_000, 80_000_000)
 """Policies are compared on these; nothing is chosen on them."""
-PROBING = Seeds(80_000_000, 90_000_000)
-"""Agents' memories are read on these."""
+SENSITIVITY = Seeds(80_000_000, 90_000_000)
+"""Sensitivity to change and error is measured on these."""
 OPTIMUM = Seeds(90_000_000, 100_000_000)
 """The full-information optimum is tested on these."""
 TRANSFER = Seeds(120_000_000, 130_000_000)
@@ -21,5 +21,5 @@ TRANSFER = Seeds(120_000_000, 130_000_000)
 FINE_TUNING = Seeds(130_000_000, 140_000_000)
 """Agents that were tuned to a vehicle are compared on these."""
 
-TABLE = (GUARD, FAILURE_RATE, FALSIFICATION, HELD_OUT, PROBING, OPTIMUM, TRANSFER, FINE_TUNING)
+TABLE = (GUARD, FAILURE_RATE, FALSIFICATION, HELD_OUT, SENSITIVITY, OPTIMUM, TRANSFER, FINE_TUNING)
 """Every range, in order; none overlaps another."""

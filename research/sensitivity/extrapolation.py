@@ -22,8 +22,7 @@ from baselines.control.backstepping import StabilityWarning
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import LARGEST_TAIL, capped, losses
 from baselines.evaluation.side_by_side import SideBySide
-from research.probing.collect import at_speed, episodes_of
-from research.probing.watching import acting
+from research.sensitivity.episodes import acting, at_speed, episodes_of
 
 _EPISODES = 12
 """Episodes of each value."""
@@ -143,7 +142,7 @@ def stretched(name: str, regime: str, episodes: int | None = None) -> dict[str, 
         scenarios = scenarios_of(regime, parameter)
         with warnings.catch_warnings():  # that speeds are beyond law and training is what is asked here
             warnings.simplefilter("ignore", StabilityWarning)
-            warnings.filterwarnings("ignore", "this agent was trained at reference speeds")
+            warnings.filterwarnings("ignore", "this policy was trained at reference speeds")
             cells = [Cell(scenario, episodes_of(scenario, count)) for scenario in scenarios]
             ended = SideBySide(cells).run(acting(name, scenarios[0].vehicle))
         tails = [np.round(capped(e, cap), 5).tolist() for e in ended]

@@ -27,8 +27,8 @@ from baselines.control.backstepping import StabilityWarning
 from baselines.evaluation.metrics import resamplings
 from baselines.evaluation.rollout import beginning, play
 from baselines.evaluation.score import LARGEST_TAIL
-from research.probing.changes import BEFORE, CHANGES, LENGTHS, Trial
-from research.probing.watching import acting
+from research.sensitivity.changes import BEFORE, CHANGES, LENGTHS, Trial
+from research.sensitivity.episodes import acting
 
 _WINDOW = 2
 """Lengths L that an error is a mean over; windows begin a length apart."""

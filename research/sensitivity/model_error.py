@@ -23,8 +23,7 @@ from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import LARGEST_TAIL, RIVAL, Score, capped, lead, losses, seeds_score
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.evaluation.suites import load
-from research.probing.collect import HULL, SEED
-from research.probing.watching import acting
+from research.sensitivity.episodes import SEED, acting
 
 _SUITE = "benchmark-v1"
 """Whose episodes run, and whose anchors the score has."""
@@ -38,6 +37,10 @@ LESS: Mapping[str, tuple[int, int]] = {RIVAL: (4, 6)}
 """Models and episodes of a policy that takes its time, the first ones too; and the largest size alone."""
 KEPT = 3
 """Episodes of each case whose errors are kept one by one, with the true model and the first wrong one."""
+
+
+HULL = ("m11", "m22", "m33", "d11", "d22", "d33")
+"""Parameters of the vehicle that may be wrong."""
 
 
 class Way(NamedTuple):

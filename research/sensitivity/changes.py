@@ -12,8 +12,7 @@ import numpy as np
 from auv_gym.physics.disturbances import RandomCurrent
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
-from research.probing.collect import at_speed, episodes_of
-from research.probing.memory_swap import heavier, rougher
+from research.sensitivity.episodes import at_speed, episodes_of
 
 _SPEED = {"slow": 0.2, "cruise": 1.0}
 """Nominal speed [m/s] of the paths, so that a length takes about the same time in all episodes of a regime."""
@@ -30,7 +29,8 @@ EVERYWHERE = 0.5 * math.pi
 
 
 def _payload(episode: Episode, _: float) -> Episode:
-    return heavier(episode, 1.35)
+    v = episode.vehicle
+    return replace(episode, vehicle=replace(v, m11=1.35 * v.m11, m22=1.35 * v.m22, m33=1.35 * v.m33))
 
 
 def _fin(episode: Episode, _: float) -> Episode:
@@ -39,7 +39,8 @@ def _fin(episode: Episode, _: float) -> Episode:
 
 
 def _fouling(episode: Episode, _: float) -> Episode:
-    return rougher(episode, 2.0)
+    v, names = episode.vehicle, ("d11", "d22", "d33", "X_uu", "Y_vv", "N_rr")
+    return replace(episode, vehicle=replace(v, **{name: 2.0 * getattr(v, name) for name in names}))
 
 
 def _current(episode: Episode, angle: float) -> Episode:

@@ -1,5 +1,6 @@
-"""What agents know: probes on made-up memories, untouched agents, vehicles that change, the page and its data."""
+"""Sensitivity: vehicles that change, errors outside of the training and with wrong models, the page and its data."""
 
+import itertools
 import json
 import math
 from dataclasses import replace
@@ -11,95 +12,14 @@ from scipy.integrate import solve_ivp
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.presets import PRESETS
-from baselines.agents.networks import Gru
 from baselines.evaluation.rollout import beginning, play
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.tools.command_line import run
-from research.probing import command, extrapolation, model_error, probe
-from research.probing.adaptation import EPISODES, back, course_of, followed, lengths_of, windows
-from research.probing.changes import BEFORE, CHANGES, EVERYWHERE, LENGTHS, Trial
-from research.probing.collect import agent_of, collected, episodes_of
-from research.probing.memory_swap import SWAPS, _twins
-from research.probing.page import context, load, ratio_of
-from research.probing.regression import lead, linear, nonlinear, read
-from research.probing.training_range import RATIOS, ranged, ratios
-from research.probing.watching import HIDDEN, Beside, Tapped, acting, untrained
-
-
-def made_up(n, columns=6, seed=0):
-    rng = np.random.default_rng(seed)
-    X = 3.0 + rng.standard_normal((n, columns)) * np.array([100.0, *np.ones(columns - 1)])
-    return X, rng.standard_normal(n)
-
-
-def test_a_linear_probe_reads_what_is_there_and_nothing_else():
-    """Of y = w x + noise no more than var(w x)/var(y) can be read; of a square only what bends."""
-    X, noise = made_up(600)
-    shown = 0.02 * X[:, 0] + X[:, 1]
-    Y = np.column_stack((shown + 5.0, shown + 2.0 * noise, noise, np.square(X[:, 2] - 3.0), np.ones(600)))
-    halves = X[:400], Y[:400], X[400:], Y[400:]
-    all_of_it, part, nothing, square, constant = read(linear(*halves))
-    assert all_of_it.r2 > 0.9999
-    assert part.low < 5 / 9 < part.high
-    assert part.high - part.low < 0.3
-    assert abs(nothing.r2) < 0.05
-    assert square.r2 < 0.05
-    assert math.isnan(constant.r2)
-    assert read(nonlinear(*halves))[3].r2 > 0.7
-    assert read(nonlinear(*halves))[2].r2 < 0.05
-    more = lead(linear(*halves), linear(X[:400, 2:], Y[:400], X[400:, 2:], Y[400:]))
-    assert more[1].r2 == pytest.approx(part.r2, abs=0.05)
-    assert more[2].low < 0 < more[2].high
-
-
-def test_a_probe_with_more_columns_than_episodes_is_held_back():
-    X, noise = made_up(90, 200)
-    assert -0.3 < read(linear(X[:60], noise[:60, None], X[60:], noise[60:, None]))[0].r2 < 0.3
-
-
-def test_a_watched_agent_acts_as_it_does_alone():
-    scenario = PRESETS["cruise-storm"]
-    episodes = episodes_of(scenario, 4)
-    policy, agent = agent_of("helm", scenario.vehicle)
-    plain = [m.command for m in play(policy, beginning([(scenario, episodes)], policy.preview), 30)]
-    agent.network = Beside(agent.network)
-    seen = []
-    tapped = Tapped(policy, lambda k, o, memory: seen.append(memory[HIDDEN]))
-    watched = [m.command for m in play(tapped, beginning([(scenario, episodes)], policy.preview), 30)]
-    np.testing.assert_array_equal(plain, watched)
-    assert np.abs(agent.network.hidden.T - seen[-1]).max() > 0.01
-    with pytest.raises(ValueError, match="'backstepping' is no agent whose network remembers"):
-        agent_of("backstepping", scenario.vehicle)
-
-
-def test_untrained_weights_are_those_of_the_shape():
-    network = Gru(5, 4, 3, 4)
-    weights = untrained(network, np.random.default_rng(0))
-    assert {name: w.shape for name, w in weights.items()} == network.shapes
-    assert np.abs(weights["gru.weight_hh"]).max() <= 1 / math.sqrt(3)
-
-
-def test_what_is_collected_is_true():
-    """The current and the hull against the episodes themselves; every source has every episode."""
-    scenario = PRESETS["cruise-current"]
-    episodes = episodes_of(scenario, 3)
-    seen = collected("apg-cruise", scenario, episodes, (4, 9))
-    for i, e in enumerate(episodes):
-        speed = math.hypot(e.current.V_x, e.current.V_y) / e.path.speed
-        np.testing.assert_allclose(np.hypot(seen.targets["V_u"][:, i], seen.targets["V_v"][:, i]), speed)
-    assert (seen.targets["m11"] == 1).all()
-    assert seen.sources["memory"].shape[:2] == seen.sources["ekf"].shape[:2] == (2, 3)
-
-
-def test_twins_exchange_memories_with_each_other():
-    memory = np.arange(8.0).reshape(4, 2), np.ones((4, 1)), np.arange(4.0)[:, None]
-    swapped = _twins(memory, 2)
-    assert swapped[2].ravel().tolist() == [1, 0, 3, 2]
-    assert swapped[0] is memory[0]
-    assert (_twins(swapped, 2)[2] == memory[2]).all()
-    empty, part = SWAPS["emptied"]
-    assert not empty(memory, part)[HIDDEN].any()
-    assert memory[HIDDEN].any()
+from research.sensitivity import command, extrapolation, model_error
+from research.sensitivity.adaptation import EPISODES, back, course_of, followed, lengths_of, windows
+from research.sensitivity.changes import BEFORE, CHANGES, EVERYWHERE, LENGTHS, Trial
+from research.sensitivity.episodes import acting, episodes_of
+from research.sensitivity.page import context, load, ratio_of
 
 
 def changing(scenario, n=2):
@@ -203,27 +123,6 @@ def test_a_change_at_the_start_and_on_the_way_lead_to_the_same():
     assert trial.scenario.steps > BEFORE
 
 
-def test_ratios_have_no_dimension():
-    """In other units of length, time and mass they are the same."""
-    L, T, M = 3.0, 5.0, 7.0
-    act, v = PRESETS["cruise-calm"].actuators, replace(PAPER_VEHICLE, X_uu=10.0, Y_uv=20.0, N_uv=4.0, N_ur=6.0)
-    units = {"m11": M, "m22": M, "m33": M * L**2, "d11": M / T, "d22": M / T, "d33": M * L**2 / T}
-    units |= {"X_uu": M / L, "Y_uv": M / L, "N_uv": M, "N_ur": M * L}
-    other = replace(v, **{name: getattr(v, name) * unit for name, unit in units.items()})
-    acts = replace(act, F_u_max=act.F_u_max * M * L / T**2, F_r_max=act.F_r_max * M * L**2 / T**2)
-    mine, same = ratios(v, act, 0.2, 1.1), ratios(other, acts, 0.2 * T, 1.1 * L / T)
-    assert mine == pytest.approx(same)
-    assert list(mine) == list(RATIOS)
-
-
-def test_range_of_a_training_is_that_of_its_scenarios():
-    found = ranged("helm", 300)
-    mass = dict(zip(RATIOS, zip(found["low"], found["high"], strict=True), strict=True))["mass"]
-    assert 0.94 * 265 / 215 - 0.01 <= mass[0] < mass[1] <= 1.06 * 265 / 215 + 0.01
-    with pytest.raises(ValueError, match="'nmpc' is no agent whose file says"):
-        ranged("nmpc")
-
-
 def test_stretched_storms_differ_in_one_thing():
     scenarios = extrapolation.scenarios_of("cruise", extrapolation.PARAMETERS["mass"])
     first, last = (episodes_of(scenario, 2)[1] for scenario in (scenarios[0], scenarios[-1]))
@@ -269,7 +168,7 @@ def test_a_policy_that_does_not_use_its_model_loses_nothing(few, tmp_path):
         assert rows[0]["score"][0] == pytest.approx(found["right"]["score"][0] + mean, abs=1e-4)
         assert rows[0]["error_m"] != found["right"]["error_m"]
     (tmp_path / "model_error-backstepping.json").write_text(json.dumps({"cruise": found}))
-    row = context("knows", tmp_path)["model_error"]["records"][0]["rows"][1]
+    row = context("sensitivity", tmp_path)["model_error"]["records"][0]["rows"][1]
     mean, low, high = found["wrong"]["all"][0]["above"]
     shown = ["`backstepping`", "0.000", "m22, drag, m11, m33", f"{mean:+.3f} [{low:+.3f}, {high:+.3f}]"]
     assert [cell for cell in row if cell != "-"][:4] == shown
@@ -284,30 +183,26 @@ def test_command_in_a_quick_form(tmp_path, capsys, monkeypatch):
     lag, speed = extrapolation.PARAMETERS["lag"], extrapolation.SPEEDS["cruise"]
     monkeypatch.setattr(extrapolation, "PARAMETERS", {"lag": lag._replace(values=(0.2, 0.4))})
     monkeypatch.setattr(extrapolation, "SPEEDS", {"cruise": speed._replace(values=(1.0, 2.0))})
-    monkeypatch.setattr(probe, "INSTANTS", (2, 6))
     arguments = ["--policy", "helm", "backstepping", "--regime", "cruise", "--episodes", "6", "--out", str(tmp_path)]
-    parts = ["--part", "probe", "adaptation", "extrapolation", "training_range"]
+    parts = ["--part", "adaptation", "extrapolation"]
     assert run(command.main, command.PROGRAM, arguments + parts) == 0
-    page = (tmp_path / "probing.md").read_text(encoding="utf-8")
-    assert "**`helm`, cruise-storm**, 6 episodes, 0.6 s after the start:" in page
-    for name in ("adaptation-cruise", "extrapolation-cruise", "probe-helm", "training_range-helm"):
-        assert (tmp_path / "images" / f"knows-{name}.png").stat().st_size > 10_000
-    assert {(part, name) for part, name in load(tmp_path)} == {
-        ("adaptation", "backstepping"), ("extrapolation", "backstepping"), ("adaptation", "helm"),
-        ("extrapolation", "helm"), ("probe", "helm"), ("training_range", "helm"),
-    }  # fmt: skip
-    assert "probe: helm, cruise" in capsys.readouterr().out
+    page = (tmp_path / "sensitivity.md").read_text(encoding="utf-8")
+    assert "**cruise-storm**, 6 episodes of each value:" in page
+    assert "## Sensitivity to model error" not in page
+    for part in ("adaptation", "extrapolation"):
+        assert (tmp_path / "images" / f"sensitivity-{part}-cruise.png").stat().st_size > 10_000
+    assert set(load(tmp_path)) == set(itertools.product(("adaptation", "extrapolation"), ("backstepping", "helm")))
+    assert "adaptation: helm, cruise" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--policy", "helmet"], "'helmet' is not the name of a policy or an agent's folder"),
-        (["--part", "probes"], "'probes' is not a part; allowed are probe, memory_swap, adaptation, extrapolation,"),
-        (["--regime", "fast"], "'fast' is not a regime; allowed are slow, cruise"),
-        (["--episodes", "2"], "--episodes is 2; it must be 6 or more"),
-        (["--policy", "oracle", "--part", "model_error"], "oracle looks behind the observation"),
-        (["--policy", "nmpc", "--part", "probe"], "none of nmpc has a network that remembers"),
+        (["--policy", "helmet"], "'helmet'"),
+        (["--part", "probes"], "'probes'"),
+        (["--regime", "fast"], "'fast'"),
+        (["--episodes", "1"], "--episodes is 1; it must be 2 or more"),
+        (["--policy", "oracle", "--part", "model_error"], "oracle uses more than the observation"),
     ],
 )
 def test_wrong_usage(arguments, says, capsys):

@@ -1,4 +1,4 @@
-"""The values and the figures of docs/knows.md, of the records that the parts of this study have kept."""
+"""The values and the figures of docs/sensitivity.md, from the records of this folder's studies."""
 
 from __future__ import annotations
 
@@ -15,19 +15,21 @@ from baselines.evaluation.metrics import resamplings
 from baselines.evaluation.score import EXPERT, RIVAL
 from baselines.tools.files import read_json
 from research import DATA
-from research.probing import training_range
-from research.probing.adaptation import LARGEST, ROD, WITHIN
-from research.probing.changes import CHANGES, LENGTHS, SEAS
-from research.probing.collect import SOURCES, TARGETS
-from research.probing.extrapolation import parameters_of
-from research.probing.figures import adaptation_figure, extrapolation_figure, probe_figure, range_figure
-from research.probing.memory_swap import SWAPS, TRAITS
-from research.probing.model_error import SIZES, WAYS
+from research.sensitivity.adaptation import LARGEST, ROD, WITHIN
+from research.sensitivity.changes import CHANGES, LENGTHS, SEAS
+from research.sensitivity.extrapolation import parameters_of
+from research.sensitivity.figures import adaptation_figure, extrapolation_figure
+from research.sensitivity.model_error import SIZES, WAYS
 
-FOLDER = DATA / "probing"
+FOLDER = DATA / "sensitivity"
 Record: TypeAlias = dict[str, Any]
 _GOAL = 10
 """Lengths within which a policy should be back."""
+_DRAWN: Mapping[str, Callable[[Mapping[str, Any], str], bytes]] = {
+    "adaptation": adaptation_figure,
+    "extrapolation": extrapolation_figure,
+}
+"""What draws the figure of a part in a regime."""
 BEARABLE = 0.01
 """What a score may be lower where a vehicle model is wrong."""
 
@@ -41,10 +43,7 @@ def context(page: str, folder: Path = FOLDER) -> dict[str, Any]:
     del page
     found = load(folder)
     sections = {
-        "probe": _probe,
-        "memory_swap": _memory_swap,
         "adaptation": _adaptation,
-        "training_range": _training_range,
         "extrapolation": _extrapolation,
         "model_error": _model_error,
     }
@@ -55,8 +54,7 @@ def figures(page: str, folder: Path = FOLDER) -> dict[str, bytes]:
     """Return the figures of the records in a folder as PNG files, by name."""
     del page
     found = load(folder)
-    parts = "probe", "adaptation", "training_range", "extrapolation"
-    return {name: draw() for key in parts for name, draw in _figures(found, key).items()}
+    return {name: draw() for key in _DRAWN for name, draw in _figures(found, key).items()}
 
 
 def load(folder: Path) -> dict[tuple[str, str], Record]:
@@ -78,11 +76,9 @@ def _own(found: Mapping[tuple[str, str], Record], part: str) -> dict[str, Record
 def _figures(found: Mapping[tuple[str, str], Record], part: str) -> dict[str, Callable[[], bytes]]:
     """Return what draws each figure of a part, by the name of its file."""
     own = _own(found, part)
-    if of_policy := {"probe": probe_figure, "training_range": range_figure}.get(part):
-        return {f"knows-{part}-{name}.png": partial(of_policy, record) for name, record in own.items()}
-    if of_regime := {"adaptation": adaptation_figure, "extrapolation": extrapolation_figure}.get(part):
-        return {f"knows-{part}-{regime}.png": partial(of_regime, own, regime) for regime, _ in _by_regime(own)}
-    return {}
+    if part not in _DRAWN:
+        return {}
+    return {f"sensitivity-{part}-{regime}.png": partial(_DRAWN[part], own, regime) for regime, _ in _by_regime(own)}
 
 
 def _by_regime(own: Mapping[str, Record]) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -96,48 +92,6 @@ def spread(ends: Sequence[float | None], form: str = ".2f") -> str:
     """Return a value with its interval, as `0.35 [0.28, 0.41]`; what is None was not measured."""
     value, low, high = ("-" if x is None else f"{x:{form}}" for x in ends)
     return f"{value} [{low}, {high}]"
-
-
-def _probe(own: Mapping[str, Record]) -> dict[str, Any]:
-    records = [
-        {
-            "name": name,
-            "place": f"{regime}-{case}",
-            "episodes": of["episodes"],
-            "time": f"{of['instants'][-1] * of['dt']:g}",
-            "rows": [_target(of, i) for i in range(len(of["targets"]))],
-        }
-        for name, record in own.items()
-        for regime, cases in record.items()
-        for case, of in cases.items()
-    ]
-    return {"records": records}
-
-
-def _target(of: Mapping[str, Any], i: int) -> list[str]:
-    """Return the row of a table about a target of probes, at the last instant."""
-    last = {source: of["linear"][source][-1][i] for source in SOURCES}
-    plain = (f"{last[source][0]:.2f}" for source in SOURCES if source != "memory")
-    nonlinear = f"{of['bent']['memory'][i][0]:.2f}"
-    return [TARGETS[of["targets"][i]], *plain, spread(last["memory"]), nonlinear, spread(of["lead"][i])]
-
-
-def _memory_swap(own: Mapping[str, Record]) -> dict[str, Any]:
-    records = [
-        {
-            "name": name,
-            "place": f"{regime}-storm",
-            "pairs": of["pairs"],
-            "seconds": f"{of['seconds']:g}",
-            "rows": [
-                [TRAITS[trait].says, f"{1e3 * row['error_m']:.1f}", *(spread(row[how]) for how in SWAPS)]
-                for trait, row in of["traits"].items()
-            ],
-        }
-        for name, record in own.items()
-        for regime, of in record.items()
-    ]
-    return {"records": records}
 
 
 def _adaptation(own: Mapping[str, Record]) -> dict[str, Any]:
@@ -183,24 +137,6 @@ def _changes(of: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
 def _lengths(ends: Sequence[float | None]) -> str:
     value, low, high = ("never" if x is None else f"{x:g}" for x in ends)
     return f"{value} [{low}, {high}]"
-
-
-def _training_range(own: Mapping[str, Record]) -> dict[str, Any]:
-    records = [
-        {
-            "name": name,
-            "draws": record["draws"],
-            "ends": [
-                [says, f"{low:.3g}", f"{high:.3g}"]
-                for says, low, high in zip(training_range.RATIOS.values(), record["low"], record["high"], strict=True)
-            ],
-            "vehicles": [
-                [f"`{v}`", "; ".join(training_range.outside(record, v)) or "nothing"] for v in record["vehicles"]
-            ],
-        }
-        for name, record in own.items()
-    ]
-    return {"records": records}
 
 
 def _extrapolation(own: Mapping[str, Record]) -> dict[str, Any]:
