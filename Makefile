@@ -9,7 +9,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo video test test-all lint typecheck format bench train train-all pages verify examples docs package cluster-test clean
+.PHONY: help demo video test test-all lint typecheck format bench train train-all pages verify examples docs package clean
 
 help: ## list the verbs
 	@echo 'make COMMAND [ARGS="more options"] [PYTHON=python3.12]'
@@ -85,9 +85,6 @@ docs: $(VENV)/train.stamp $(VENV)/render.stamp $(VENV)/docs.stamp ## build the d
 
 package: $(VENV)/dev.stamp ## build wheel and sdist, compare, check and use them in an empty environment: build/package
 	$(BIN)/python tests/package.py $(ARGS)
-
-cluster-test: $(VENV)/cluster.stamp $(VENV)/dev.stamp ## run on a Ray cluster of a head and two workers, some of them killed
-	$(BIN)/python -m pytest tests/on_cluster.py $(ARGS)
 
 clean: ## remove what was built, the environment included; runs/ stays
 	rm -rf $(VENV) build dist .coverage .hypothesis .mypy_cache .pytest_cache .ruff_cache

@@ -1,12 +1,7 @@
-"""Shared by all tests: one thread per process, since oversubscribed cores run many times slower; a stand-in for Ray."""
+"""Shared by all tests: one thread per process, since oversubscribed cores run many times slower."""
 
 import os
 import signal
-import sys
-import time
-import types
-from concurrent import futures
-from functools import partial
 
 import browser as browser_of_tests
 import pytest
@@ -16,34 +11,6 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in the background of a shell; processes inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-@pytest.fixture
-def ray(monkeypatch):
-    """A stand-in for Ray with the calls that are used; `tests/on_cluster.py` has the real one.
-
-    Its worker is a thread, and one alone, since `warnings.catch_warnings` in several at a time leaves filters behind.
-    """
-    module, pool = types.ModuleType("ray"), futures.ThreadPoolExecutor(1)
-    module.addresses, module.locked, module.silent = [], False, 0.0
-
-    def init(address, **_):
-        time.sleep(module.silent)
-        if address == "auto" or module.locked:
-            raise SystemExit(15)
-        module.addresses.append(address)
-
-    def wait(running):
-        done = next(futures.as_completed(running))
-        return [done], [task for task in running if task is not done]
-
-    module.init, module.cluster_resources = init, lambda: {"CPU": 3.0}
-    module.remote = lambda **_: lambda function: types.SimpleNamespace(remote=partial(pool.submit, function))
-    module.wait, module.get = wait, lambda task: task.result()
-    module.cancel = lambda task, force: task.cancel()
-    monkeypatch.setitem(sys.modules, "ray", module)
-    yield module
-    pool.shutdown()
 
 
 @pytest.fixture(scope="session")

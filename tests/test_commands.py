@@ -44,7 +44,7 @@ BRIEF = ("--seeds", "1", "--timesteps", "6400", "--episodes", "1", "--jobs", "1"
 """Options of the shortest study of residuals."""
 BY_CI = {"test", "lint", "typecheck"}
 """Verbs that `.ci/run` itself runs."""
-BY_WORKFLOW = {"package", "cluster-test", "test-all"}
+BY_WORKFLOW = {"package", "test-all"}
 """Verbs that have jobs of their own in the workflow: they build and install in environments of their own."""
 MADE = {"api", "scenarios"}  # folders of pages that the build writes
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]

@@ -36,9 +36,6 @@ class Options:
     """Seed of the first episode that is drawn; episode i has seed + i, whatever the policy."""
     jobs: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Worker processes; the results are the same for any number. Default: 2, or 1 on a single processor."""
-    cluster: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="")] = None
-    """Run on a Ray cluster, in --jobs processes (default: all that it has): HOST:PORT of its head, "auto" for the one
-    that this machine belongs to, "local" for one made for the occasion."""
     out: Path = Path("runs/evaluate")
     """Folder for the results."""
     png: bool = False

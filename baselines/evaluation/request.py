@@ -63,7 +63,7 @@ class Request:
             UsageError: an option is wrong; the message says what is allowed.
         """
         _check(options)
-        workers = checked(partial(Workers.of, options.jobs, options.cluster))
+        workers = checked(partial(Workers.of, options.jobs))
         names = checked_policies((EXPERT, *options.policy))
         suite = options.suite if options.scenario else options.suite or DEFAULT_SUITE
         _check_submission(options, suite)

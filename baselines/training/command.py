@@ -35,7 +35,7 @@ def train(request: Request) -> int:
     several = len(request.folders) > 1
     processes = request.workers.each_of(len(request.folders))
     tasks = [
-        (config, folder.absolute() if request.workers.on_cluster else folder, request.command, several, processes)
+        (config, folder, request.command, several, processes)
         for config, folder in zip(request.configs, request.folders, strict=True)
     ]
     status = DONE

@@ -46,9 +46,6 @@ class Options:
     jobs: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Worker processes for several seeds, or for the groups of a single training of apg, one thread each.
     Default: 2, or 1 on a single processor."""
-    cluster: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="")] = None
-    """Train on a Ray cluster, --jobs seeds at a time (default: all): HOST:PORT of its head, "auto" for the one that
-    this machine belongs to, "local" for one made for the occasion. Its machines must share the folder."""
     timesteps: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Control steps to train for, summed over vehicles. Default: what the hyper-parameters say."""
     hyperparameters: Annotated[Path | None, arg(metavar="FILE.yml", help_behavior_hint="")] = None

@@ -47,7 +47,7 @@ class Request:
         Raises:
             UsageError: an option is wrong, or a folder holds something else; the message says what is allowed.
         """
-        workers = checked(partial(Workers.of, options.jobs, options.cluster))
+        workers = checked(partial(Workers.of, options.jobs))
         configs = checked(partial(_configs, options))
         out = options.out or Path("runs/train") / _name(options)
         folders = (out,) if len(configs) == 1 else tuple(out / f"seed-{config.seed}" for config in configs)

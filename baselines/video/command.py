@@ -82,7 +82,7 @@ def main(arguments: Sequence[str]) -> int:
             "or give --seconds"
         )
     policies = checked_policies(options.policy)
-    workers = checked(partial(Workers.of, options.jobs, None))
+    workers = checked(partial(Workers.of, options.jobs))
     try:
         k, found = _typical(policies, scenario, options, workers) if options.episodes else (0, [])
         seed = options.seed + k

@@ -126,7 +126,7 @@ def main(arguments: Sequence[str]) -> int:
     for option, value in (("seeds", options.seeds), ("episodes", options.episodes), ("timesteps", options.timesteps)):
         if value is not None and value < 1:
             raise UsageError(f"--{option} is {value}; it must be 1 or more")
-    workers = checked(partial(Workers.of, options.jobs, None))
+    workers = checked(partial(Workers.of, options.jobs))
     file = FILE if checkout() and not options.tried else options.out / FILE.name
     for name in options.name or (*_SETTINGS, STUCK, *POLICIES):
         if name in _SETTINGS:

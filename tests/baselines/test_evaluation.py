@@ -97,7 +97,6 @@ def bad_policies(monkeypatch):
         (["--seed", "-1"], "0 or more"),
         (["--jobs", "0"], "1 or more"),
         (["--step-limit", "0"], "positive"),
-        (["--cluster", "nonsense", "--scenario", "slow-calm"], "Ray"),
         (["--policy", "nobody"], "allowed are backstepping"),
         (["--suite", "nothing"], "allowed are presets"),
         (["--scenario", "nowhere"], "allowed are a .toml or .json file, or one of paper-circle"),

@@ -136,4 +136,3 @@ def test_what_making_it_raises_its_first_call_does():
 
 def test_trainings_side_by_side_share_the_processes():
     assert [Workers(5).each_of(tasks) for tasks in (1, 2, 5, 9)] == [5, 2, 1, 1]
-    assert Workers(5, on_cluster=True).each_of(1) == 1

@@ -279,27 +279,6 @@ def test_seeds_differ_and_each_has_a_folder(call, capsys):
     assert same(weights("out/seed-3/agent"), weights("one/agent"))
 
 
-def test_a_cluster_trains_what_this_machine_does(call, ray, capsys):
-    common = (*tiny("ppo"), "--seeds", 2, "--jobs", 1)
-    assert call(*common) == 0
-    assert call(*common, "--out", "there", "--cluster", "local") == 0
-    assert ray.addresses == ["local"]
-    assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()] == ["seed-0", "seed-1"] * 2
-    for seed in ("seed-0", "seed-1"):
-        assert same(weights(f"out/{seed}/agent"), weights(f"there/{seed}/agent"))
-    assert Path("there/learning_curve.png").exists()
-
-
-def test_a_cluster_that_is_lost_is_one_line(call, ray, capsys, monkeypatch):
-    def lost(_):
-        raise RuntimeError("gone")
-
-    monkeypatch.setattr(ray, "wait", lost)
-    assert call(*tiny("ppo"), "--cluster", "local") == 1
-    err = "the Ray cluster failed, with 1 tasks left: RuntimeError: gone; the same command with --resume goes on\n"
-    assert capsys.readouterr().err == err
-
-
 def test_a_folder_in_use_is_refused_and_left_alone(call, capsys):
     with locked(Path("out")):
         assert call(*tiny("ppo")) == 2
@@ -355,7 +334,6 @@ def test_without_what_training_needs_it_says_so(missing):
         vehicle=st.none() | st.sampled_from(["lauv", "a b.toml"]),
         seed=st.integers(0, LARGEST_SEED),
         jobs=st.none() | st.integers(1, 9),
-        cluster=st.none() | st.just("HOST:1"),
         timesteps=st.none() | st.integers(1, 10**9),
         hyperparameters=st.none() | st.just(Path("h.yml")),
         set=st.lists(st.sampled_from(["gamma=0.5", "preview=[5, 10]", "e={net: {pi: [8]}}"])).map(tuple),
@@ -592,7 +570,7 @@ def test_documented_commands_run(page, call, monkeypatch):
     for name, content in re.findall(r"^```(?:toml|yaml)\n# (\S+)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
         Path(name).write_text(content, encoding="utf-8")
     found = re.findall(r"^(?:python train.py|auv-gym train) ?([^#\n]*)", text, re.MULTILINE)
-    others = ("--cluster", "--from", "--vehicle")  # test_a_cluster_trains_what_this_machine_does, test_beginning.py
+    others = ("--from", "--vehicle")  # test_beginning.py
     lines = [line for line in found if not any(option in line for option in others)]
     assert lines
     for line in lines:
