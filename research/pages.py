@@ -41,6 +41,16 @@ PAGES: Mapping[str, str] = {
 }
 """The module of each page: `context(page)` returns the values of its template, `figures(page)`, if there is one, its
 figures as PNG by name."""
+PARTS: Mapping[str, Mapping[str, str]] = {
+    "vehicles": {
+        "published vehicles": "research.vehicles.tables:published_vehicles",
+        "gains": "research.vehicles.vehicles_page:gains_section",
+    },
+    "training": {"fine-tuning": "research.trainings.fine_tuning:fine_tuning_section"},
+    "identify": {"coverage": "research.vehicles.coverage:coverage_section"},
+    "controllers": {"tuned gains": "research.vehicles.tables:tuned_gains"},
+}
+"""Pages that are written by hand but for some parts: `module:function` that returns a part, by page and name."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +68,9 @@ class Options:
     """Folder of the pages."""
 
 
-def table(heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """Return a Markdown table, its first column aligned left and the others right."""
-    lines = [heads, ["---", *("--:" for _ in heads[1:])], *rows]
+def table(heads: Sequence[str], rows: Iterable[Sequence[Any]], right: bool = True) -> str:
+    """Return a Markdown table whose columns but the first are aligned right, or none of them."""
+    lines = [heads, ["---", *("--:" if right else "---" for _ in heads[1:])], *rows]
     return "\n".join(f"| {' | '.join(map(str, cells))} |" for cells in lines)
 
 
@@ -69,10 +79,24 @@ def render(page: str) -> str:
 
     A module whose context has a `body`, the text of a section that links to other pages of docs/, needs no template.
     """
+    if page in PARTS:
+        return _with_parts(page)
     context = dict(import_module(PAGES[page]).context(page))
     if "body" in context:
         context |= {"template": "body", "body": _moved(context["body"], page)}
     return fill(context.get("template", page), context)
+
+
+def _with_parts(page: str) -> str:
+    """Return a page with its parts as they are made now, each between two comments with its name."""
+    text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+    for name, maker in PARTS[page].items():
+        module, _, function = maker.partition(":")
+        part: str = getattr(import_module(module), function)()
+        begin, end = f"<!-- {name}: made by `{PROGRAM} {page}` -->", f"<!-- end of {name} -->"
+        before, _, rest = text.partition(begin)
+        text = f"{before}{begin}\n\n{part.strip()}\n\n{end}{rest.partition(end)[2]}"
+    return text
 
 
 def fill(template: str, values: Mapping[str, Any]) -> str:
@@ -108,17 +132,17 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    check_words("page", options.page, PAGES)
+    check_words("page", options.page, (*PAGES, *PARTS))
     stale = []
-    for page in options.page or PAGES:
+    for page in options.page or (*PAGES, *PARTS):
         text, file = render(page), options.out / f"{page}.md"
         if not file.exists() or file.read_text(encoding="utf-8") != text:
             stale.append(page)
             if not options.check:
                 file.parent.mkdir(parents=True, exist_ok=True)
                 write_atomically(file, text)
-        module = import_module(PAGES[page])
-        if not options.check and hasattr(module, "figures"):
+        module = import_module(PAGES[page]) if page in PAGES else None
+        if not options.check and module is not None and hasattr(module, "figures"):
             for name, png in module.figures(page).items():
                 (options.out / "images").mkdir(parents=True, exist_ok=True)
                 write_atomically(options.out / "images" / name, png)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from baselines.tools.seeds import Seeds
 
-GUARD = Seeds(40_000_000, 45_000_000)
+_GUARD = Seeds(40_000_000, 45_000_000)
 """The guard's thresholds are chosen on these."""
 FAILURE_RATE = Seeds(45_000_000, 55_000_000)
 """Failures are counted on these."""
@@ -21,5 +21,5 @@ TRANSFER = Seeds(120_000_000, 130_000_000)
 FINE_TUNING = Seeds(130_000_000, 140_000_000)
 """Agents that were tuned to a vehicle are compared on these."""
 
-TABLE = (GUARD, FAILURE_RATE, FALSIFICATION, HELD_OUT, SENSITIVITY, OPTIMUM, TRANSFER, FINE_TUNING)
+TABLE = (_GUARD, FAILURE_RATE, FALSIFICATION, HELD_OUT, SENSITIVITY, OPTIMUM, TRANSFER, FINE_TUNING)
 """Every range, in order; none overlaps another."""

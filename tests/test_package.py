@@ -171,12 +171,12 @@ def test_without_a_checkout_it_says_where_rows_are(monkeypatch, tmp_path, capsys
     for module in (recorded, suites):
         monkeypatch.setattr(module, "checkout", lambda: None)
     monkeypatch.setattr(installation, "ROOT", tmp_path)
-    monkeypatch.setattr(recorded, "FOLDER", tmp_path)
+    monkeypatch.setattr(recorded, "RECORDED_FOLDER", tmp_path)
     assert recorded.missing("benchmark-v1") is None
     assert "the recorded rows of ood-v1 are not part of" in recorded.missing("ood-v1", tmp_path)
     (tmp_path / suites.SUMS).write_text("0  ood-v1.json\n")
     with pytest.raises(suites.SuiteError, match="the episodes of ood-v1 are not part of the installed package"):
-        suites.load("ood-v1", tmp_path)
+        suites.load_suite("ood-v1", tmp_path)
     monkeypatch.setattr(recorded, "missing", lambda suite: f"no rows of {suite}")
     options = Options(suite="benchmark-v1", episodes=1, out=tmp_path / "out")
     assert Request.of(options).notes[0] == "no rows of benchmark-v1"

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from auv_gym.codegen.graph import TRUTHS, Graph
-from auv_gym.codegen.printing import Arrays, Layout, c_language, c_opening, written
+from auv_gym.codegen.printing import Arrays, Layout, c_language, c_opening, written_statements
 
 _LANES = 8
 """Vehicles in a block: as many numbers of double precision as the widest registers hold."""
@@ -61,7 +61,7 @@ def _parts(graph: Graph, arguments: Arrays, results: Arrays, precision: str) -> 
     """Return the statements for one lane, part by part, and how many values are kept from one part for another."""
     wanted = [s for entries in results.values() for s in entries]
     given = {s.node[1]: f"block_{a}[{j}][i]" for a, own in arguments.items() for j, s in enumerate(own)}
-    statements, texts = written(graph, wanted, c_language(precision), {entry: entry for entry in given})
+    statements, texts = written_statements(graph, wanted, c_language(precision), {entry: entry for entry in given})
     whole = [_Statement(target, text, truth, True) for target, text, truth in statements]
     places = (f"after_{a}[{j}][i]" for a, own in results.items() for j in range(len(own)))
     for place, text, entry in zip(places, texts, wanted, strict=True):

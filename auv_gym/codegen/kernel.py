@@ -22,7 +22,7 @@ from auv_gym.physics.namespaces import ARRAYS
 Array: TypeAlias = NDArray[Any]
 Equation = Callable[..., Mapping[str, Sequence[Any]]]
 """Takes the rows of each array by its name, as symbols, and returns rows by the names of the arrays they are for."""
-Run = Callable[[int, int], None]
+_Run = Callable[[int, int], None]
 """Goes through so many steps from a first one on: `run(first, steps)`."""
 
 _REAL = {name: np.dtype(name) for name in ("float32", "float64")}
@@ -123,7 +123,7 @@ class Kernel:
         function: Callable[..., tuple[Any, ...]] = space[self.name]
         return function
 
-    def bound(self, **arrays: Array) -> Run:
+    def bound(self, **arrays: Array) -> _Run:
         """Return the function that reads these arrays and writes to them.
 
         It is made for speed: that the steps which it is asked for are within the arrays is for the caller to see to.
@@ -186,7 +186,7 @@ class Kernel:
             yield name, values[at : at + len(entries)]
             at += len(entries)
 
-    def _on_one(self, arrays: Mapping[str, Array]) -> Run:
+    def _on_one(self, arrays: Mapping[str, Array]) -> _Run:
         """Return what `bound` does for one vehicle, on floats."""
         function = self._on_floats
 
@@ -220,7 +220,7 @@ class Kernel:
         with np.errstate(all="ignore"):
             return tuple(map(float, self._on_rows(*map(np.array, given))))
 
-    def _on_several(self, arrays: Mapping[str, Array]) -> Run:
+    def _on_several(self, arrays: Mapping[str, Array]) -> _Run:
         """Return what `bound` does for several vehicles, on rows."""
         function = self._on_rows
 

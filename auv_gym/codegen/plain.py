@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from auv_gym.codegen.elementary import hyperbolic_tangent, lowered
 from auv_gym.codegen.graph import SYMBOLS, TRUTHS, Graph
-from auv_gym.codegen.printing import JAVASCRIPT, Arrays, Language, c_language, written
+from auv_gym.codegen.printing import JAVASCRIPT, Arrays, Language, c_language, written_statements
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def plain_function(name: str, graph: Graph, arguments: Arrays, results: Arrays, 
     flat = lowered(graph, [s for entries in results.values() for s in entries], dialect.precision)
     read = {graph.nodes[i][1] for i in graph.needed(s.index for s in flat) if graph.nodes[i][0] == "input"}
     given = {s.node[1]: f"{array}[{j}]" for array, own in arguments.items() for j, s in enumerate(own)}
-    statements, texts = written(graph, flat, dialect.language, {entry: entry for entry in read})
+    statements, texts = written_statements(graph, flat, dialect.language, {entry: entry for entry in read})
     taken = parameters(arguments, results)
     declared = [(dialect.write if array in results else dialect.read).format(array) for array in taken]
     lines = [dialect.head.format(name, ", ".join(declared)), "{"]
@@ -110,7 +110,7 @@ def tangent_function(name: str, dialect: Dialect) -> str:
     """Return the source of the hyperbolic tangent: a function that takes a number and returns one."""
     graph = Graph()
     result = hyperbolic_tangent(graph.input("x"), dialect.precision, SYMBOLS)
-    statements, (text,) = written(graph, [result], dialect.language, {"x": "x"})
+    statements, (text,) = written_statements(graph, [result], dialect.language, {"x": "x"})
     head = dialect.head.format(name, dialect.number.format("x")).replace("static void", "static real")
     lines = [(dialect.truth if truth else dialect.value).format(target, text) for target, text, truth in statements]
     return "\n".join((head, "{", *lines, f"return {text};", "}")) + "\n"

@@ -126,7 +126,7 @@ JAVASCRIPT = Language(
 """On JavaScript's numbers, which are of double precision; it contracts no product with a sum."""
 
 
-def written(
+def written_statements(
     graph: Graph, outputs: Sequence[Symbol], language: Language, inputs: Mapping[str, str]
 ) -> tuple[list[tuple[str, str, bool]], list[str]]:
     """Return statements, (name, expression, whether it is a truth value), and the expressions of some outputs then.
@@ -165,7 +165,7 @@ def written(
 def python_function(name: str, graph: Graph, arguments: Arrays, results: Sequence[Symbol], language: Language) -> str:
     """Return the source of a Python function that takes a sequence for each array and returns the results' tuple."""
     inputs = {s.node[1]: s.node[1] for rows in arguments.values() for s in rows}
-    statements, outputs = written(graph, results, language, inputs)
+    statements, outputs = written_statements(graph, results, language, inputs)
     lines = [f"def {name}({', '.join(arguments)}):"]
     lines += [f"    {', '.join(s.node[1] for s in rows)}, = {array}" for array, rows in arguments.items() if rows]
     lines += [f"    {target} = {expression}" for target, expression, _ in statements]
@@ -226,7 +226,9 @@ def c_function(name: str, graph: Graph, arguments: Arrays, results: Arrays, layo
     wanted = [s for entries in results.values() for s in entries]
     read = {graph.nodes[i][1] for i in graph.needed(s.index for s in wanted) if graph.nodes[i][0] == "input"}
     given = {s.node[1]: layout.entry(array, j) for array, own in arguments.items() for j, s in enumerate(own)}
-    statements, texts = written(graph, wanted, c_language(layout.precision), {entry: entry for entry in read})
+    statements, texts = written_statements(
+        graph, wanted, c_language(layout.precision), {entry: entry for entry in read}
+    )
     lines = [
         *c_opening(name, arguments, results, layout),
         "for (long j = 0; j < steps; j++) {",

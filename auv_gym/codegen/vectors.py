@@ -1,6 +1,6 @@
 """Networks as programs of vectors, recorded by running them on vectors that compute nothing, as equations on symbols.
 
-A network of `baselines.agents.networks` computes with NumPy on columns. Given a `Vector` in place of a column, each
+A network of `baselines.agents.networks` computes with NumPy on columns. Given a `_Vector` in place of a column, each
 operation becomes a node, and from the nodes come loops in C and JavaScript, or the operators of an exchange format.
 Matrices are not unrolled: the program stays short, and the weights stay data.
 """
@@ -63,7 +63,7 @@ class Program:
         """
         program = cls({name: a[:, 0] if a.shape[1] == 1 else a for name, a in constants.items()})
         names = {id(array): name for name, array in constants.items()}
-        given = [Vector(program, program.node("input", (name,), size), names) for name, size in inputs.items()]
+        given = [_Vector(program, program.node("input", (name,), size), names) for name, size in inputs.items()]
         for name, vector in zip(results, function(*given), strict=True):
             program.results[name] = vector.index
         return program
@@ -74,7 +74,7 @@ class Program:
         return len(self.nodes) - 1
 
 
-class Vector(NDArrayOperatorsMixin):
+class _Vector(NDArrayOperatorsMixin):
     """A column of numbers that NumPy's functions take and that records what they do with it.
 
     What is changed in place through a part of a column may not be read through the whole of it any more, since a part
@@ -84,14 +84,14 @@ class Vector(NDArrayOperatorsMixin):
     def __init__(self, program: Program, index: int, names: Mapping[int, str]) -> None:
         """Stand for a node; `names` are the constants' by the identity of their arrays."""
         self.program, self.index, self.names = program, index, names
-        self._whole: tuple[Vector, int, int] | None = None  # what it is a part of, from where to where
+        self._whole: tuple[_Vector, int, int] | None = None  # what it is a part of, from where to where
         self._changed: list[tuple[int, int]] = []  # parts that were changed in place
 
-    def _recorded(self, operation: str, arguments: tuple[Any, ...], size: int) -> Vector:
-        return Vector(self.program, self.program.node(operation, arguments, size), self.names)
+    def _recorded(self, operation: str, arguments: tuple[Any, ...], size: int) -> _Vector:
+        return _Vector(self.program, self.program.node(operation, arguments, size), self.names)
 
     def _argument(self, value: Any) -> Any:
-        if isinstance(value, Vector):
+        if isinstance(value, _Vector):
             return value._read(0, math.inf)
         return self.names[id(value)] if isinstance(value, np.ndarray) else float(value)
 
@@ -101,10 +101,10 @@ class Vector(NDArrayOperatorsMixin):
             raise ValueError("a vector is read whose part was changed in place: read the part, or change the whole")
         return self.index
 
-    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, out: tuple[Vector, ...] = ()) -> Any:
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, out: tuple[_Vector, ...] = ()) -> Any:
         if method != "__call__" or ufunc.__name__ not in ELEMENTWISE:
             raise TypeError(f"{ufunc.__name__} of a vector is not recorded, only {', '.join(ELEMENTWISE)}")
-        size = max(self.program.nodes[x.index].size for x in inputs if isinstance(x, Vector))
+        size = max(self.program.nodes[x.index].size for x in inputs if isinstance(x, _Vector))
         result = self._recorded(ufunc.__name__, tuple(map(self._argument, inputs)), size)
         if not out:
             return result
@@ -115,7 +115,7 @@ class Vector(NDArrayOperatorsMixin):
             whole._changed.append((first, end))
         return target
 
-    def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Vector:
+    def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> _Vector:
         if function is np.dot:
             matrix, vector = arguments
             return self._recorded("dot", (self.names[id(matrix)], self._argument(vector)), len(matrix))
@@ -126,7 +126,7 @@ class Vector(NDArrayOperatorsMixin):
             return self._recorded("concatenate", parts, sum(self.program.nodes[part].size for part in parts))
         raise TypeError(f"{function.__name__} of a vector is not recorded, only dot, clip and concatenate")
 
-    def __getitem__(self, rows: slice) -> Vector:
+    def __getitem__(self, rows: slice) -> _Vector:
         first, end, _ = rows.indices(self.program.nodes[self.index].size)
         part = self._recorded("slice", (self._read(first, end), first), end - first)
         part._whole = self, first, end

@@ -27,7 +27,7 @@ from auv_gym.task.policy import Forces
 from auv_gym.task.preview import Preview, encode_preview
 from auv_gym.task.simulation import PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts
 
-Indices = NDArray[np.int64]
+LaneIndices = NDArray[np.int64]
 ScenarioLike = Scenario | str | Mapping[str, Any]
 
 LARGEST_BLOCK = 64  # most control steps of tape that are read at once
@@ -35,7 +35,7 @@ BLOCK_SAMPLES = 2**18  # most vehicles times control steps that are read at once
 PLANNED_AT_ONCE = 64  # most references planned in one batch, so that they stay in the processor's cache
 
 
-class Planned(NamedTuple):
+class ReadyEpisode(NamedTuple):
     """An episode that is ready to begin."""
 
     episode: Episode
@@ -43,10 +43,10 @@ class Planned(NamedTuple):
     constants: tuple[float, ...]  # the numbers of its `simulation.Parameters`
 
 
-class Beginning(NamedTuple):
+class Begun(NamedTuple):
     """New episodes in n of the lanes."""
 
-    lanes: Indices  # which, shape (n,)
+    lanes: LaneIndices  # which, shape (n,)
     plant: Array  # rows of their `simulation.Plant`, shape (PLANT_ROWS, n)
     seen: Array  # the first observations without previews, shape (columns, n), see `kernels.begun`
     errors: Array  # [m] position error, shape (n,)
@@ -92,7 +92,7 @@ class Lanes:
         if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
             raise ValueError(f"num_envs is {num_envs!r}; it must be an integer of at least 1")
         self.scenarios = scenarios_of(scenario, num_envs, vehicle, control_dt)
-        self.all: Indices = np.arange(num_envs)
+        self.all: LaneIndices = np.arange(num_envs)
         self.begun = False
         self.forces: Forces | None = None
         self._generators = [seeding.np_random(None)[0] for _ in range(num_envs)]
@@ -109,7 +109,7 @@ class Lanes:
         self.constants = np.ones((PARAMETER_ROWS, num_envs))
         self.parts = reduce(Parts.joined, {s.parts: None for s in self.scenarios})
         self.parameters = Parameters.of(tuple(self.constants), self.parts)
-        self.k: Indices = np.zeros(num_envs, dtype=np.int64)
+        self.k: LaneIndices = np.zeros(num_envs, dtype=np.int64)
 
     @property
     def sample(self) -> Any:
@@ -141,7 +141,7 @@ class Lanes:
         self.row += 1
         self.k += 1
 
-    def reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> Beginning:
+    def reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> Begun:
         """Begin new episodes everywhere, or where `options["reset_mask"]` says; lane i gets seed + i.
 
         Raises:
@@ -156,7 +156,7 @@ class Lanes:
             self._generators[i] = generators[i]
         return self.begin(lanes, planned)
 
-    def planned(self, lanes: Indices) -> list[Planned]:
+    def planned(self, lanes: LaneIndices) -> list[ReadyEpisode]:
         """Return the next episode of each of the lanes, ready to begin.
 
         Raises:
@@ -165,8 +165,8 @@ class Lanes:
         return self._planned(lanes, self._generators, [{}] * len(self.all))
 
     def _planned(
-        self, lanes: Indices, generators: Sequence[np.random.Generator], choices: Sequence[Mapping[str, Any]]
-    ) -> list[Planned]:
+        self, lanes: LaneIndices, generators: Sequence[np.random.Generator], choices: Sequence[Mapping[str, Any]]
+    ) -> list[ReadyEpisode]:
         """Return an episode for each of the lanes, with every lane's checked options of `reset`."""
         states = [generators[i].bit_generator.state for i in lanes.tolist()]
         try:
@@ -178,7 +178,7 @@ class Lanes:
                     drawn[j], tables[j] = self._feasible(i, choices[i].get("episode"), generators[i])
             episodes = [with_options(episode, choices[i]) for i, episode in zip(lanes.tolist(), drawn, strict=True)]
             return [
-                Planned(episode, table, leaves(self.scenarios[i].parameters(episode)))
+                ReadyEpisode(episode, table, leaves(self.scenarios[i].parameters(episode)))
                 for i, episode, table in zip(lanes.tolist(), episodes, tables, strict=True)
             ]
         except ValueError:
@@ -186,7 +186,7 @@ class Lanes:
                 generators[i].bit_generator.state = state
             raise
 
-    def begin(self, lanes: Indices, planned: Sequence[Planned]) -> Beginning:
+    def begin(self, lanes: LaneIndices, planned: Sequence[ReadyEpisode]) -> Begun:
         """Begin these episodes in the lanes."""
         for i, (episode, table, constants) in zip(lanes.tolist(), planned, strict=True):
             self._tape.load(i, self.scenarios[i], episode, table)
@@ -201,7 +201,7 @@ class Lanes:
         ahead[:, :, lanes] = self._tape.read(lanes, len(ahead))
         states = np.array([episode.initial_state(table[0].tolist()) for episode, table, _ in planned]).T
         errors = np.hypot(*np.array([episode.initial_error[:2] for episode, _, _ in planned]).T)
-        return Beginning(
+        return Begun(
             lanes, *begun(self.parts, states, self.sample[:, lanes], self.constants[:, lanes], self.forces), errors
         )
 
@@ -216,7 +216,7 @@ class Lanes:
         given = zip(self.scenarios, episodes, strict=True)
         self.constants[:] = np.array([leaves(scenario.parameters(episode)) for scenario, episode in given]).T
 
-    def with_preview(self, rows: Array, lanes: Indices) -> Array:
+    def with_preview(self, rows: Array, lanes: LaneIndices) -> Array:
         """Return a copy of the observations of n lanes, (SIZE, n), with their previews behind them, (columns, n)."""
         if not self.preview.periods:
             return rows.copy()
@@ -231,7 +231,7 @@ class Lanes:
 
         return (episode, table_of(episode)) if episode else self.scenarios[lane].drawn(rng, table_of)
 
-    def _tables(self, lanes: Indices, episodes: Sequence[Episode]) -> list[Any]:
+    def _tables(self, lanes: LaneIndices, episodes: Sequence[Episode]) -> list[Any]:
         """Return the reference table of each episode, None where it cannot be followed.
 
         Those of one clock and vehicle are planned together, paths of one family side by side.

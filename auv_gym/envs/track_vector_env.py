@@ -11,7 +11,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from auv_gym.envs.lanes import Beginning, Lanes, ScenarioLike
+from auv_gym.envs.lanes import Begun, Lanes, ScenarioLike
 from auv_gym.envs.spaces import ReferencePoint, checked_actions, with_action
 from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
 from auv_gym.physics.errors import to_body
@@ -128,7 +128,7 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         self._vehicles = bodies(lanes.parts, lanes.samples, lanes.constants)
         lanes.begun = False
 
-    def _begin(self, beginning: Beginning) -> Array:
+    def _begin(self, beginning: Begun) -> Array:
         """Put vehicles at the start of their episodes; return their observations, shape (n, columns)."""
         lanes, vehicles = beginning.lanes, self._vehicles
         vehicles.place(lanes, beginning.plant, beginning.seen)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from auv_gym.physics.intervals import Interval, Uniform, check_interval, check_number, draw
-from auv_gym.physics.vehicle import LARGEST, MIN_MASS_RATIO, Coefficients, Vehicle
+from auv_gym.physics.vehicle import LARGEST_PARAMETER, MIN_MASS_RATIO, Coefficients, Vehicle
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ class RandomMismatch:
         if len(self.quadratic_drag) != 3:
             raise ValueError(f"mismatch quadratic_drag is {self.quadratic_drag!r}; it must be three numbers")
         for value in self.quadratic_drag:
-            check_number("mismatch quadratic_drag", value, 0, LARGEST)
+            check_number("mismatch quadratic_drag", value, 0, LARGEST_PARAMETER)
 
     def check(self, vehicle: Vehicle) -> None:
         """Raise ValueError if some draw about this vehicle would have m22 too close to m11."""

@@ -23,10 +23,10 @@ Force: TypeAlias = tuple[Number, Number]
 """F_u [N], F_r [N m]."""
 Load: TypeAlias = tuple[Number, Number, Number]
 """Total force on the hull in the body frame: surge [N], sway [N], yaw [N m]; the vehicle alone makes (F_u, 0, F_r)."""
-Current: TypeAlias = tuple[Number, Number]
+CurrentVelocity: TypeAlias = tuple[Number, Number]
 """V_x, V_y [m/s] of the water in the world."""
 
-STILL_WATER: Current = (0.0, 0.0)  # [m/s]
+STILL_WATER: CurrentVelocity = (0.0, 0.0)  # [m/s]
 
 
 def rates(
@@ -56,7 +56,7 @@ def rates(
 
 
 def state_rates(
-    state: State, load: Load, coefficients: Sequence[Number], current: Current = STILL_WATER, ns: Any = math
+    state: State, load: Load, coefficients: Sequence[Number], current: CurrentVelocity = STILL_WATER, ns: Any = math
 ) -> State:
     """Return the time derivative of the whole state, for integrators and analysis."""
     _, _, psi, u, v, r = state
@@ -65,7 +65,12 @@ def state_rates(
 
 
 def rk4_step(
-    state: State, load: Load, coefficients: Sequence[Number], dt: Number, current: Current = STILL_WATER, ns: Any = math
+    state: State,
+    load: Load,
+    coefficients: Sequence[Number],
+    dt: Number,
+    current: CurrentVelocity = STILL_WATER,
+    ns: Any = math,
 ) -> State:
     """Return the state after dt [s] by one classical Runge-Kutta step with load and current held.
 

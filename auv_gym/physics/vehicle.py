@@ -40,9 +40,9 @@ class Coefficients(NamedTuple):
 
 LIFT = Coefficients._fields[-4:]
 """The parameters of the lift, which grow with the surge velocity."""
-SPEEDS = (1e-2, 16.0)
+_SPEEDS = (1e-2, 16.0)
 """Least and largest design speed of a vehicle [m/s]."""
-LARGEST = 1e11
+LARGEST_PARAMETER = 1e11
 """Largest parameter of a vehicle, in its SI unit."""
 MIN_MASS_RATIO = 1.01
 """Least m22/m11: the planner's memory is (m22 - m11)/d22, and its integration step must follow."""
@@ -61,7 +61,7 @@ class Vehicle:
     Raises:
         ValueError: a parameter is not finite or too large, one but Y_ur or N_uv is negative, a mass or linear drag is
             zero, m22 is not above m11 and m11 - Y_ur, since the section III planner and the sideslip it describes need
-            a slender hull, or the design speed is outside of `SPEEDS`.
+            a slender hull, or the design speed is outside of `_SPEEDS`.
     """
 
     m11: float  # [kg] surge inertia, added mass included
@@ -81,8 +81,10 @@ class Vehicle:
 
     def __post_init__(self) -> None:
         for name, value in zip(Coefficients._fields, self.coefficients, strict=True):
-            if not is_float(value) or not abs(value) <= LARGEST:
-                raise ValueError(f"vehicle parameter {name} is {value!r}; it must be a finite number up to {LARGEST:g}")
+            if not is_float(value) or not abs(value) <= LARGEST_PARAMETER:
+                raise ValueError(
+                    f"vehicle parameter {name} is {value!r}; it must be a finite number up to {LARGEST_PARAMETER:g}"
+                )
             if name[0] in "md" and value <= 0:
                 raise ValueError(f"vehicle parameter {name} is {value!r}; inertia and linear drag must be positive")
             if value < 0 and name not in ("Y_ur", "N_uv"):
@@ -93,7 +95,7 @@ class Vehicle:
                 f"nor may Y_ur = {self.Y_ur!r} kg bring m11 - Y_ur there; "
                 "a torpedo-shaped hull adds more mass in sway than in surge, and only then the plan is stable"
             )
-        check_number("vehicle speed", self.speed, *SPEEDS)
+        check_number("vehicle speed", self.speed, *_SPEEDS)
 
     @property
     def length(self) -> float:

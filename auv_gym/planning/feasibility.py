@@ -35,7 +35,7 @@ class InfeasibleReferenceError(ValueError):
 Index = tuple[int, ...]
 
 
-def check(valid: NDArray[np.bool_], condition: Callable[[Index], str], times: Array, positions: Array) -> None:
+def check_feasible(valid: NDArray[np.bool_], condition: Callable[[Index], str], times: Array, positions: Array) -> None:
     """Raise InfeasibleReferenceError for the first time at which `valid`, shape (T,) or (T, N), does not hold."""
     if not valid.all():
         index = tuple(int(i) for i in np.argwhere(~valid)[0])
@@ -47,7 +47,7 @@ def check_rates(v_p: Array, beta: Array, v_p_dot: Array, vehicle: Vehicle, times
     """Raise InfeasibleReferenceError where a path stands still, turns on the spot, or brakes faster than drag can."""
     moving = v_p >= MIN_SPEED
     moving[1:] &= np.abs(wrap_angle(np.diff(beta, axis=0), ARRAYS)) < 0.5 * math.pi  # no turn on the spot
-    check(moving, lambda k: f"the speed passes through zero, here v_p = {v_p[k]:.3g} m/s", times, positions)
+    check_feasible(moving, lambda k: f"the speed passes through zero, here v_p = {v_p[k]:.3g} m/s", times, positions)
     braking = -v_p_dot / v_p
     limit = (vehicle.d22 + vehicle.Y_uv * v_p) / vehicle.m22
     drag = "(d22 + Y_uv v_p)/m22" if vehicle.Y_uv else "d22/m22"
@@ -55,7 +55,7 @@ def check_rates(v_p: Array, beta: Array, v_p_dot: Array, vehicle: Vehicle, times
     def says(k: Index) -> str:
         return f"braking -v_p'/v_p = {braking[k]:.4g} 1/s is not below {drag} = {limit[k]:.4g} 1/s"
 
-    check(braking < limit, says, times, positions)
+    check_feasible(braking < limit, says, times, positions)
 
 
 def check_forces(F_u: Array, F_r: Array, limits: tuple[float, float | Array], times: Array, positions: Array) -> None:
@@ -66,4 +66,4 @@ def check_forces(F_u: Array, F_r: Array, limits: tuple[float, float | Array], ti
         def says(k: Index, name: str = name, unit: str = unit, force: Array = force, most: Array = most) -> str:
             return f"{name} = {force[k]:.4g} {unit} is beyond its limit of {most[k]:.4g} {unit}"
 
-        check(np.abs(force) <= most, says, times, positions)
+        check_feasible(np.abs(force) <= most, says, times, positions)

@@ -19,8 +19,8 @@ from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.actuators import fin_share
 from auv_gym.physics.namespaces import ARRAYS, Array, Number
 from auv_gym.physics.vehicle import Coefficients, Vehicle
-from auv_gym.planning.feasibility import check, check_forces, check_rates
-from auv_gym.planning.paths import Path, evaluate
+from auv_gym.planning.feasibility import check_feasible, check_forces, check_rates
+from auv_gym.planning.paths import Path, evaluate_paths
 from auv_gym.planning.sideslip import ORDER, RATES, PathRates, in_sideslip, rates_along, sine_of_sideslip
 
 RUN_IN = 12.0  # integrated before the first sample, in memories Dm/d22; the small start error fades by exp(-12)
@@ -121,7 +121,7 @@ class _Fine(NamedTuple):
 def _check_sideslip(w: Array, fine: _Fine) -> None:
     """Raise InfeasibleReferenceError where a sideslip, whose sine is given, exceeds `MAX_SIDESLIP`."""
     limit = f"{math.degrees(MAX_SIDESLIP):.0f} degrees"
-    check(
+    check_feasible(
         np.abs(w[fine.lead :]) < math.sin(MAX_SIDESLIP),
         lambda _: f"the sideslip exceeds {limit}, the path turns too fast for the sway drag",
         fine.times[fine.lead :],
@@ -140,7 +140,7 @@ def _look_along(path: Path | Sequence[Path], vehicle: Vehicle, times: Array, sub
         )
     fine = times[0] + h * np.arange(-lead, (len(times) - 1) * substeps + 1)
     fine[-1] = times[-1]  # not an ulp past the path's end
-    derivatives = evaluate(path, fine) if isinstance(path, Sequence) else path.derivatives(fine)
+    derivatives = evaluate_paths(path, fine) if isinstance(path, Sequence) else path.derivatives(fine)
     along = rates_along(derivatives)
     check_rates(along.v_p, along.beta, along.v_p_dot, vehicle, fine, derivatives[0])
     return _Fine(fine, derivatives[0], along, h, lead, slice(lead, None, substeps))

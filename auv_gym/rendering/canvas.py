@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from auv_gym.physics.namespaces import Array
 
 Color = tuple[int, int, int]
-Box = tuple[float, float, float, float]
+_Box = tuple[float, float, float, float]
 """Left, top, width and height [units] of a rectangle."""
 
 VEHICLE_LENGTH: Final = 2.0  # [m] about right for a neutrally buoyant torpedo of 200 kg
@@ -35,7 +35,7 @@ TEXTS: Final = 1024  # images of texts that are kept
 DASH: Final = 7.0  # [px] a dash with its gap is not shorter
 SHADES: Final = 32  # steps of a colour that fades
 
-SEA: Final[Color] = (243, 248, 251)  # the water
+SEA_COLOUR: Final[Color] = (243, 248, 251)  # the water
 GRID: Final[Color] = (205, 219, 228)  # lines of constant x and y, and frames
 INK: Final[Color] = (32, 48, 60)  # text and outlines
 MUTED: Final[Color] = (98, 116, 130)  # text of less weight
@@ -44,7 +44,7 @@ PLAN: Final[Color] = (0, 114, 178)  # the path that lies ahead
 PLAN_DONE: Final[Color] = (168, 200, 220)  # the path that is behind
 VEHICLE: Final[Color] = (230, 159, 0)  # the hull and its trail
 VELOCITY: Final[Color] = (0, 110, 82)  # the arrow of the velocity over ground
-CURRENT: Final[Color] = (86, 180, 233)  # the arrows of the current
+CURRENT_COLOUR: Final[Color] = (86, 180, 233)  # the arrows of the current
 ALERT: Final[Color] = (213, 94, 0)  # the position error, and forces at their limit
 
 
@@ -90,7 +90,7 @@ class Canvas:
         rows = np.frombuffer(self._surface.get_buffer().raw, dtype=np.uint8).reshape(height, pitch)
         return rows[:, : 3 * width].reshape(height, width, 3).copy()
 
-    def part(self, box: Box) -> Canvas:
+    def part(self, box: _Box) -> Canvas:
         """Return the canvas of a rectangle of this one, its own corner at the origin."""
         x, y, width, height = (round(n * self.unit) for n in box)
         return Canvas(self._pygame, (width, height), self.unit, self._surface.subsurface((x, y, width, height)))
@@ -115,7 +115,7 @@ class Canvas:
         for position in positions:
             low, high = position * self.unit - half, position * self.unit + half
             for k in range(math.floor(low), math.ceil(high)):
-                shade = _shade(SEA, color, round(SHADES * (min(high, k + 1) - max(low, k))))
+                shade = _shade(SEA_COLOUR, color, round(SHADES * (min(high, k + 1) - max(low, k))))
                 fill(shade, (k, 0, 1, h) if axis == 0 else (0, k, w, 1))
 
     def line(self, points: ArrayLike, color: Color, width: float, cuts: Sequence[tuple[int, int, Color]] = ()) -> None:
@@ -201,13 +201,13 @@ class Canvas:
         thickness = max(1, round(width * self._factor))
         self._pygame.draw.lines(self._surface, color, True, places.tolist(), thickness)
 
-    def box(self, box: Box, color: Color, radius: float = 0.0) -> None:
+    def box(self, box: _Box, color: Color, radius: float = 0.0) -> None:
         """A filled rectangle with rounded corners, at least a pixel wide and high."""
         x, y, width, height = (n * self.unit for n in box)
         rectangle = round(x), round(y), max(1, round(x + width) - round(x)), max(1, round(y + height) - round(y))
         self._pygame.draw.rect(self._surface, color, rectangle, border_radius=round(radius * self.unit))
 
-    def card(self, box: Box, key: Hashable = None, content: Callable[[Canvas], None] = lambda _: None) -> None:
+    def card(self, box: _Box, key: Hashable = None, content: Callable[[Canvas], None] = lambda _: None) -> None:
         """A white card with a thin border, and on it what does not change as long as size and key stay.
 
         Args:

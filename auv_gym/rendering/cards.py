@@ -11,7 +11,7 @@ from auv_gym.rendering.camera import Camera, View
 from auv_gym.rendering.canvas import (
     ALERT,
     ARROW_LENGTH,
-    CURRENT,
+    CURRENT_COLOUR,
     GRID,
     INK,
     MIN_VEHICLE_LENGTH,
@@ -71,7 +71,7 @@ def _draw_legend(canvas: Canvas, camera: Camera, view: View) -> None:
     count = len(_NAMES) if speeds[1] > 0.0 else len(_NAMES) - 1
     left = float(canvas.extent[0]) - 268.0
     canvas.card((left, 12.0, 256.0, 26.0 + 24.0 * count), "legend", partial(_legend_names, count=count))
-    colors = (VELOCITY, CURRENT)
+    colors = (VELOCITY, CURRENT_COLOUR)
     for row, (speed, color) in enumerate(zip(speeds[: count - 4], colors, strict=False), start=4):
         length, y = ARROW_LENGTH * speed / camera.unit_speed, 37.0 + 24.0 * row
         canvas.arrows(np.array([(left + 54.0 - 0.5 * length, y)]), np.array((length, 0.0)), [color], 2.5)

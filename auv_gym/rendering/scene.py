@@ -12,13 +12,13 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.rendering.camera import Camera, View
 from auv_gym.rendering.canvas import (
     ALERT,
-    CURRENT,
+    CURRENT_COLOUR,
     GRID,
     INK,
     MIN_VEHICLE_LENGTH,
     PLAN,
     PLAN_DONE,
-    SEA,
+    SEA_COLOUR,
     VEHICLE,
     VEHICLE_LENGTH,
     VELOCITY,
@@ -65,7 +65,7 @@ def draw_world(
         hull: colour of vehicle and trail.
         velocity: whether the vehicle has an arrow of its velocity.
     """
-    canvas.fill(SEA)
+    canvas.fill(SEA_COLOUR)
     _draw_grid(canvas, camera)
     _draw_current(canvas, camera, view.current)
     path = camera.project(view.path)
@@ -87,7 +87,7 @@ def _draw_grid(canvas: Canvas, camera: Camera) -> None:
         for axis in (0, 1):
             values = camera.lattice(axis, spacing) * spacing
             places = camera.project(np.stack((values, values), axis=1))[:, axis]
-            canvas.rule(axis, places.tolist(), mix(SEA, GRID, weight), 1.0)
+            canvas.rule(axis, places.tolist(), mix(SEA_COLOUR, GRID, weight), 1.0)
 
 
 def _draw_current(canvas: Canvas, camera: Camera, current: tuple[float, float]) -> None:
@@ -99,7 +99,7 @@ def _draw_current(canvas: Canvas, camera: Camera, current: tuple[float, float]) 
     fading = min((spacing * camera.scale / apart - 1.0) / 0.4, 1.0)  # every other arrow, as the camera comes closer
     i, j = (n.ravel() for n in np.meshgrid(*(camera.lattice(axis, spacing) for axis in (0, 1)), indexing="ij"))
     middles = camera.project(np.stack((i, j), axis=1) * spacing)
-    full, faint = mix(SEA, CURRENT, 0.75), mix(SEA, CURRENT, 0.75 * fading)
+    full, faint = mix(SEA_COLOUR, CURRENT_COLOUR, 0.75), mix(SEA_COLOUR, CURRENT_COLOUR, 0.75 * fading)
     canvas.arrows(middles - 0.5 * arrow, arrow, [faint if odd else full for odd in ((i | j) & 1).tolist()], 2.0)
 
 
@@ -107,7 +107,7 @@ def draw_trail(canvas: Canvas, points: Array, color: Color = VEHICLE) -> None:
     """Draw past positions (k, 2) [units], paler with age."""
     cuts = np.unique(np.linspace(0, max(len(points) - 1, 0), 25).astype(int)).tolist()
     parts = [
-        (start, stop + 1, mix(SEA, color, 0.15 + 0.85 * k / len(cuts)))
+        (start, stop + 1, mix(SEA_COLOUR, color, 0.15 + 0.85 * k / len(cuts)))
         for k, (start, stop) in enumerate(pairwise(cuts), start=1)
     ]
     canvas.line(points, color, 3.5, parts)

@@ -25,12 +25,12 @@ from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.simulation import REFERENCE, SAMPLE, SAMPLE_ROWS
 
-Lanes = NDArray[np.int64]
+_Lanes = NDArray[np.int64]
 
 GROUP = 64  # lanes read together: few enough for the cache, many enough to pay for a call
 TILE = 8  # lanes transposed together: one cache line of the result
 NORMALS = 8  # standard normals of a control step
-MEASURED = slice(0, 6)  # those of the normals that become errors of the six measurements
+MEASUREMENT_NORMALS = slice(0, 6)  # those of the normals that become errors of the six measurements
 GUSTS = slice(6, 8)  # those of the normals that drive the gusts
 SEA = slice(REFERENCE.stop, SAMPLE_ROWS)  # the part of a sample that is no reference
 
@@ -132,7 +132,7 @@ def sea_kernel(components: int) -> Kernel:
         after, current = current_gust(Gust(*gust), normals[GUSTS], w, SYMBOLS)
         parts = [waves[i : i + WAVE_ROWS] for i in range(0, len(waves), WAVE_ROWS)]
         load = wave_load(gust[_GUST.k], parts, SYMBOLS)
-        measured = [s * n + b for s, n, b in zip(w.noise, normals[MEASURED], w.bias, strict=True)]
+        measured = [s * n + b for s, n, b in zip(w.noise, normals[MEASUREMENT_NORMALS], w.bias, strict=True)]
         return {"gust": after, "sea": (*current, *load, *measured, 1.0)}
 
     rows = {"gust": GUST_ROWS, "normals": NORMALS, "weather": WEATHER_ROWS, "waves": WAVE_ROWS * components}
@@ -157,8 +157,8 @@ class Tape:
         self._tables[lane] = table
         self._next[lane] = 0
         noise, gusty = scenario.sensors.noise, episode.current.gust > 0
-        first = MEASURED.start if any(noise) else GUSTS.start
-        end = GUSTS.stop if gusty else MEASURED.stop
+        first = MEASUREMENT_NORMALS.start if any(noise) else GUSTS.start
+        end = GUSTS.stop if gusty else MEASUREMENT_NORMALS.stop
         self._drawn[lane] = None
         if first < end:
             self._drawn[lane] = np.random.Generator(np.random.SFC64(episode.noise_seed)), first, end
@@ -185,7 +185,7 @@ class Tape:
             walk = sensors.reckoning.walk
             self._headings[lane] = heading_errors(reckoning.drift, walk, dt, len(table), rng)
 
-    def read(self, lanes: Sequence[int] | Lanes, n: int, out: Array | None = None) -> Array:
+    def read(self, lanes: Sequence[int] | _Lanes, n: int, out: Array | None = None) -> Array:
         """Return the next n <= block samples of these lanes, shape (n, SAMPLE_ROWS, len(lanes)), and wind on.
 
         Behind an episode's last instant a lane repeats its last reference. The samples are written to `out`, if given.
@@ -196,7 +196,7 @@ class Tape:
             self._read(np.asarray(lanes[first : first + GROUP]), out[:, :, first : first + GROUP])
         return out
 
-    def _read(self, lanes: Lanes, out: Array) -> None:
+    def _read(self, lanes: _Lanes, out: Array) -> None:
         first = self._next[lanes]
         _transpose(self._references(lanes, len(out)), out[:, REFERENCE])
         gust, weather, waves = (rows.take(lanes, axis=1) for rows in (self._gust, self._weather, self._waves))
@@ -213,7 +213,7 @@ class Tape:
                 out[: len(part), SAMPLE.n_psi, i] += part
         self._next[lanes] += len(out)
 
-    def _references(self, lanes: Lanes, n: int) -> Array:
+    def _references(self, lanes: _Lanes, n: int) -> Array:
         """Return the next rows of the tables, shape (lanes, n, 8)."""
         rows = np.empty((len(lanes), n, REFERENCE.stop))
         for row, lane, k in zip(rows, lanes.tolist(), self._next[lanes].tolist(), strict=True):
@@ -226,7 +226,7 @@ class Tape:
                 row[max(have, 0) :] = table[-1]
         return rows
 
-    def _normals(self, lanes: Lanes, n: int) -> Array:
+    def _normals(self, lanes: _Lanes, n: int) -> Array:
         """Return standard normals, shape (n, NORMALS, lanes), zero where a lane uses none."""
         out = np.zeros((n, NORMALS, len(lanes)))
         normals = np.zeros((len(lanes), n, NORMALS))

@@ -59,7 +59,7 @@ TERMS = tuple(Term(name, *hint.__metadata__) for name, hint in get_type_hints(Ob
 SIZE = len(TERMS)  # of an observation without a preview
 SCALES = np.array([term.scale for term in TERMS])  # (SIZE,) by which terms in SI units are divided
 BOUNDS = np.array([term.bound for term in TERMS])  # (SIZE,) of the scaled terms
-ERRORS = 6
+ERROR_TERMS = 6
 """How many of the terms, the first ones, may leave their bounds: the others are inside of them by construction."""
 
 _SCALES, _INVERSE = Constants.of(SCALES), Constants.of(1.0 / SCALES)
@@ -76,7 +76,7 @@ def bounds(span: int) -> NDArray[np.float64]:
     return BOUNDS * np.where([term.unit in _LARGE for term in TERMS], float(span), 1.0)
 
 
-_ERROR_BOUNDS = {2**k: Constants.of(bounds(2**k)[:ERRORS]) for k in range(32)}  # by span
+_ERROR_BOUNDS = {2**k: Constants.of(bounds(2**k)[:ERROR_TERMS]) for k in range(32)}  # by span
 
 
 def encode(terms: Sequence[Number], ns: Namespace, span: int) -> Any:
@@ -87,11 +87,11 @@ def encode(terms: Sequence[Number], ns: Namespace, span: int) -> Any:
     Bounding costs a single vehicle more than seeing that it need not be done.
     """
     rows = ns.scaled(terms, _INVERSE)
-    (e_x, e_y, _, u_e, v_e, r_e), far = terms[:ERRORS], L * span
+    (e_x, e_y, _, u_e, v_e, r_e), far = terms[:ERROR_TERMS], L * span
     if ns is not FLOATS or not (
         -far < e_x < far and -far < e_y < far and -V < u_e < V and -V < v_e < V and -W < r_e < W
     ):
-        rows[:ERRORS] = ns.bounded(rows[:ERRORS], _ERROR_BOUNDS[span])
+        rows[:ERROR_TERMS] = ns.bounded(rows[:ERROR_TERMS], _ERROR_BOUNDS[span])
     return rows if isinstance(rows, np.ndarray) else ns.stack(rows)
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeAlias
 
 from auv_gym.physics.actuators import Response, ordered, respond, told_torque
-from auv_gym.physics.dynamics import Current, Force, State, rk4_step
+from auv_gym.physics.dynamics import CurrentVelocity, Force, State, rk4_step
 from auv_gym.physics.errors import to_body, to_world, tracking_errors
 from auv_gym.physics.namespaces import Namespace, Number
 from auv_gym.physics.navigation import Reckoning
@@ -20,7 +20,7 @@ from auv_gym.physics.vehicle import Coefficients
 from auv_gym.task.observation import lost, reward
 
 
-class Memory(NamedTuple):
+class _Memory(NamedTuple):
     """What sensors and commands remember; zero where it is not in use."""
 
     x_e: Number  # [m] tracking errors behind the low-pass
@@ -50,7 +50,7 @@ class Plant(NamedTuple):
     F_r: Number  # [N m]
     a_u: Number  # last action
     a_r: Number
-    memory: Memory
+    memory: _Memory
 
 
 class Sample(NamedTuple):
@@ -113,7 +113,7 @@ class Shear(NamedTuple):
         return self.V_x * swing, self.V_y * swing
 
 
-class Log(NamedTuple):
+class _Log(NamedTuple):
     """What a Doppler log makes of a velocity over ground: floats, or rows of shape (N,)."""
 
     reckons: Number  # 1 where the position is reckoned between fixes, 0 where the last fix stays
@@ -125,12 +125,12 @@ class Log(NamedTuple):
         return to_world(along, across, self.along, self.across)
 
 
-def log_of(reckoning: Reckoning | None) -> Log:
+def log_of(reckoning: Reckoning | None) -> _Log:
     """Return the constants of an episode's log; None stands for one that measures exactly and is not reckoned from."""
     if reckoning is None:
-        return Log(0.0, 1.0, 0.0)
+        return _Log(0.0, 1.0, 0.0)
     share, angle = 1.0 + reckoning.scale, reckoning.misalignment
-    return Log(1.0, share * math.cos(angle), share * math.sin(angle))
+    return _Log(1.0, share * math.cos(angle), share * math.sin(angle))
 
 
 class Parameters(NamedTuple):
@@ -153,7 +153,7 @@ class Parameters(NamedTuple):
     fin: Number  # [kg] of the fins, see `actuators.Actuators`
     astern: Number  # share of thrust_u astern
     shear: Shear
-    log: Log
+    log: _Log
     parts: Parts
 
     @classmethod
@@ -180,7 +180,7 @@ Position: TypeAlias = tuple[Number, Number]
 """A place x, y [m] in the world."""
 Terms: TypeAlias = tuple[Number, ...]
 """The observation in SI units, in the order of `task.TERMS`."""
-Outcome: TypeAlias = tuple[Number, Number, Number, Number]
+_Outcome: TypeAlias = tuple[Number, Number, Number, Number]
 """Reward; whether the vehicle is lost; squared position error [m^2]; whether an actuator was commanded to its limit."""
 
 
@@ -215,13 +215,18 @@ def moved(
     return state, force
 
 
-Motion: TypeAlias = Callable[[State, Force, Force, Sequence[Number], Parameters, Namespace], tuple[State, Force]]
+_Motion: TypeAlias = Callable[[State, Force, Force, Sequence[Number], Parameters, Namespace], tuple[State, Force]]
 """Moves a vehicle by a control period, as `moved` does."""
 
 
 def step(
-    plant: Plant, action: Sequence[Number], sample: Sequence[Number], p: Parameters, ns: Namespace, move: Motion = moved
-) -> tuple[Plant, Terms, Outcome]:
+    plant: Plant,
+    action: Sequence[Number],
+    sample: Sequence[Number],
+    p: Parameters,
+    ns: Namespace,
+    move: _Motion = moved,
+) -> tuple[Plant, Terms, _Outcome]:
     """Return the plant one control period later, what is observed of it, and what the task makes of it.
 
     Args:
@@ -253,7 +258,7 @@ def step(
     return _new(Plant, (*state, F_u, F_r, a_u, a_r, memory)), terms, outcome
 
 
-def current_at(x: Number, y: Number, current: Current, p: Parameters, ns: Namespace) -> Current:
+def current_at(x: Number, y: Number, current: CurrentVelocity, p: Parameters, ns: Namespace) -> CurrentVelocity:
     """Return V_x, V_y [m/s] of the water at a place, for the current of the sample."""
     if not p.parts.sheared:
         return current
@@ -261,7 +266,7 @@ def current_at(x: Number, y: Number, current: Current, p: Parameters, ns: Namesp
     return current[0] + more_x, current[1] + more_y
 
 
-def _late(action: Force, last: Force, memory: Memory, delay: Number, ns: Namespace) -> tuple[Number, Number, Memory]:
+def _late(action: Force, last: Force, memory: _Memory, delay: Number, ns: Namespace) -> tuple[Number, Number, _Memory]:
     """Return the action of `delay` control periods ago, and the memory with the last one."""
 
     def chosen(now: Number, one: Number, two: Number, three: Number) -> Number:
@@ -274,8 +279,8 @@ def _late(action: Force, last: Force, memory: Memory, delay: Number, ns: Namespa
 
 
 def _observe(
-    state: State, before: State, action: Force, memory: Memory, sample: Sequence[Number], p: Parameters, ns: Namespace
-) -> tuple[Memory, Terms]:
+    state: State, before: State, action: Force, memory: _Memory, sample: Sequence[Number], p: Parameters, ns: Namespace
+) -> tuple[_Memory, Terms]:
     """Return what the sensors remember now, in the plant's memory, and the observation.
 
     `before` is the state one control period ago.
@@ -322,7 +327,7 @@ def estimated_position(
     """Return where dead reckoning and position fixes put the vehicle.
 
     The way that the log measured is laid off along the measured heading: last + R(n_psi) D (position - before)
-    + R(psi_m) (n_u, n_v) dt, with R a rotation and D that of `Log`; a heading that is wrong by n_psi turns the way by
+    + R(psi_m) (n_u, n_v) dt, with R a rotation and D that of `_Log`; a heading that is wrong by n_psi turns the way by
     it. Of a fix, position + (n_x, n_y), the estimate takes on the share `fix`.
 
     Args:
@@ -343,7 +348,7 @@ def estimated_position(
     return rest * reckoned_x + fix * (x + n_x), rest * reckoned_y + fix * (y + n_y)
 
 
-def ground_state(plant: Plant, current: Current, p: Parameters, ns: Namespace) -> State:
+def ground_state(plant: Plant, current: CurrentVelocity, p: Parameters, ns: Namespace) -> State:
     """Return x, y, psi and r as they are, and u, v over ground, for the current of the sample."""
     x, y, psi, u, v, r, *_ = plant
     V_u, V_v = to_body(*current_at(x, y, current, p, ns), ns.cos(psi), ns.sin(psi))

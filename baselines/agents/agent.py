@@ -24,8 +24,8 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.records import from_record, to_record
 from auv_gym.task.observation import TERMS
 from auv_gym.task.policy import Policy, checked_authority
-from baselines.agents.features import ERRORS, STANDARD, Inputs
-from baselines.agents.model_card import CURVE, model_card
+from baselines.agents.features import ERROR_FEATURES, STANDARD, Inputs
+from baselines.agents.model_card import CURVE_FILE, model_card
 from baselines.agents.names import FADING, agent_folder, is_path
 from baselines.agents.networks import Network, Weights, check_weights, network_of, network_record
 from baselines.agents.residual_policy import ResidualPolicy
@@ -37,8 +37,8 @@ from baselines.tools.files import guarded, read_bytes, read_json, synchronise, w
 _FORMAT = 2
 """Version of the folder's layout."""
 WEIGHTS = "weights.safetensors"  # file of the network's arrays
-RECORD = "agent.json"  # file of everything else, see `ENTRIES`
-SPEEDS = {"slow": (0.0, 0.5), "cruise": (0.2, math.inf)}
+AGENT_FILE = "agent.json"  # file of everything else, see `ENTRIES`
+_SPEEDS = {"slow": (0.0, 0.5), "cruise": (0.2, math.inf)}
 """Reference speeds [m/s] at which agents of a regime are at home; between .2 and .5 both are."""
 CARD = "card.md"  # file of the description
 OBSERVATION_LAYOUT = [[t.name, t.scale] for t in TERMS]  # what an observation is, by term, in its order
@@ -82,8 +82,10 @@ class Agent:
         object.__setattr__(self, "authority", checked_authority(self.authority))
         if self.region is not None:
             object.__setattr__(self, "region", tuple(self.region))
-            if len(self.region) != ERRORS or not all(isinstance(x, float) and 0 < x < math.inf for x in self.region):
-                raise ValueError(f"region is {self.region!r}; it must be {ERRORS} positive numbers")
+            if len(self.region) != ERROR_FEATURES or not all(
+                isinstance(x, float) and 0 < x < math.inf for x in self.region
+            ):
+                raise ValueError(f"region is {self.region!r}; it must be {ERROR_FEATURES} positive numbers")
         check_weights(self.network, self.weights)
 
     def policy(self, fade: bool = False, vehicle: Vehicle | None = None, precision: str = "float64") -> Policy:
@@ -106,7 +108,7 @@ class Agent:
         region = self.region if fade else None
         hull = (vehicle or PAPER_VEHICLE).coefficients
         own = {name.partition("-")[0] for name in self.scenarios}
-        speeds = SPEEDS[own.pop()] if len(own) == 1 and own <= set(SPEEDS) else (0.0, math.inf)
+        speeds = _SPEEDS[own.pop()] if len(own) == 1 and own <= set(_SPEEDS) else (0.0, math.inf)
         return ResidualPolicy(
             expert, self.network, self.weights, self.authority, region, self.inputs, precision, speeds, hull
         )
@@ -125,16 +127,16 @@ class Agent:
         from safetensors.numpy import save
 
         folder = Path(folder)
-        if folder.exists() and not (folder / RECORD).is_file():
+        if folder.exists() and not (folder / AGENT_FILE).is_file():
             raise ValueError(f"{folder} exists and is no agent's folder; choose another one")
         weights = save({name: np.ascontiguousarray(w, dtype=np.float32) for name, w in self.weights.items()})
         record = self._record(weights)
         files = {
             WEIGHTS: weights,
-            RECORD: (json.dumps(record, indent=2, allow_nan=False) + "\n").encode(),
+            AGENT_FILE: (json.dumps(record, indent=2, allow_nan=False) + "\n").encode(),
             CARD: model_card(folder.name, record, curve is not None).encode(),
         }
-        _replace(folder, files | ({CURVE: curve} if curve else {}))
+        _replace(folder, files | ({CURVE_FILE: curve} if curve else {}))
 
     def _record(self, weights: bytes) -> dict[str, Any]:
         return {
@@ -161,10 +163,10 @@ class Agent:
         """
         folder = Path(folder)
         with guarded(f"agent {folder}"):
-            record = _checked_record(read_json(folder / RECORD))
+            record = _checked_record(read_json(folder / AGENT_FILE))
             data = read_bytes(folder / WEIGHTS)
             if hashlib.sha256(data).hexdigest() != record["weights_sha256"]:
-                raise ValueError(f"{WEIGHTS} is not what {RECORD} describes: its SHA-256 differs")
+                raise ValueError(f"{WEIGHTS} is not what {AGENT_FILE} describes: its SHA-256 differs")
             return cls(
                 network_of(record["network"]),
                 _weights(data),
@@ -211,7 +213,7 @@ def feature_layout(inputs: Inputs) -> list[list[str]]:
 def _checked_record(record: Any) -> dict[str, Any]:
     """Return an agent's description; raise ValueError if it is damaged or of another version."""
     if not isinstance(record, dict) or set(record) != set(ENTRIES):
-        raise ValueError(f"{RECORD} must have the entries {', '.join(ENTRIES)}, and no others")
+        raise ValueError(f"{AGENT_FILE} must have the entries {', '.join(ENTRIES)}, and no others")
     if record["format"] != _FORMAT:
         raise ValueError(f"its format is {record['format']!r}; this version reads {_FORMAT}")
     features = feature_layout(from_record(Inputs, record["inputs"], "inputs"))
@@ -219,11 +221,11 @@ def _checked_record(record: Any) -> dict[str, Any]:
         if record[name] != layout:
             raise ValueError(f"it was trained on other {name} than this version has; train it again")
     if not isinstance(record["training"], dict):
-        raise ValueError(f"{RECORD}: training must be a table")
+        raise ValueError(f"{AGENT_FILE}: training must be a table")
     if not isinstance(record["region"], (list, type(None))):
-        raise ValueError(f"{RECORD}: region must be a list of numbers, or null")
+        raise ValueError(f"{AGENT_FILE}: region must be a list of numbers, or null")
     if not isinstance(record["scenarios"], list) or not all(isinstance(s, str) for s in record["scenarios"]):
-        raise ValueError(f"{RECORD}: scenarios must be a list of names")
+        raise ValueError(f"{AGENT_FILE}: scenarios must be a list of names")
     return record
 
 

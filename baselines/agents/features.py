@@ -20,7 +20,7 @@ from baselines.agents import filters
 from baselines.estimation.sea_model import measurement
 from baselines.policy import reference_speed
 
-BOUND = 8.0
+LARGEST_FEATURE = 8.0
 """Largest magnitude of a feature."""
 FAST = 0.1  # [1/s] at which the fast integral of the position error forgets
 SLOW = 0.015  # [1/s] at which the slow integral of the position error forgets
@@ -29,7 +29,7 @@ _FAR = 4.0
 
 
 class Feature(NamedTuple):
-    """One entry of the policy's input: the quantity divided by `scale`, clipped to +-`BOUND`."""
+    """One entry of the policy's input: the quantity divided by `scale`, clipped to +-`LARGEST_FEATURE`."""
 
     name: str
     unit: str
@@ -64,7 +64,7 @@ FEATURES = (  # what a network sees, in its order
     Feature("dt", "s", "0.125 s", "control period"),
 )
 _SUMS = slice(13, 17)  # the integrals among them
-ERRORS = 6
+ERROR_FEATURES = 6
 """How many of the features, the first ones, are errors of the vehicle."""
 INTEGRALS = 4
 """Rows that are remembered: the two integrals, scaled by U * 1 s, each with its x and y in the world."""
@@ -72,12 +72,12 @@ INTEGRALS = 4
 
 _FINE = 100.0
 """How much larger small errors are seen by `fine`, beside errors of 1."""
-LOADS = tuple(name for name in filters.KEPT if name[0] in "XYN" and name not in ("x_e", "y_e"))
+LOADS = tuple(name for name in filters.REMEMBERED if name[0] in "XYN" and name not in ("x_e", "y_e"))
 """Entries of a filter's estimate that are loads on the hull."""
 
 
 def scaled_errors(o: Sequence[Number], ns: Namespace) -> tuple[Any, ...]:
-    """Return the first `ERRORS` features before they are clipped."""
+    """Return the first `ERROR_FEATURES` features before they are clipped."""
     e_x, e_y, psi_e, u_e, v_e, r_e, u_R, v_R = o[:8]
     per_U = 1 / reference_speed(u_R, v_R, ns)
     return e_x * per_U, e_y * per_U, 2 * psi_e, 2 * u_e * per_U, 2 * v_e * per_U, 8 * r_e
@@ -157,13 +157,13 @@ class Inputs:
             *(row for k, X, Y in later for row in (4 * (X * k - 1), 4 * Y * k)),
         )  # fmt: skip
         if self.fine:
-            rows += _fine(o[:ERRORS], per_U, ns)
+            rows += _fine(o[:ERROR_FEATURES], per_U, ns)
         if self.filters:
             believed, rest = filters.filtered(Observation._make(o), 1 / per_U, rest, ns, hull if self.hull else _PAPER)
             rows += _believed(believed, Observation._make(o), per_U, ns)
         if self.hull:
             rows += _known(hull)
-        return tuple(ns.clip(row, -BOUND, BOUND) for row in rows), (x1, y1, x2, y2, *rest)
+        return tuple(ns.clip(row, -LARGEST_FEATURE, LARGEST_FEATURE) for row in rows), (x1, y1, x2, y2, *rest)
 
 
 STANDARD = Inputs()

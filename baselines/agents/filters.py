@@ -20,11 +20,11 @@ from auv_gym.physics.errors import to_body, to_world
 from auv_gym.physics.namespaces import Namespace, Number, wrap_angle
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients
 from auv_gym.task.observation import Observation
-from baselines.estimation.sea_model import AT, SIZE, Estimate, measurement, transition
+from baselines.estimation.sea_model import PLACE, STATE_SIZE, Estimate, measurement, transition
 from baselines.estimation.water_frame import reference_motion
 from baselines.policy import CRUISE_SPEED, is_fast
 
-TABLE = Path(__file__).with_name("filter_gains.json")
+FILTER_GAINS = Path(__file__).with_name("filter_gains.json")
 """File of the gains, see `gains`."""
 LAGS = (0.24, 0.001)
 """Time constants [s] of the actuators that the filters believe in, for a rough and a calm sea."""
@@ -37,10 +37,10 @@ LEASH = (0.05, 0.1, 0.1)
 
 Beyond that the sea is not calm; the filter begins again from where the first one is, or it might go anywhere: the hull
 that it believes in is unstable in yaw at cruise."""
-KEPT = tuple(name for name in Estimate._fields if name != "lag")
+REMEMBERED = tuple(name for name in Estimate._fields if name != "lag")
 """The entries of an `Estimate` that a filter remembers."""
 SHARED = 3  # rows that both filters remember: the age, and the last fix x_e, y_e [m]
-ROWS = SHARED + len(LAGS) * len(KEPT)
+ROWS = SHARED + len(LAGS) * len(REMEMBERED)
 """Rows that the filters remember, all zero at an episode's start."""
 ALONG = ("x_e", "u", "F_u", "V_x", "V_x_rate", "X", "X_wave", "X_swing")
 """What is corrected by the innovations of `ALONG_MEASURED`; vectors in the world count along the body's surge axis."""
@@ -53,7 +53,7 @@ ACROSS_MEASURED = ("y_e", "psi", "v", "r")
 VECTORS = (("x_e", "y_e"), ("V_x", "V_y"), ("V_x_rate", "V_y_rate"))
 """Entries of an `Estimate` that are vectors in the world."""
 
-Gains = Sequence[Sequence[Sequence[float]]]
+_Gains = Sequence[Sequence[Sequence[float]]]
 
 
 class Believed(NamedTuple):
@@ -69,12 +69,12 @@ def speed_share(speed: Number) -> Number:
 
 
 @cache
-def gains(regime: str) -> tuple[tuple[Gains, Gains], ...]:
+def gains(regime: str) -> tuple[tuple[_Gains, _Gains], ...]:
     """Return for each filter the coefficients of its gains in a regime, in SI units: of `ALONG`, then of `ACROSS`.
 
     A row for each entry holds one for each measurement: the coefficients of 1, s, s^2, ... of s = `speed_share`.
     """
-    record = json.loads(TABLE.read_text(encoding="utf-8"))
+    record = json.loads(FILTER_GAINS.read_text(encoding="utf-8"))
     return tuple((own["along"], own["across"]) for own in record[regime])
 
 
@@ -105,18 +105,18 @@ def filtered(
     measured = x_e, y_e, motion.psi + o.psi_e, o.u_R + o.u_e, o.v_R + o.v_e, o.r_R + o.r_e
     found: list[Estimate] = []
     for i, (lag, *tables) in enumerate(zip(LAGS, gains("slow"), gains("cruise"), strict=True)):
-        own = _estimate(rows[i * len(KEPT) : (i + 1) * len(KEPT)], lag)
+        own = _estimate(rows[i * len(REMEMBERED) : (i + 1) * len(REMEMBERED)], lag)
         command = o.a_u * o.F_u_max, o.a_r * o.F_r_max
         ahead = transition(own, command, step, o.dt, hull, ns)
         z = _corrected(ahead, measured, held, o, tables, speed_share(speed), ns)
         first = (*measured, *[0.0 * lost for lost in z[len(measured) :]])
         begun = [ns.where(fresh, a, b) for a, b in zip(first, z, strict=True)]
         if found:
-            still = [*found[0][: AT.V_x], *first[AT.V_x :]]  # where the first one is, in still water
+            still = [*found[0][: PLACE.V_x], *first[PLACE.V_x :]]  # where the first one is, in still water
             joined = (age < _SETTLED) | _far(found[0], z, speed)
             begun = [ns.where(joined, a, b) for a, b in zip(still, begun, strict=True)]
         found.append(Estimate._make(begun))
-    after = (ns.clip(age + 1.0, 0.0, _SETTLED), x_e, y_e, *(getattr(z, name) for z in found for name in KEPT))
+    after = (ns.clip(age + 1.0, 0.0, _SETTLED), x_e, y_e, *(getattr(z, name) for z in found for name in REMEMBERED))
     return Believed(tuple(found), held), after
 
 
@@ -128,7 +128,7 @@ def _far(a: Estimate, b: Estimate, speed: Number) -> Any:
 
 def _estimate(rows: Sequence[Number], lag: float) -> Estimate:
     """Return the estimate of the rows that are remembered of it."""
-    return Estimate(**dict(zip(KEPT, rows, strict=True)), lag=lag)
+    return Estimate(**dict(zip(REMEMBERED, rows, strict=True)), lag=lag)
 
 
 def _corrected(
@@ -136,7 +136,7 @@ def _corrected(
     measured: Sequence[Number],
     held: Any,
     o: Observation,
-    tables: Sequence[tuple[Gains, Gains]],
+    tables: Sequence[tuple[_Gains, _Gains]],
     share: Number,
     ns: Namespace,
 ) -> Estimate:
@@ -163,5 +163,5 @@ def polynomial(coefficients: Sequence[float], x: Number) -> Number:
     return total
 
 
-assert len(ALONG) + len(ACROSS) == len(KEPT) == SIZE - 1
-assert AT.x_e == 0
+assert len(ALONG) + len(ACROSS) == len(REMEMBERED) == STATE_SIZE - 1
+assert PLACE.x_e == 0

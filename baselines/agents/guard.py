@@ -31,7 +31,7 @@ from baselines.policy import Batched, Memory, Starts, first_order, is_fast, refe
 _CORRECTION = 1
 """Which array of an agent's memory is its last correction, shape (N, 2)."""
 MEAN = 0  # column of a guard's memory: the mean energy of the last time
-SHARE = 1  # column of a guard's memory: which share of the policy's command acts
+GUARD_SHARE = 1  # column of a guard's memory: which share of the policy's command acts
 LEFT = 2  # column of a guard's memory: how long the other policy still has the command [s]
 ALARMS = 3  # column of a guard's memory: how many alarms there were
 EXHAUSTED = 4  # column of a guard's memory: which share of the last time the yaw command was at its limit
@@ -141,9 +141,9 @@ class Guarded(Batched):
             policy.predict(row, before, episode_start, deterministic)
             for policy, row, before in zip((self.policy, self.fallback), seen, pasts, strict=True)
         )
-        begins = (own[:, SHARE] == 0) & (own[:, LEFT] == 0) & (own[:, MEAN] == 0)
+        begins = (own[:, GUARD_SHARE] == 0) & (own[:, LEFT] == 0) & (own[:, MEAN] == 0)
         own = self._watched(o, own, begins)
-        share = own[:, SHARE, None]
+        share = own[:, GUARD_SHARE, None]
         if isinstance(self.policy, ResidualPolicy) and past is not None:
             # A network is told which correction has acted.
             past = (*past[:_CORRECTION], past[_CORRECTION] * share, *past[_CORRECTION + 1 :])

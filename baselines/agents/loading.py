@@ -14,9 +14,9 @@ from auv_gym.task.policy import Policy
 from baselines.agents.agent import Agent
 from baselines.agents.names import COMMAND, agent_folder
 from baselines.agents.onnx_models import SUFFIX, OnnxModel
-from baselines.agents.programs import Program
+from baselines.agents.programs import ProgramPolicy
 from baselines.agents.sb3_models import load_model, statistics_file
-from baselines.control import make_controller, told
+from baselines.control import make_controller, vehicle_option
 from baselines.similar import made_for
 
 
@@ -61,7 +61,7 @@ def load_policy(path: str, vehicle: Any = None, **options: Any) -> Policy:
 
 
 def _program(command: str, vehicle: Any) -> Policy:
-    return Program(command, None if vehicle is None else as_vehicle(vehicle))
+    return ProgramPolicy(command, None if vehicle is None else as_vehicle(vehicle))
 
 
 def _onnx(file: Path) -> Policy:
@@ -92,7 +92,7 @@ def _made(file: Path, factory: str, vehicle: Any, options: dict[str, Any]) -> Po
     if not callable(make):
         raise ValueError(f"{file} has no function or class {factory!r} that makes a policy")
     try:
-        policy: Policy = make(**{**told(make, vehicle), **options})
+        policy: Policy = make(**{**vehicle_option(make, vehicle), **options})
     except (Exception, SystemExit) as error:
         raise ValueError(f"{factory} of {file} fails: {type(error).__name__}: {error}") from error
     if not callable(getattr(policy, "predict", None)):

@@ -7,7 +7,7 @@ from typing import Any
 
 from baselines.control.open_loop import NO_EXPERT
 
-CURVE = "learning_curve.png"  # file beside the card
+CURVE_FILE = "learning_curve.png"  # file beside the card
 _TEXT = """# {name}
 
 A network that {own}, by at most {surge:g} of the surge limit and {yaw:g} of the yaw limit. It steers the underactuated
@@ -52,7 +52,7 @@ def model_card(name: str, record: Mapping[str, Any], curve: bool) -> str:
     if scores := training.get("scores"):
         lines += ["## Scores", "", "0 is the expert `backstepping`, 1 the oracle.", "", *_table(scores), ""]
     if curve:
-        lines += ["## Learning curve", "", f"![Score on validation episodes over control steps]({CURVE})", ""]
+        lines += ["## Learning curve", "", f"![Score on validation episodes over control steps]({CURVE_FILE})", ""]
     return "\n".join(lines)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from auv_gym.installation import RECORD, found
 
-AGENTS = Path(__file__).parent / "shipped"
+SHIPPED_FOLDER = Path(__file__).parent / "shipped"
 """Where the agents are that ship with the package, a folder each."""
 FADING = ":fade"
 """Behind an agent's name: its corrections fade where it leaves what it has seen, see `Agent.policy`."""
@@ -19,8 +19,12 @@ COMMAND = "cmd:"
 
 
 def shipped_agents() -> list[str]:
-    """Return the names of the agents in `AGENTS`, and in a checkout of those in the record."""
-    return sorted(file.parent.name for folder in (AGENTS, RECORD / AGENTS.name) for file in folder.glob("*/agent.json"))
+    """Return the names of the agents in `SHIPPED_FOLDER`, and in a checkout of those in the record."""
+    return sorted(
+        file.parent.name
+        for folder in (SHIPPED_FOLDER, RECORD / SHIPPED_FOLDER.name)
+        for file in folder.glob("*/agent.json")
+    )
 
 
 def agent_of(study: str) -> str:
@@ -32,7 +36,7 @@ def agent_folder(name: str) -> Path | None:
     """Return the folder of an agent, by its name, its path or that of the run that trained it; None for no agent."""
     if name.startswith(COMMAND):
         return None
-    places = (found(AGENTS, name),) if name in shipped_agents() else (Path(name), Path(name, "agent"))
+    places = (found(SHIPPED_FOLDER, name),) if name in shipped_agents() else (Path(name), Path(name, "agent"))
     return next((place for place in places if (place / "agent.json").is_file()), None)
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import Array
 
-ACTIONS = 2  # outputs: the corrections of surge and yaw
-LARGEST = 4096
+OUTPUTS = 2  # outputs: the corrections of surge and yaw
+LARGEST_LAYER = 4096
 """Most units of a layer."""
 Weights = Mapping[str, NDArray[Any]]
 Shapes = dict[str, tuple[int, ...]]
@@ -22,7 +22,7 @@ Layers = tuple[tuple[Array, Array], ...]
 
 Function = Callable[[Array], Array]
 ACTIVATIONS: dict[str, Function] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}  # of the layers
-BOUNDS: dict[str, Function] = {"tanh": np.tanh, "clip": lambda x: np.clip(x, -1.0, 1.0)}
+_BOUNDS: dict[str, Function] = {"tanh": np.tanh, "clip": lambda x: np.clip(x, -1.0, 1.0)}
 """What keeps the output in [-1, 1]."""
 
 
@@ -35,11 +35,11 @@ class Gru:
     encoder: int = 64
     hidden: int = 64
     decoder: int = 64
-    bound: str = "tanh"  # one of `BOUNDS`
+    bound: str = "tanh"  # one of `_BOUNDS`
 
     def __post_init__(self) -> None:
         _check_sizes(inputs=self.inputs, encoder=self.encoder, hidden=self.hidden, decoder=self.decoder)
-        _check_choice("bound", self.bound, BOUNDS)
+        _check_choice("bound", self.bound, _BOUNDS)
 
     @property
     def memory(self) -> int:
@@ -56,7 +56,7 @@ class Gru:
             "gru.bias_ih": (3 * self.hidden,),
             "gru.bias_hh": (3 * self.hidden,),
             **_layer("decoder", self.hidden, self.decoder),
-            **_layer("head", self.decoder, ACTIONS),
+            **_layer("head", self.decoder, OUTPUTS),
         }
 
     def prepared(self, weights: Weights, precision: str = "float64") -> Layers:
@@ -96,7 +96,7 @@ class Gru:
         hidden *= gates[units:]
         hidden += n
         x = _linear(decoder, hidden)
-        return BOUNDS[self.bound](_linear(head, np.tanh(x, x))), hidden
+        return _BOUNDS[self.bound](_linear(head, np.tanh(x, x))), hidden
 
 
 @dataclass(frozen=True)
@@ -107,13 +107,13 @@ class Mlp:
     inputs: int
     layers: tuple[int, ...] = (64, 64)
     activation: str = "tanh"  # one of `ACTIVATIONS`
-    bound: str = "clip"  # one of `BOUNDS`
+    bound: str = "clip"  # one of `_BOUNDS`
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "layers", tuple(self.layers))
         _check_sizes(inputs=self.inputs, **{f"layers[{i}]": n for i, n in enumerate(self.layers)})
         _check_choice("activation", self.activation, ACTIVATIONS)
-        _check_choice("bound", self.bound, BOUNDS)
+        _check_choice("bound", self.bound, _BOUNDS)
 
     @property
     def memory(self) -> int:
@@ -123,7 +123,7 @@ class Mlp:
     @property
     def shapes(self) -> Shapes:
         """Shapes of the weights, by name."""
-        sizes = (self.inputs, *self.layers, ACTIONS)
+        sizes = (self.inputs, *self.layers, OUTPUTS)
         shapes: Shapes = {}
         for i, (a, b) in enumerate(itertools.pairwise(sizes)):
             shapes.update(_layer(f"layers.{i}", a, b))
@@ -138,7 +138,7 @@ class Mlp:
         *inner, head = layers
         for layer in inner:
             x = ACTIVATIONS[self.activation](_linear(layer, x))
-        return BOUNDS[self.bound](_linear(head, x)), hidden
+        return _BOUNDS[self.bound](_linear(head, x)), hidden
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class Lstm:
     hidden: int = 64
     layers: tuple[int, ...] = ()  # units of the layers behind the memory
     activation: str = "tanh"  # of these layers, one of `ACTIVATIONS`
-    bound: str = "clip"  # one of `BOUNDS`
+    bound: str = "clip"  # one of `_BOUNDS`
 
     def __post_init__(self) -> None:
         _check_sizes(hidden=self.hidden)
@@ -221,7 +221,7 @@ class Rma:
     layers: tuple[int, ...] = (48, 48)
     latent: int = 8
     channels: int = 12
-    bound: str = "tanh"  # one of `BOUNDS`
+    bound: str = "tanh"  # one of `_BOUNDS`
 
     def __post_init__(self) -> None:
         _check_sizes(inputs=self.inputs, latent=self.latent, channels=self.channels)
@@ -335,8 +335,8 @@ def _linear(layer: tuple[Array, Array], x: Array) -> Array:
 
 def _check_sizes(**sizes: Any) -> None:
     for name, size in sizes.items():
-        if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= LARGEST:
-            raise ValueError(f"network {name} is {size!r}; it must be an integer in [1, {LARGEST}]")
+        if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= LARGEST_LAYER:
+            raise ValueError(f"network {name} is {size!r}; it must be an integer in [1, {LARGEST_LAYER}]")
 
 
 def _check_choice(name: str, value: Any, allowed: Mapping[str, Any]) -> None:

@@ -50,7 +50,7 @@ class ProgramError(ValueError):
     """A program cannot be started, has ended, is silent, or answers what is no answer."""
 
 
-class Program(Batched):
+class ProgramPolicy(Batched):
     """A program as a policy. It remembers by itself, and so can steer one set of vehicles at a time.
 
     Attributes:

@@ -18,13 +18,13 @@ from auv_gym.task.observation import SIZE, action_of, decode
 from auv_gym.task.policy import Forces, Law, Policy, corrected, preview_of, traceable
 from auv_gym.task.preview import shared_preview
 from baselines.agents.features import STANDARD, Inputs, scaled_errors
-from baselines.agents.networks import ACTIONS, Network, Weights
+from baselines.agents.networks import OUTPUTS, Network, Weights
 from baselines.policy import ALL_SPEEDS, Batched, Memory, Starts, renewed
 from baselines.similar import shown_factors
 
 BLOCK = 128
 """Most vehicles that go through the network at once: what it computes on the way stays in the processor's cache."""
-Symbols = Sequence[Symbol]
+_Symbols = Sequence[Symbol]
 
 
 @lru_cache(maxsize=64)
@@ -48,8 +48,8 @@ def feature_kernel(
     factors = () if units == Units() else shown_factors(units)
 
     def equation(
-        observation: Symbols, ahead: Symbols, correction: Symbols, integrals: Symbols, base: Symbols = ()
-    ) -> Mapping[str, Symbols]:
+        observation: _Symbols, ahead: _Symbols, correction: _Symbols, integrals: _Symbols, base: _Symbols = ()
+    ) -> Mapping[str, _Symbols]:
         o = decode(observation, SYMBOLS)
         if factors:
             o = [term * factor for term, factor in zip(o, factors, strict=True)]
@@ -60,8 +60,8 @@ def feature_kernel(
         errors = scaled_errors(o, SYMBOLS)
         return {"terms": o, "errors": errors, "features": features, "integrals": sums, "base": base}
 
-    rows = {"observation": SIZE, "ahead": 2 * len(inputs.preview), "correction": ACTIONS, "integrals": inputs.memory}
-    rows = rows if forces is not None else rows | {"base": ACTIONS}
+    rows = {"observation": SIZE, "ahead": 2 * len(inputs.preview), "correction": OUTPUTS, "integrals": inputs.memory}
+    rows = rows if forces is not None else rows | {"base": OUTPUTS}
     return Kernel.traced(equation, rows, blocked=inputs.filters)
 
 
@@ -69,11 +69,11 @@ def feature_kernel(
 def command_kernel() -> Kernel:
     """Return the kernel of `corrected`, in single precision as every policy's action."""
 
-    def equation(base: Symbols, authority: Symbols, correction: Symbols) -> Mapping[str, Symbols]:
+    def equation(base: _Symbols, authority: _Symbols, correction: _Symbols) -> Mapping[str, _Symbols]:
         rule = zip(base, authority, correction, strict=True)
         return {"command": [single(corrected(b, a, c, SYMBOLS)) for b, a, c in rule]}
 
-    return Kernel.traced(equation, dict.fromkeys(("base", "authority", "correction"), ACTIONS))
+    return Kernel.traced(equation, dict.fromkeys(("base", "authority", "correction"), OUTPUTS))
 
 
 class _Desk:
@@ -176,7 +176,7 @@ class ResidualPolicy(Batched):
             return state[: self.OWN]
         fresh = (
             np.zeros((n, self.inputs.memory)),
-            np.zeros((n, ACTIONS)),
+            np.zeros((n, OUTPUTS)),
             np.zeros((n, self.network.memory), self.precision),
         )
         return renewed(state and state[: self.OWN], fresh, episode_start)

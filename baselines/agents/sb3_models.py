@@ -35,7 +35,7 @@ LARGEST_DATA = 2**26
 """Largest description [bytes] that is read."""
 
 
-class Model(Batched):
+class _Model(Batched):
     """A model whose observations are normalised as they were in training, and whose action may correct an expert's."""
 
     def __init__(self, model: Any, statistics: Any, expert: Policy | None, authority: Any = _AUTHORITY) -> None:
@@ -99,7 +99,7 @@ def load_model(file: Path, expert: Policy, authority: float | tuple[float, float
             f"{file} takes observations {shapes[0]} and gives actions {shapes[1]}; here they are ({SIZE},), or "
             f"({SIZE + 2},) of the residual environment, and (2,): wrap it in a module and name FILE.py:FACTORY"
         )
-    return Model(model, statistics, expert if shapes[0] == (SIZE + 2,) else None, authority)
+    return _Model(model, statistics, expert if shapes[0] == (SIZE + 2,) else None, authority)
 
 
 def _algorithm(file: Path) -> tuple[str, str]:

@@ -12,7 +12,7 @@ from auv_gym.task.policy import Policy
 from baselines.control.adaptive import Adaptive, AdaptiveGains
 from baselines.control.backstepping import LAW_GAINS, SCALED_GAINS, Backstepping, make_tuned
 from baselines.control.current_observer import CurrentObserver, ObserverGains
-from baselines.control.ekf_law import ADVERSE_GAINS, EKF_GAINS, EkfLaw
+from baselines.control.ekf_law import EKF_ADVERSE_GAINS, EKF_GAINS, EkfLaw
 from baselines.control.ilos import Ilos, IlosGains
 from baselines.control.integral import NORMALISED_GAINS, PRINTED_GAINS, IntegralLaw
 from baselines.control.los_pid import LineOfSightPID, PIDGains
@@ -35,7 +35,7 @@ TUNED: dict[str, tuple[tuple[str, ...], Callable[[Mapping[str, float], Vehicle],
     "adaptive": (AdaptiveGains._fields, Adaptive),
     "smc-dob": (SmcGains._fields, SmcDob),
     "ekf": (EKF_GAINS, EkfLaw),
-    "ekf-adverse": (ADVERSE_GAINS, EkfLaw),
+    "ekf-adverse": (EKF_ADVERSE_GAINS, EkfLaw),
 }
 """Controllers with memory by name: the names of their gains, and what makes them from gains for a vehicle."""
 
@@ -118,12 +118,12 @@ def make_controller(name: str, vehicle: Vehicle | str | Mapping[str, Any] | None
         raise ValueError(f"unknown policy {name!r}; allowed are {', '.join(POLICIES)}")
     factory, defaults, _ = POLICIES[name]
     try:
-        return factory(**{**defaults, **told(factory, vehicle), **options})
+        return factory(**{**defaults, **vehicle_option(factory, vehicle), **options})
     except TypeError as error:
         raise ValueError(f"policy {name!r} does not take these options: {error}") from error
 
 
-def told(factory: Callable[..., Any], vehicle: Any) -> dict[str, Any]:
+def vehicle_option(factory: Callable[..., Any], vehicle: Any) -> dict[str, Any]:
     """Return the option that tells a factory of the known vehicle; none if there is none, or it takes no `vehicle`."""
     try:
         takes = vehicle is not None and "vehicle" in inspect.signature(factory).parameters

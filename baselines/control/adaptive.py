@@ -26,7 +26,7 @@ from auv_gym.task.observation import Observation, V
 from baselines.control.backstepping import tracking_forces
 from baselines.control.ekf_law import undamped_symbols
 from baselines.control.traced import TracedController, TracedLaw, effective_periods, foreseen_velocities
-from baselines.estimation.water_frame import Planned, Sea, planned, reference_motion, water_errors
+from baselines.estimation.water_frame import PlannedReference, Sea, planned, reference_motion, water_errors
 
 LARGEST_SIGMA = 10.0
 """Bound [m/s^2], [rad/s^2] of sigma."""
@@ -70,7 +70,7 @@ class AdaptiveMemory(NamedTuple):
     N: Number  # [N m]
 
 
-_PLAN = len(Planned._fields)  # how many entries are the planner's
+_PLAN = len(PlannedReference._fields)  # how many entries are the planner's
 _AT: Any = AdaptiveMemory._make(range(len(AdaptiveMemory._fields)))  # where each entry stands
 AT_PREDICTED = slice(_AT.u, _AT.sigma_u)  # the predicted velocities
 AT_SIGMA = slice(_AT.sigma_u, _AT.u_last)  # sigma of the three axes
@@ -95,7 +95,7 @@ def adaptive(
     share = ns.where(fresh, 0.0, 1 - ns.exp(-g.bandwidth * o.dt))
     X = before.X + share * (c.m11 * (sigma[0] - known[0]) - before.X)
     N = before.N + share * (c.m33 * (sigma[2] - known[1]) - before.N)
-    plan, R = planned(Planned(*before[:_PLAN]), reference_motion(o, c, ns), Sea(V_x, V_y), o.dt, c, ns)
+    plan, R = planned(PlannedReference(*before[:_PLAN]), reference_motion(o, c, ns), Sea(V_x, V_y), o.dt, c, ns)
     psi = ns.arctan2(o.sin_psi, o.cos_psi)
     errors = water_errors((o.e_x, o.e_y, psi, u, v, r), R, ns)
     law = undamped_symbols((g.k, g.cu, g.c, g.cr, g.reference_speed))

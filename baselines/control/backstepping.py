@@ -20,11 +20,11 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.presets import REGIMES
 from auv_gym.scenarios.vehicles import as_vehicle
 from auv_gym.task.policy import Law
-from baselines.gains.loading import FOLDER, load_gains
+from baselines.gains.loading import GAINS_FOLDER, load_gains
 from baselines.policy import U_R, V_R, is_fast, reference_speed, squared_speed
 
-NAME = "backstepping"  # that the file of its gains begins with
-SETS = FOLDER / f"{NAME}-sets.json"  # the sets of gains that have names
+_NAME = "backstepping"  # that the file of its gains begins with
+SETS = GAINS_FOLDER / f"{_NAME}-sets.json"  # the sets of gains that have names
 
 
 class StabilityWarning(UserWarning):

@@ -23,7 +23,7 @@ from auv_gym.task.observation import Observation, V
 from baselines.control.backstepping import tracking_forces
 from baselines.control.ekf_law import undamped_symbols
 from baselines.control.traced import TracedController, TracedLaw
-from baselines.estimation.water_frame import Planned, Sea, planned, reference_motion, water_errors
+from baselines.estimation.water_frame import PlannedReference, Sea, planned, reference_motion, water_errors
 
 
 class ObserverGains(NamedTuple):
@@ -64,7 +64,7 @@ def current_observer(
     seen = observed(o, before, (g.fast, g.slow), vehicle, ns)
     _, _, _, psi, r, V_x, V_y = seen
     motion = reference_motion(o, vehicle, ns)
-    plan, R = planned(Planned(*before[len(seen) :]), motion, Sea(V_x, V_y), o.dt, vehicle, ns)
+    plan, R = planned(PlannedReference(*before[len(seen) :]), motion, Sea(V_x, V_y), o.dt, vehicle, ns)
     V_u, V_v = to_body(V_x, V_y, o.cos_psi, o.sin_psi)
     errors = water_errors((o.e_x, o.e_y, psi, o.u_R + o.u_e - V_u, o.v_R + o.v_e - V_v, r), R, ns)
     law = undamped_symbols((g.k, g.cu, g.c, g.cr, g.reference_speed))

@@ -24,25 +24,25 @@ from baselines.estimation.faults import arrived
 from baselines.estimation.kalman import (
     BELIEVED,
     FAULT_TUNING,
-    TUNING,
+    FILTER_TUNING,
     VEHICLE_ROWS,
     ExtendedKalmanFilter,
     parts,
     repeated,
     tuning_of,
 )
-from baselines.estimation.sea_model import SIZE, WAVE_FREQUENCY, Estimate, wave_transition, waves_after
-from baselines.estimation.water_frame import Planned, Sea, planned, reference_motion, water_errors
+from baselines.estimation.sea_model import STATE_SIZE, WAVE_FREQUENCY, Estimate, wave_transition, waves_after
+from baselines.estimation.water_frame import PlannedReference, Sea, planned, reference_motion, water_errors
 from baselines.policy import Memory, is_fast, squared_speed
 
 _NEAR = 3.0  # [s] bound of the position error that the tuned gains see, see `backstepping.bounded_error`
 _FAR = 8.0  # [s] travel time of the position error from which the expert's gains have most of the say
 FAR_HEADING = 1.0  # [rad] heading error from which they have
-LAW_GAINS = (*UNDAMPED_GAINS, "lead")  # names of the law's own gains
-EKF_GAINS = (*LAW_GAINS, *TUNING)
+EKF_LAW_GAINS = (*UNDAMPED_GAINS, "lead")  # names of the law's own gains
+EKF_GAINS = (*EKF_LAW_GAINS, *FILTER_TUNING)
 """Names of the gains: the law's, see `backstepping.undamped`; `lead` [1/s], how fast the actuators' force is to
 approach what the law asks for; and the filter's `Tuning`."""
-ADVERSE_GAINS = (*LAW_GAINS, *FAULT_TUNING)
+EKF_ADVERSE_GAINS = (*EKF_LAW_GAINS, *FAULT_TUNING)
 """Names of the gains where the filter believes in faults: its `FaultTuning` in place of the `Tuning`."""
 
 
@@ -54,14 +54,14 @@ class EkfLaw:
     """
 
     def __init__(self, gains: Mapping[str, float], vehicle: Vehicle) -> None:
-        """Make the controller; its gains are named in `EKF_GAINS`, or in `ADVERSE_GAINS`."""
+        """Make the controller; its gains are named in `EKF_GAINS`, or in `EKF_ADVERSE_GAINS`."""
         self.vehicle, self.gains = vehicle, undamped(gains)
         self.filter = ExtendedKalmanFilter(vehicle, tuning_of(gains))
-        self._known = np.array((*vehicle.coefficients, *(gains[name] for name in LAW_GAINS)))[:, None]
+        self._known = np.array((*vehicle.coefficients, *(gains[name] for name in EKF_LAW_GAINS)))[:, None]
 
     def start(self, n: int) -> Memory:
         """Return the memory at the start of n episodes."""
-        return *self.filter.start(n), np.zeros((len(Planned._fields), n)).T
+        return *self.filter.start(n), np.zeros((len(PlannedReference._fields), n)).T
 
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
         """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
@@ -82,12 +82,16 @@ def law_kernel(faults: bool = False) -> Kernel:
     ) -> Mapping[str, Sequence[Any]]:
         coefficients = Coefficients(*known[:VEHICLE_ROWS])
         *gains, lead = known[VEHICLE_ROWS:]
-        law, memory = undamped_symbols(gains), Planned(*plan)
+        law, memory = undamped_symbols(gains), PlannedReference(*plan)
         after, force = _law_forces(Observation(*o), z, memory, coefficients, law, lead, SYMBOLS)
         return {"plan": after, "force": force}
 
-    rows = {"o": len(Observation._fields), "known": VEHICLE_ROWS + len(LAW_GAINS), "z": BELIEVED if faults else SIZE}
-    return Kernel.traced(equation, {**rows, "plan": len(Planned._fields)}, structural=True, blocked=True)
+    rows = {
+        "o": len(Observation._fields),
+        "known": VEHICLE_ROWS + len(EKF_LAW_GAINS),
+        "z": BELIEVED if faults else STATE_SIZE,
+    }
+    return Kernel.traced(equation, {**rows, "plan": len(PlannedReference._fields)}, structural=True, blocked=True)
 
 
 def undamped_symbols(gains: Sequence[Symbol]) -> Gains:
@@ -99,12 +103,12 @@ def undamped_symbols(gains: Sequence[Symbol]) -> Gains:
 def _law_forces(
     o: Observation,
     state: Sequence[Number],
-    plan: Planned,
+    plan: PlannedReference,
     coefficients: Coefficients,
     gains: Gains,
     lead: Number,
     ns: Namespace,
-) -> tuple[Planned, tuple[Number, Number]]:
+) -> tuple[PlannedReference, tuple[Number, Number]]:
     """Return what the planner remembers, and F_u [N], F_r [N m].
 
     Args:

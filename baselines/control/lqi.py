@@ -26,7 +26,7 @@ from baselines.policy import Memory, first_order
 if TYPE_CHECKING:  # SciPy is imported where it is used: most policies need none of it
     from scipy.interpolate import RegularGridInterpolator
 
-SPEEDS = np.geomspace(0.05, 2.5, 14)  # [m/s] u_R of the grid of gains; beyond it the gain at its edge is used
+_SPEEDS = np.geomspace(0.05, 2.5, 14)  # [m/s] u_R of the grid of gains; beyond it the gain at its edge is used
 _TURN_RATES = np.linspace(-0.18, 0.18, 7)  # [rad/s] r_R of the grid of gains
 
 PREFERRED = np.array([float(f"{m}e{e}") for e in range(-4, 10) for m in (1, 1.25, 1.6, 2, 2.5, 3.15, 4, 5, 6.3, 8)])
@@ -126,8 +126,8 @@ def gain_schedule(vehicle: Vehicle, w: LqiWeights, dt: float, limits: tuple[floa
     """Return K (N, 2, 12) as a function of points (N, 2) of u_R, r_R inside the grid; arguments as `optimal_gain`."""
     from scipy.interpolate import RegularGridInterpolator
 
-    gains = [[optimal_gain(u, r, vehicle, w, dt, limits) for r in _TURN_RATES.tolist()] for u in SPEEDS.tolist()]
-    return RegularGridInterpolator((SPEEDS, _TURN_RATES), np.array(gains))
+    gains = [[optimal_gain(u, r, vehicle, w, dt, limits) for r in _TURN_RATES.tolist()] for u in _SPEEDS.tolist()]
+    return RegularGridInterpolator((_SPEEDS, _TURN_RATES), np.array(gains))
 
 
 class LQI:
@@ -158,7 +158,7 @@ class LQI:
     def _gain(self, o: Observation) -> Array:
         """Return K for each vehicle, shape (N, 2, 12)."""
         points = np.stack((o.u_R, o.r_R), axis=1)
-        points = np.clip(points, (SPEEDS[0], _TURN_RATES[0]), (SPEEDS[-1], _TURN_RATES[-1]))
+        points = np.clip(points, (_SPEEDS[0], _TURN_RATES[0]), (_SPEEDS[-1], _TURN_RATES[-1]))
         K = np.empty((len(points), _FORCES, _STATES + 2 * _FORCES))
         designs = np.stack((o.dt, preferred(o.F_u_max), preferred(o.F_r_max)), axis=1)
         for dt, *limits in np.unique(designs, axis=0).tolist():

@@ -58,7 +58,7 @@ def within_bounds(faults: Faults, ns: Namespace) -> Faults:
     return faults._replace(surge_share=share_u, yaw_share=share_r, delay=delay)
 
 
-def acting(faults: Faults, actions: Sequence[Sequence[Number]], limits: Force, ns: Namespace) -> Force:
+def acting_forces(faults: Faults, actions: Sequence[Sequence[Number]], limits: Force, ns: Namespace) -> Force:
     """Return F_u [N], F_r [N m] that the actuators went for in the last period.
 
     Args:

@@ -25,23 +25,23 @@ from baselines.estimation.faults import (
     LATE,
     NO_FAULTS,
     Faults,
-    acting,
+    acting_forces,
     biases,
     prior_faults,
     within_bounds,
 )
 from baselines.estimation.sea_model import (
-    AT,
     BIAS,
-    CURRENT,
+    CURRENT_STATES,
     FORCE,
     GUST,
     GUST_MEMORY,
-    HULL,
     LONGEST_LAG,
+    MOTION_STATES,
+    PLACE,
     SENSORS,
     SHORTEST_LAG,
-    SIZE,
+    STATE_SIZE,
     WAVE_PAIRS,
     WAVES,
     Estimate,
@@ -50,7 +50,7 @@ from baselines.estimation.sea_model import (
     transition,
     wave_transition,
 )
-from baselines.estimation.water_frame import Motion, reference_motion
+from baselines.estimation.water_frame import ReferenceMotion, reference_motion
 from baselines.policy import SPEED_FLOOR
 
 FIRST_NOISE = (0.05, 0.05, 0.015, 0.02, 0.02, 0.005)
@@ -75,7 +75,7 @@ _HELD = 1e-4  # [m] of which a measured position moves less in a period: there w
 FIT_MEMORY = 20.0  # [s] over which the fit of a filter's measurements is added up
 FIRST_BIAS = 0.2  # deviation of the slowly varying load before the first measurement, in the units of `Tuning`
 
-Matrix = Sequence[Sequence[Any]]
+_Matrix = Sequence[Sequence[Any]]
 
 
 class Belief(NamedTuple):
@@ -105,11 +105,11 @@ class Belief(NamedTuple):
     @staticmethod
     def sizes(faults: bool = False) -> Belief:
         """Return how many rows each part has."""
-        size = SIZE + FAULTS * faults
+        size = STATE_SIZE + FAULTS * faults
         return Belief(1, size, size * (size + 1) // 2, 4, 2, 3 * SENSORS, SENSORS, 1, 2 * LATE * faults)
 
 
-class Units(NamedTuple):
+class FilterUnits(NamedTuple):
     """What deviations are measured in."""
 
     speed: Number  # [m/s]
@@ -117,7 +117,7 @@ class Units(NamedTuple):
     limits: Sequence[Number]  # of the actuators [N], [N m]
 
     @classmethod
-    def of(cls, o: Observation, coefficients: Coefficients) -> Units:
+    def of(cls, o: Observation, coefficients: Coefficients) -> FilterUnits:
         """Return the units at a reference's speed."""
         speed = SYMBOLS.clip(SYMBOLS.hypot(o.u_R, o.v_R), SPEED_FLOOR, math.inf)
         drag = [d * speed for d in (coefficients.d11, coefficients.d22, coefficients.d33)]
@@ -134,12 +134,16 @@ def updated(o: Observation, coefficients: Coefficients, tuning: Any, memory: Bel
             symbols.
         memory: zeros at the start of an episode but for the noise, or as the last call returned it.
     """
-    motion, units, fresh = reference_motion(o, coefficients, SYMBOLS), Units.of(o, coefficients), memory.count[0] <= 0.0
+    motion, units, fresh = (
+        reference_motion(o, coefficients, SYMBOLS),
+        FilterUnits.of(o, coefficients),
+        memory.count[0] <= 0.0,
+    )
     measured, step = _measured(o, motion), _step(memory.motion, motion, o.dt)
     moved = [a - b + c for a, b, c in zip(measured, memory.fix, step, strict=False)]
     held = ~fresh & (moved[0] * moved[0] + moved[1] * moved[1] < _HELD * _HELD)
     actions = [(o.a_u, o.a_r), *zip(memory.actions[::2], memory.actions[1::2], strict=True)]
-    first, deviation = prior(measured, units, tuning, len(memory.state) > SIZE)
+    first, deviation = prior(measured, units, tuning, len(memory.state) > STATE_SIZE)
     z, P = foreseen(memory.state, symmetric(memory.covariance), actions, step, o, coefficients)
     P = _sum(P, excitation(o.dt, units, tuning, len(z)))
     shown = [a - b for a, b in zip(shows(z), shows(memory.state), strict=True)]
@@ -151,10 +155,10 @@ def updated(o: Observation, coefficients: Coefficients, tuning: Any, memory: Bel
     fix = measured[:2]
     measured = [*(SYMBOLS.where(held, a, b) for a, b in zip(expected[:2], fix, strict=True)), *measured[2:]]
     innovation = [a - b for a, b in zip(measured, expected, strict=True)]
-    innovation[AT.psi] = wrap_angle(innovation[AT.psi], SYMBOLS)
-    measured[AT.psi] = expected[AT.psi] + innovation[AT.psi]  # continuous, for the differences
+    innovation[PLACE.psi] = wrap_angle(innovation[PLACE.psi], SYMBOLS)
+    measured[PLACE.psi] = expected[PLACE.psi] + innovation[PLACE.psi]  # continuous, for the differences
     noise = _found_noise(measured, past, memory.noise, memory.count[0], o.dt, held)
-    z, P, fits = corrected(z, P, innovation, noise, held)
+    z, P, fits = measured_update(z, P, innovation, noise, held)
     fit = SYMBOLS.where(fresh, 0.0, SYMBOLS.exp(-o.dt / FIT_MEMORY) * memory.fit[0] + fits)
     past = [*measured, *past[: 2 * SENSORS]]
     kept = [a for pair in actions[:LATE] for a in pair] if memory.actions else []
@@ -163,7 +167,7 @@ def updated(o: Observation, coefficients: Coefficients, tuning: Any, memory: Bel
 
 def split(z: Sequence[Any]) -> tuple[Estimate, Faults]:
     """Return the parts of a filter's state; without faults those of sound sensors and actuators."""
-    return Estimate(*z[:SIZE]), Faults(*z[SIZE:]) if len(z) > SIZE else NO_FAULTS
+    return Estimate(*z[:STATE_SIZE]), Faults(*z[STATE_SIZE:]) if len(z) > STATE_SIZE else NO_FAULTS
 
 
 def shows(z: Sequence[Any]) -> list[Any]:
@@ -172,13 +176,13 @@ def shows(z: Sequence[Any]) -> list[Any]:
     return [a + b for a, b in zip(measurement(estimate, SYMBOLS), biases(faults), strict=True)]
 
 
-def _measured(o: Observation, motion: Motion) -> list[Number]:
+def _measured(o: Observation, motion: ReferenceMotion) -> list[Number]:
     """Return the measurements x_e, y_e in the world, psi, u and v over ground, r."""
     x_e, y_e = to_world(o.e_x, o.e_y, o.cos_psi, o.sin_psi)
     return [x_e, y_e, motion.psi + o.psi_e, o.u_R + o.u_e, o.v_R + o.v_e, o.r_R + o.r_e]
 
 
-def _step(before: Sequence[Number], motion: Motion, dt: Number) -> tuple[Number, Number]:
+def _step(before: Sequence[Number], motion: ReferenceMotion, dt: Number) -> tuple[Number, Number]:
     """Return how far the reference has moved since the last update, by Hermite's formula, of fourth order."""
     v_x, v_y, a_x, a_y = before
     half, twelfth = 0.5 * dt, dt * dt / 12
@@ -190,12 +194,12 @@ def _step(before: Sequence[Number], motion: Motion, dt: Number) -> tuple[Number,
 
 def foreseen(
     z: Sequence[Any],
-    P: Matrix,
+    P: _Matrix,
     actions: Sequence[Sequence[Number]],
     reference_step: tuple[Number, Number],
     o: Observation,
     coefficients: Coefficients,
-) -> tuple[Sequence[Any], Matrix]:
+) -> tuple[Sequence[Any], _Matrix]:
     """Return state and covariance one control period later, without excitation.
 
     The hull's motion depends on eleven things alone: its covariance goes by way of theirs.
@@ -210,31 +214,31 @@ def foreseen(
     """
     estimate, faults = split(z)
     estimate = estimate._replace(lag=SYMBOLS.clip(estimate.lag, SHORTEST_LAG, math.inf))  # not zero in the beginning
-    wrong = [*z[SIZE:]]
+    wrong = [*z[STATE_SIZE:]]
     command = (o.a_u * o.F_u_max, o.a_r * o.F_r_max)
     if wrong:
-        command = acting(faults, actions, (o.F_u_max, o.F_r_max), SYMBOLS)
+        command = acting_forces(faults, actions, (o.F_u_max, o.F_r_max), SYMBOLS)
     after = transition(estimate, command, reference_step, o.dt, coefficients, SYMBOLS)
     load, _ = mean_load(estimate, command, o.dt, SYMBOLS)
-    others = [*(x for i, x in enumerate(after) if not HULL.start <= i < HULL.stop), *wrong]
-    moving = [*estimate[HULL], *load, *after[CURRENT]]
+    others = [*(x for i, x in enumerate(after) if not MOTION_STATES.start <= i < MOTION_STATES.stop), *wrong]
+    moving = [*estimate[MOTION_STATES], *load, *after[CURRENT_STATES]]
     P = congruence(jacobian([*moving, *others], [*estimate, *wrong]), P)
-    hull = [[*row, *[0.0] * len(others)] for row in jacobian(after[HULL], moving)]
+    hull = [[*row, *[0.0] * len(others)] for row in jacobian(after[MOTION_STATES], moving)]
     return [*after, *wrong], congruence([*hull, *diagonal([1.0] * len(P))[len(moving) :]], P)
 
 
-def excitation(dt: Number, units: Units, tuning: Any, size: int = SIZE) -> Matrix:
+def excitation(dt: Number, units: FilterUnits, tuning: Any, size: int = STATE_SIZE) -> _Matrix:
     """Return the covariance that one control period adds, for a state of so many rows."""
     speed, drag, limits = units
-    drift: list[Any] = [HULL_DRIFT] * SIZE
-    drift[AT.u] = drift[AT.v] = tuning.acceleration * speed
-    drift[AT.r] = tuning.acceleration
+    drift: list[Any] = [HULL_DRIFT] * STATE_SIZE
+    drift[PLACE.u] = drift[PLACE.v] = tuning.acceleration * speed
+    drift[PLACE.r] = tuning.acceleration
     drift[FORCE] = [FORCE_DRIFT * limit for limit in limits]
-    drift[CURRENT] = [tuning.current * speed] * 2
+    drift[CURRENT_STATES] = [tuning.current * speed] * 2
     drift[GUST] = [tuning.gust * speed * math.sqrt(2 / GUST_MEMORY)] * 2
     shares = tuning.surge_bias, tuning.sway_bias, tuning.yaw_bias
     drift[BIAS] = [share * unit for share, unit in zip(shares, drag, strict=True)]
-    drift[AT.lag] = LAG_DRIFT
+    drift[PLACE.lag] = LAG_DRIFT
     drift = [*drift, *DRIFT][:size]
     Q = diagonal([d * d * dt for d in drift])
     A = wave_transition(dt, SYMBOLS)
@@ -245,24 +249,24 @@ def excitation(dt: Number, units: Units, tuning: Any, size: int = SIZE) -> Matri
     return Q
 
 
-def _waves(units: Units, tuning: Any) -> list[Number]:
+def _waves(units: FilterUnits, tuning: Any) -> list[Number]:
     """Return the standard deviations of the wave loads."""
     shares = tuning.surge_waves, tuning.sway_waves, tuning.yaw_waves
     return [share * unit for share, unit in zip(shares, units.drag, strict=True)]
 
 
 def prior(
-    measured: Sequence[Number], units: Units, tuning: Any, faults: bool
+    measured: Sequence[Number], units: FilterUnits, tuning: Any, faults: bool
 ) -> tuple[Sequence[Any], Sequence[Number]]:
     """Return the state before the first measurement, centred on it, and its standard deviations, which are wide."""
     speed, drag, limits = units
-    z: list[Any] = [0.0] * SIZE
-    z[HULL], z[AT.lag] = measured, FIRST_LAG
-    deviation: list[Any] = [FIRST_POSE] * SIZE
-    deviation[AT.u], deviation[AT.v], deviation[AT.r] = FIRST_SURGE * speed, FIRST_SWAY * speed, FIRST_TURN
+    z: list[Any] = [0.0] * STATE_SIZE
+    z[MOTION_STATES], z[PLACE.lag] = measured, FIRST_LAG
+    deviation: list[Any] = [FIRST_POSE] * STATE_SIZE
+    deviation[PLACE.u], deviation[PLACE.v], deviation[PLACE.r] = FIRST_SURGE * speed, FIRST_SWAY * speed, FIRST_TURN
     deviation[FORCE] = [FORCE_DRIFT * limit for limit in limits]
-    deviation[CURRENT], deviation[GUST] = [FIRST_CURRENT * speed] * 2, [tuning.gust * speed] * 2
-    deviation[BIAS], deviation[AT.lag] = [FIRST_BIAS * unit for unit in drag], FIRST_LAG
+    deviation[CURRENT_STATES], deviation[GUST] = [FIRST_CURRENT * speed] * 2, [tuning.gust * speed] * 2
+    deviation[BIAS], deviation[PLACE.lag] = [FIRST_BIAS * unit for unit in drag], FIRST_LAG
     deviation[WAVES] = [x for wave in _waves(units, tuning) for x in (wave, wave)]
     if not faults:
         return z, deviation
@@ -287,7 +291,7 @@ def _found_noise(
     last, second, third = (past[i * SENSORS : (i + 1) * SENSORS] for i in range(3))
     difference = [a - 3 * b + 3 * c - d for a, b, c, d in zip(measured, last, second, third, strict=True)]
     square = [d * d / 20 for d in difference]
-    for i, j in ((AT.x_e, AT.y_e), (AT.u, AT.v)):  # alike on both axes
+    for i, j in ((PLACE.x_e, PLACE.y_e), (PLACE.u, PLACE.v)):  # alike on both axes
         square[i] = square[j] = 0.5 * (square[i] + square[j])
     weight = SYMBOLS.clip(1.0 / SYMBOLS.clip(count, 1.0, math.inf), dt / NOISE_MEMORY, math.inf)
     weight = SYMBOLS.where(count < 3.0, 0.0, SYMBOLS.clip(weight, 0.0, 1.0))
@@ -298,9 +302,9 @@ def _found_noise(
     ]
 
 
-def corrected(
-    z: Sequence[Any], P: Matrix, innovation: Sequence[Number], noise: Sequence[Number], held: Any
-) -> tuple[Sequence[Any], Matrix, Any]:
+def measured_update(
+    z: Sequence[Any], P: _Matrix, innovation: Sequence[Number], noise: Sequence[Number], held: Any
+) -> tuple[Sequence[Any], _Matrix, Any]:
     """Return state and covariance after measurements with independent errors, and the logarithm of their likelihood.
 
     Args:
@@ -320,15 +324,15 @@ def corrected(
         coarseness = (noise[i] / FINE_NOISE[i] ** 2) ** 2
         telling = coarseness / (1.0 + coarseness)
         fits = 0.5 * telling * (SYMBOLS.log(share) - left * left * share)
-        if i < AT.psi:
+        if i < PLACE.psi:
             share, fits = SYMBOLS.where(held, 0.0, share), SYMBOLS.where(held, 0.0, fits)
         gain, fit = [x * share for x in Ph], fit + fits
         change = [x + k * left for x, k in zip(change, gain, strict=True)]
         P = symmetric([P[i][j] - gain[i] * Ph[j] for i in range(size) for j in range(i + 1)])
     estimate, faults = split([x + d for x, d in zip(z, change, strict=True)])
     estimate = estimate._replace(lag=SYMBOLS.clip(estimate.lag, SHORTEST_LAG, LONGEST_LAG))
-    return [*estimate, *(within_bounds(faults, SYMBOLS) if size > SIZE else ())], P, fit
+    return [*estimate, *(within_bounds(faults, SYMBOLS) if size > STATE_SIZE else ())], P, fit
 
 
-def _sum(A: Matrix, B: Matrix) -> Matrix:
+def _sum(A: _Matrix, B: _Matrix) -> _Matrix:
     return [[a + b for a, b in zip(*rows, strict=True)] for rows in zip(A, B, strict=True)]

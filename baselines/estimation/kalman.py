@@ -24,7 +24,7 @@ from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.task.observation import Observation
 from baselines.estimation.faults import FAULTS, LATE, Faults, arrived
 from baselines.estimation.filter_equations import FIRST_NOISE, Belief, split, updated
-from baselines.estimation.sea_model import SIZE, Estimate
+from baselines.estimation.sea_model import STATE_SIZE, Estimate
 from baselines.policy import Memory
 
 VEHICLE_ROWS = len(Coefficients._fields)  # how many rows tell a kernel of the vehicle
@@ -65,19 +65,19 @@ class FaultTuning(Tuning):
     delay: float  # control periods
 
 
-TUNING = tuple(field.name for field in fields(Tuning))
+FILTER_TUNING = tuple(field.name for field in fields(Tuning))
 """Names of the fields of `Tuning`."""
 FAULT_TUNING = tuple(field.name for field in fields(FaultTuning))
 """Names of the fields of `FaultTuning`."""
-_SCALED = slice(0, TUNING.index("calm"))  # of the rows of a tuning, those that are less in a calm sea
+_SCALED = slice(0, FILTER_TUNING.index("calm"))  # of the rows of a tuning, those that are less in a calm sea
 ODDS = 10.0  # logarithm of the odds of a rough sea before the first measurement, which do not fade
-BELIEVED = SIZE + FAULTS + 2 * LATE  # how many rows a filter returns that believes in faults
+BELIEVED = STATE_SIZE + FAULTS + 2 * LATE  # how many rows a filter returns that believes in faults
 HYPOTHESES = 2  # a rough sea, a calm one
 
 
 def tuning_of(gains: Mapping[str, float]) -> Tuning:
     """Return the filter's tuning from among the gains of a controller."""
-    kind, names = (FaultTuning, FAULT_TUNING) if FAULT_TUNING[-1] in gains else (Tuning, TUNING)
+    kind, names = (FaultTuning, FAULT_TUNING) if FAULT_TUNING[-1] in gains else (Tuning, FILTER_TUNING)
     return kind(**{name: gains[name] for name in names})
 
 
@@ -161,8 +161,8 @@ def arrival_kernel() -> Kernel:
 
 def parts(z: Sequence[Any]) -> tuple[Estimate, Faults, list[tuple[Any, Any]]]:
     """Return what a filter believes: the estimate, the faults, and the actions that may be on their way."""
-    estimate, faults = split(z[: SIZE + FAULTS])
-    actions = z[SIZE + FAULTS :]
+    estimate, faults = split(z[: STATE_SIZE + FAULTS])
+    actions = z[STATE_SIZE + FAULTS :]
     return estimate, faults, list(zip(actions[::2], actions[1::2], strict=True))
 
 
@@ -192,7 +192,7 @@ def _first_belief(n: int, faults: bool) -> Array:
 @cache
 def filter_kernel(faults: bool = False) -> Kernel:
     """Return the kernel of one update, which takes observation, vehicle and tuning, and memory."""
-    names = FAULT_TUNING if faults else TUNING
+    names = FAULT_TUNING if faults else FILTER_TUNING
 
     def equation(o: Sequence[Symbol], known: Sequence[Symbol], memory: Sequence[Symbol]) -> Mapping[str, Sequence[Any]]:
         tuning = SimpleNamespace(**dict(zip(names, known[VEHICLE_ROWS:], strict=True)))

@@ -11,7 +11,7 @@ import math
 from typing import Any, NamedTuple, TypeAlias
 
 from auv_gym.physics.actuators import Response, respond
-from auv_gym.physics.dynamics import Current, Force, Load, rk4_step
+from auv_gym.physics.dynamics import CurrentVelocity, Force, Load, rk4_step
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import Namespace, Number
 from auv_gym.physics.vehicle import Coefficients
@@ -26,7 +26,7 @@ BIAS_MEMORY = 10.0  # [s] in which the slowly varying load is forgotten
 SHORTEST_LAG = 1e-3  # [s] least time constant of the actuators: they respond at once, but the derivatives are finite
 LONGEST_LAG = 2.0  # [s] largest time constant of the actuators
 
-Transition: TypeAlias = tuple[tuple[Number, Number], tuple[Number, Number]]
+_Transition: TypeAlias = tuple[tuple[Number, Number], tuple[Number, Number]]
 """A matrix of two rows."""
 
 
@@ -57,16 +57,16 @@ class Estimate(NamedTuple):
     N_swing: Number  # [N m]
 
 
-SIZE = len(Estimate._fields)  # how many rows an `Estimate` has
-AT: Any = Estimate._make(range(SIZE))  # where each field stands in an `Estimate`: `AT.lag` is the row of the lag
-HULL = slice(AT.x_e, AT.F_u)  # what moves; the sensors measure these six, velocities over ground, in this order
-FORCE = slice(AT.F_u, AT.V_x)  # what the actuators apply
-CURRENT = slice(AT.V_x, AT.V_x_rate)  # the current
-GUST = slice(AT.V_x_rate, AT.X)  # the current's rate
-BIAS = slice(AT.X, AT.lag)  # the slowly varying load
-WAVES = slice(AT.X_wave, SIZE)  # the wave loads and swings of all axes
-WAVE_PAIRS = tuple(slice(wave, wave + 2) for wave in (AT.X_wave, AT.Y_wave, AT.N_wave))  # load and swing of each axis
-SENSORS = AT.F_u  # how many values are measured: the `HULL`
+STATE_SIZE = len(Estimate._fields)  # how many rows an `Estimate` has
+PLACE: Any = Estimate._make(range(STATE_SIZE))  # the row of each field: `PLACE.lag` is that of the lag
+MOTION_STATES = slice(PLACE.x_e, PLACE.F_u)  # the six that sensors measure, velocities over ground, in this order
+FORCE = slice(PLACE.F_u, PLACE.V_x)  # what the actuators apply
+CURRENT_STATES = slice(PLACE.V_x, PLACE.V_x_rate)  # the current
+GUST = slice(PLACE.V_x_rate, PLACE.X)  # the current's rate
+BIAS = slice(PLACE.X, PLACE.lag)  # the slowly varying load
+WAVES = slice(PLACE.X_wave, STATE_SIZE)  # the wave loads and swings of all axes
+WAVE_PAIRS = tuple(slice(row, row + 2) for row in (PLACE.X_wave, PLACE.Y_wave, PLACE.N_wave))  # load and swing
+SENSORS = PLACE.F_u  # how many values are measured: the `MOTION_STATES`
 
 
 def lag_response(lag: Number, dt: Number, ns: Namespace) -> Response:
@@ -75,7 +75,7 @@ def lag_response(lag: Number, dt: Number, ns: Namespace) -> Response:
     return Response(gain, (1.0 - lag / dt * gain) / gain, math.inf, math.inf)
 
 
-def wave_transition(dt: Number, ns: Namespace) -> Transition:
+def wave_transition(dt: Number, ns: Namespace) -> _Transition:
     """Return the matrix A that takes a wave load and its swing over dt [s] without excitation, as two rows.
 
     White noise that keeps both at the variance s^2 adds the covariance s^2 (1 - A A^T) meanwhile.
@@ -88,7 +88,7 @@ def wave_transition(dt: Number, ns: Namespace) -> Transition:
     return (decay * (c + a), b), (-b, decay * (c - a))
 
 
-def waves_after(z: Estimate, A: Transition) -> tuple[Number, ...]:
+def waves_after(z: Estimate, A: _Transition) -> tuple[Number, ...]:
     """Return the six wave entries of the state after the time that A, see `wave_transition`, is for."""
     (a, b), (c, d) = A
     pairs = ((z.X_wave, z.X_swing), (z.Y_wave, z.Y_swing), (z.N_wave, z.N_swing))
@@ -101,7 +101,7 @@ def current_transition(dt: Number, ns: Namespace) -> tuple[Number, Number, Numbe
     return ns.exp(-dt / CURRENT_MEMORY), left, GUST_MEMORY * (1 - left)
 
 
-def current_after(z: Estimate, dt: Number, ns: Namespace) -> Current:
+def current_after(z: Estimate, dt: Number, ns: Namespace) -> CurrentVelocity:
     """Return the current V_x, V_y [m/s] after dt [s]."""
     kept, _, time = current_transition(dt, ns)
     return kept * z.V_x + time * z.V_x_rate, kept * z.V_y + time * z.V_y_rate

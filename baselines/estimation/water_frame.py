@@ -36,7 +36,7 @@ _LARGEST_SINE = math.sin(1.2)
 """Sine of the largest sideslip, 1.2 rad."""
 
 
-class Motion(NamedTuple):
+class ReferenceMotion(NamedTuple):
     """How the reference moves over ground, in the world."""
 
     psi: Number  # [rad]
@@ -68,7 +68,7 @@ class WaterReference(NamedTuple):
     F_rR: Number  # [N m] (16b)
 
 
-def reference_motion(o: Observation, coefficients: Coefficients, ns: Namespace) -> Motion:
+def reference_motion(o: Observation, coefficients: Coefficients, ns: Namespace) -> ReferenceMotion:
     """Return how the reference moves at this instant; the coefficients are those of the vehicle it was planned for.
 
     The measured heading less the heading error is the reference's heading, free of noise but for a low-pass. The
@@ -77,10 +77,10 @@ def reference_motion(o: Observation, coefficients: Coefficients, ns: Namespace) 
     psi = ns.arctan2(o.sin_psi, o.cos_psi) - o.psi_e
     v_x, v_y, u_dot, v_dot, _ = rates(psi, o.u_R, o.v_R, o.r_R, (o.F_uR, 0.0, o.F_rR), coefficients, ns)
     a_x, a_y = to_world(u_dot - o.v_R * o.r_R, v_dot + o.u_R * o.r_R, ns.cos(psi), ns.sin(psi))
-    return Motion(psi, v_x, v_y, a_x, a_y)
+    return ReferenceMotion(psi, v_x, v_y, a_x, a_y)
 
 
-class Planned(NamedTuple):
+class PlannedReference(NamedTuple):
     """What the planner remembers."""
 
     count: Number  # of the periods so far
@@ -93,8 +93,8 @@ class Planned(NamedTuple):
 
 
 def planned(
-    memory: Planned, motion: Motion, sea: Sea, dt: Number, coefficients: Coefficients, ns: Namespace
-) -> tuple[Planned, WaterReference]:
+    memory: PlannedReference, motion: ReferenceMotion, sea: Sea, dt: Number, coefficients: Coefficients, ns: Namespace
+) -> tuple[PlannedReference, WaterReference]:
     """Return the memory one control period later and the reference in the water frame at this instant.
 
     Args:
@@ -113,11 +113,13 @@ def planned(
     along = _along(motion, jerk, sea, coefficients, ns)
     w, rest = _sideslip(memory, along, sea.Y, fresh, dt, coefficients, ns)
     psi, u, v, r, F_u, F_r, _ = in_sideslip(along, w, coefficients, (sea.Y, sea.Y_rate), ns)
-    after = Planned(memory.count + 1.0, motion.a_x, motion.a_y, x_1, y_1, w, rest)
+    after = PlannedReference(memory.count + 1.0, motion.a_x, motion.a_y, x_1, y_1, w, rest)
     return after, WaterReference(psi, u, v, r, F_u, F_r)
 
 
-def _along(motion: Motion, jerk: Sequence[Number], sea: Sea, coefficients: Coefficients, ns: Namespace) -> PathRates:
+def _along(
+    motion: ReferenceMotion, jerk: Sequence[Number], sea: Sea, coefficients: Coefficients, ns: Namespace
+) -> PathRates:
     """Return speed, direction and their rates through the water."""
     speed, strength = ns.hypot(motion.v_x, motion.v_y), ns.hypot(sea.V_x, sea.V_y)
     share = ns.clip(LARGEST_CURRENT * speed / ns.clip(strength, 1e-9, math.inf), -math.inf, 1.0)
@@ -129,7 +131,7 @@ def _along(motion: Motion, jerk: Sequence[Number], sea: Sea, coefficients: Coeff
 
 
 def _sideslip(
-    memory: Planned,
+    memory: PlannedReference,
     along: PathRates,
     Y: Number,
     fresh: Number,

@@ -13,7 +13,7 @@ _LONGEST = {"author": 80, "link": 200, "description": 280}
 """Most characters of a text, by field."""
 _LARGEST = 1e15
 """Largest cost of a training, in steps or seconds."""
-NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,39}")
+_NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,39}")
 """What an entry may be called: the name of its file."""
 
 
@@ -43,7 +43,7 @@ def checked_name(name: Any) -> str:
     Raises:
         ValueError: it is no name.
     """
-    if not isinstance(name, str) or not NAME.fullmatch(name):
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise ValueError(
             f"an entry's name is {name!r:.60}; it must be up to 40 lower-case letters, digits and hyphens, such as "
             "my-controller"

@@ -15,7 +15,7 @@ from baselines.evaluation.report.terminal import print_report
 from baselines.evaluation.request import Request
 from baselines.evaluation.rows import RowStore
 from baselines.evaluation.runner import Run
-from baselines.evaluation.submission.files import save, submission_of
+from baselines.evaluation.submission.files import save_submission, submission_of
 from baselines.tools.command_line import DONE, FAILED
 from baselines.tools.files import versions, write_atomically
 
@@ -90,9 +90,9 @@ def _submit(options: Options, suite_name: str, command: str, found: Sequence[Run
     own = [run for run in found if run.policy == policy]
     file = options.out / f"{options.submit}.npz"
     try:
-        suite = suites.load(suite_name)
+        suite = suites.load_suite(suite_name)
         made = submission_of(suite, own, options.submit, options.about, versions(), command)
-        size = save(made, file)
+        size = save_submission(made, file)
     except ValueError as error:
         print(f"no submission: {error}", file=sys.stderr)
         return FAILED

@@ -13,14 +13,14 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from baselines.agents.agent import RECORD, WEIGHTS
+from baselines.agents.agent import AGENT_FILE, WEIGHTS
 from baselines.agents.names import COMMAND, FADING, agent_folder, guarded_name
 from baselines.agents.onnx_models import SUFFIX
 from baselines.agents.programs import files_of
 from baselines.agents.sb3_models import statistics_file
 from baselines.control import POLICIES
 from baselines.control.open_loop import NO_EXPERT
-from baselines.gains.loading import FOLDER as GAINS
+from baselines.gains.loading import GAINS_FOLDER as GAINS
 
 ROOMS = ("baselines.agents", "baselines.control", "baselines.estimation", "baselines.gains", "baselines.policy")
 """Modules that policies are made of; what tunes, trains and measures them stands elsewhere."""
@@ -29,7 +29,7 @@ _GUARD_CODE = "baselines.agents.guard"  # the module that guards act by
 _GUARD_LAW = "backstepping"  # whose gains a guard watches, and hands over to
 ACTING = ("format", "network", "inputs", "features", "observation", "expert", "authority")
 """Entries of agent.json that an agent's actions depend on; `region` does where corrections fade."""
-LARGEST_FILE = 2**28  # [bytes] of a file that is read
+LARGEST_POLICY_FILE = 2**28  # [bytes] of a file that is read
 
 
 def fingerprint(name: str) -> str:
@@ -42,7 +42,7 @@ def fingerprint(name: str) -> str:
     and format.
 
     Raises:
-        ValueError: a file is larger than `LARGEST_FILE`.
+        ValueError: a file is larger than `LARGEST_POLICY_FILE`.
     """
     if (parts := guarded_name(name)) is not None:
         both = fingerprint(parts[0]), fingerprint(parts[1] or _GUARD_LAW)
@@ -69,7 +69,7 @@ def fingerprint(name: str) -> str:
 
 
 def _of_agent(folder: Path, fades: bool) -> str:
-    record = json.loads(_bytes(folder / RECORD))
+    record = json.loads(_bytes(folder / AGENT_FILE))
     acting = {key: record.get(key) for key in (*ACTING, *(("region",) if fades else ()))}
     expert = record["expert"]
     parts = [json.dumps(acting, sort_keys=True), "" if expert == NO_EXPERT else fingerprint(expert)]
@@ -162,8 +162,8 @@ def _stands_alone(node: Any) -> bool:
 def _bytes(file: Path) -> bytes:
     if not file.is_file():
         raise FileNotFoundError(file)
-    if file.stat().st_size > LARGEST_FILE:
-        raise ValueError(f"{file} is larger than {LARGEST_FILE} bytes, so it is no policy's")
+    if file.stat().st_size > LARGEST_POLICY_FILE:
+        raise ValueError(f"{file} is larger than {LARGEST_POLICY_FILE} bytes, so it is no policy's")
     return file.read_bytes()
 
 

@@ -25,7 +25,7 @@ MINUTE = 60.0
 
 
 @dataclass(frozen=True)
-class Board:
+class StepCounter:
     """A folder where tasks write how many control steps they have done; one that they cannot reach is no error.
 
     rich and tqdm count in one process, and queues of multiprocessing and of Ray reach the workers of one kind only; a
@@ -73,7 +73,7 @@ class Listener:
 
     message: Callable[[str], None]
     run: Callable[[Run], None]
-    board: Board
+    board: StepCounter
 
     def runs(
         self,
@@ -93,7 +93,7 @@ def progress(pairs: Sequence[tuple[str, Cell]]) -> Iterator[Listener]:
     """Show on stderr how far an evaluation of these policies, each in its cell, is."""
     steps = sum(len(cell.episodes) * cell.scenario.steps for _, cell in pairs)
     with TemporaryDirectory() as folder:
-        board, err = Board(Path(folder)), Console(stderr=True, highlight=False)
+        board, err = StepCounter(Path(folder)), Console(stderr=True, highlight=False)
         with (_bar if err.is_terminal else _lines)(len(pairs), steps, board, err) as listener:
             yield listener
 
@@ -105,7 +105,7 @@ def run_and_show(pairs: Sequence[tuple[str, Cell]], workers: Workers, step_limit
 
 
 @contextmanager
-def _bar(count: int, steps: int, board: Board, err: Console) -> Iterator[Listener]:
+def _bar(count: int, steps: int, board: StepCounter, err: Console) -> Iterator[Listener]:
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
     done = iter(range(1, count + 1))
     with Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=err, transient=True) as bar:
@@ -120,7 +120,7 @@ def _bar(count: int, steps: int, board: Board, err: Console) -> Iterator[Listene
 
 
 @contextmanager
-def _lines(count: int, steps: int, board: Board, _: Console) -> Iterator[Listener]:
+def _lines(count: int, steps: int, board: StepCounter, _: Console) -> Iterator[Listener]:
     clock, done, last = Clock(steps), iter(range(1, count + 1)), [time.monotonic()]
 
     def say(text: str) -> None:
@@ -142,7 +142,7 @@ def _lines(count: int, steps: int, board: Board, _: Console) -> Iterator[Listene
 
 
 @contextmanager
-def _watched(board: Board, tick: Callable[[int], None]) -> Iterator[None]:
+def _watched(board: StepCounter, tick: Callable[[int], None]) -> Iterator[None]:
     """Call with the board's total again and again, from another thread."""
     over = threading.Event()
 

@@ -1,9 +1,10 @@
 """What policies did in the frozen suites when they were last run: rows to compare with, without waiting for slow ones.
 
 A file SUITE/POLICY.npz each, made by `python -m research suites record SUITE --policy POLICY ...`. It names
-the suite's hash; `STAMPS` has, for each file, its own hash and the fingerprint of the policy that made it. Where one of
-the three is another now, the rows do not count, until they are recorded anew or `verify` finds that the policy still
-gives the same numbers. A slow policy may have run the first episodes of each cell only, an agent its regime's cells.
+the suite's hash; `STAMPS_FILE` has, for each file, its own hash and the fingerprint of the policy that made it. Where
+one of the three is another now, the rows do not count, until they are recorded anew or `verify` finds that the policy
+still gives the same numbers. A slow policy may have run the first episodes of each cell only, an agent its regime's
+cells.
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ from baselines.evaluation.suites import Suite
 from baselines.policies import list_policies
 from baselines.tools.files import json_text, write_atomically
 
-FOLDER = Path(__file__).parent / "data" / "recorded"
-SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v1", "vehicles-v1")
+RECORDED_FOLDER = Path(__file__).parent / "data" / "recorded"  # a folder for each suite, a file for each policy
+RECORDED_SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v1", "vehicles-v1")
 """The suites that rows are recorded of."""
-STAMPS = "fingerprints.json"  # file of the fingerprints of what was recorded
+STAMPS_FILE = "fingerprints.json"  # file of the fingerprints of what was recorded
 
 
 DIGITS = {"rmse": 8, "effort": 11, "smoothness": 13, "total_reward": 8}
@@ -51,7 +52,7 @@ class Found:
     refused: dict[str, str]  # why the rows of a policy do not count, by its name
 
 
-def load(suite: Suite, folder: Path = FOLDER) -> Found:
+def load_recorded(suite: Suite, folder: Path = RECORDED_FOLDER) -> Found:
     """Return the recorded runs of a suite that count."""
     runs: list[Run] = []
     refused: dict[str, str] = {}
@@ -68,7 +69,7 @@ def load(suite: Suite, folder: Path = FOLDER) -> Found:
 def _counted(suite: Suite, policy: str, stamps: Mapping[str, list[str]], folder: Path) -> list[Run] | str:
     """Return the runs that are kept of a policy, or why they do not count."""
     try:
-        own = read(suite, policy, folder)
+        own = read_recorded(suite, policy, folder)
         if stamps.get(f"{suite.source[0]}/{policy}") != _stamp(suite, policy, folder):
             return "the policy's files have changed since, or the rows have"
     except (OSError, ValueError) as error:
@@ -76,22 +77,22 @@ def _counted(suite: Suite, policy: str, stamps: Mapping[str, list[str]], folder:
     return own
 
 
-def missing(suite: str, folder: Path = FOLDER) -> str | None:
+def missing(suite: str, folder: Path = RECORDED_FOLDER) -> str | None:
     """Return why no rows of a suite are here that the sources have; None where they are here, or nowhere."""
-    if checkout() is not None or suite not in SUITES or (folder / suite).is_dir():
+    if checkout() is not None or suite not in RECORDED_SUITES or (folder / suite).is_dir():
         return None
     return left_out(f"the recorded rows of {suite} are")
 
 
-def recorded_policies(suite: Suite, folder: Path = FOLDER) -> list[str]:
+def recorded_policies(suite: Suite, folder: Path = RECORDED_FOLDER) -> list[str]:
     """Return the names of the policies that rows are kept of, in the order of the registry."""
     order, source = list(list_policies()), suite.source[0]
-    places = (folder, RECORD / folder.name) if folder == FOLDER else (folder,)
+    places = (folder, RECORD / folder.name) if folder == RECORDED_FOLDER else (folder,)
     names = {file.stem for place in places for file in (place / source).glob("*.npz")}
     return sorted(names, key=lambda name: (order.index(name) if name in order else len(order), name))
 
 
-def read(suite: Suite, policy: str, folder: Path = FOLDER) -> list[Run]:
+def read_recorded(suite: Suite, policy: str, folder: Path = RECORDED_FOLDER) -> list[Run]:
     """Return the runs that are kept of a policy, cell by cell, whatever it is made of now.
 
     Raises:
@@ -120,7 +121,7 @@ def read(suite: Suite, policy: str, folder: Path = FOLDER) -> list[Run]:
     return runs
 
 
-def table(measures: Measures) -> NDArray[np.float32]:
+def stored_measures(measures: Measures) -> NDArray[np.float32]:
     """Return measures as files hold them, in single precision or with `DIGITS`, shape (measures, M)."""
     rows = []
     for field in fields(Measures):
@@ -140,16 +141,16 @@ def _stamp(suite: Suite, policy: str, folder: Path) -> list[str]:
 
 def _stamps(folder: Path) -> dict[str, list[str]]:
     try:
-        record: dict[str, list[str]] = json.loads((folder / STAMPS).read_text(encoding="utf-8"))
+        record: dict[str, list[str]] = json.loads((folder / STAMPS_FILE).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         record = {}
     return record
 
 
-def stamp(suite: Suite, policy: str, folder: Path = FOLDER) -> None:
+def stamp_recorded(suite: Suite, policy: str, folder: Path = RECORDED_FOLDER) -> None:
     """Write down that the rows of a policy are what it does now."""
     stamps = _stamps(folder) | {f"{suite.source[0]}/{policy}": _stamp(suite, policy, folder)}
-    write_atomically(folder / STAMPS, json_text(dict(sorted(stamps.items()))))
+    write_atomically(folder / STAMPS_FILE, json_text(dict(sorted(stamps.items()))))
 
 
 def regimes_of(policy: str) -> tuple[str, ...]:
@@ -159,11 +160,11 @@ def regimes_of(policy: str) -> tuple[str, ...]:
     return tuple(regime for regime in REGIMES if regime in own) or REGIMES
 
 
-def save(
+def save_recorded(
     suite: Suite,
     runs: Sequence[Run],
     versions: Mapping[str, str],
-    folder: Path = FOLDER,
+    folder: Path = RECORDED_FOLDER,
     regimes: Sequence[str] = REGIMES,
 ) -> None:
     """Write the file of one policy's runs, one in each cell of a suite, or of some of its regimes.
@@ -189,5 +190,5 @@ def save(
         "seconds": [run.seconds for run in ordered],
         "decision_seconds": [run.decision_seconds for run in ordered],
     }
-    write(found(folder, f"{name}/{policy}.npz"), Stored(record, {"measures": table(Measures.joined(parts))}))
-    stamp(suite, policy, folder)
+    write(found(folder, f"{name}/{policy}.npz"), Stored(record, {"measures": stored_measures(Measures.joined(parts))}))
+    stamp_recorded(suite, policy, folder)

@@ -25,7 +25,7 @@ from baselines.evaluation.recorded import regimes_of
 from baselines.evaluation.rollout import make_env
 from baselines.evaluation.runner import Cell, Run, drawn
 from baselines.evaluation.score import EXPERT, Anchors, regime_of
-from baselines.evaluation.suites import list_suites, load
+from baselines.evaluation.suites import list_suites, load_suite
 from baselines.policies import make_policy
 from baselines.tools.command_line import UsageError, printable
 from baselines.tools.workers import Workers
@@ -155,8 +155,8 @@ def _frozen(name: str, options: Options) -> _Task:
         raise UsageError(
             f"--seed is {options.seed}; the episodes of suite {name} are frozen, so it must be 0 or left out"
         )
-    suite = checked(partial(load, name))
-    found = recorded.load(suite)
+    suite = checked(partial(load_suite, name))
+    found = recorded.load_recorded(suite)
     if count is None or all(count >= len(cell.episodes) for cell in suite.cells):
         return _Task(suite.cells, suite.hash, suite.anchors, found.runs, found.refused)
     cells = tuple(Cell(cell.scenario, cell.episodes[:count]) for cell in suite.cells)

@@ -22,11 +22,11 @@ from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.kernels import MadeBodies
 from auv_gym.task.policy import Policy, preview_of
-from baselines.agents.programs import Program
+from baselines.agents.programs import ProgramPolicy
 from baselines.evaluation.metrics import Measures, Track, effort, rmse, settling_time, smoothness, tail_rmse
 from baselines.policy import Privileged
 
-ENV_ID = "auv_gym:UnderactuatedAUVTrack-v0"  # of the environment that policies are run in
+EVALUATED_ENV = "auv_gym:UnderactuatedAUVTrack-v0"  # of the environment that policies are run in
 TRACED = 3
 """How many episodes of a rollout, the first ones, are traced: drawn from above."""
 _PATIENCE = 10
@@ -186,13 +186,13 @@ def rollout(
     Raises:
         PolicyError: see `play`.
     """
-    start, watch = time.perf_counter(), Watch(step_limit, isinstance(policy, Program))
-    if isinstance(policy, Program):
+    start, watch = time.perf_counter(), Watch(step_limit, isinstance(policy, ProgramPolicy))
+    if isinstance(policy, ProgramPolicy):
         policy.step_limit = step_limit
     if isinstance(policy, Privileged):
         policy.prepare(scenario, episodes)
     env, observation = beginning([(scenario, episodes)], preview_of(policy), bodies=bodies)
-    log = Log(scenario.steps, len(episodes))
+    log = EpisodeLog(scenario.steps, len(episodes))
     log.rows.append(_row(env))
     for k, moment in enumerate(play(policy, (env, observation), scenario.steps, watch)):
         log.add(k, moment)
@@ -208,7 +208,7 @@ def rollout(
     )
 
 
-class Log:
+class EpisodeLog:
     """What K steps of N episodes give, each until its own end."""
 
     def __init__(self, steps: int, n: int) -> None:
@@ -272,7 +272,7 @@ def make_env(scenario: Scenario) -> gym.Env[Any, Any]:
     Raises:
         ValueError: the scenario's path cannot be followed.
     """
-    return gym.make(ENV_ID, scenario=scenario, disable_env_checker=True)
+    return gym.make(EVALUATED_ENV, scenario=scenario, disable_env_checker=True)
 
 
 def _row(env: UnderactuatedAUVTrackVectorEnv) -> Array:

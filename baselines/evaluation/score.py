@@ -25,8 +25,8 @@ from baselines.evaluation.metrics import RESAMPLES, Ended, Measures, resamplings
 
 EXPERT = "backstepping"  # the policy that scores 0
 ORACLE = "oracle"  # the policy that knows plant and sea, and regulates; it scores 1 in the oldest suites
-BOUND = "clairvoyant"  # the policy that nobody can be better than; it scores 1 in the others
-FORESIGHTED = (ORACLE, BOUND)
+OPTIMUM_POLICY = "clairvoyant"  # the policy that nobody can be better than; it scores 1 in the others
+FORESIGHTED = (ORACLE, OPTIMUM_POLICY)
 """Policies that know what no competitor may know."""
 RIVAL = "nmpc"  # the strongest policy that does not learn, where sensors and actuators are as told
 ADVERSE_RIVAL = "nmpc-adverse"  # the strongest one where they are not
@@ -35,7 +35,7 @@ LARGEST_TAIL: Mapping[str, float] = {"slow": 0.6, "cruise": 2.0, DEEP: 5.0}
 """Tail RMSE [m] from which an episode counts as lost, by regime; the capped score counts no more than that for it.
 
 That is for the paper's vehicle; for another one it is as many times as long as the vehicle is, see `cap_of`."""
-AT = "@"  # stands between preset and vehicle in the name of a scenario that was made for another vehicle
+VEHICLE_MARK = "@"  # stands between preset and vehicle in the name of a scenario that was made for another vehicle
 
 
 class Anchors(NamedTuple):
@@ -47,10 +47,10 @@ class Anchors(NamedTuple):
     @classmethod
     def among(cls, policies: Collection[str]) -> Anchors:
         """Return the anchors where no suite says them: 1 is the bound if it ran, else the oracle."""
-        return BY_BOUND if BOUND in policies or ORACLE not in policies else BY_ORACLE
+        return BY_BOUND if OPTIMUM_POLICY in policies or ORACLE not in policies else BY_ORACLE
 
 
-BY_BOUND = Anchors(EXPERT, BOUND)
+BY_BOUND = Anchors(EXPERT, OPTIMUM_POLICY)
 """Anchors of benchmark-v2, and of scenarios of one's own where the bound runs."""
 BY_ORACLE = Anchors(EXPERT, ORACLE)
 """Anchors of the suites that were frozen before there was a bound."""
@@ -105,7 +105,7 @@ def waters_of(scenario: str) -> str | None:
 
 def vehicle_of(scenario: str) -> str:
     """Return the name of the vehicle that a scenario was made for, "" for those of the paper's."""
-    return scenario.partition(AT)[2]
+    return scenario.partition(VEHICLE_MARK)[2]
 
 
 def unit_of(scenario: Scenario) -> float:
@@ -113,7 +113,7 @@ def unit_of(scenario: Scenario) -> float:
     return Units.of(scenario.vehicle).length
 
 
-def in_paper_units(m: Measures, scenario: Scenario) -> Measures:
+def in_paper_metres(m: Measures, scenario: Scenario) -> Measures:
     """Return what was measured in a scenario with its distances in metres of the paper's vehicle, see `unit_of`.
 
     So measured, the errors of a ship and of a torpedo can be added up, and have the same cap.
@@ -128,7 +128,7 @@ def cap_of(scenario: Scenario) -> float:
 
 
 def largest_tail(scenario: str) -> float:
-    """Return the same in metres of the paper's vehicle, by the scenario's name; see `in_paper_units`."""
+    """Return the same in metres of the paper's vehicle, by the scenario's name; see `in_paper_metres`."""
     waters = waters_of(scenario)
     return LARGEST_TAIL[waters] if waters else math.inf
 

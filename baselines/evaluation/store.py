@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from baselines.tools.files import LARGEST_FILE, read_bytes, write_atomically
 
-LARGEST_CONTENT = 2**29  # [bytes] that a file unpacks to
+_LARGEST_CONTENT = 2**29  # [bytes] that a file unpacks to
 _RECORD = "record"
 """Name of the array that holds the JSON text."""
 
@@ -54,14 +54,14 @@ def reading(file: Path, largest: int = LARGEST_FILE, content: int | None = None)
     Args:
         file: what is read.
         largest: most bytes of it.
-        content: most bytes that it unpacks to; None: `LARGEST_CONTENT`.
+        content: most bytes that it unpacks to; None: `_LARGEST_CONTENT`.
 
     Raises:
         OSError: it cannot be read.
         ValueError: it is too large, damaged, or holds something else than is looked for.
     """
     try:
-        yield _read(file, largest, LARGEST_CONTENT if content is None else content)
+        yield _read(file, largest, _LARGEST_CONTENT if content is None else content)
     except OSError:
         raise
     except Exception as error:  # of any kind: zlib.error, TypeError, MemoryError, RuntimeError ...

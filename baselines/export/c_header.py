@@ -11,8 +11,8 @@ import numpy as np
 from auv_gym.codegen.plain import c_dialect, parameters, plain_function, tangent_function
 from auv_gym.codegen.vectors import plain_program
 from baselines.export.parts import (
-    MEASURED,
-    REFERENCE,
+    MEASURED_NAMES,
+    REFERENCE_NAMES,
     SETTING,
     Exported,
     measurement_kernel,
@@ -22,7 +22,7 @@ from baselines.export.parts import (
 
 PREFIX = "auv_agent"
 """What the names of a header begin with, unless another prefix is asked for."""
-WIDTH = 120  # of a line
+_WIDTH = 120  # of a line
 
 _USE = """
 In one C file of a program:
@@ -138,8 +138,8 @@ def c_header(agent: Exported, precision: str = "float32", weights: str = "float3
         "real": "float" if precision == "float32" else "double",
         "size": str(len(agent.columns)),
         "memory": "\n".join(f"    {prefix}_real {name}[{size}];" for name, size in agent.memory.items()),
-        "measured": ", ".join(MEASURED),
-        "reference": ", ".join(REFERENCE),
+        "measured": ", ".join(MEASURED_NAMES),
+        "reference": ", ".join(REFERENCE_NAMES),
         "setting": ", ".join(SETTING),
         "ahead": _ahead(agent, prefix),
     }
@@ -162,7 +162,7 @@ def _comment(agent: Exported, names: Mapping[str, str]) -> str:
     facts = [
         line
         for key, text in agent.facts.items()
-        for line in textwrap.wrap(f"{key}: {text}", WIDTH, subsequent_indent="  ")
+        for line in textwrap.wrap(f"{key}: {text}", _WIDTH, subsequent_indent="  ")
     ]
     title = "An agent of auv_gym with its expert inside, printed by its command for export."
     return "\n".join(("/*", title, "", _USE.format(**names).strip(), "", *facts, "*/"))
@@ -198,7 +198,7 @@ def _functions(agent: Exported, precision: str, weights: str, prefix: str) -> st
 def _table(kind: str, name: str, array: Any) -> str:
     """Return the declaration of a constant array, row by row; its numbers are read back exactly."""
     entries = [f"{x}" if kind == "signed char" else _single(x) for x in np.ravel(array).tolist()]
-    return f"static const {kind} {name}[{len(entries)}] = {{\n{textwrap.fill(', '.join(entries), WIDTH)}\n}};\n"
+    return f"static const {kind} {name}[{len(entries)}] = {{\n{textwrap.fill(', '.join(entries), _WIDTH)}\n}};\n"
 
 
 def _single(x: float) -> str:

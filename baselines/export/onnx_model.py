@@ -10,7 +10,7 @@ import numpy as np
 from auv_gym.codegen.elementary import lowered
 from auv_gym.codegen.graph import Graph, Symbol
 from auv_gym.codegen.vectors import Program
-from baselines.agents.networks import ACTIONS
+from baselines.agents.networks import OUTPUTS
 from baselines.export.parts import Exported
 
 OPSET = 17
@@ -156,7 +156,7 @@ def onnx_model(agent: Exported, precision: str = "float64") -> Any:
     writer = _Writer(precision)
     results = _wired(writer, agent)
     sizes = {"observation": len(agent.columns), **agent.memory}
-    ends = {"action": ACTIONS} | {f"next_{name}": size for name, size in agent.memory.items()}
+    ends = {"action": OUTPUTS} | {f"next_{name}": size for name, size in agent.memory.items()}
     for name in ends:
         writer.node("Identity", [results[name]], [name])
     inputs, outputs = (
@@ -186,7 +186,7 @@ def _wired(writer: _Writer, agent: Exported) -> dict[str, str]:
         seen[name], names = names[: len(own)], names[len(own) :]
         writer.node("Concat", seen[name], [f"{name}_now"], axis=1)
     network = writer.program(agent.network, {"features": "features_now", "hidden": "hidden"})
-    changes = [f"change_{j}" for j in range(ACTIONS)]
+    changes = [f"change_{j}" for j in range(OUTPUTS)]
     writer.split(network["correction"], changes)
     rule = agent.command
     names_of = {

@@ -28,15 +28,15 @@ from auv_gym.task.observation import TERMS, Observation, decode, encode
 from auv_gym.task.policy import Law, traceable
 from auv_gym.task.preview import preview_columns
 from auv_gym.task.simulation import PARAMETER_ROWS, PARAMETERS, SAMPLE, SAMPLE_ROWS, Parameters, Parts, start
-from baselines.agents.agent import RECORD, Agent, make_expert
+from baselines.agents.agent import AGENT_FILE, Agent, make_expert
 from baselines.agents.names import FADING, agent_folder, shipped_agents
-from baselines.agents.networks import ACTIONS
+from baselines.agents.networks import OUTPUTS
 from baselines.agents.residual_policy import command_kernel, feature_kernel
 from baselines.tools.files import read_json
 
-MEASURED = ("x [m]", "y [m]", "psi [rad]", "u [m/s]", "v [m/s]", "r [rad/s]")
+MEASURED_NAMES = ("x [m]", "y [m]", "psi [rad]", "u [m/s]", "v [m/s]", "r [rad/s]")
 """What is measured of the vehicle, velocities over ground in the body's axes."""
-REFERENCE = ("x [m]", "y [m]", "psi [rad]", "u [m/s]", "v [m/s]", "r [rad/s]", "F_u [N]", "F_r [N m]")
+REFERENCE_NAMES = ("x [m]", "y [m]", "psi [rad]", "u [m/s]", "v [m/s]", "r [rad/s]", "F_u [N]", "F_r [N m]")
 """What is known of the reference at this instant."""
 SETTING = ("F_u_max [N]", "F_r_max [N m]", "control period [s]")
 """What an action of 1 commands, and how long a command is held."""
@@ -69,7 +69,7 @@ class Exported:
     @property
     def memory(self) -> dict[str, int]:
         """How many numbers of each kind it remembers; all are zero at an episode's start."""
-        sizes = {"integrals": self.agent.inputs.memory, "correction": ACTIONS, "hidden": self.agent.network.memory}
+        sizes = {"integrals": self.agent.inputs.memory, "correction": OUTPUTS, "hidden": self.agent.network.memory}
         return {name: size for name, size in sizes.items() if size}
 
     @property
@@ -117,7 +117,7 @@ def exported(name: str, vehicle: Vehicle | Craft | str = PAPER_VEHICLE) -> Expor
     expert = make_expert(agent.expert, vehicle=similar)
     if not traceable(expert):
         raise ValueError(f"{name!r} cannot be exported: its expert {agent.expert!r} is no law without memory")
-    record = read_json(folder / RECORD)
+    record = read_json(folder / AGENT_FILE)
     forces = cast(Law, expert).forces
     hull = similar if agent.inputs.hull else PAPER_VEHICLE
     see = feature_kernel(agent.inputs, forces, hull.coefficients, Units.of(own))
@@ -155,8 +155,8 @@ _KINDS = ("weight", "bias")
 def measurement_kernel(preview: tuple[int, ...], span: int) -> Kernel:
     """Return the kernel from measurements in SI units to an observation, by what the environment does.
 
-    Its arguments: `MEASURED`; `REFERENCE`; ahead, displacements of the reference in the world from now to each time of
-    the preview, x, y, x, y, ... [m]; last, the previous command; `SETTING`.
+    Its arguments: `MEASURED_NAMES`; `REFERENCE_NAMES`; ahead, displacements of the reference in the world from now to
+    each time of the preview, x, y, x, y, ... [m]; last, the previous command; `SETTING`.
     For the span see `auv_gym.task.observation.bounds`.
     """
 
@@ -169,7 +169,12 @@ def measurement_kernel(preview: tuple[int, ...], span: int) -> Kernel:
         o = Observation._make(decode(rows, SYMBOLS))
         return {"observation": [*rows, *preview_columns(ahead, o, SYMBOLS, span)]}
 
-    rows = {"measured": len(MEASURED), "reference": len(REFERENCE), "last": ACTIONS, "setting": len(SETTING)}
+    rows = {
+        "measured": len(MEASURED_NAMES),
+        "reference": len(REFERENCE_NAMES),
+        "last": OUTPUTS,
+        "setting": len(SETTING),
+    }
     return Kernel.traced(equation, rows | ({"ahead": 2 * len(preview)} if preview else {}), structural=True)
 
 

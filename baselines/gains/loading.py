@@ -13,7 +13,7 @@ from auv_gym.scenarios.presets import REGIMES
 from auv_gym.scenarios.vehicles import as_vehicle
 from baselines.policy import BySpeed, Controller, Remembering
 
-FOLDER = Path(__file__).parent
+GAINS_FOLDER = Path(__file__).parent  # of the gains, NAME-REGIME.json
 
 
 def gain_file(name: str, regime: str) -> Path:
@@ -24,7 +24,7 @@ def gain_file(name: str, regime: str) -> Path:
     """
     if regime not in REGIMES:
         raise ValueError(f"unknown regime {regime!r}; allowed are {', '.join(REGIMES)}")
-    return FOLDER / f"{name}-{regime}.json"
+    return GAINS_FOLDER / f"{name}-{regime}.json"
 
 
 def checked_gains(gains: Any, names: Sequence[str], source: str) -> dict[str, float]:

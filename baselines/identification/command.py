@@ -16,8 +16,8 @@ from auv_gym.scenarios.vehicles import as_vehicle
 from baselines.identification import Identified, Log, identify
 from baselines.identification.begin import OPTIONAL
 from baselines.identification.files import scenario_text, vehicle_text
-from baselines.identification.report import report, rows
-from baselines.identification.trials import CURRENT, example
+from baselines.identification.report import report_files, rows
+from baselines.identification.trials import EXAMPLE_CURRENT, example
 from baselines.tools.command_line import DONE, FAILED, UsageError, parse
 from baselines.tools.files import write_atomically
 
@@ -77,7 +77,7 @@ def main(arguments: Sequence[str]) -> int:
         print("  ".join(row))
     options.out.mkdir(parents=True, exist_ok=True)
     vehicle, says = _vehicle(found, like)
-    for name, content in report(found, options.log.name, says).items():
+    for name, content in report_files(found, options.log.name, says).items():
         write_atomically(options.out / name, content)
     if vehicle is not None:
         write_atomically(options.out / "vehicle.toml", vehicle_text(found, vehicle, options.log.name))
@@ -94,7 +94,8 @@ def _written_example(options: Options) -> int:
         raise UsageError(f"--seed is {options.seed}; it must be 0 or more")
     sensors = PRESETS["cruise-noise"].sensors
     example(PAPER_VEHICLE, EXAMPLE, sensors, options.seed).save(options.log)
-    print(f"written: {options.log}, a minute of the paper's vehicle in a current of {CURRENT[0]}, {CURRENT[1]} m/s")
+    V_x, V_y = EXAMPLE_CURRENT
+    print(f"written: {options.log}, a minute of the paper's vehicle in a current of {V_x}, {V_y} m/s")
     return DONE
 
 

@@ -17,8 +17,8 @@ from auv_gym.physics.dynamics import State, rk4_step
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Coefficients
 from baselines.identification.fit import Identified
-from baselines.identification.model import HULL
-from baselines.identification.uncertainty import NORMAL
+from baselines.identification.model import HULL_PARAMETERS
+from baselines.identification.uncertainty import NORMAL_QUANTILE
 
 _DRAWS = 200  # vehicles that the fit does not tell apart, for the intervals
 _STEPS = 4000  # integration steps of a manoeuvre, at most
@@ -29,7 +29,7 @@ ZIG_ZAGS = (10.0, 20.0)  # [degrees] headings at which the rudder is turned over
 
 
 @dataclass(frozen=True)
-class Figure:
+class _Figure:
     """A figure of a manoeuvre, with what the fit leaves open."""
 
     name: str
@@ -56,7 +56,7 @@ def approach(found: Identified) -> Approach:
     return Approach(float(ahead.mean()), float(min(np.median(moments), found["F_r_max"].value)))
 
 
-def figures(found: Identified, begin: Approach, seed: int = 0) -> tuple[Figure, ...]:
+def figures(found: Identified, begin: Approach, seed: int = 0) -> tuple[_Figure, ...]:
     """Return the figures of an identified vehicle; nothing where it lacks a parameter.
 
     Args:
@@ -73,21 +73,21 @@ def figures(found: Identified, begin: Approach, seed: int = 0) -> tuple[Figure, 
             ("first", "second"), _zig_zag(coefficients, lags, begin, math.radians(degrees)), strict=True
         ):
             rows.append((f"{which} overshoot, zig-zag at {degrees:g} degrees", "degrees", np.degrees(row)))
-    return tuple(Figure(name, unit, *_interval(row)) for name, unit, row in rows)
+    return tuple(_Figure(name, unit, *_interval(row)) for name, unit, row in rows)
 
 
 def _drawn(found: Identified, rng: np.random.Generator) -> tuple[Coefficients, Array]:
     """Return the fitted vehicle and those that the log does not tell from it, rows of shape (1 + DRAWS,), and lags."""
-    at = [found.free.index(name) for name in (*HULL, "lag") if name in found.free]
+    at = [found.free.index(name) for name in (*HULL_PARAMETERS, "lag") if name in found.free]
     names = [found.free[i] for i in at]
     spread = found.covariance[np.ix_(at, at)]
     noise = np.vstack((np.zeros(len(at)), rng.multivariate_normal(np.zeros(len(at)), spread, _DRAWS, method="eigh")))
-    rows = {name: np.full(1 + _DRAWS, found[name].value) for name in (*HULL, "lag")}
+    rows = {name: np.full(1 + _DRAWS, found[name].value) for name in (*HULL_PARAMETERS, "lag")}
     rows = {name: np.where(np.isnan(row), 0.0, row) for name, row in rows.items()}
     for name, own in zip(names, noise.T, strict=True):
         least = 1e-3 * abs(found[name].value) if name[0] in "mdl" else -math.inf
         rows[name] = np.maximum(rows[name] + own, least)
-    return Coefficients(*(rows[name] for name in HULL)), rows["lag"]
+    return Coefficients(*(rows[name] for name in HULL_PARAMETERS)), rows["lag"]
 
 
 def _interval(row: Array) -> tuple[float, float, float]:
@@ -95,7 +95,7 @@ def _interval(row: Array) -> tuple[float, float, float]:
     value, others = float(row[0]), row[1:][np.isfinite(row[1:])]
     if math.isnan(value) or len(others) < _DRAWS // 2:
         return value, math.nan, math.nan
-    half = NORMAL * float(others.std())
+    half = NORMAL_QUANTILE * float(others.std())
     return value, max(value - half, 0.0), value + half
 
 

@@ -17,9 +17,9 @@ from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.stiffness import MAX_STIFFNESS, fastest_rate
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.scenario import RandomPath, Scenario
-from baselines.identification import Estimate, Identified
+from baselines.identification import Identified, ParameterEstimate
 from baselines.identification.fit import UNKNOWN
-from baselines.identification.model import CURRENT, HULL, LIMITS
+from baselines.identification.model import CURRENT_NAMES, HULL_PARAMETERS, LIMIT_NAMES
 
 _TURN = 0.3  # turn rate of a scenario's paths, as a share of the log's root mean square
 
@@ -31,8 +31,8 @@ def meanings() -> dict[str, tuple[str, str]]:
         m[1]: (m[2], m[3])
         for m in re.finditer(r"^    (\w+): float.*?# \[(.*?)\] (.*)$", inspect.getsource(Vehicle), re.MULTILINE)
     }
-    found |= {name: ("N" if name == "F_u_max" else "N m", "limit of the actuator") for name in LIMITS}
-    found |= dict.fromkeys(CURRENT, ("m/s", "current while the log was taken"))
+    found |= {name: ("N" if name == "F_u_max" else "N m", "limit of the actuator") for name in LIMIT_NAMES}
+    found |= dict.fromkeys(CURRENT_NAMES, ("m/s", "current while the log was taken"))
     return found | {"lag": ("s", "time constant of both actuators")}
 
 
@@ -41,7 +41,7 @@ def number(value: float) -> str:
     return f"{value:.5g}" if math.isfinite(value) else "-"
 
 
-def interval(estimate: Estimate) -> str:
+def interval(estimate: ParameterEstimate) -> str:
     """Return an interval, with words for an end that is open."""
     if estimate.verdict == UNKNOWN:
         return "-"
@@ -69,22 +69,22 @@ def vehicle_text(found: Identified, vehicle: Vehicle, log: str) -> str:
     if found["lag"].value > 0:
         lines.append(f"lag = {found['lag'].value:.6g}  # [s] {interval(found['lag'])}")
     lines.append("\n[vehicle]")
-    for name in HULL:
+    for name in HULL_PARAMETERS:
         estimate, value = found[name], getattr(vehicle, name)
         known = "not from the log" if estimate.verdict == UNKNOWN else interval(estimate)
         if value or estimate.verdict != UNKNOWN:
             lines.append(f"{name} = {float(f'{value:.6g}')!r}  # [{meanings()[name][0]}] {known}")
     lines.append(f"speed = {vehicle.speed:.6g}  # [m/s]")
     lines.append("\n[actuators]")
-    for name, limit in zip(LIMITS, limits(found), strict=True):
+    for name, limit in zip(LIMIT_NAMES, _limits(found), strict=True):
         lines.append(f"{name} = {limit:.6g}  # [{meanings()[name][0]}] {interval(found[name])}")
     return "\n".join(lines) + "\n"
 
 
-def limits(found: Identified) -> tuple[float, float]:
+def _limits(found: Identified) -> tuple[float, float]:
     """Return the limits [N], [N m] that were found, or the largest commands where none was reached."""
     peaks = np.abs(found.model.log.commands).max(axis=0).tolist()
-    F_u, F_r = (min(found[name].value, peak) for name, peak in zip(LIMITS, peaks, strict=True))
+    F_u, F_r = (min(found[name].value, peak) for name, peak in zip(LIMIT_NAMES, peaks, strict=True))
     return F_u or F_r, F_r or F_u  # what was never commanded has no limit to know
 
 
@@ -95,7 +95,7 @@ def scenario(found: Identified, vehicle: Vehicle) -> Scenario:
         ValueError: a limit or a speed is outside of what scenarios have.
     """
     log = found.model.log
-    F_u_max, F_r_max = limits(found)
+    F_u_max, F_r_max = _limits(found)
     speed = vehicle.speed
     turn = _TURN * float(np.sqrt(np.mean(log.measured[:, 5] ** 2)))
     x, y, psi, u, v, r = found.noise.tolist()

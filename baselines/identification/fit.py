@@ -15,9 +15,9 @@ from baselines.identification.begin import (
     LOST,
     NEEDED,
     OPTIONAL,
-    begun,
     bounds_of,
     check_segment,
+    first_estimates,
     scales_of,
     segment_length,
     segment_starts,
@@ -26,9 +26,9 @@ from baselines.identification.begin import (
 )
 from baselines.identification.least_squares import Left, first_states, fit
 from baselines.identification.log import Log, unwrapped
-from baselines.identification.model import CURRENT, HULL, LIMITS, PARAMETERS, Model
-from baselines.identification.start import Start
-from baselines.identification.uncertainty import NORMAL, covariance, found_noise, rough_noise
+from baselines.identification.model import CURRENT_NAMES, FITTED_PARAMETERS, HULL_PARAMETERS, LIMIT_NAMES, LogModel
+from baselines.identification.start import RoughStart
+from baselines.identification.uncertainty import NORMAL_QUANTILE, covariance, found_noise, rough_noise
 
 IDENTIFIED = "identified"  # what a log says of a parameter, as are the next three: its interval is narrow enough
 ZERO = "not told from 0, taken as 0"  # its interval holds zero
@@ -40,7 +40,7 @@ WORSE = 1.5  # squared errors, as a multiple of those of shorter segments, at wh
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ParameterEstimate:
     """What a log says about a parameter."""
 
     name: str
@@ -54,8 +54,8 @@ class Estimate:
 class Identified:
     """The vehicle in a log."""
 
-    model: Model
-    estimates: tuple[Estimate, ...]  # of all of `PARAMETERS`
+    model: LogModel
+    estimates: tuple[ParameterEstimate, ...]  # of all of `FITTED_PARAMETERS`
     values: Array  # what was fitted, shape (P,)
     free: tuple[str, ...]  # the parameters whose values the last fit has chosen
     covariance: Array  # of these, shape (F, F)
@@ -63,8 +63,8 @@ class Identified:
     errors: Array  # measured less predicted, in SI units, shape (T, 6)
     predicted: Array  # shape (T, 6)
 
-    def __getitem__(self, name: str) -> Estimate:
-        """Return what is known of a parameter of `PARAMETERS`."""
+    def __getitem__(self, name: str) -> ParameterEstimate:
+        """Return what is known of a parameter of `FITTED_PARAMETERS`."""
         return next(estimate for estimate in self.estimates if estimate.name == name)
 
     @property
@@ -80,7 +80,7 @@ class Identified:
         """
         if self.unknown and like is None:
             raise ValueError(f"the log does not show {', '.join(self.unknown)}; {advice(self.unknown)}")
-        values = {name: self[name].value for name in HULL}
+        values = {name: self[name].value for name in HULL_PARAMETERS}
         for name, value in values.items():
             if math.isnan(value):
                 values[name] = getattr(like, name) if name in NEEDED else 0.0
@@ -118,11 +118,11 @@ def identify(
     if unknown := [name for name in candidates if name not in OPTIONAL]:
         raise ValueError(f"{unknown[0]!r} is no optional parameter of a vehicle; allowed are {', '.join(OPTIONAL)}")
     check_segment(log, segment)
-    rough, values, hidden = begun(log, over_ground)
+    rough, values, hidden = first_estimates(log, over_ground)
     length, rows = segment_length(log, values, segment), LONGER * FIRST_SEGMENT
     search = None
     while True:  # longer and longer: the more is asked of the values, the nearer they are
-        model = Model(log, segment_starts(log, min(rows * log.dt, length)), substeps_for(log, values), over_ground)
+        model = LogModel(log, segment_starts(log, min(rows * log.dt, length)), substeps_for(log, values), over_ground)
         try:
             longer = _Search(model, rough, values, candidates, hidden)
         except ValueError:
@@ -150,12 +150,14 @@ def may_be_negative(name: str) -> bool:
 class _Search:
     """Fits in turn: with all that may be, then without what is not told from nothing, the least certain first."""
 
-    def __init__(self, model: Model, rough: Start, values: Array, terms: Sequence[str], hidden: set[str]) -> None:
+    def __init__(
+        self, model: LogModel, rough: RoughStart, values: Array, terms: Sequence[str], hidden: set[str]
+    ) -> None:
         self.model, self.rough, log = model, rough, model.log
         self.peaks = np.abs(log.commands).max(axis=0)
         self.scales, self.bounds = scales_of(log, rough), bounds_of(log, rough)
         self.free, self.noise = [n for n in shown(log, rough, terms) if n not in hidden], rough_noise(log)
-        self.dropped: dict[str, Estimate] = {}
+        self.dropped: dict[str, ParameterEstimate] = {}
         self.states, self.spread = first_states(model), np.zeros((0, 0))
         self.values, self.left = self._fitted(np.clip(values, *self._inside()))
 
@@ -167,11 +169,11 @@ class _Search:
     def _inside(self) -> tuple[Array, Array]:
         """Return the bounds, free limits a little below the largest commands: beyond these they have no effect."""
         low, high = self.bounds
-        below = np.array([0.999 if name in LIMITS and name in self.free else 1.0 for name in PARAMETERS])
+        below = np.array([0.999 if name in LIMIT_NAMES and name in self.free else 1.0 for name in FITTED_PARAMETERS])
         return low, high * below
 
     def _fitted(self, values: Array) -> tuple[Array, Left]:
-        free = np.array([PARAMETERS.index(name) for name in self.free])
+        free = np.array([FITTED_PARAMETERS.index(name) for name in self.free])
         return fit(self.model, values, free, self.bounds, self.scales, self.states, self.noise)
 
     def _refit(self) -> None:
@@ -187,14 +189,16 @@ class _Search:
         self._refit()
         while (name := self._least_certain()) is not None:
             estimate = self._estimate(name)
-            unreached = name in LIMITS
+            unreached = name in LIMIT_NAMES
             self.dropped[name] = replace(
                 estimate, value=math.inf if unreached else 0.0, verdict=UNREACHED if unreached else ZERO
             )
             if unreached:
-                peak = float(self.peaks[LIMITS.index(name)])
+                peak = float(self.peaks[LIMIT_NAMES.index(name)])
                 self.dropped[name] = replace(self.dropped[name], low=min(estimate.low, peak), high=math.inf)
-            self.values[PARAMETERS.index(name)] = self.bounds[1][PARAMETERS.index(name)] if unreached else 0.0
+            self.values[FITTED_PARAMETERS.index(name)] = (
+                self.bounds[1][FITTED_PARAMETERS.index(name)] if unreached else 0.0
+            )
             self.free.remove(name)
             self._refit()
         return self._identified()
@@ -202,44 +206,44 @@ class _Search:
     def _certainty(self, name: str) -> float:
         """Return by how many standard deviations a parameter differs from what it is without effect."""
         at = self.free.index(name)
-        value, deviation = self.values[PARAMETERS.index(name)], math.sqrt(self.spread[at, at])
-        if name in LIMITS:
-            return float((self.peaks[LIMITS.index(name)] - value) / deviation)
+        value, deviation = self.values[FITTED_PARAMETERS.index(name)], math.sqrt(self.spread[at, at])
+        if name in LIMIT_NAMES:
+            return float((self.peaks[LIMIT_NAMES.index(name)] - value) / deviation)
         sure = float(value / deviation)
         return abs(sure) if name in OPTIONAL and may_be_negative(name) else sure
 
     def _least_certain(self) -> str | None:
-        candidates = [name for name in self.free if name in (*OPTIONAL, *LIMITS, "lag")]
+        candidates = [name for name in self.free if name in (*OPTIONAL, *LIMIT_NAMES, "lag")]
         sure = {name: self._certainty(name) for name in candidates}
         least = min(sure, key=lambda name: sure[name], default=None)
-        return least if least is not None and sure[least] < NORMAL else None
+        return least if least is not None and sure[least] < NORMAL_QUANTILE else None
 
-    def _estimate(self, name: str) -> Estimate:
+    def _estimate(self, name: str) -> ParameterEstimate:
         """Return what the last fit says about one of the parameters that it has chosen."""
-        at, value = self.free.index(name), float(self.values[PARAMETERS.index(name)])
-        half = NORMAL * math.sqrt(self.spread[at, at])
+        at, value = self.free.index(name), float(self.values[FITTED_PARAMETERS.index(name)])
+        half = NORMAL_QUANTILE * math.sqrt(self.spread[at, at])
         low, high = value - half, value + half
-        if name not in CURRENT and not (name in OPTIONAL and may_be_negative(name)):
+        if name not in CURRENT_NAMES and not (name in OPTIONAL and may_be_negative(name)):
             low, high = max(low, 0.0), max(high, 0.0)
         verdict = IDENTIFIED
-        if name in HULL and half > abs(value) and half * self.rough.shares[HULL.index(name)] > 1:
+        if name in HULL_PARAMETERS and half > abs(value) and half * self.rough.shares[HULL_PARAMETERS.index(name)] > 1:
             verdict = UNKNOWN
-        return Estimate(name, value, low, high, verdict)
+        return ParameterEstimate(name, value, low, high, verdict)
 
-    def _of(self, name: str) -> Estimate:
+    def _of(self, name: str) -> ParameterEstimate:
         if name in self.free:
             estimate = self._estimate(name)
             return replace(estimate, value=math.nan) if estimate.verdict == UNKNOWN else estimate
         if name in self.dropped:
             return self.dropped[name]
-        if name in LIMITS:
-            return Estimate(name, math.inf, float(self.peaks[LIMITS.index(name)]), math.inf, UNREACHED)
-        return Estimate(name, math.nan, -math.inf, math.inf, UNKNOWN)
+        if name in LIMIT_NAMES:
+            return ParameterEstimate(name, math.inf, float(self.peaks[LIMIT_NAMES.index(name)]), math.inf, UNREACHED)
+        return ParameterEstimate(name, math.nan, -math.inf, math.inf, UNKNOWN)
 
     def _identified(self) -> Identified:
         errors = self.left.errors * self.noise
         measured = unwrapped(self.model.log)
-        estimates = tuple(self._of(name) for name in PARAMETERS)
+        estimates = tuple(self._of(name) for name in FITTED_PARAMETERS)
         return Identified(
             self.model, estimates, self.values, tuple(self.free), self.spread, self.noise, errors, measured - errors
         )

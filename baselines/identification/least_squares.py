@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from auv_gym.physics.namespaces import Array
-from baselines.identification.log import MEASURED, unwrapped
-from baselines.identification.model import STATES, Model
+from baselines.identification.log import MEASURED_COLUMNS, unwrapped
+from baselines.identification.model import LOG_STATES, LogModel
 
-Indices = NDArray[np.int64]
+_Indices = NDArray[np.int64]
 INNER = 5  # most steps to the best first states
 _SETTLED = 1e-6  # [standard deviations] change of the predictions at which they are found
 BLOWN_UP = 1e60  # [standard deviations] error that nothing is learned from
@@ -37,12 +37,12 @@ class Left:
     raw: Array  # the same with first states held, shape (T, 6, F)
 
 
-def first_states(model: Model) -> Array:
+def first_states(model: LogModel) -> Array:
     """Return the measurements at the starts of the segments, shape (S, 6): where the search for states begins."""
     return np.asarray(unwrapped(model.log)[model.starts])
 
 
-def leave(model: Model, values: Array, free: Indices, states: Array, noise: Array) -> Left | None:
+def leave(model: LogModel, values: Array, free: _Indices, states: Array, noise: Array) -> Left | None:
     """Return what parameters leave, with the best first states near given ones; None where the prediction blows up.
 
     Args:
@@ -64,7 +64,7 @@ def leave(model: Model, values: Array, free: Indices, states: Array, noise: Arra
         bases, moves = [], np.empty_like(states)
         change = 0.0
         for i, part in enumerate(segments):
-            q, triangle = np.linalg.qr(by_start[part].reshape(-1, STATES))
+            q, triangle = np.linalg.qr(by_start[part].reshape(-1, LOG_STATES))
             along = q.T @ errors[part].ravel()
             moves[i] = np.linalg.lstsq(triangle, along, rcond=None)[0]
             change = max(change, float(np.abs(along).max()))
@@ -81,7 +81,13 @@ def leave(model: Model, values: Array, free: Indices, states: Array, noise: Arra
 
 
 def fit(
-    model: Model, values: Array, free: Indices, bounds: tuple[Array, Array], scales: Array, states: Array, noise: Array
+    model: LogModel,
+    values: Array,
+    free: _Indices,
+    bounds: tuple[Array, Array],
+    scales: Array,
+    states: Array,
+    noise: Array,
 ) -> tuple[Array, Left]:
     """Return the parameters with the least squared prediction errors, shape (P,), and what they leave.
 
@@ -114,7 +120,7 @@ def fit(
 
     def errors(x: Array) -> Array:
         left = at(x)
-        return np.full(len(model.log.t) * len(MEASURED), np.inf) if left is None else left.errors.ravel()
+        return np.full(len(model.log.t) * len(MEASURED_COLUMNS), np.inf) if left is None else left.errors.ravel()
 
     def slopes(x: Array) -> Array:
         left = at(x)

@@ -15,7 +15,7 @@ import numpy as np
 from auv_gym.physics.namespaces import Array
 from baselines.tools.files import read_bytes
 
-COLUMNS = {
+LOG_COLUMNS = {
     "t": "s",
     "x": "m",
     "y": "m",
@@ -28,8 +28,8 @@ COLUMNS = {
 }
 """The columns of a log and their units: time, position, heading, velocities in the body frame, and the commands of
 surge force and yaw moment that hold from that row to the next."""
-MEASURED = tuple(COLUMNS)[1:7]  # what sensors say
-COMMANDS = tuple(COLUMNS)[7:]  # what was asked of the actuators
+MEASURED_COLUMNS = tuple(LOG_COLUMNS)[1:7]  # what sensors say
+_COMMANDS = tuple(LOG_COLUMNS)[7:]  # what was asked of the actuators
 _SHORTEST = 50  # fewest rows of a log
 _LARGEST = 30_000  # most rows of a log
 
@@ -52,14 +52,14 @@ class Log:
 
     def __post_init__(self) -> None:
         T = len(self.t)
-        if self.measured.shape != (T, len(MEASURED)) or self.commands.shape != (T, len(COMMANDS)):
+        if self.measured.shape != (T, len(MEASURED_COLUMNS)) or self.commands.shape != (T, len(_COMMANDS)):
             raise ValueError(
                 f"a log of {T} instants has measurements of shape {self.measured.shape} and commands of shape "
-                f"{self.commands.shape}; they must be ({T}, {len(MEASURED)}) and ({T}, {len(COMMANDS)})"
+                f"{self.commands.shape}; they must be ({T}, {len(MEASURED_COLUMNS)}) and ({T}, {len(_COMMANDS)})"
             )
         if not _SHORTEST <= T <= _LARGEST:
             raise ValueError(f"the log has {T} rows; it must have {_SHORTEST} to {_LARGEST}")
-        for name, column in zip(COLUMNS, self.table.T, strict=True):
+        for name, column in zip(LOG_COLUMNS, self.table.T, strict=True):
             if len(bad := np.flatnonzero(~np.isfinite(column))):
                 raise ValueError(f"{name} in data row {bad[0] + 1} is {column[bad[0]]}; every entry must be a number")
         if len(back := np.flatnonzero(np.diff(self.t) <= 0)):
@@ -73,7 +73,7 @@ class Log:
                 f"t has a gap of {longest:.3g} s where rows are {self.dt:.3g} s apart; cut the log there, and identify "
                 "from the longer part"
             )
-        for name, column in zip(COMMANDS, self.commands.T, strict=True):
+        for name, column in zip(_COMMANDS, self.commands.T, strict=True):
             if np.ptp(column) == 0 and np.ptp(self.commands) == 0:
                 raise ValueError(f"{name} is {column[0]:g} throughout; a vehicle is known by how it answers to changes")
         check_units(self)
@@ -90,17 +90,17 @@ class Log:
 
     @property
     def table(self) -> Array:
-        """All columns in the order of `COLUMNS`, shape (T, 9)."""
+        """All columns in the order of `LOG_COLUMNS`, shape (T, 9)."""
         return np.column_stack((self.t, self.measured, self.commands))
 
     def save(self, file: str | Path) -> None:
         """Write the log to a CSV file, a line of headings first."""
         rows = [",".join(f"{x:.9g}" for x in row) for row in self.table]
-        Path(file).write_text("\n".join((",".join(COLUMNS), *rows)) + "\n", encoding="utf-8")
+        Path(file).write_text("\n".join((",".join(LOG_COLUMNS), *rows)) + "\n", encoding="utf-8")
 
     @classmethod
     def load(cls, file: str | Path) -> Log:
-        """Return the log in a CSV file, see `COLUMNS`; others are ignored, and a unit in brackets may stand behind.
+        """Return the log in a CSV file, see `LOG_COLUMNS`; others are ignored, and a unit in brackets may stand behind.
 
         Raises:
             ValueError: the file is no table of numbers, lacks a column, says another unit, or holds no log.
@@ -120,17 +120,17 @@ class Log:
 
 
 def _table(rows: Sequence[Sequence[str]]) -> Array:
-    """Return the columns of `COLUMNS`, shape (T, 9), from the rows of a file, headings first."""
+    """Return the columns of `LOG_COLUMNS`, shape (T, 9), from the rows of a file, headings first."""
     heads = [re.fullmatch(r"\s*(\w*)\s*(?:[\[(](.*)[\])])?\s*", head) for head in (rows[0] if rows else [])]
     names = [head[1] if head else "" for head in heads]
-    if missing := [name for name in COLUMNS if name not in names]:
-        needed = ", ".join(f"{name} [{unit}]" for name, unit in COLUMNS.items())
+    if missing := [name for name in LOG_COLUMNS if name not in names]:
+        needed = ", ".join(f"{name} [{unit}]" for name, unit in LOG_COLUMNS.items())
         raise ValueError(f"there is no column {missing[0]!r}; the first line must name {needed}")
     for head in heads:
-        if head and head[2] and head[1] in COLUMNS and head[2].replace("*", " ") != COLUMNS[head[1]]:
-            raise ValueError(f"{head[1]} is in [{head[2]}]; it must be in [{COLUMNS[head[1]]}]")
-    places = [names.index(name) for name in COLUMNS]
-    table = np.empty((len(rows) - 1, len(COLUMNS)))
+        if head and head[2] and head[1] in LOG_COLUMNS and head[2].replace("*", " ") != LOG_COLUMNS[head[1]]:
+            raise ValueError(f"{head[1]} is in [{head[2]}]; it must be in [{LOG_COLUMNS[head[1]]}]")
+    places = [names.index(name) for name in LOG_COLUMNS]
+    table = np.empty((len(rows) - 1, len(LOG_COLUMNS)))
     for k, row in enumerate(rows[1:]):
         for j, place in enumerate(places):
             text = row[place] if place < len(row) else ""

@@ -26,17 +26,17 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Coefficients
 from baselines.identification.log import Log
 
-HULL = Coefficients._fields  # the parameters of the vehicle
-LIMITS = ("F_u_max", "F_r_max")  # [N], [N m] of the actuators
-CURRENT = ("V_x", "V_y")  # [m/s] in the world, constant
-PARAMETERS = (*HULL, *LIMITS, *CURRENT, "lag")
+HULL_PARAMETERS = Coefficients._fields  # the parameters of the vehicle
+LIMIT_NAMES = ("F_u_max", "F_r_max")  # [N], [N m] of the actuators
+CURRENT_NAMES = ("V_x", "V_y")  # [m/s] in the world, constant
+FITTED_PARAMETERS = (*HULL_PARAMETERS, *LIMIT_NAMES, *CURRENT_NAMES, "lag")
 """All that is fitted besides the states at which the segments begin. The current is that of the log, the lag is one for
 both actuators, as in `auv_gym.physics.actuators.Actuators`."""
-STATES = 6  # of a `dynamics.State`
-_PLANT = STATES + 2  # with the forces of the actuators
-_LANES = STATES + len(PARAMETERS)
+LOG_STATES = 6  # of a `dynamics.State`
+_PLANT = LOG_STATES + 2  # with the forces of the actuators
+_LANES = LOG_STATES + len(FITTED_PARAMETERS)
 """What a prediction is differentiated by: the state at which a segment begins, and the parameters. Each has a lane."""
-_SHARED = len(PARAMETERS) - 1  # the lag acts through the rows of the time steps
+_SHARED = len(FITTED_PARAMETERS) - 1  # the lag acts through the rows of the time steps
 _TIMES = 8  # rows that differ from step to step, besides the states at which segments begin
 
 
@@ -46,11 +46,11 @@ def _kernel(substeps: int, over_ground: bool) -> Kernel:
 
     def equation(plant: Any, tangent: Any, times: Any, values: Any, seed: Any) -> Mapping[str, Sequence[Any]]:
         command_u, command_r, dt, gain, mean, d_gain, d_mean, begins, *first = times
-        hull, (F_u_max, F_r_max, *current) = values[: len(HULL)], values[len(HULL) :]
-        state = [SYMBOLS.where(begins > 0.5, a, b) for a, b in zip(first, plant[:STATES], strict=True)]
+        hull, (F_u_max, F_r_max, *current) = values[: len(HULL_PARAMETERS)], values[len(HULL_PARAMETERS) :]
+        state = [SYMBOLS.where(begins > 0.5, a, b) for a, b in zip(first, plant[:LOG_STATES], strict=True)]
         command = SYMBOLS.clip(command_u, -F_u_max, F_u_max), SYMBOLS.clip(command_r, -F_r_max, F_r_max)
         response = Response(gain, mean, math.inf, math.inf)
-        acting, after = respond(tuple(plant[STATES:]), command, response, SYMBOLS)
+        acting, after = respond(tuple(plant[LOG_STATES:]), command, response, SYMBOLS)
         moved = tuple(state)
         for _ in range(substeps):
             load = (acting[0], 0.0, acting[1])
@@ -58,15 +58,15 @@ def _kernel(substeps: int, over_ground: bool) -> Kernel:
         x, y, psi, u, v, r = state
         V_u, V_v = to_body(current[0], current[1], SYMBOLS.cos(psi), SYMBOLS.sin(psi)) if over_ground else (0.0, 0.0)
         seen, following = [x, y, psi, u + V_u, v + V_v, r], [*moved, *after]
-        d_first, d_values, d_lag = seed[:STATES], seed[STATES:-1], seed[-1]
-        d_state = [SYMBOLS.where(begins > 0.5, a, b) for a, b in zip(d_first, tangent[:STATES], strict=True)]
-        given = [*state, *plant[STATES:], *values, gain, mean]
-        along = [*d_state, *tangent[STATES:], *d_values, d_gain * d_lag, d_mean * d_lag]
+        d_first, d_values, d_lag = seed[:LOG_STATES], seed[LOG_STATES:-1], seed[-1]
+        d_state = [SYMBOLS.where(begins > 0.5, a, b) for a, b in zip(d_first, tangent[:LOG_STATES], strict=True)]
+        given = [*state, *plant[LOG_STATES:], *values, gain, mean]
+        along = [*d_state, *tangent[LOG_STATES:], *d_values, d_gain * d_lag, d_mean * d_lag]
         directions = {symbol.index: d for symbol, d in zip(given, along, strict=True)}
         change = directional([*following, *seen], directions)
         return {"plant": following, "tangent": change[:_PLANT], "seen": seen, "change": change[_PLANT:]}
 
-    sizes = {"plant": _PLANT, "tangent": _PLANT, "times": _TIMES + STATES, "values": _SHARED, "seed": _LANES}
+    sizes = {"plant": _PLANT, "tangent": _PLANT, "times": _TIMES + LOG_STATES, "values": _SHARED, "seed": _LANES}
     return Kernel.traced(equation, sizes, ["times", "seen", "change"], shared=["values"])
 
 
@@ -76,11 +76,11 @@ class Prediction:
 
     seen: Array  # as `Log.measured`, shape (T, 6)
     by_start: Array  # its derivatives by the state at which the segment begins, shape (T, 6, 6)
-    by_value: Array  # its derivatives by `PARAMETERS`, shape (T, 6, P)
+    by_value: Array  # its derivatives by `FITTED_PARAMETERS`, shape (T, 6, P)
 
 
 @dataclass(frozen=True)
-class Model:
+class LogModel:
     """The simulator on a log.
 
     Args:
@@ -99,22 +99,22 @@ class Model:
         """Return what the parameters and the segments' first states predict.
 
         Args:
-            values: of `PARAMETERS`, shape (P,).
+            values: of `FITTED_PARAMETERS`, shape (P,).
             states: x, y, psi, u, v relative to the water, r at the segments' starts, shape (S, 6).
         """
         T = len(self.log.t)
-        times = np.zeros((T, _TIMES + STATES))
+        times = np.zeros((T, _TIMES + LOG_STATES))
         times[:, :2] = self.log.commands
         times[:, 2:7] = self._responses(float(values[-1]))
         times[self.starts, 7] = 1.0
         times[self.starts, _TIMES:] = states
-        limits = values[len(HULL) : len(HULL) + len(LIMITS)]
+        limits = values[len(HULL_PARAMETERS) : len(HULL_PARAMETERS) + len(LIMIT_NAMES)]
         plant = np.zeros((_PLANT, _LANES))
-        plant[STATES:] = np.clip(self.log.commands[0], -limits, limits)[:, None]
+        plant[LOG_STATES:] = np.clip(self.log.commands[0], -limits, limits)[:, None]
         tangent = np.zeros((_PLANT, _LANES))
         for row, most in enumerate(limits):  # a command beyond a limit begins at the limit
-            if abs(plant[STATES + row, 0]) == most:
-                tangent[STATES + row, STATES + len(HULL) + row] = np.sign(plant[STATES + row, 0])
+            if abs(plant[LOG_STATES + row, 0]) == most:
+                tangent[LOG_STATES + row, LOG_STATES + len(HULL_PARAMETERS) + row] = np.sign(plant[LOG_STATES + row, 0])
         results = _kernel(self.substeps, self.over_ground)(
             T,
             plant=plant,
@@ -124,7 +124,7 @@ class Model:
             seed=np.eye(_LANES),
         )
         change = results["change"]
-        return Prediction(results["seen"][:, :, 0], change[:, :, :STATES], change[:, :, STATES:])
+        return Prediction(results["seen"][:, :, 0], change[:, :, :LOG_STATES], change[:, :, LOG_STATES:])
 
     def _responses(self, lag: float) -> Array:
         """Return time step, gain and mean of the actuators' response, and their slopes by the lag, shape (T, 5)."""

@@ -12,8 +12,8 @@ from baselines.identification import Identified
 from baselines.identification.figures import approach, figures
 from baselines.identification.files import interval, meanings, number
 from baselines.identification.fit import UNKNOWN
-from baselines.identification.log import COLUMNS, MEASURED, unwrapped
-from baselines.identification.uncertainty import NORMAL
+from baselines.identification.log import LOG_COLUMNS, MEASURED_COLUMNS, unwrapped
+from baselines.identification.uncertainty import NORMAL_QUANTILE
 from baselines.tools.figure_style import COLOURS, panels, styled, to_png
 
 _LAGS = 40  # rows that the autocorrelation is drawn over
@@ -35,7 +35,7 @@ def _table(lines: Sequence[Sequence[str]]) -> str:
     return "\n".join((head, "|" + "---|" * len(lines[0]), *rest))
 
 
-def report(found: Identified, name: str, says: str = "") -> dict[str, str | bytes]:
+def report_files(found: Identified, name: str, says: str = "") -> dict[str, str | bytes]:
     """Return the files of the report by name: report.md, fit.png, residuals.png.
 
     Args:
@@ -47,7 +47,10 @@ def report(found: Identified, name: str, says: str = "") -> dict[str, str | byte
     coloured = found.errors[1:] * found.errors[:-1]
     related = coloured.mean(axis=0) / np.mean(found.errors**2, axis=0)
     noise = [("measurement", "noise (standard deviation)", "unit", "related to the row before")]
-    noise += [(m, number(s), COLUMNS[m], f"{c:+.2f}") for m, s, c in zip(MEASURED, found.noise, related, strict=True)]
+    noise += [
+        (m, number(s), LOG_COLUMNS[m], f"{c:+.2f}")
+        for m, s, c in zip(MEASURED_COLUMNS, found.noise, related, strict=True)
+    ]
     parts = [
         f"# The vehicle in {name}",
         (
@@ -102,7 +105,11 @@ def _fit(found: Identified) -> Drawing:
         ax.plot(log.t, found.predicted[:, j], color=COLOURS[0], label="predicted")
         for start in found.model.starts:
             ax.axvline(log.t[start], color="0.85", linewidth=0.8, zorder=0)
-        ax.set(title=MEASURED[j], xlabel="t [s]", ylabel=f"{MEASURED[j]} [{COLUMNS[MEASURED[j]]}]")
+        ax.set(
+            title=MEASURED_COLUMNS[j],
+            xlabel="t [s]",
+            ylabel=f"{MEASURED_COLUMNS[j]} [{LOG_COLUMNS[MEASURED_COLUMNS[j]]}]",
+        )
     rest[0].legend()
     for ax, j, name, unit in ((rest[4], 0, "F_u", "N"), (rest[5], 1, "F_r", "N m")):
         ax.step(log.t, log.commands[:, j], where="post", color=COLOURS[1])
@@ -125,12 +132,12 @@ def _left(found: Identified) -> Drawing:
     """Return the figure of residuals over time and of their autocorrelation."""
     log = found.model.log
     figure, axes = panels(6, 2, (9.0, 10.0), width_ratios=(3, 1))
-    bound = NORMAL / math.sqrt(len(log.t))
-    for (over_time, related), name, errors, s in zip(axes, MEASURED, found.errors.T, found.noise, strict=True):
+    bound = NORMAL_QUANTILE / math.sqrt(len(log.t))
+    for (over_time, related), name, errors, s in zip(axes, MEASURED_COLUMNS, found.errors.T, found.noise, strict=True):
         over_time.plot(log.t, errors, ".", markersize=2, color=COLOURS[0])
-        for side in (-NORMAL * s, NORMAL * s):
+        for side in (-NORMAL_QUANTILE * s, NORMAL_QUANTILE * s):
             over_time.axhline(side, color="0.45", linestyle="--", linewidth=1)
-        over_time.set(ylabel=f"{name} [{COLUMNS[name]}]")
+        over_time.set(ylabel=f"{name} [{LOG_COLUMNS[name]}]")
         most = min(_LAGS, len(errors) // 3)
         values = [float(errors[: len(errors) - k] @ errors[k:] / (errors @ errors)) for k in range(1, most)]
         related.bar(range(1, most), values, color=COLOURS[0])

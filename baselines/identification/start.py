@@ -21,20 +21,20 @@ from auv_gym.physics.dynamics import rates
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Coefficients
 from baselines.identification.log import Log
-from baselines.identification.model import HULL
+from baselines.identification.model import HULL_PARAMETERS
 
 _LAGS = (0.0, 1.0, 3.0, 8.0, 20.0)  # candidates of the lag, in time steps
 _SHARES = (1.0, 0.8, 0.6, 0.4)  # candidates of a limit, as shares of the largest command
-WINDOWS = (5, 11, 21, 41)  # rows that a speed is smoothed over: which are right depends on vehicle and noise
+START_WINDOWS = (5, 11, 21, 41)  # rows that a speed is smoothed over: which are right depends on vehicle and noise
 SIMPLER = 0.03
 """By how much the logarithm of what is left must fall before a lag or a limit is believed."""
 
 
 @dataclass(frozen=True)
-class Start:
+class RoughStart:
     """Rough values from equations that hold at each instant."""
 
-    hull: Array  # of `HULL`, what is optional 0, shape (H,)
+    hull: Array  # of `HULL_PARAMETERS`, what is optional 0, shape (H,)
     lag: float  # [s]
     limits: Array  # [N], [N m], shape (2,)
     shares: Array  # force that a unit of each hull parameter makes, as a share of all forces, shape (H,)
@@ -50,10 +50,10 @@ def _equations() -> Kernel:
         left = [m * (a - b) for m, a, b in zip(hull[:3], (a_u, a_v, a_r), found, strict=True)]
         return {"terms": [entry for row in jacobian(left, hull) for entry in row]}
 
-    return Kernel.traced(equation, {"motion": 8, "hull": len(HULL)}, shared=["hull"])
+    return Kernel.traced(equation, {"motion": 8, "hull": len(HULL_PARAMETERS)}, shared=["hull"])
 
 
-def start(log: Log, needed: Sequence[str], window: int) -> Start:
+def rough_start(log: Log, needed: Sequence[str], window: int) -> RoughStart:
     """Return rough values for a log: what is `needed` of the hull, and the likeliest lag and limits.
 
     Args:
@@ -63,27 +63,29 @@ def start(log: Log, needed: Sequence[str], window: int) -> Start:
     """
     speeds, accelerations = _smoothed(log, window)
     motion = np.concatenate((speeds, accelerations, np.zeros((2, len(log.t)))))
-    terms = _equations()(motion=motion, hull=np.ones(len(HULL)))["terms"].reshape(3, len(HULL), -1)
-    columns = [HULL.index(name) for name in needed]
+    terms = _equations()(motion=motion, hull=np.ones(len(HULL_PARAMETERS)))["terms"].reshape(
+        3, len(HULL_PARAMETERS), -1
+    )
+    columns = [HULL_PARAMETERS.index(name) for name in needed]
     best: tuple[float, Array, float, Array] | None = None
     peaks = np.abs(log.commands).max(axis=0)
     for lag, *shares in product(_LAGS, _SHARES, _SHARES):
         if any(share < 1 and peak == 0 for share, peak in zip(shares, peaks, strict=True)):
             continue
         limits = np.where(peaks > 0, peaks * shares, math.inf)
-        force = forces(log, lag * log.dt, limits)
+        force = _forces(log, lag * log.dt, limits)
         load = np.stack((force[0], np.zeros_like(force[0]), force[1]))
         left, values = _solved(terms[:, columns], load)
         if best is None or left < best[0] - SIMPLER:
             best = left, values, lag * log.dt, limits
     assert best is not None
-    hull = np.zeros(len(HULL))
+    hull = np.zeros(len(HULL_PARAMETERS))
     hull[columns] = best[1]
     _fill(hull, log)
-    return Start(hull, best[2], best[3], _shares(terms, hull))
+    return RoughStart(hull, best[2], best[3], _shares(terms, hull))
 
 
-def forces(log: Log, lag: float, limits: Array) -> Array:
+def _forces(log: Log, lag: float, limits: Array) -> Array:
     """Return the mean force [N] and moment [N m] of the actuators from each row to the next, shape (2, T)."""
     response = Response.of(lag, math.inf, math.inf, log.dt)
     commands = np.clip(log.commands, -limits, limits)

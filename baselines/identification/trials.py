@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from auv_gym.physics.actuators import Actuators, Response, respond
-from auv_gym.physics.dynamics import STILL_WATER, Current, Force, State, rk4_step
+from auv_gym.physics.dynamics import STILL_WATER, CurrentVelocity, Force, State, rk4_step
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import FLOATS
 from auv_gym.physics.sensors import Sensors
@@ -30,10 +30,10 @@ SEGMENTS: tuple[Segment, ...] = (
 )
 """The trial of a minute. A zig-zag turns the rudder over whenever the heading has gone so far to that side."""
 
-CURRENT: Current = (0.12, -0.08)  # [m/s] of an example
+EXAMPLE_CURRENT: CurrentVelocity = (0.12, -0.08)  # [m/s] of an example
 FINER = 5  # steps of the simulated vehicle in a row of the log: more than the fit takes
 
-Plant = Callable[[State, Force, float], State]
+PlantStep = Callable[[State, Force, float], State]
 """Returns the state one time step later: `plant(state, command, dt)`; what it remembers is its own."""
 
 
@@ -69,9 +69,9 @@ class Trial:
 
 
 class Simulated:
-    """A vehicle of the simulator with its actuators, as a `Plant`."""
+    """A vehicle of the simulator with its actuators, as a `PlantStep`."""
 
-    def __init__(self, vehicle: Vehicle, actuators: Actuators, current: Current = STILL_WATER) -> None:
+    def __init__(self, vehicle: Vehicle, actuators: Actuators, current: CurrentVelocity = STILL_WATER) -> None:
         if isinstance(actuators.lag, tuple):
             raise ValueError(f"actuators lag is {actuators.lag!r}; a simulated trial needs a number")
         self._vehicle, self._actuators, self._current = vehicle, actuators, current
@@ -93,11 +93,11 @@ class Simulated:
 
 
 def recorded(
-    plant: Plant,
+    plant: PlantStep,
     trial: Trial,
     sensors: Sensors,
     rng: np.random.Generator,
-    current: Current = STILL_WATER,
+    current: CurrentVelocity = STILL_WATER,
     dt: float = 0.1,
 ) -> Log:
     """Return the log of a trial, which begins at rest in the water.
@@ -123,7 +123,9 @@ def recorded(
     return Log(t, measured, commands)
 
 
-def example(vehicle: Vehicle, actuators: Actuators, sensors: Sensors, seed: int, current: Current = CURRENT) -> Log:
+def example(
+    vehicle: Vehicle, actuators: Actuators, sensors: Sensors, seed: int, current: CurrentVelocity = EXAMPLE_CURRENT
+) -> Log:
     """Return the log of a minute's trial of a simulated vehicle with noise, in a current [m/s]."""
     trial = Trial(actuators.F_u_max, actuators.F_r_max)
     plant = Simulated(vehicle, actuators, current)

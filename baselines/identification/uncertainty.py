@@ -13,7 +13,7 @@ from auv_gym.physics.namespaces import Array
 from baselines.identification.least_squares import Left
 from baselines.identification.log import Log, unwrapped
 
-NORMAL = 1.959964  # of a 95 % interval
+NORMAL_QUANTILE = 1.959964  # of a 95 % interval
 _TINY = 1e-6  # least noise, as a share of the range of a measurement
 SINGULAR = 1e-9  # least singular value of slopes of length one
 _WINDOW = 4  # residuals are taken as related over at most a fourth of a segment

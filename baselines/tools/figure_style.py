@@ -33,7 +33,7 @@ DASHES: tuple[tuple[Any, tuple[float, ...]], ...] = (
     ((0, (6, 1.5, 1, 1.5, 1, 1.5)), (10, 2, 2, 2, 2, 2)),
 )
 """The dashes of lines in the order of use, for figures, and in pixels for pages."""
-REFERENCE: dict[str, Any] = {"color": "0.45", "linestyle": (0, (4, 2)), "linewidth": 1.2}
+REFERENCE_STYLE: dict[str, Any] = {"color": "0.45", "linestyle": (0, (4, 2)), "linewidth": 1.2}
 """How the reference is drawn."""
 
 

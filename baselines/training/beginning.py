@@ -28,7 +28,7 @@ OF_AGENT = ("hidden_size", "memory", "preview", "integrals", "fine", "filters")
 
 
 @dataclass(frozen=True)
-class Beginning:
+class InitialAgent:
     """An agent that a training begins with."""
 
     origin: Origin
@@ -36,7 +36,7 @@ class Beginning:
     config: Config  # of its own training
 
     @classmethod
-    def of(cls, name: str) -> Beginning:
+    def of(cls, name: str) -> InitialAgent:
         """Return the agent of a name or a folder.
 
         Raises:
@@ -53,7 +53,7 @@ class Beginning:
                 f"agent {name!r} was trained by {algo or 'something else'}; a training can begin with one of {ALGO}, "
                 "such as helm"
             )
-        return cls(Origin(name, digest(folder)), agent, Config.from_dict(agent.training["config"]))
+        return cls(Origin(name, weights_digest(folder)), agent, Config.from_dict(agent.training["config"]))
 
     def check(self, expert: str | None, authority: Sequence[float], changes: Mapping[str, Any]) -> None:
         """Raise ValueError where options contradict the agent.
@@ -73,7 +73,7 @@ class Beginning:
                 raise ValueError(f"agent {name!r} was trained with {key} {own[key]}; leave out {key}={changes[key]}")
 
 
-def digest(folder: Path) -> str:
+def weights_digest(folder: Path) -> str:
     """Return the SHA-256 of the weights in an agent's folder."""
     return hashlib.sha256(read_bytes(folder / WEIGHTS)).hexdigest()
 
@@ -86,7 +86,7 @@ def loaded(origin: Origin) -> Agent:
         ValueError: it is gone, or another one by now.
     """
     folder = agent_folder(origin.agent)
-    if folder is None or digest(folder) != origin.weights_sha256:
+    if folder is None or weights_digest(folder) != origin.weights_sha256:
         raise ValueError(f"the agent {origin.agent!r} that this training is to begin with is another one by now")
     return Agent.load(folder)
 

@@ -17,14 +17,14 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
 from baselines.agents.agent import Agent
-from baselines.agents.model_card import CURVE
+from baselines.agents.model_card import CURVE_FILE
 from baselines.evaluation.request import checked
 from baselines.tools.command_line import DONE, FAILED, WRONG_USAGE, UsageError, WorkerError
-from baselines.tools.figure_style import COLOURS, REFERENCE, panels, styled, to_png
+from baselines.tools.figure_style import COLOURS, REFERENCE_STYLE, panels, styled, to_png
 from baselines.tools.files import versions, write_atomically
 from baselines.training.config import ALGORITHMS, Config
 from baselines.training.request import Request
-from baselines.training.run_folder import AGENT, Run, State, TrainingError, locked, read_progress
+from baselines.training.run_folder import AGENT_FOLDER, RunFolder, TrainerState, TrainingError, locked, read_progress
 
 
 def train(request: Request) -> int:
@@ -49,7 +49,7 @@ def train(request: Request) -> int:
         return FAILED
     if several and status == DONE:
         rows = [checked(partial(read_progress, folder)) for folder in request.folders]
-        write_atomically(request.out / CURVE, learning_curve(rows, [folder.name for folder in request.folders]))
+        write_atomically(request.out / CURVE_FILE, learning_curve(rows, [folder.name for folder in request.folders]))
     return status
 
 
@@ -61,11 +61,11 @@ def train_one(
     A worker that is lost raises WorkerError.
     """
     label = f"{folder.name}: " if one_of_several else ""
-    if (folder / AGENT).exists():
-        return DONE, f"{label}{folder} holds the finished agent: python evaluate.py --policy {folder / AGENT}"
+    if (folder / AGENT_FOLDER).exists():
+        return DONE, f"{label}{folder} holds the finished agent: python evaluate.py --policy {folder / AGENT_FOLDER}"
     try:
         with locked(folder), nullcontext(_plain(label)) if one_of_several else _live(config) as show:
-            run = Run(config, folder, show, processes)
+            run = RunFolder(config, folder, show, processes)
             agent = importlib.import_module(ALGORITHMS[config.algo]).train(run)
             score = _finish(run, agent, command)
     except UsageError as error:
@@ -74,14 +74,14 @@ def train_one(
         return FAILED, f"{label}{' '.join(str(error).split())}"
     except OSError as error:
         return FAILED, f"{label}cannot write to {folder}: {error.strerror or error}"
-    return DONE, f"{label}validation score {score:.3f} after {run.seconds:.0f} s; agent: {folder / AGENT}"
+    return DONE, f"{label}validation score {score:.3f} after {run.seconds:.0f} s; agent: {folder / AGENT_FOLDER}"
 
 
-def _finish(run: Run, agent: Agent, command: str) -> float:
+def _finish(run: RunFolder, agent: Agent, command: str) -> float:
     """Write learning curve and agent, the latter last and at once; return its score on the validation episodes."""
     run.close()
     kept, curve = run.validated, learning_curve([read_progress(run.folder)])
-    write_atomically(run.folder / CURVE, curve)
+    write_atomically(run.folder / CURVE_FILE, curve)
     training: dict[str, Any] = {
         "command": command,
         "config": run.config.to_dict(),
@@ -91,12 +91,12 @@ def _finish(run: Run, agent: Agent, command: str) -> float:
         "validation": {name: kept[name] for name in ("timesteps", "score", "error_m", "lost")},
     }
     region = run.validation.run(agent.policy(vehicle=run.config.vehicle)).region
-    replace(agent, region=region, training={**training, **agent.training}).save(run.folder / AGENT, curve)
+    replace(agent, region=region, training={**training, **agent.training}).save(run.folder / AGENT_FOLDER, curve)
     return kept["score"]
 
 
 @contextmanager
-def _live(config: Config) -> Iterator[Callable[[State], None]]:
+def _live(config: Config) -> Iterator[Callable[[TrainerState], None]]:
     """Yield what shows the states of one run on stderr."""
     console = Console(stderr=True, highlight=False)
     if not console.is_terminal:
@@ -108,7 +108,7 @@ def _live(config: Config) -> Iterator[Callable[[State], None]]:
         yield lambda state: bar.update(task, completed=state.timesteps, text=_text(state))
 
 
-def _plain(label: str) -> Callable[[State], None]:
+def _plain(label: str) -> Callable[[TrainerState], None]:
     """Return what prints a line to stderr for each validation.
 
     Args:
@@ -116,7 +116,7 @@ def _plain(label: str) -> Callable[[State], None]:
     """
     printed = 0
 
-    def show(state: State) -> None:
+    def show(state: TrainerState) -> None:
         nonlocal printed
         if len(state.scores) != printed:
             printed = len(state.scores)
@@ -125,7 +125,7 @@ def _plain(label: str) -> Callable[[State], None]:
     return show
 
 
-def _text(state: State) -> str:
+def _text(state: TrainerState) -> str:
     score = "validating the expert" if state.kept is None else f"score {state.scores[-1]:.3f}, kept {state.kept:.3f}"
     left = "" if state.seconds_left is None else f", {timedelta(seconds=round(state.seconds_left))} left"
     return f"{state.timesteps:,} steps, {score}{left}"
@@ -145,7 +145,7 @@ def learning_curve(seeds: Sequence[Sequence[Mapping[str, float]]], names: Sequen
             axes, ("timesteps", "seconds"), (1e6, 60.0), ("control steps [million]", "wall time [min]"), strict=True
         ):
             ax.set_xlabel(label)
-            ax.axhline(0.0, **REFERENCE)
+            ax.axhline(0.0, **REFERENCE_STYLE)
             for i, rows in enumerate(seeds):
                 points = [row for row in rows if "score" in row]
                 ax.plot(

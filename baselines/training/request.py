@@ -19,11 +19,17 @@ from baselines.evaluation.request import checked, checked_folder, checked_scenar
 from baselines.evaluation.score import EXPERT
 from baselines.tools.command_line import UsageError
 from baselines.tools.workers import Workers
-from baselines.training.beginning import ALGO, Beginning, fitted, in_own_units
+from baselines.training.beginning import ALGO, InitialAgent, fitted, in_own_units
 from baselines.training.config import ALGORITHMS, Config
-from baselines.training.hyperparameters import ENV_ID, TUNING, changes_of, load_hyperparameters, shipped
+from baselines.training.hyperparameters import (
+    FINE_TUNING_FILE_NAME,
+    TRAINED_ENV,
+    changes_of,
+    load_hyperparameters,
+    shipped,
+)
 from baselines.training.options import Options
-from baselines.training.run_folder import AGENT, LOCK, read_config
+from baselines.training.run_folder import AGENT_FOLDER, LOCK, read_config
 
 DEFAULT_AUTHORITY = (0.5,)  # largest correction of surge and yaw, a fraction of the limits
 DEFAULT_SCENARIO = ("cruise",)  # words of `--scenario` where none is given
@@ -72,10 +78,12 @@ def _configs(options: Options) -> tuple[Config, ...]:
         raise ValueError(f"--seeds is {options.seeds}; it must be 1 or more")
     if options.algo not in ALGORITHMS:
         raise ValueError(f"unknown algorithm {options.algo!r}; allowed are {', '.join(ALGORITHMS)}")
-    begun = None if options.from_ is None else Beginning.of(options.from_)
+    begun = None if options.from_ is None else InitialAgent.of(options.from_)
     if begun and options.algo != ALGO:
         raise ValueError(f"--from goes on by the analytic gradient, not by {options.algo}; leave out --algo")
-    found = load_hyperparameters(options.hyperparameters or shipped(options.algo), TUNING if begun else ENV_ID)
+    found = load_hyperparameters(
+        options.hyperparameters or shipped(options.algo), FINE_TUNING_FILE_NAME if begun else TRAINED_ENV
+    )
     changes = changes_of(options.set)
     values, origin = {**found.values, **changes}, None
     expert = options.expert or found.expert or EXPERT
@@ -93,7 +101,7 @@ def _configs(options: Options) -> tuple[Config, ...]:
     return configs
 
 
-def _scenarios(options: Options, begun: Beginning | None) -> tuple[Mixture, Vehicle | None]:
+def _scenarios(options: Options, begun: InitialAgent | None) -> tuple[Mixture, Vehicle | None]:
     """Return what is trained on, and the vehicle in whose units that is; say on stderr what is left out."""
     if begun and not options.scenario:
         if begun.config.steers is not None and options.vehicle is None:
@@ -165,7 +173,7 @@ def _check_contents(config: Config, folder: Path, resume: bool) -> None:
         name = next(key for key in mine if mine[key] != theirs[key])
         change = f": {theirs[name]} instead of {mine[name]}" if name not in ("scenarios", "hyperparameters") else ""
         raise UsageError(f"--out {folder} holds a run with other {name}{change}; choose another folder")
-    finished = (folder / AGENT).exists()
+    finished = (folder / AGENT_FOLDER).exists()
     if not resume:
         state = "finished" if finished else "unfinished"
         advice = (

@@ -21,7 +21,7 @@ from baselines.tools.command_line import UsageError
 from baselines.tools.files import guarded, json_text, read_csv, read_json, write_atomically
 from baselines.training.checkpoint import UNREADABLE, packed, unpacked
 from baselines.training.config import Config
-from baselines.training.validation import PRECISION, Validation, validation_cell
+from baselines.training.validation import VALIDATION_PRECISION, Validation, validation_cell
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard.writer import SummaryWriter
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 CONFIG = "config.json"  # file of the training's `Config`
 PROGRESS = "progress.csv"  # file of the learning curve
 CHECKPOINT = "checkpoint.pt"  # file that a run is resumed from
-AGENT = "agent"  # folder of the trained agent
+AGENT_FOLDER = "agent"  # folder of the trained agent
 EVENTS = "tensorboard"  # folder of TensorBoard's files
 LOCK = ".lock"  # file that the process holds which writes in the run folder; left behind, it means nothing
 VALIDATIONS = 20
@@ -41,7 +41,7 @@ class TrainingError(Exception):
 
 
 @dataclass(frozen=True)
-class State:
+class TrainerState:
     """How far a run is."""
 
     timesteps: int  # control steps, summed over vehicles
@@ -71,7 +71,7 @@ def locked(folder: Path) -> Iterator[None]:
         yield
 
 
-class Run:
+class RunFolder:
     """A training run, which a trainer logs to and goes on from.
 
     A trainer calls `load_checkpoint` once before anything else, then `log`, `validate` and `save_checkpoint`. One
@@ -97,7 +97,7 @@ class Run:
         self,
         config: Config,
         folder: Path,
-        on_state: Callable[[State], None] = lambda _: None,
+        on_state: Callable[[TrainerState], None] = lambda _: None,
         processes: int = 1,
     ) -> None:
         self.config = config
@@ -153,7 +153,7 @@ class Run:
         done, total = timesteps - self._start, self.config.timesteps
         left = (time.monotonic() - self._begin) * max(0, total - timesteps) / done if done > 0 else None
         kept = self.validated["score"] if scores else None
-        self._on_state(State(timesteps, total, scores, kept, self.seconds, left))
+        self._on_state(TrainerState(timesteps, total, scores, kept, self.seconds, left))
 
     def validate(self, agent: Agent, timesteps: int) -> None:
         """Log the score of an agent on the validation episodes, 0 the expert, 1 the oracle, and keep the best agent.
@@ -167,7 +167,7 @@ class Run:
         Raises:
             OSError: the folder cannot be written to.
         """
-        verdict = self.validation.run(agent.policy(vehicle=self.config.vehicle, precision=PRECISION))
+        verdict = self.validation.run(agent.policy(vehicle=self.config.vehicle, precision=VALIDATION_PRECISION))
         self.log(timesteps, score=verdict.score, error_m=verdict.error_m, lost=verdict.lost)
         if self.validated["timesteps"] == timesteps:
             self.weights = agent.weights

@@ -17,23 +17,23 @@ from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.observation import decode_observation
 from auv_gym.task.policy import Policy
-from baselines.agents.features import ERRORS, scaled_errors
+from baselines.agents.features import ERROR_FEATURES, scaled_errors
 from baselines.evaluation.rollout import Moment
 from baselines.evaluation.runner import Cell, drawn
 from baselines.evaluation.score import capped, is_lost, largest_tail, regime_of
 from baselines.evaluation.side_by_side import SideBySide
-from baselines.evaluation.suites import load
-from baselines.evaluation.suites.yardsticks import Yardstick, kept, measured
+from baselines.evaluation.suites import load_suite
+from baselines.evaluation.suites.yardsticks import Yardstick, measured_yardsticks, recorded_yardsticks
 from baselines.tools.files import guarded, json_text, read_json, write_atomically
 from baselines.tools.seeds import VALIDATION
 
 _SUITE = "benchmark-v1-validation"  # whose episodes agents are validated in
-EPISODES = 64  # of each scenario that the suite does not hold
+VALIDATED_EPISODES = 64  # of each scenario that the suite does not hold
 _FEW = 12  # the same where a training takes a minute
 _SEEN = 0.999
 """Share of the control steps of the validation episodes whose errors an agent's region holds."""
 YARDSTICKS = "validation.json"  # file of a run folder that keeps what expert and oracle do where no suite does
-PRECISION = "float32"  # of agents' networks here: a fifth of the time, and a score that differs by 1e-6
+VALIDATION_PRECISION = "float32"  # of agents' networks here: a fifth of the time, and a score that differs by 1e-6
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,9 @@ def validation_cell(scenario: Scenario, brief: bool = False) -> Cell:
     Only `_FEW` are drawn where they are to be brief, and none is of the suite.
     """
     if brief:
-        return drawn(scenario, min(_FEW, EPISODES), VALIDATION.first)
-    frozen = next((cell for cell in load(_SUITE).cells if cell.scenario == scenario), None)
-    return frozen or drawn(scenario, EPISODES, VALIDATION.first)
+        return drawn(scenario, min(_FEW, VALIDATED_EPISODES), VALIDATION.first)
+    frozen = next((cell for cell in load_suite(_SUITE).cells if cell.scenario == scenario), None)
+    return frozen or drawn(scenario, VALIDATED_EPISODES, VALIDATION.first)
 
 
 class Validation:
@@ -79,7 +79,7 @@ class Validation:
         Raises:
             PolicyError: its actions are not finite.
         """
-        scaled = np.full((self._episodes.steps, ERRORS, len(self._episodes.of)), math.nan)
+        scaled = np.full((self._episodes.steps, ERROR_FEATURES, len(self._episodes.of)), math.nan)
 
         def watch(k: int, moment: Moment) -> None:
             seen = scaled_errors(decode_observation(moment.observation), ARRAYS)
@@ -125,14 +125,14 @@ def _mean(cells: Sequence[Any]) -> float:
 
 def _yardsticks(cells: Sequence[Cell], folder: Path | None, brief: bool) -> list[Yardstick]:
     """Return what expert and oracle do in each cell: the suite's where it has it, else the folder's."""
-    known = [kept(cell) for cell in cells]
+    known = [recorded_yardsticks(cell) for cell in cells]
     if all(known):
         return list(filter(None, known))
     file = folder / YARDSTICKS if folder else None
     key = hashlib.sha256(" ".join([__version__, *(cell.hash for cell in cells)]).encode()).hexdigest()
     if file and (found := _read(file, key)):
         return found
-    found = [its or measured(cell, brief) for its, cell in zip(known, cells, strict=True)]
+    found = [its or measured_yardsticks(cell, brief) for its, cell in zip(known, cells, strict=True)]
     if file:
         write_atomically(file, json_text({"hash": key, "yardsticks": found}))
     return found

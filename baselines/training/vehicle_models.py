@@ -78,12 +78,12 @@ def _fitted(scenario: Scenario, rng: np.random.Generator) -> Scenario:
     """Return a scenario of the paper's vehicle as one of a drawn vehicle that can do it."""
     while True:
         with suppress(ValueError):  # a vehicle, a scenario for it or a plan that there cannot be
-            other = adapted(drawn(rng), scenario)
+            other = adapted(_drawn(rng), scenario)
             if other.substeps == scenario.substeps and _followed(other, rng):
                 return other
 
 
-def drawn(rng: np.random.Generator) -> Craft:
+def _drawn(rng: np.random.Generator) -> Craft:
     """Return a random vehicle in the paper's units.
 
     Raises:

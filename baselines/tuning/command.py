@@ -23,8 +23,16 @@ from baselines.gains.loading import checked_gains, gain_file, load_gains
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, parse, typed
 from baselines.tools.files import read_json
-from baselines.tuning.objective import Course, compared, course, scenarios_of
-from baselines.tuning.search import EPISODES, EVALUATIONS, VALIDATION_EPISODES, VALIDATION_SEED, Budget, GainSet, tune
+from baselines.tuning.objective import TuningEpisodes, compared, course, rewound_scenarios
+from baselines.tuning.search import (
+    EVALUATIONS,
+    TUNING_EPISODES,
+    VALIDATION_EPISODES,
+    VALIDATION_SEED,
+    Budget,
+    GainSet,
+    tune,
+)
 from baselines.tuning.tunables import TUNABLES, Tunable
 
 PROGRAM = "auv-gym tune"
@@ -49,7 +57,7 @@ class Options:
     """Speeds, limits and disturbances to tune for."""
     evaluations: int = EVALUATIONS
     """How often episodes are run; 0 measures the gains that the search would begin at."""
-    episodes: int = EPISODES
+    episodes: int = TUNING_EPISODES
     """Episodes of each evaluation, a multiple of 16: as many of each case."""
     price: float = 0.0
     """What is minimised is the error times the mean squared change of the command to this power; 0: the error alone."""
@@ -127,13 +135,13 @@ def _file(options: Options) -> Path:
     return gain_file(options.name, options.regime)
 
 
-def _course(regime: str, world: str, craft: Craft, episodes: int, seed: int) -> Course:
+def _course(regime: str, world: str, craft: Craft, episodes: int, seed: int) -> TuningEpisodes:
     return course(regime, episodes, seed, world, craft)
 
 
 def _validated(regime: str, tunable: Tunable, gains: GainSet, craft: Craft) -> dict[str, Any]:
     """Return what gains do on the validation episodes, beside the expert."""
-    episodes = Course(regime, VALIDATION_EPISODES, VALIDATION_SEED, tunable.world, craft)
+    episodes = TuningEpisodes(regime, VALIDATION_EPISODES, VALIDATION_SEED, tunable.world, craft)
     own = craft.in_paper_units.vehicle
     policies = tunable.factory(dict(gains), vehicle=own), make_policy("backstepping", vehicle=own)
     result, expert = (episodes.run(policy) for policy in policies)
@@ -144,7 +152,7 @@ def _checked(options: Options) -> Budget:
     """Return the budget; raise UsageError if an option is wrong."""
     if options.name not in TUNABLES:
         raise UsageError(f"unknown controller {options.name!r}; allowed are {', '.join(TUNABLES)}")
-    turns = len(scenarios_of(options.regime, "adverse"))
+    turns = len(rewound_scenarios(options.regime, "adverse"))
     if options.episodes < turns or options.episodes % turns:
         raise UsageError(f"--episodes is {options.episodes}; it must be a positive multiple of {turns}")
     if options.evaluations < 0:

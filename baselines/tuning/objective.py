@@ -36,7 +36,7 @@ class Result:
     smoothness: float  # mean squared change of the command
 
 
-def scenarios_of(regime: str, world: str, craft: Craft = PAPER) -> tuple[Scenario, ...]:
+def rewound_scenarios(regime: str, world: str, craft: Craft = PAPER) -> tuple[Scenario, ...]:
     """Return the scenarios of a course's first episodes, in their order, which then begins anew.
 
     Args:
@@ -55,19 +55,19 @@ def scenarios_of(regime: str, world: str, craft: Craft = PAPER) -> tuple[Scenari
     return tuple(replace(s, substeps=max(other.substeps for other in own)) for s in own)
 
 
-class Course:
+class TuningEpisodes:
     """Episodes of a regime, side by side, to be run again and again by different policies.
 
     Args:
         regime: "slow" or "cruise".
-        episodes: how many, a multiple of sixteen; they take turns over `scenarios_of`.
+        episodes: how many, a multiple of sixteen; they take turns over `rewound_scenarios`.
         seed: episode i is drawn with seed + i.
         world: one of `_WORLDS`.
-        craft: the vehicle, see `scenarios_of`.
+        craft: the vehicle, see `rewound_scenarios`.
     """
 
     def __init__(self, regime: str, episodes: int, seed: int, world: str = "plain", craft: Craft = PAPER) -> None:
-        turns = scenarios_of(regime, world, craft)
+        turns = rewound_scenarios(regime, world, craft)
         self._names = [turns[i % len(turns)].name.removeprefix(f"{regime}-") for i in range(episodes)]
         self.cap = LARGEST_TAIL[regime]
         self.steps, self.lost_distance = turns[0].steps, turns[0].lost_distance
@@ -114,9 +114,9 @@ class Course:
 
 
 @lru_cache(maxsize=2)
-def course(regime: str, episodes: int, seed: int, world: str, craft: Craft = PAPER) -> Course:
+def course(regime: str, episodes: int, seed: int, world: str, craft: Craft = PAPER) -> TuningEpisodes:
     """Return a course; the last ones that were asked for are kept."""
-    return Course(regime, episodes, seed, world, craft)
+    return TuningEpisodes(regime, episodes, seed, world, craft)
 
 
 def compared(result: Result, expert: Result) -> dict[str, Any]:

@@ -20,11 +20,11 @@ from auv_gym.installation import install
 from auv_gym.physics.namespaces import Array
 from auv_gym.task.policy import Policy
 from baselines.tools.seeds import TUNING, TUNING_CHECK
-from baselines.tuning.objective import Course, Result
+from baselines.tuning.objective import Result, TuningEpisodes
 
 EVALUATIONS = 300
 """How often episodes are run to tune a controller in a regime, the same for all."""
-EPISODES = 32
+TUNING_EPISODES = 32
 """Episodes of an evaluation."""
 POPULATION = 12  # evaluations of a generation
 FINALISTS = 3  # gains that meet in the run-off
@@ -38,7 +38,7 @@ VALIDATION_EPISODES = 512  # that gains are checked on
 GainSet = Mapping[str, float]
 Factory = Callable[[dict[str, float]], Policy]
 """Makes the policy that has these gains at every speed."""
-Courses = Callable[[int, int], Course]
+Courses = Callable[[int, int], TuningEpisodes]
 """Returns the course of so many episodes from a seed on."""
 
 
@@ -47,7 +47,7 @@ class Budget:
     """What a search may spend; the defaults are everybody's."""
 
     evaluations: int = EVALUATIONS
-    episodes: int = EPISODES
+    episodes: int = TUNING_EPISODES
 
     @property
     def generations(self) -> int:
@@ -77,7 +77,7 @@ def tune(
     finalists = [centre]
     begin = time.monotonic()
 
-    def cost(x: Array, episodes: Course) -> float:
+    def cost(x: Array, episodes: TuningEpisodes) -> float:
         result = episodes.run(factory(_gains(names, x)))
         return priced(result, price)
 

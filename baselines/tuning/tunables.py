@@ -11,7 +11,7 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.task.policy import Policy
 from baselines.control import POLICIES, TUNED
 from baselines.control.backstepping import LAW_GAINS, SCALED_GAINS, Backstepping, Gains
-from baselines.control.nmpc.controller import ADVERSE_GAINS, NMPC_GAINS
+from baselines.control.nmpc.controller import NMPC_ADVERSE_GAINS, NMPC_GAINS
 
 
 class Maker(Protocol):
@@ -53,6 +53,6 @@ TUNABLES: dict[str, Tunable] = {
     "backstepping-normalised-tuned": Tunable(_printed, SCALED_GAINS),
     **{name: _tunable(name, names) for name, (names, _) in TUNED.items()},
     "nmpc": _tunable("nmpc", NMPC_GAINS),
-    "nmpc-adverse": _tunable("nmpc-adverse", ADVERSE_GAINS),
+    "nmpc-adverse": _tunable("nmpc-adverse", NMPC_ADVERSE_GAINS),
 }
 """What can be tuned, by name: add an entry here; a controller of `TUNED` is among them."""

@@ -21,10 +21,10 @@ from baselines.evaluation.runner import drawn, run_all
 from baselines.evaluation.score import EXPERT
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse, printable
 from baselines.tools.workers import Workers
-from baselines.video.files import WRITERS, save
+from baselines.video.files import WRITERS, save_video
 from baselines.video.layout import HULLS
 from baselines.video.pairs import Lead, leads, typical
-from baselines.video.video import FPS, SIZE, SPEED, film
+from baselines.video.video import FPS, SPEED, VIDEO_SIZE, film
 
 PROGRAM = "auv-gym video"
 _SMALLEST = (240, 180)
@@ -56,7 +56,7 @@ class Options:
     """Worker processes for these episodes; the film is the same for any number. Default: 2, or 1 on one processor."""
     out: Path = Path("runs/film.webp")
     """The file: a .webp or .gif, which are loops, or an .mp4."""
-    size: str = f"{SIZE[0]}x{SIZE[1]}"
+    size: str = f"{VIDEO_SIZE[0]}x{VIDEO_SIZE[1]}"
     """Width and height in pixels."""
     speed: float = SPEED
     """How many times faster than the vehicles it is played."""
@@ -87,7 +87,7 @@ def main(arguments: Sequence[str]) -> int:
         k, found = _typical(policies, scenario, options, workers) if options.episodes else (0, [])
         seed = options.seed + k
         made = film(policies, scenario, seed, size=size, fps=options.fps, speed=options.speed, seconds=options.seconds)
-        save(made.frames(), options.out, made.fps)
+        save_video(made.frames(), options.out, made.fps)
     except DependencyNotInstalled as error:
         raise UsageError(str(error)) from error
     except PolicyError as error:

@@ -19,7 +19,7 @@ QUALITY = 60  # of a lossy picture, 0 ... 100
 LAST = 1500  # [ms] how long the last picture of a loop stays
 
 
-def save(frames: Frames, out: Path, fps: int) -> Path:
+def save_video(frames: Frames, out: Path, fps: int) -> Path:
     """Write pictures as a file whose ending says its kind, one of `WRITERS`, and return it.
 
     Raises:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import Array
 from auv_gym.rendering.camera import Camera, View
-from auv_gym.rendering.canvas import ALERT, CURRENT, INK, MUTED, VEHICLE, WHITE, Canvas, Color
+from auv_gym.rendering.canvas import ALERT, CURRENT_COLOUR, INK, MUTED, VEHICLE, WHITE, Canvas, Color
 from auv_gym.rendering.cards import round_down
 from auv_gym.rendering.scene import Body, draw_ghost, draw_world
 from baselines.video.chart import Chart
@@ -97,7 +97,7 @@ class Picture:
             canvas.text(name, x, y, size=15.0, color=MUTED)
             x -= width
             if name == "current":
-                canvas.arrows(np.array([(x - 2.0, y)]), np.array((28.0, 0.0)), [CURRENT], 2.5)
+                canvas.arrows(np.array([(x - 2.0, y)]), np.array((28.0, 0.0)), [CURRENT_COLOUR], 2.5)
             else:
                 draw_ghost(canvas, Body(np.array((x + 18.0, y)), 0.0, 36.0))
             x -= 16.0

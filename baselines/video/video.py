@@ -17,11 +17,11 @@ from auv_gym.scenarios.scenario import Scenario
 from baselines.agents.names import agent_folder
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import EXPERT, ORACLE
-from baselines.video.files import save
+from baselines.video.files import save_video
 from baselines.video.layout import HULLS, Panel, Picture
 from baselines.video.recording import Voyage, voyage
 
-SIZE = (480, 360)
+VIDEO_SIZE = (480, 360)
 """Width and height [px] of a film where none is asked for."""
 FPS = 12
 """Pictures a second where no other number is asked for."""
@@ -46,7 +46,7 @@ class Film:
 
     voyages: tuple[Voyage, ...]
     title: str
-    size: tuple[int, int] = SIZE
+    size: tuple[int, int] = VIDEO_SIZE
     fps: int = FPS
     speed: float = SPEED
     seconds: float | None = None
@@ -79,7 +79,7 @@ def film(
     scenario: Scenario | str,
     seed: int = 0,
     *,
-    size: tuple[int, int] = SIZE,
+    size: tuple[int, int] = VIDEO_SIZE,
     fps: int = FPS,
     speed: float = SPEED,
     seconds: float | None = None,
@@ -96,7 +96,7 @@ def make_film(
     scenario: Scenario | str,
     seed: int = 0,
     *,
-    size: tuple[int, int] = SIZE,
+    size: tuple[int, int] = VIDEO_SIZE,
     fps: int = FPS,
     speed: float = SPEED,
     seconds: float | None = None,
@@ -125,4 +125,4 @@ def make_film(
         PolicyError: a policy gave no usable action.
     """
     made = film(policies, scenario, seed, size=size, fps=fps, speed=speed, seconds=seconds)
-    return save(made.frames(), Path(out), fps)
+    return save_video(made.frames(), Path(out), fps)

@@ -9,7 +9,7 @@ from sphinx.application import Sphinx
 def write(app: Sphinx, exception: Exception | None) -> None:
     """Write the page once all others are there; with the tag `quick` there is none."""
     if exception is None and "quick" not in app.tags and importlib.util.find_spec("research.site.live"):
-        from research.site.live.page import write as write_live_page
+        from research.site.live.page import write_page as write_live_page
 
         write_live_page(Path(app.outdir) / "live")
 

@@ -9,13 +9,13 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from research.paper.figures import paper_figures
-from research.paper.numbers import reproduce
+from research.paper.numbers import reproduce_paper
 
 
 @functools.cache
 def figures() -> dict[str, bytes]:
     """Return the figures as PNG, by name."""
-    return paper_figures(reproduce())
+    return paper_figures(reproduce_paper())
 
 
 class PaperFigure(SphinxDirective):

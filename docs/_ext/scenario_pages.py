@@ -14,11 +14,11 @@ from sphinx.pycode import ModuleAnalyzer
 
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
-from baselines.evaluation.recorded import load as load_recorded
+from baselines.evaluation.recorded import load_recorded
 from baselines.evaluation.report.columns import COLUMNS, ranked
 from baselines.evaluation.report.numbers import Entry, compare
 from baselines.evaluation.score import regime_of
-from baselines.evaluation.suites import load as load_suite
+from baselines.evaluation.suites import load_suite
 from research.pages import table
 
 SHOWN = ("tail [m]", "p95 [m]", "score", "lost", "settled [s]", "effort")

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from baselines.export.c_header import PREFIX, c_header
 from baselines.export.parts import Exported
 
-FOLDER = Path(__file__).parent / "cortex_m4"
+_FOLDER = Path(__file__).parent / "cortex_m4"
 COMPILER = "arm-none-eabi-gcc"  # Debian's gcc-arm-none-eabi, with libnewlib-arm-none-eabi
 _SIZE = "arm-none-eabi-size"  # Debian's binutils-arm-none-eabi
 EMULATOR = "qemu-system-arm"  # Debian's package of that name
@@ -44,7 +44,7 @@ class Emulated:
     stack: int  # [bytes] at most
 
 
-def missing() -> list[str]:
+def _missing() -> list[str]:
     """Return the programs that are not installed."""
     return [name for name in PROGRAMS if shutil.which(name) is None]
 
@@ -61,7 +61,7 @@ def emulated(agent: Exported, observations: NDArray[Any], memories: NDArray[Any]
     Raises:
         OSError: a program is missing or fails.
     """
-    if lacking := missing():
+    if lacking := _missing():
         raise OSError(f"not installed: {', '.join(lacking)}")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -73,8 +73,8 @@ def emulated(agent: Exported, observations: NDArray[Any], memories: NDArray[Any]
         _run(folder, COMPILER, *_FLAGS, "-fstack-usage", "-c", "agent.c", "-o", "agent.o")
         sizes = _run(folder, _SIZE, "agent.o").splitlines()[1].split()
         stack = sum(int(line.split("\t")[1]) for line in (folder / "agent.su").read_text().splitlines())
-        source = str(FOLDER / "main.c")
-        link = ("-I.", "-nostartfiles", "-T", str(FOLDER / "link.ld"), "-lm")
+        source = str(_FOLDER / "main.c")
+        link = ("-I.", "-nostartfiles", "-T", str(_FOLDER / "link.ld"), "-lm")
         _run(folder, COMPILER, *_FLAGS, source, *link, "-o", "agent.elf")
         board = ("-M", "mps2-an386", "-nographic", "-monitor", "none", "-serial", "none", "-icount", "shift=0")
         semihosting = ("-semihosting-config", "enable=on,target=native")

@@ -33,7 +33,7 @@ from research.deployment.players import HeaderPolicy, onnx_policy
 
 PROGRAM = "python -m research deployment"
 _SUITE = "benchmark-v1"  # whose score it is
-CASE = "storm"  # of the episodes in which commands are compared: every disturbance at once
+_CASE = "storm"  # of the episodes in which commands are compared: every disturbance at once
 _SEED = 5  # of those episodes
 _SITUATIONS = 200  # that the emulated processor decides in
 
@@ -80,7 +80,7 @@ class Measured:
     stack: int  # [bytes]
 
 
-def measured(name: str, episodes: int) -> Measured:
+def _measured(name: str, episodes: int) -> Measured:
     """Return what is measured of an agent.
 
     Raises:
@@ -124,7 +124,7 @@ def measured(name: str, episodes: int) -> Measured:
 
 def _moments(agent: Exported, policy: Policy) -> list[Moment]:
     """Return what a policy does in the episodes for comparison."""
-    scenario = PRESETS[f"{regime_of(agent.agent.scenarios[0])}-{CASE}"]
+    scenario = PRESETS[f"{regime_of(agent.agent.scenarios[0])}-{_CASE}"]
     cell = scenario, drawn(scenario, 4, _SEED).episodes
     return list(Repeatable(lambda preview: beginning([cell], preview)).play(policy, scenario.steps))
 
@@ -158,8 +158,8 @@ def _on_m4(agent: Exported, header: HeaderPolicy, observations: NDArray[Any]) ->
 
 def _scores(name: str, policies: Mapping[str, Policy], episodes: int) -> dict[str, tuple[float, float, float]]:
     """Return the recorded score of an agent as "numpy", and what the policies lose of it, with intervals."""
-    suite = suites.load(_SUITE)
-    kept = [{r.scenario.name: r.measures for r in recorded.read(suite, p)} for p in (*suite.anchors, name)]
+    suite = suites.load_suite(_SUITE)
+    kept = [{r.scenario.name: r.measures for r in recorded.read_recorded(suite, p)} for p in (*suite.anchors, name)]
     cells = [cell for cell in suite.cells if cell.scenario.name in kept[-1]]
 
     def tails(rows: Mapping[str, Measures | None]) -> list[NDArray[np.float64]]:
@@ -192,7 +192,7 @@ def main(arguments: Sequence[str]) -> int:
     found = []
     for name in options.name or shipped_agents():
         try:
-            found.append(measured(name, options.episodes))
+            found.append(_measured(name, options.episodes))
         except ImportError:
             raise UsageError(f"what is measured needs the libraries: {install('export')}") from None
         last = found[-1]

@@ -10,24 +10,24 @@ from pathlib import Path
 from typing import Any
 
 from baselines.evaluation.report.numbers import Entry
-from baselines.evaluation.submission.files import LARGEST, Submission, read, save
+from baselines.evaluation.submission.files import LARGEST_SUBMISSION, Submission, read_submission, save_submission
 from baselines.evaluation.submission.scores import entries, yardsticks
 from baselines.evaluation.suites import Suite, list_suites
 from baselines.tools.command_line import printable
 from baselines.tools.files import json_text, read_bytes, read_json, write_atomically
 
-STAMPS = "verified.json"
+VERIFIED_FILE = "verified.json"
 """File in the folder that says which submissions were run again: with their own hash, when, and how many episodes."""
 
 
 @dataclass(frozen=True)
-class Board:
+class Leaderboard:
     """The submissions of one suite."""
 
     suite: Suite
     submissions: tuple[Submission, ...]
     entries: tuple[Entry, ...]  # the best first, regime by regime
-    verified: Mapping[str, Mapping[str, Any]]  # what `STAMPS` says of those that were run again, by name
+    verified: Mapping[str, Mapping[str, Any]]  # what `VERIFIED_FILE` says of those that were run again, by name
 
 
 def place_of(submission: Submission, folder: Path) -> Path:
@@ -46,11 +46,11 @@ def enter(submission: Submission, folder: Path, replace: bool = False) -> Path:
     if file.exists() and not replace:
         raise FileExistsError(f"{file} is there already; choose another name, or --replace it")
     file.parent.mkdir(parents=True, exist_ok=True)
-    save(submission, file)
+    save_submission(submission, file)
     return file
 
 
-def boards(folder: Path) -> list[Board]:
+def boards(folder: Path) -> list[Leaderboard]:
     """Return the leaderboard of each suite that has submissions.
 
     Raises:
@@ -67,12 +67,12 @@ def boards(folder: Path) -> list[Board]:
         submissions = tuple(_placed(file) for file in files)
         suite = submissions[0].suite
         own = {file.stem: stamp for file in files if (stamp := stamps.get(_key(file))) and _counts(file, stamp)}
-        found.append(Board(suite, submissions, tuple(entries(submissions, yardsticks(suite))), own))
+        found.append(Leaderboard(suite, submissions, tuple(entries(submissions, yardsticks(suite))), own))
     return found
 
 
 def _placed(file: Path) -> Submission:
-    submission = read(file)
+    submission = read_submission(file)
     if (submission.suite.name, submission.name) != (file.parent.name, file.stem):
         raise ValueError(f"{file} holds {submission.name} in {submission.suite.name}: its name must be the same")
     return submission
@@ -98,7 +98,7 @@ def stamp(file: Path, folder: Path, episodes: int, of: int, seed: int) -> None:
     record = {"sha256": _digest(file), "date": when, "episodes": episodes, "of": of, "seed": seed}
     stamps = _stamps(folder) | {_key(file): record}
     kept = {key: stamps[key] for key in sorted(stamps) if (folder / f"{key}.npz").exists()}
-    write_atomically(folder / STAMPS, json_text(kept))
+    write_atomically(folder / VERIFIED_FILE, json_text(kept))
 
 
 def _key(file: Path) -> str:
@@ -106,12 +106,12 @@ def _key(file: Path) -> str:
 
 
 def _digest(file: Path) -> str:
-    return hashlib.sha256(read_bytes(file, LARGEST)).hexdigest()
+    return hashlib.sha256(read_bytes(file, LARGEST_SUBMISSION)).hexdigest()
 
 
 def _stamps(folder: Path) -> dict[str, Any]:
     """Return what was written down of reproductions, nothing where nothing was."""
-    file = folder / STAMPS
+    file = folder / VERIFIED_FILE
     record = read_json(file) if file.exists() else {}
     if not isinstance(record, dict) or not all(_is_stamp(entry) for entry in record.values()):
         raise ValueError(f"{file} does not hold what verify writes")

@@ -17,16 +17,16 @@ from baselines.evaluation.about import About
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.request import checked_folder
 from baselines.evaluation.runner import STEP_LIMIT
-from baselines.evaluation.submission.command import check, episodes_to_run, read_file, reproduce
+from baselines.evaluation.submission.command import check_numbers, episodes_to_run, read_file, reproduce
 from baselines.evaluation.submission.files import Submission, submission_of
-from baselines.evaluation.submission.reproduction import SHARE
+from baselines.evaluation.submission.reproduction import REPRODUCED_SHARE
 from baselines.evaluation.submission.scores import yardsticks
 from baselines.policies import list_policies
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
 from baselines.tools.files import write_atomically
 from baselines.tools.workers import DEFAULT_JOBS
 from research.leaderboard.board import boards, enter, stamp
-from research.leaderboard.page import leaderboard_json, page
+from research.leaderboard.page import leaderboard_json, leaderboard_page
 
 PROGRAM = "python -m research leaderboard"
 PAGE = "leaderboard.md"  # file of the page
@@ -51,7 +51,7 @@ class Options:
     and reproduce them. page: write the page only; the other actions write it too."""
     words: Annotated[Positional[tuple[str, ...]], arg(metavar="[FILE [POLICY]]")] = ()
     """The submission, and the policy as evaluate.py --policy takes it."""
-    share: float = SHARE
+    share: float = REPRODUCED_SHARE
     """Share of each case's episodes that is run again, from above 0 to 1."""
     seed: int | None = None
     """Seed that chooses them. Default: a random one, which is shown."""
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str]) -> int:
     wanted, count = WORDS[options.action]
     if len(options.words) != count:
         raise UsageError(f"{options.action} takes {wanted}; given are {len(options.words)} words")
-    check(options.share, options.seed, STEP_LIMIT, options.jobs)
+    check_numbers(options.share, options.seed, STEP_LIMIT, options.jobs)
     try:
         if options.action == "enter":
             _enter(options)
@@ -123,7 +123,7 @@ def _page(options: Options) -> int:
     if not found:
         raise UsageError(f"there is no submission in --folder {options.folder}; expected is SUITE/NAME.npz")
     checked_folder(options.out)
-    for name, text in ((PAGE, page(found)), (TABLE, leaderboard_json(found))):
+    for name, text in ((PAGE, leaderboard_page(found)), (TABLE, leaderboard_json(found))):
         write_atomically(options.out / name, text)
     count = sum(len(board.submissions) for board in found)
     print(f"Wrote {options.out / PAGE} and {options.out / TABLE}: {count} entries")
@@ -136,8 +136,8 @@ def own_submission(suite_name: str, policy: str) -> Submission:
     Raises:
         ValueError: its rows do not count, or it has none.
     """
-    suite, digest = suites.load(suite_name), fingerprint(policy)
-    found = recorded.load(suite)
+    suite, digest = suites.load_suite(suite_name), fingerprint(policy)
+    found = recorded.load_recorded(suite)
     rows = [replace(run, fingerprint=digest) for run in found.runs if run.policy == policy]
     if not rows:
         reason = found.refused.get(policy, "there are none")

@@ -11,7 +11,7 @@ from baselines.evaluation.report.columns import COLUMNS, record
 from baselines.evaluation.report.numbers import Entry
 from baselines.evaluation.submission.files import Submission
 from baselines.tools.files import json_text
-from research.leaderboard.board import Board
+from research.leaderboard.board import Leaderboard
 
 PROGRAM = "python -m research leaderboard"
 _TEXT = f"""# Leaderboard
@@ -34,7 +34,7 @@ _HEADINGS = ["", "entry<br>by", "score<br>95 %", "tail [m]", "lost", "effort<br>
 """Of the page's tables."""
 
 
-def page(boards: Sequence[Board]) -> str:
+def leaderboard_page(boards: Sequence[Leaderboard]) -> str:
     """Return the page, Markdown."""
     parts = [_TEXT]
     for board in boards:
@@ -51,7 +51,7 @@ def page(boards: Sequence[Board]) -> str:
     return "\n".join(parts)
 
 
-def _table(board: Board, entries: Sequence[Entry]) -> str:
+def _table(board: Leaderboard, entries: Sequence[Entry]) -> str:
     """Return a table of one regime; its cells have two lines, so that it is narrow enough for a page."""
     by_name, rows = {s.name: s for s in board.submissions}, []
     for rank, entry in enumerate(entries, start=1):
@@ -81,7 +81,7 @@ def _told(s: Submission) -> str:
     )
 
 
-def verification(board: Board, name: str) -> list[str]:
+def verification(board: Leaderboard, name: str) -> list[str]:
     """Return what is known of a reproduction of an entry, in lines."""
     found = board.verified.get(name)
     return [f"{found['episodes']} of {found['of']}", found["date"]] if found else ["no"]
@@ -113,7 +113,7 @@ def plain(text: str) -> str:
     return re.sub(r"([!-/:-@\[-`{-~])", r"\\\1", text)
 
 
-def leaderboard_json(boards: Sequence[Board]) -> str:
+def leaderboard_json(boards: Sequence[Leaderboard]) -> str:
     """Return the leaderboard as strict JSON, null for what is not a number."""
     suites = {}
     for board in boards:
@@ -125,7 +125,7 @@ def leaderboard_json(boards: Sequence[Board]) -> str:
     return json_text({"suites": suites})
 
 
-def _record(board: Board, entry: Entry, s: Submission) -> dict[str, Any]:
+def _record(board: Leaderboard, entry: Entry, s: Submission) -> dict[str, Any]:
     own = {"name": s.name, "regime": entry.place, **record(entry), **asdict(s.about)}
     own |= {"policy": s.policy, "fingerprint": s.fingerprint, "date": s.date, "versions": dict(s.versions)}
     return own | {"verified": board.verified.get(s.name)}

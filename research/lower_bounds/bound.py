@@ -25,7 +25,7 @@ from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.metrics import most_lost
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import Cell, drawn
-from baselines.evaluation.score import BOUND, EXPERT, ORACLE, largest_tail, losses
+from baselines.evaluation.score import EXPERT, OPTIMUM_POLICY, ORACLE, largest_tail, losses
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
 from baselines.tools.files import json_text, read_json, write_atomically
@@ -33,9 +33,9 @@ from research import DATA
 from research.seeds import OPTIMUM
 
 PROGRAM = "python -m research bound"
-FILE = DATA / "bound.json"  # what was counted
-EPISODES = 10_000  # of all cases together
-AT_ONCE = 125  # episodes of a case that are solved together
+_FILE = DATA / "bound.json"  # what was counted
+OPTIMUM_EPISODES = 10_000  # of all cases together
+_AT_ONCE = 125  # episodes of a case that are solved together
 SCENARIOS = tuple(PRESETS[f"{regime}-{case}"] for regime in REGIMES for case in CASES)
 """The cases, of both regimes."""
 
@@ -47,14 +47,14 @@ class Options:
     Exit status: 0 done, 1 it lost an episode, or another policy was nearer by more than a millimetre, 2 wrong usage.
     """
 
-    episodes: int = EPISODES
+    episodes: int = OPTIMUM_EPISODES
     """Of all cases together; those that were run before count."""
-    out: Path = FILE if checkout() else Path("runs/bound.json")
+    out: Path = _FILE if checkout() else Path("runs/bound.json")
     """File for the counts, to which episodes are added."""
 
 
 @dataclass(frozen=True)
-class Count:
+class OptimumCount:
     """What the bound did in some episodes of a case, those of the first seeds of `OPTIMUM`."""
 
     episodes: int = 0
@@ -65,9 +65,9 @@ class Count:
     astray: tuple[Mapping[str, Any], ...] = field(default=())
     """Episodes whose tail is not below `GOOD`: seed, tail, and those of oracle and expert [m]."""
 
-    def with_more(self, more: Count) -> Count:
+    def with_more(self, more: OptimumCount) -> OptimumCount:
         """Return the count of these episodes and of others."""
-        return Count(
+        return OptimumCount(
             self.episodes + more.episodes,
             self.lost + more.lost,
             self.tails_m + more.tails_m,
@@ -77,21 +77,21 @@ class Count:
         )
 
 
-def counted(scenario: Scenario, first: int, episodes: int) -> Count:
+def counted(scenario: Scenario, first: int, episodes: int) -> OptimumCount:
     """Return what the bound does in episodes of a scenario, `first` and the following ones of `OPTIMUM`."""
     seed = OPTIMUM.first + first
     cell = drawn(scenario, episodes, seed)
-    found = rollout(make_policy(BOUND, scenario.vehicle), scenario, cell.episodes)
+    found = rollout(make_policy(OPTIMUM_POLICY, scenario.vehicle), scenario, cell.episodes)
     tail = found.measures.tail
     far = np.flatnonzero(~(tail < GOOD)).tolist()
     rivals = {policy: _tails(policy, cell, far) for policy in (ORACLE, EXPERT)} if far else {}
     astray = tuple(
-        {"seed": seed + i, f"{BOUND}_m": float(tail[i]), **{f"{p}_m": rivals[p][j] for p in rivals}}
+        {"seed": seed + i, f"{OPTIMUM_POLICY}_m": float(tail[i]), **{f"{p}_m": rivals[p][j] for p in rivals}}
         for j, i in enumerate(far)
     )
     errors = found.errors[scenario.steps // 3 :]
     lost = losses(found.measures, largest_tail(scenario.name))
-    return Count(episodes, lost, float(tail.sum()), float(tail.max()), float(errors.max()), astray)
+    return OptimumCount(episodes, lost, float(tail.sum()), float(tail.max()), float(errors.max()), astray)
 
 
 def _tails(policy: str, cell: Cell, few: Sequence[int]) -> list[float]:
@@ -101,7 +101,7 @@ def _tails(policy: str, cell: Cell, few: Sequence[int]) -> list[float]:
     return tails
 
 
-def kept(file: Path = FILE) -> dict[str, Count]:
+def optimum_counts(file: Path = _FILE) -> dict[str, OptimumCount]:
     """Return what was counted, by case; nothing where the bound has changed since, or nothing was counted.
 
     Raises:
@@ -111,25 +111,25 @@ def kept(file: Path = FILE) -> dict[str, Count]:
         return {}
     record = read_json(file)
     try:
-        found = {name: Count(**{**of, "astray": tuple(of["astray"])}) for name, of in record["cases"].items()}
-        return found if record["fingerprint"] == fingerprint(BOUND) else {}
+        found = {name: OptimumCount(**{**of, "astray": tuple(of["astray"])}) for name, of in record["cases"].items()}
+        return found if record["fingerprint"] == fingerprint(OPTIMUM_POLICY) else {}
     except (TypeError, KeyError, AttributeError) as error:
         raise ValueError(
             f"{file} does not hold what {PROGRAM} writes; delete it, or name another with --out"
         ) from error
 
 
-def together(counts: Mapping[str, Count]) -> Count:
+def all_cases(counts: Mapping[str, OptimumCount]) -> OptimumCount:
     """Return the count of all cases."""
-    every = Count()
+    every = OptimumCount()
     for count in counts.values():
         every = every.with_more(count)
     return every
 
 
-def told(counts: Mapping[str, Count]) -> str:
+def in_words(counts: Mapping[str, OptimumCount]) -> str:
     """Return what was counted, in words."""
-    every = together(counts)
+    every = all_cases(counts)
     at_most = 100 * most_lost(every.lost, every.episodes)
     return (
         f"{every.lost} of {every.episodes} episodes lost (at most {at_most:.2g} %, one-sided, 95 %); mean tail "
@@ -139,14 +139,16 @@ def told(counts: Mapping[str, Count]) -> str:
     )
 
 
-def nearer(counts: Mapping[str, Count]) -> list[str]:
+def nearer(counts: Mapping[str, OptimumCount]) -> list[str]:
     """Return the episodes in which oracle or expert is nearer than the bound by more than a millimetre, in words."""
     found = []
     for name, count in counts.items():
         for own in count.astray:
             best = min((ORACLE, EXPERT), key=lambda policy: own[f"{policy}_m"])
-            if own[f"{best}_m"] < own[f"{BOUND}_m"] - 1e-3:
-                found.append(f"{name}, seed {own['seed']}: {own[f'{BOUND}_m']:.4f} m, {best} {own[f'{best}_m']:.4f} m")
+            if own[f"{best}_m"] < own[f"{OPTIMUM_POLICY}_m"] - 1e-3:
+                found.append(
+                    f"{name}, seed {own['seed']}: {own[f'{OPTIMUM_POLICY}_m']:.4f} m, {best} {own[f'{best}_m']:.4f} m"
+                )
     return found
 
 
@@ -162,19 +164,22 @@ def main(arguments: Sequence[str]) -> int:
         most = len(SCENARIOS) * (OPTIMUM.end - OPTIMUM.first)
         raise UsageError(f"--episodes is {options.episodes}; it must be in [1, {most}]")
     try:
-        counts = {scenario.name: Count() for scenario in SCENARIOS} | kept(options.out)
+        counts = {scenario.name: OptimumCount() for scenario in SCENARIOS} | optimum_counts(options.out)
     except ValueError as error:
         raise UsageError(str(error)) from error
     options.out.parent.mkdir(parents=True, exist_ok=True)
     for scenario in SCENARIOS:
-        for first in range(counts[scenario.name].episodes, share, AT_ONCE):
-            more = counted(scenario, first, min(AT_ONCE, share - first))
+        for first in range(counts[scenario.name].episodes, share, _AT_ONCE):
+            more = counted(scenario, first, min(_AT_ONCE, share - first))
             counts[scenario.name] = counts[scenario.name].with_more(more)
-            record = {"fingerprint": fingerprint(BOUND), "cases": {name: asdict(c) for name, c in counts.items()}}
+            record = {
+                "fingerprint": fingerprint(OPTIMUM_POLICY),
+                "cases": {name: asdict(c) for name, c in counts.items()},
+            }
             write_atomically(options.out, json_text(record))
-        print(f"{scenario.name}: {told({scenario.name: counts[scenario.name]})}", flush=True)
-    print(told(counts))
+        print(f"{scenario.name}: {in_words({scenario.name: counts[scenario.name]})}", flush=True)
+    print(in_words(counts))
     worse = nearer(counts)
     for line in worse:
         print(f"{called(PROGRAM)}: another policy is nearer: {line}", file=sys.stderr)
-    return FAILED if worse or together(counts).lost else DONE
+    return FAILED if worse or all_cases(counts).lost else DONE

@@ -15,7 +15,7 @@ from baselines.evaluation.request import checked_folder
 from baselines.tools.command_line import DONE, FAILED, parse, typed
 from baselines.tools.files import json_text, write_atomically
 from research.paper.figures import paper_figures
-from research.paper.numbers import Reproduction, Row, reproduce
+from research.paper.numbers import Reproduction, Row, reproduce_paper
 from research.paper.page import paper_html
 
 PROGRAM = "python -m research paper"
@@ -39,7 +39,7 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     folder = checked_folder(parse(Options, arguments, PROGRAM).out)
-    found, out = reproduce(lambda part: print(part, file=sys.stderr)), console()
+    found, out = reproduce_paper(lambda part: print(part, file=sys.stderr)), console()
     for table in tables(found):
         out.print(table)
     files: dict[str, str | bytes] = {f"{name}.png": png for name, png in paper_figures(found).items()}

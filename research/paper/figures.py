@@ -12,7 +12,7 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.planning.paths import PAPER_CIRCLE
 from auv_gym.planning.planner import plan
 from baselines.evaluation.stability.closed_loop import Response
-from baselines.tools.figure_style import COLOURS, REFERENCE, panels, styled, to_png
+from baselines.tools.figure_style import COLOURS, REFERENCE_STYLE, panels, styled, to_png
 from research.paper.noise_study import POSITION_NOISE, TRANSIENT, NoiseRun, noise_scenario
 from research.paper.numbers import CHOSEN, SIGNS, Reproduction
 
@@ -28,7 +28,7 @@ def paper_figures(reproduction: Reproduction) -> dict[str, bytes]:
     with styled():
         return {
             "fig3_trajectory": to_png(trajectory(response)),
-            "fig4_forces": to_png(forces(response)),
+            "fig4_forces": to_png(_forces(response)),
             "fig5_velocity_errors": to_png(velocity_errors(response)),
             "fig6_tracking_errors": to_png(_tracking_errors(response)),
             "noise_study": to_png(noise(reproduction.noise)),
@@ -56,7 +56,7 @@ def trajectory(response: Response) -> Figure:
         x, y = response.state[:2, CHOSEN]
         ax.plot(x, y, color=COLOURS[0], linewidth=2.0, label="vehicle")
         ax.plot(x[0], y[0], "o", color=COLOURS[0], markersize=5)
-        ax.plot(*circle, **REFERENCE, label="reference", zorder=3)
+        ax.plot(*circle, **REFERENCE_STYLE, label="reference", zorder=3)
         ax.set(xlabel="X [m]", ylabel="Y [m]")
         ax.set_aspect("equal", adjustable="box")
     wide.set(xlim=(-12.0, 12.0), ylim=(-12.0, 12.0))
@@ -71,14 +71,14 @@ def trajectory(response: Response) -> Figure:
     return figure
 
 
-def forces(response: Response) -> Figure:
+def _forces(response: Response) -> Figure:
     """Return figure 4: control force and torque near time zero and converging to the plan's."""
     figure, axes = panels(2, 2, (9.0, 5.4))
     planned = plan(PAPER_CIRCLE, PAPER_VEHICLE, np.array([0.0, 1.0])).table[0, 6:].tolist()
     names = (("F_u", "N", "force"), ("F_r", "N m", "torque"))
     for row, force, level, (name, unit, _) in zip(axes, response.force[:, CHOSEN], planned, names, strict=True):
         for ax in row:
-            ax.axhline(level, **REFERENCE, label=f"open loop: {level:.4g} {unit}")
+            ax.axhline(level, **REFERENCE_STYLE, label=f"open loop: {level:.4g} {unit}")
             ax.plot(response.t, force, color=COLOURS[0])
             ax.set(xlabel="time [s]", ylabel=f"{name} [{unit}]")
         row[0].set_xlim(0, 15)
@@ -101,7 +101,7 @@ def _error_figure(response: Response, first: int, names: Sequence[tuple[str, str
     figure, axes = panels(3, 2, (9.0, 7.0))
     for k, ((early, late), (name, unit, factor)) in enumerate(zip(axes, names, strict=True)):
         error = factor * response.errors[first + k, CHOSEN]
-        early.axhline(0.0, **REFERENCE)
+        early.axhline(0.0, **REFERENCE_STYLE)
         early.plot(response.t, error, color=COLOURS[0])
         early.set(xlim=(0, EARLY), ylabel=f"{name} [{unit}]")
         late.semilogy(response.t, np.abs(error), color=COLOURS[0], linewidth=1.0)

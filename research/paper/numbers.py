@@ -28,13 +28,13 @@ from baselines.evaluation.stability.analysis import (
     first_instability,
     spectral_abscissa,
 )
-from baselines.evaluation.stability.closed_loop import Response, respond, settling_time
+from baselines.evaluation.stability.closed_loop import Response, closed_loop_response, last_outside
 from research.paper.noise_study import POSITION_NOISE, NoiseRun, noise_study
 
 PAPER_GAINS = GAINS["paper"]  # those printed in the paper
 SIGNS = tuple(itertools.product((1, -1), repeat=3))
 """Signs of x_e, y_e, psi_e: the paper prints moduli only."""
-STARTS = np.array(SIGNS).T * np.array([[0.5], [1.0], [math.radians(20.0)]])
+_STARTS = np.array(SIGNS).T * np.array([[0.5], [1.0], [math.radians(20.0)]])
 """Section V's initial errors x_e, y_e [m], psi_e [rad], shape (3, 8)."""
 CHOSEN = SIGNS.index((1, -1, 1))
 """The start that the figures show: it needs the least surge force of the eight, and the paper speaks of low effort."""
@@ -90,12 +90,12 @@ class Reproduction:
         }
 
 
-def reproduce(on_part: Callable[[str], None] = lambda _: None) -> Reproduction:
+def reproduce_paper(on_part: Callable[[str], None] = lambda _: None) -> Reproduction:
     """Return the reproduction; `on_part` is told what is being computed."""
     on_part("section III: the plan")
     rows = planner_rows() + printed_equation_rows()
     on_part("section V: the closed loop from eight starts")
-    response = respond(STARTS, PAPER_CIRCLE, PAPER_VEHICLE, PAPER_GAINS, TIMES)
+    response = closed_loop_response(_STARTS, PAPER_CIRCLE, PAPER_VEHICLE, PAPER_GAINS, TIMES)
     rows += closed_loop_rows(response)
     on_part("eigenvalues")
     eigenvalues = closed_loop_eigenvalues(PAPER_VEHICLE, PAPER_GAINS, PAPER_CIRCLE.speed, PAPER_CIRCLE.turn_rate)
@@ -161,8 +161,8 @@ def start_rows(response: Response) -> list[StartRow]:
     return [
         StartRow(
             " ".join("+" if sign > 0 else "-" for sign in signs),
-            settling_time(t, distance[i], 0.05),
-            settling_time(t, psi_e[i], math.radians(1.0)),
+            last_outside(t, distance[i], 0.05),
+            last_outside(t, psi_e[i], math.radians(1.0)),
             float(np.abs(F_u[i]).max()),
             float(np.abs(F_r[i]).max()),
             float(distance[i, -1]),
@@ -174,8 +174,10 @@ def start_rows(response: Response) -> list[StartRow]:
 def integrator_floor() -> tuple[float, float, float]:
     """Return the largest position [m], heading [deg] and velocity error [m/s] that RK45 at SciPy's defaults leaves."""
     loose = [
-        respond(start[:, None], PAPER_CIRCLE, PAPER_VEHICLE, PAPER_GAINS, TIMES, "RK45", rtol=1e-3, atol=1e-6)
-        for start in STARTS.T
+        closed_loop_response(
+            start[:, None], PAPER_CIRCLE, PAPER_VEHICLE, PAPER_GAINS, TIMES, "RK45", rtol=1e-3, atol=1e-6
+        )
+        for start in _STARTS.T
     ]
     late = TIMES >= FLOOR_TIME
     errors = np.concatenate([response.errors[:, :, late] for response in loose], axis=1)

@@ -9,18 +9,20 @@ import numpy as np
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.planning.paths import PAPER_CIRCLE
 from auv_gym.planning.planner import plan
-from baselines.evaluation.report.page import render
+from baselines.evaluation.report.page import render_report
 from baselines.evaluation.stability.closed_loop import Response
 from baselines.tools.figure_style import COLOURS
 from research.paper.noise_study import TRANSIENT, NoiseRun, noise_scenario
 from research.paper.numbers import CHOSEN, SIGNS, Reproduction
 
-Spec = dict[str, Any]
+_Spec = dict[str, Any]
 
 _FLOOR = 1e-5  # the errors that the paper's figures end at, in their units
 GREY = "#8a8a8a"  # colour of the reference
-ERRORS = (("x_e", "m", 1.0), ("y_e", "m", 1.0), ("psi_e", "deg", 180 / np.pi), ("u_e", "m/s", 1.0), ("v_e", "m/s", 1.0),
-          ("r_e", "rad/s", 1.0))  # fmt: skip
+_ERRORS = (
+    ("x_e", "m", 1.0), ("y_e", "m", 1.0), ("psi_e", "deg", 180 / np.pi), ("u_e", "m/s", 1.0), ("v_e", "m/s", 1.0),
+    ("r_e", "rad/s", 1.0),
+)  # fmt: skip
 """The errors of a response: name, unit and the factor into it."""
 NOISY = 30.0  # [s] of the noisy commands that are drawn
 
@@ -35,7 +37,7 @@ def paper_html(reproduction: Reproduction, command: str) -> str:
         ("Fig. 6: errors of position and heading", "", ["x_e", "y_e", "psi_e", "x_e log", "y_e log", "psi_e log"]),
     ]
     rows = {"response": _rows(reproduction.response), **_noise(reproduction.noise)}
-    return render(
+    return render_report(
         "paper.html",
         {"charts": _charts(), "rows": rows},
         ("figures.js",),
@@ -63,7 +65,7 @@ def _rows(response: Response) -> list[dict[str, float]]:
     for i in range(len(SIGNS)):
         columns = {"t": response.t, "x": response.state[0, i], "y": response.state[1, i]}
         columns |= {
-            name: factor * error for (name, _, factor), error in zip(ERRORS, response.errors[:, i], strict=True)
+            name: factor * error for (name, _, factor), error in zip(_ERRORS, response.errors[:, i], strict=True)
         }
         columns |= dict(zip(("F_u", "F_r"), response.force[:, i], strict=True))
         values = [[float(f"{x:.5g}") for x in column[kept].tolist()] for column in columns.values()]
@@ -71,7 +73,7 @@ def _rows(response: Response) -> list[dict[str, float]]:
     return rows
 
 
-def _charts() -> dict[str, Spec]:
+def _charts() -> dict[str, _Spec]:
     """Return the charts by name."""
     F_u, F_r = plan(PAPER_CIRCLE, PAPER_VEHICLE, np.array([0.0, 1.0])).table[0, 6:].tolist()
     circle = PAPER_CIRCLE.derivatives(np.linspace(0.0, 200 * np.pi, 181))[0].T
@@ -81,7 +83,7 @@ def _charts() -> dict[str, Spec]:
         "F_u": _over_time("F_u", "N", level=F_u),
         "F_r": _over_time("F_r", "N m", level=F_r),
     }
-    for name, unit, _ in ERRORS:
+    for name, unit, _ in _ERRORS:
         charts[name], charts[f"{name} log"] = _over_time(name, unit, level=0.0, end=40.0), _magnitude(name, unit)
     return charts | {
         "noise force": _noise_over_time("F_u", "F_u [N]"),
@@ -90,23 +92,23 @@ def _charts() -> dict[str, Spec]:
     }
 
 
-def _axis(field: str, title: str, **scale: Any) -> Spec:
+def _axis(field: str, title: str, **scale: Any) -> _Spec:
     axis = {"title": title, "tickCount": 5}
     return {"field": field, "type": "quantitative", "axis": axis, "scale": {"zero": False, **scale}}
 
 
-def _chosen(layer: list[Spec], **more: Any) -> Spec:
+def _chosen(layer: list[_Spec], **more: Any) -> _Spec:
     """Return a chart of the start that is chosen."""
     start = {"name": "start", "value": CHOSEN}
     return {"data": {"name": "rows"}, "width": "container", "height": 170, "params": [start], "layer": layer, **more}
 
 
-MINE: Spec = {"filter": "datum.start === start"}  # what belongs to the start that is chosen
-_LINE: Spec = {"type": "line", "color": COLOURS[0], "strokeWidth": 1.8, "clip": True}
+MINE: _Spec = {"filter": "datum.start === start"}  # what belongs to the start that is chosen
+_LINE: _Spec = {"type": "line", "color": COLOURS[0], "strokeWidth": 1.8, "clip": True}
 """The look of a curve."""
 
 
-def _way(circle: Any, x: tuple[float, float], y: tuple[float, float]) -> Spec:
+def _way(circle: Any, x: tuple[float, float], y: tuple[float, float]) -> _Spec:
     """Return the ways from all starts in a square of the plane, the chosen one in front."""
     axes = {"x": _axis("x", "X [m]", domain=x, nice=False), "y": _axis("y", "Y [m]", domain=y, nice=False)}
     order = {"order": {"field": "t", "type": "quantitative"}}
@@ -124,7 +126,7 @@ def _way(circle: Any, x: tuple[float, float], y: tuple[float, float]) -> Spec:
     )  # fmt: skip
 
 
-def _over_time(name: str, unit: str, level: float, end: float = 60.0) -> Spec:
+def _over_time(name: str, unit: str, level: float, end: float = 60.0) -> _Spec:
     t, y = _axis("t", "time [s]", domain=[0, end], nice=False), _axis(name, f"{name} [{unit}]")
     return _chosen(
         [
@@ -137,7 +139,7 @@ def _over_time(name: str, unit: str, level: float, end: float = 60.0) -> Spec:
     )
 
 
-def _magnitude(name: str, unit: str) -> Spec:
+def _magnitude(name: str, unit: str) -> _Spec:
     t, y = (
         _axis("t", "time [s]", nice=False),
         _axis("size", f"|{name}| [{unit}]", type="log", domain=[1e-11, 100], clamp=True),
@@ -170,7 +172,7 @@ def _noise(study: list[NoiseRun]) -> dict[str, Any]:
     return {"noise": over_time, "trade": trade}
 
 
-def _noise_over_time(field: str, title: str) -> Spec:
+def _noise_over_time(field: str, title: str) -> _Spec:
     colour = {"field": "run", "type": "nominal", "sort": None, "scale": {"range": [COLOURS[5], COLOURS[0]]},
               "legend": {"title": None, "orient": "top"}}  # fmt: skip
     step = {"type": "line", "interpolate": "step-before", "strokeWidth": 1.2}
@@ -182,7 +184,7 @@ def _noise_over_time(field: str, title: str) -> Spec:
     return {"data": {"name": "rows"}, "width": "container", "height": 190, "mark": step, "encoding": encoding}
 
 
-def _trade() -> Spec:
+def _trade() -> _Spec:
     at = {"x": _axis("force", "std of F_u [N]", zero=True), "y": _axis("error", "rms position error [cm]", zero=True)}
     text = {"type": "text", "align": "left", "dx": 7, "dy": -7}
     return {

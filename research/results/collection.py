@@ -10,7 +10,7 @@ from baselines.evaluation import recorded, suites
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.report.numbers import Entry, measures_of, pool
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import BOUND, Score, paired, regime_of, score
+from baselines.evaluation.score import OPTIMUM_POLICY, Score, paired, regime_of, score
 from baselines.evaluation.suites import Suite
 
 SUITES = ("benchmark-v2", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v1")
@@ -64,11 +64,11 @@ class Results:
 def better_than(best: str, results: Results) -> list[tuple[str, str, float]]:
     """Return case, policy and by how much [m] its mean tail error is smaller than that of `best`, wherever it is.
 
-    The errors are those of the same episodes. That `BOUND` is better than another is no fault, and left out.
+    The errors are those of the same episodes. That `OPTIMUM_POLICY` is better than another is no fault, and left out.
     """
     found = []
     for case, measures in results.cases.items():
-        for policy in sorted(set(measures) - {best, BOUND}) if best in measures else ():
+        for policy in sorted(set(measures) - {best, OPTIMUM_POLICY}) if best in measures else ():
             own, its = paired(measures[policy], measures[best])
             if (gain := float((its.tail - own.tail).mean())) > 0:
                 found.append((case, policy, gain))
@@ -77,8 +77,8 @@ def better_than(best: str, results: Results) -> list[tuple[str, str, float]]:
 
 def collected(name: str) -> tuple[Results | None, dict[str, str]]:
     """Return what is recorded of a suite, None without its anchors; and why rows of policies do not count."""
-    suite = suites.load(name)
-    found = recorded.load(suite)
+    suite = suites.load_suite(name)
+    found = recorded.load_recorded(suite)
     complete = set(suite.anchors) <= {run_.policy for run_ in found.runs}
     return Results.of(suite, found.runs) if complete else None, found.refused
 

@@ -27,7 +27,7 @@ from research.results import fresh
 from research.results.collection import SUITES, Results, results_of
 from research.results.kept import gone, kept_by_the_expert
 from research.results.studies import SHORT
-from research.results.study_files import Study, load_all
+from research.results.study_files import Study, load_studies
 
 _BASE = "short-cruise"
 """The training from which the other short ones differ in one thing."""
@@ -38,7 +38,7 @@ LEARNERS = ("ppo", "sac", "td3")
 def context(_: str) -> dict[str, Any]:
     """Return the body of the page."""
     found = [results for results in map(results_of, SUITES) if results is not None]
-    return {"body": findings(found, fresh_results(), load_all())}
+    return {"body": findings(found, fresh_results(), load_studies())}
 
 
 def findings(found: Sequence[Results], anew: Sequence[Results], studies: Mapping[str, Study]) -> str:
@@ -55,7 +55,7 @@ def findings(found: Sequence[Results], anew: Sequence[Results], studies: Mapping
     parts = [_INTRODUCTION]
     if (benchmark := by_name.get("benchmark-v2")) is not None:
         parts += [LEADS, _leads(benchmark, fresh_by_name.get("benchmark-v2"), studies)]
-        parts += [CASES, *(_by_case(benchmark, studies, regime) for regime in REGIMES)]
+        parts += [_CASES, *(_by_case(benchmark, studies, regime) for regime in REGIMES)]
     if (unmodelled := by_name.get("unmodelled-v1")) is not None:
         parts += [UNMODELLED, _leads(unmodelled, fresh_by_name.get("unmodelled-v1"), studies, ADVERSE_RIVAL)]
     if (opened := by_name.get("sealed-v1")) is not None:
@@ -71,7 +71,10 @@ def findings(found: Sequence[Results], anew: Sequence[Results], studies: Mapping
 
 def fresh_results() -> list[Results]:
     """Return what is recorded of fresh episodes, of the suites whose anchors ran."""
-    runs = {suite: recorded.load(suite, fresh.FOLDER).runs for suite in map(fresh.fresh, fresh.EPISODES)}
+    runs = {
+        suite: recorded.load_recorded(suite, fresh.HELD_OUT_FOLDER).runs
+        for suite in map(fresh.fresh, fresh.HELD_OUT_EPISODES)
+    }
     return [Results.of(suite, own) for suite, own in runs.items() if set(suite.anchors) <= {r.policy for r in own}]
 
 
@@ -208,7 +211,7 @@ LEADS = f"""### Against the strongest controller
 agent on episodes of the same cases that nothing was trained, tuned or chosen on; a lead is a distance of scores, with
 an interval over seeds and episodes, and *episodes* says of how many a number is. *lost* adds up all seeds; *at most* is
 the largest share of lost episodes that is still likely (one-sided, 95 %): none lost is no promise."""
-CASES = f"""### Where an agent leads, and where it trails
+_CASES = f"""### Where an agent leads, and where it trails
 
 A score is made of means. Episode by episode the picture is another one: the share of the episodes of each case, on the
 frozen benchmark, in which the shipped agent's tail error is smaller than that of `{RIVAL}`. Below 50 % the agent trails

@@ -30,17 +30,17 @@ from research import DATA
 from research.seeds import HELD_OUT
 
 PROGRAM = "python -m research held-out"
-FOLDER = DATA / "fresh"
-SEED = HELD_OUT.first  # of the first episode of each case
-EPISODES = {"benchmark-v2": 64, "unmodelled-v1": 24}
+HELD_OUT_FOLDER = DATA / "fresh"
+HELD_OUT_SEED = HELD_OUT.first  # of the first episode of each case
+HELD_OUT_EPISODES = {"benchmark-v2": 64, "unmodelled-v1": 24}
 """Episodes drawn in each case, by suite."""
-AGENTS = ("apg", "apg-preview", "apg-adverse", "apg-scratch")
+FAMILIES = ("apg", "apg-preview", "apg-adverse", "apg-scratch")
 """Families of agents that are compared, each with one for every regime."""
-POLICIES = (
+_POLICIES = (
     EXPERT,
     *FORESIGHTED,
     "ekf",
-    *(f"{family}-{regime}" for family in AGENTS for regime in REGIMES),
+    *(f"{family}-{regime}" for family in FAMILIES for regime in REGIMES),
     "helm",
     "helm-any",
     ADVERSE_RIVAL,
@@ -56,9 +56,9 @@ class Options:
     Exit status: 0 done, 1 a policy failed, 2 wrong usage.
     """
 
-    policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = POLICIES
+    policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = _POLICIES
     """Policies by name."""
-    suite: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = tuple(EPISODES)
+    suite: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = tuple(HELD_OUT_EPISODES)
     """Suites whose cases are drawn anew."""
     case: Annotated[tuple[str, ...], arg(metavar="C [C ...]", help_behavior_hint="")] = ()
     """Cases by name, to try it out; without any, all of them."""
@@ -66,7 +66,7 @@ class Options:
     """Episodes of each case. Default: 64 of benchmark-v2, 24 of unmodelled-v1."""
     jobs: int = 1
     """Worker processes. With one the time per decision is that of an idle processor."""
-    out: Path = FOLDER if checkout() else Path("runs/fresh")
+    out: Path = HELD_OUT_FOLDER if checkout() else Path("runs/fresh")
     """Folder for what they did, SUITE/POLICY.npz."""
 
 
@@ -76,15 +76,15 @@ def fresh(name: str, episodes: int | None = None, cases: Sequence[str] = ()) -> 
     Raises:
         ValueError: there is no such suite, or no such case in it.
     """
-    frozen = suites.load(name)
+    frozen = suites.load_suite(name)
     known = [cell.scenario.name for cell in frozen.cells]
     if unknown := [case for case in cases if case not in known]:
         raise ValueError(f"{unknown[0]!r} is no case of {name}; allowed are {', '.join(known)}")
-    count = episodes or EPISODES[name]
+    count = episodes or HELD_OUT_EPISODES[name]
     chosen = [cell.scenario for cell in frozen.cells if cell.scenario.name in (cases or known)]
     names = " ".join(scenario.name for scenario in chosen)
-    digest = hashlib.sha256(f"{frozen.source[1]} {SEED} {count} {names}".encode()).hexdigest()
-    cells = tuple(drawn(scenario, count, SEED) for scenario in chosen)
+    digest = hashlib.sha256(f"{frozen.source[1]} {HELD_OUT_SEED} {count} {names}".encode()).hexdigest()
+    cells = tuple(drawn(scenario, count, HELD_OUT_SEED) for scenario in chosen)
     return Suite(name, digest, cells, (), frozen.anchors, (frozen.source[0], digest))
 
 
@@ -97,8 +97,8 @@ def main(arguments: Sequence[str]) -> int:
     options = parse(Options, arguments, PROGRAM)
     if unknown := [policy for policy in options.policy if policy not in list_policies()]:
         raise UsageError(f"{unknown[0]!r} is not the name of a policy; allowed are {', '.join(list_policies())}")
-    if unknown := [suite for suite in options.suite if suite not in EPISODES]:
-        raise UsageError(f"{unknown[0]!r} is no suite to draw from; allowed are {', '.join(EPISODES)}")
+    if unknown := [suite for suite in options.suite if suite not in HELD_OUT_EPISODES]:
+        raise UsageError(f"{unknown[0]!r} is no suite to draw from; allowed are {', '.join(HELD_OUT_EPISODES)}")
     if options.episodes is not None and options.episodes < 1:
         raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more")
     try:
@@ -117,7 +117,7 @@ def _kept(suite: Suite, policy: str, options: Options) -> bool:
         return True
     runs = run_all((policy,), cells, Workers(options.jobs))
     try:
-        recorded.save(suite, runs, versions(), options.out, regimes)
+        recorded.save_recorded(suite, runs, versions(), options.out, regimes)
     except ValueError as error:
         print(f"{called(PROGRAM)}: {error}: {next(run.error for run in runs if run.error)}", file=sys.stderr)
         return False

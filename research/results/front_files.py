@@ -12,10 +12,10 @@ from baselines.evaluation.runner import Run
 from baselines.evaluation.store import Stored, reading, write
 from baselines.tools.files import versions
 from research import DATA
-from research.results.study_files import InSuite, packed, unpacked
+from research.results.study_files import InSuite, packed_study, unpacked_study
 
-FOLDER = DATA / "fronts"
-SUITE = "benchmark-v1"
+FRONTS_FOLDER = DATA / "fronts"
+FRONT_SUITE = "benchmark-v1"
 """The suite whose episodes are run, the first ones of each case, under the name that rows of them are kept under."""
 
 
@@ -47,18 +47,18 @@ class Front:
             ValueError: one failed.
         """
         today = datetime.now(timezone.utc).date().isoformat()
-        return cls(name, regime, tuple(points), InSuite.of(SUITE, runs), today, versions())
+        return cls(name, regime, tuple(points), InSuite.of(FRONT_SUITE, runs), today, versions())
 
 
-def save(front: Front, folder: Path = FOLDER) -> None:
+def save_front(front: Front, folder: Path = FRONTS_FOLDER) -> None:
     """Write a front to its file, NAME-REGIME.npz."""
-    entry, arrays = packed(SUITE, front.rows)
+    entry, arrays = packed_study(FRONT_SUITE, front.rows)
     record: dict[str, Any] = {key: getattr(front, key) for key in ("name", "regime", "date")}
     record |= {"versions": dict(front.versions), "points": [asdict(point) for point in front.points], "rows": entry}
     write(folder / f"{front.name}-{front.regime}.npz", Stored(record, arrays))
 
 
-def load_all(folder: Path = FOLDER) -> list[Front]:
+def load_fronts(folder: Path = FRONTS_FOLDER) -> list[Front]:
     """Return the fronts that are kept, in the order of their names; one of a suite that has changed is left out.
 
     Raises:
@@ -71,6 +71,6 @@ def load_all(folder: Path = FOLDER) -> list[Front]:
 def _load(file: Path) -> Front | None:
     with reading(file) as stored:
         record = dict(stored.record)
-        rows = unpacked(SUITE, record.pop("rows"), stored.arrays)
+        rows = unpacked_study(FRONT_SUITE, record.pop("rows"), stored.arrays)
         points = tuple(Point(**point) for point in record.pop("points"))
         return None if rows is None else Front(points=points, rows=rows, **record)

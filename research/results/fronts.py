@@ -19,12 +19,11 @@ from baselines.evaluation.score import EXPERT, fixed, fixed_ends
 from baselines.tools.figure_style import COLOURS, MARKERS, panels, styled, to_png
 from research.pages import table
 from research.results.collection import Results, results_of
-from research.results.fresh import AGENTS
-from research.results.front_files import Front
-from research.results.front_files import load_all as load_fronts
-from research.results.leads import LEVEL, Estimate, differences, holm
+from research.results.fresh import FAMILIES
+from research.results.front_files import Front, load_fronts
+from research.results.leads import LEVEL, LeadEstimate, differences, holm
 from research.results.robust import tails_of
-from research.results.study_files import Study, load_all
+from research.results.study_files import Study, load_studies
 
 _FIGURE = "results-fronts.png"
 """File of the figure."""
@@ -81,7 +80,7 @@ def spenders(fronts: Sequence[Front], results: Results, studies: Mapping[str, St
     expert = _means([m[:episodes] for m in results.measures(EXPERT, regime)])
     found: dict[str, tuple[Spent, ...]] = {front.name: _points(front, expert) for front in own}
     agents = {name: points for name, points in found.items() if name not in POLICIES}
-    for name in (f"{family}-{regime}" for family in AGENTS):
+    for name in (f"{family}-{regime}" for family in FAMILIES):
         if measures := [m[:episodes] for m in results.measures(name, regime)]:
             effort, rate = _means(measures)
             tails = (tail[:, :episodes] for tail in tails_of(name, results, studies, regime).values())
@@ -119,16 +118,16 @@ def _regimes_of(fronts: Sequence[Front]) -> list[str]:
 def context(_: str) -> dict[str, Any]:
     """Return the body of the page."""
     results = results_of("benchmark-v2")
-    return {"body": section(load_fronts(), results, load_all()) if results else ""}
+    return {"body": fronts_section(load_fronts(), results, load_studies()) if results else ""}
 
 
 def figures(_: str) -> dict[str, bytes]:
     """Return the figure of the page as PNG by name."""
     results = results_of("benchmark-v2")
-    return {_FIGURE: to_png(figure(load_fronts(), results, load_all()))} if results else {}
+    return {_FIGURE: to_png(figure(load_fronts(), results, load_studies()))} if results else {}
 
 
-def section(fronts: Sequence[Front], results: Results, studies: Mapping[str, Study]) -> str:
+def fronts_section(fronts: Sequence[Front], results: Results, studies: Mapping[str, Study]) -> str:
     """Return the section's text, "" without fronts; the arguments are those of `spenders`."""
     if not fronts:
         return ""
@@ -198,7 +197,7 @@ def spends(rival: Spent, agent: Spent) -> bool:
     return rival.effort >= agent.effort and rival.rate >= agent.rate
 
 
-def _kind(leads: Sequence[Estimate], led: Sequence[bool]) -> tuple[str, str, str]:
+def _kind(leads: Sequence[LeadEstimate], led: Sequence[bool]) -> tuple[str, str, str]:
     if not leads:
         return "-", "-", "-"
     least = min(leads, key=lambda lead: lead.value)

@@ -21,14 +21,14 @@ from baselines.evaluation.metrics import resamplings, seed_shares
 
 LEVEL = 0.05
 """Chance of a single wrong statement among all of a table, after Holm's correction."""
-WORST = 0.01
+WORST_LEFT_OUT = 0.01
 """Share of each side's episodes, its worst ones, that are left out where they are."""
-KINDS = ("pooled", "storm", "median", "geometric mean", "without worst 1 %")
+COMPARISONS = ("pooled", "storm", "median", "geometric mean", "without worst 1 %")
 """How the tails of two sides are compared, see `ratios`."""
 
 
 @dataclass(frozen=True)
-class Estimate:
+class LeadEstimate:
     """What is found of a comparison."""
 
     value: float
@@ -36,7 +36,7 @@ class Estimate:
     p: float  # that there is no difference, two-sided, before any correction
 
 
-def differences(rival: Sequence[Array], own: Sequence[Array]) -> Estimate:
+def differences(rival: Sequence[Array], own: Sequence[Array]) -> LeadEstimate:
     """Return by how much own tails are smaller than a rival's, the mean over episodes [m]; 0: no difference.
 
     Args:
@@ -47,8 +47,8 @@ def differences(rival: Sequence[Array], own: Sequence[Array]) -> Estimate:
     return _estimate(draws.mean(draws.rival - draws.own) / draws.episodes)
 
 
-def ratios(rival: Mapping[str, Array], own: Mapping[str, Array]) -> dict[str, Estimate]:
-    """Return own tails over a rival's in each of the `KINDS`; below 1 is nearer to the path.
+def ratios(rival: Mapping[str, Array], own: Mapping[str, Array]) -> dict[str, LeadEstimate]:
+    """Return own tails over a rival's in each of the `COMPARISONS`; below 1 is nearer to the path.
 
     `pooled` is the ratio of the means, `storm` that in the storm alone, `median` and `geometric mean` those of the
     ratios of single episodes, and the last one `pooled` without the episodes that are among the worst 1 % of a side.
@@ -97,7 +97,7 @@ class _Draws:
         """Return the logarithm of own tails over the rival's, sums over the episodes that are kept, shape (S, M)."""
         return np.asarray(np.log(self.mean(self.own * kept) / self.mean(self.rival * kept)))
 
-    def median(self, values: Array) -> Estimate:
+    def median(self, values: Array) -> LeadEstimate:
         """Return the estimate of the median of values, shape (S, M), as a factor: they are logarithms.
 
         Its interval is that of R. S. Woodruff ("Confidence intervals for medians and other position measures", Journal
@@ -109,7 +109,7 @@ class _Draws:
         reach = spread * float(stats.norm.ppf(0.975))
         low, high = np.exp(np.quantile(values, np.clip((0.5 - reach, 0.5 + reach), 0.0, 1.0))).tolist()
         p = _estimate(self.mean(values < 0) / self.episodes - 0.5).p
-        return Estimate(math.exp(middle), (low, high), p)
+        return LeadEstimate(math.exp(middle), (low, high), p)
 
     def _sums(self, values: Array | NDArray[np.bool_]) -> Array:
         parts = np.split(
@@ -120,11 +120,11 @@ class _Draws:
 
 def _worst(tails: Array) -> NDArray[np.bool_]:
     """Return which of the tails, shape (S, M), are the worst ones of their seed."""
-    count = math.ceil(WORST * tails.shape[1] - 1e-9)
+    count = math.ceil(WORST_LEFT_OUT * tails.shape[1] - 1e-9)
     return np.asarray(tails.shape[1] - count <= np.argsort(np.argsort(tails, axis=1), axis=1))
 
 
-def _estimate(values: Array, shown: Callable[[Array], Array] = np.asarray) -> Estimate:
+def _estimate(values: Array, shown: Callable[[Array], Array] = np.asarray) -> LeadEstimate:
     """Return the estimate of a value, which is 0 without a difference, from it and its bootstrap samples.
 
     Args:
@@ -134,4 +134,4 @@ def _estimate(values: Array, shown: Callable[[Array], Array] = np.asarray) -> Es
     distance, spread = abs(float(values[0])), float(np.std(values[1:], ddof=1))
     p = 1.0 if not distance else 2 * float(stats.norm.sf(distance / spread)) if spread else 0.0
     value, low, high = shown(np.array([values[0], *np.quantile(values[1:], (0.025, 0.975))])).tolist()
-    return Estimate(value, (low, high), p)
+    return LeadEstimate(value, (low, high), p)

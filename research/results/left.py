@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from baselines.evaluation.report.columns import NONE
 from baselines.evaluation.score import FORESIGHTED, RIVAL, fixed, regime_of
-from research.lower_bounds.floor.command import PROGRAM, Floor, kept
+from research.lower_bounds.floor.command import PROGRAM, Floor, recorded_floors
 from research.pages import table
 from research.results.collection import Results
 
@@ -17,7 +17,7 @@ _FLOOR = "floor"
 
 def what_is_left(results: Results) -> list[str]:
     """Return the section with the floor, the rival and the best policy of each regime; [] where no floor is known."""
-    floors = kept(results.suite.source[1])
+    floors = recorded_floors(results.suite.source[1])
     if not floors or results.suite.anchors.one not in results.tails:
         return []
     parts = [_TEXT]

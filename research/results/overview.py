@@ -13,13 +13,13 @@ from auv_gym.scenarios.scenario import RandomPath
 from baselines.evaluation.metrics import bootstrap_interval
 from baselines.evaluation.report.columns import COLUMNS, lost_text
 from baselines.evaluation.report.numbers import Entry
-from baselines.evaluation.score import BOUND
+from baselines.evaluation.score import OPTIMUM_POLICY
 from baselines.tools.figure_style import COLOURS, MARKERS, panels, styled, to_png
-from research.lower_bounds.floor.command import kept as estimation_bounds
+from research.lower_bounds.floor.command import recorded_floors as estimation_bounds
 from research.results.collection import Results, results_of
 
 _SUITE = "benchmark-v2"
-POLICIES = {
+_POLICIES = {
     "backstepping": "the paper's law; the vehicle's parameters",
     "los-pid": "line of sight and PID; tuned gains",
     "lqi": "linear-quadratic regulator with integrals; tuned gains",
@@ -37,7 +37,7 @@ def context(_: str = "") -> dict[str, Any]:
     """Return the values of the page's template."""
     results = _results()
     rows = []
-    for name, needs in POLICIES.items():
+    for name, needs in _POLICIES.items():
         slow, cruise = (_entry(results, name.format(regime), regime) for regime in REGIMES)
         episodes = sum(entry.summary.episodes for entry in (slow, cruise) if entry.summary is not None)
         rates = " / ".join(_text(entry, "smoothness_ratio") for entry in (slow, cruise))
@@ -50,7 +50,7 @@ def context(_: str = "") -> dict[str, Any]:
         "episodes": sum(len(cell.episodes) for cell in results.suite.cells),
         "speeds": {regime: " to ".join(f"{speed:g}" for speed in _speeds(regime)) for regime in REGIMES},
         "ratios": {regime: _mean(results, "helm", regime) / _mean(results, "nmpc", regime) for regime in REGIMES},
-        "optimum": {regime: 1e3 * _mean(results, BOUND, regime) for regime in REGIMES},
+        "optimum": {regime: 1e3 * _mean(results, OPTIMUM_POLICY, regime) for regime in REGIMES},
         "estimation": {regime: 1e3 * _estimation(results, regime) for regime in REGIMES},
     }
 
@@ -94,7 +94,7 @@ def _speeds(regime: str) -> tuple[float, float]:
 
 def _estimation(results: Results, regime: str) -> float:
     """Return the estimation lower bound [m], the mean over cases; where measurements are exact it is the optimum's."""
-    bounds, best = estimation_bounds(results.suite.source[1]), results.tails[BOUND]
+    bounds, best = estimation_bounds(results.suite.source[1]), results.tails[OPTIMUM_POLICY]
     names = [f"{regime}-{case}" for case in CASES]
     return float(np.mean([max(bounds[name].tail_m, best[name]) if name in bounds else best[name] for name in names]))
 
@@ -107,14 +107,14 @@ def _error(tails: Array) -> str:
 
 def _errors(results: Results) -> Any:
     figure, [axes] = panels(1, 2, (8.2, 3.4), sharey=True)
-    names = list(POLICIES)
+    names = list(_POLICIES)
     for ax, regime in zip(axes, REGIMES, strict=True):
         for i, name in enumerate(names):
             tails = 1e3 * _tails(results, name.format(regime), regime)
             ax.plot(bootstrap_interval(tails), [i, i], color=COLOURS[0], linewidth=2)
             ax.plot(tails.mean(), i, color=COLOURS[0], marker=MARKERS[0], markersize=5)
         for value, label, style in (
-            (1e3 * _mean(results, BOUND, regime), "full-information optimum", "-"),
+            (1e3 * _mean(results, OPTIMUM_POLICY, regime), "full-information optimum", "-"),
             (1e3 * _estimation(results, regime), "estimation lower bound", "--"),
         ):
             ax.axvline(value, color=COLOURS[1], linestyle=style, linewidth=1.2, label=label)
@@ -129,7 +129,7 @@ def _errors(results: Results) -> Any:
 def _heat_map(results: Results) -> Any:
     names = [f"{regime}-{case}" for regime in REGIMES for case in CASES]
     values = np.array([
-        [1e3 * results.tails[policy.format(name.partition("-")[0])][name] for name in names] for policy in POLICIES
+        [1e3 * results.tails[policy.format(name.partition("-")[0])][name] for name in names] for policy in _POLICIES
     ])  # fmt: skip
     figure, [[ax]] = panels(1, 1, (9.4, 3.6))
     image = ax.imshow(values, aspect="auto", cmap="viridis_r", norm=LogNorm(0.1, 1000))
@@ -144,7 +144,7 @@ def _heat_map(results: Results) -> Any:
             color="white" if value > 20 else "black",
         )
     ax.set_xticks(range(len(names)), names, rotation=40, ha="right", rotation_mode="anchor")
-    ax.set_yticks(range(len(POLICIES)), [name.format("*") for name in POLICIES])
+    ax.set_yticks(range(len(_POLICIES)), [name.format("*") for name in _POLICIES])
     ax.grid(visible=False)
     figure.colorbar(image, ax=ax, label="mean steady-state error [mm]")
     return figure

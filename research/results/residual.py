@@ -11,18 +11,18 @@ from auv_gym.scenarios.presets import CASES, REGIMES
 from baselines.evaluation.metrics import share_interval
 from baselines.evaluation.score import EXPERT, LARGEST_TAIL, Score, fixed, fixed_ends, seeds_score
 from research.pages import table
-from research.results.residual_file import CURVE, RESIDUAL, SCRATCH, SHIPPED, STUCK, Group
-from research.robustness.failures import LIMITS
-from research.robustness.situations import FASTER, NORMAL, SITUATIONS, SLOWER, WORLDS
+from research.results.residual_file import CURVE_COLUMNS, RESIDUAL_KIND, SCRATCH, SHIPPED_KIND, STUCK, ResidualGroup
+from research.robustness.failures import SATURATED
+from research.robustness.situations import AS_TRAINED, FASTER, SITUATIONS, SLOWER, WORLDS
 
-SHOWN = {RESIDUAL: 0.5, SCRATCH: 1.0}
+SHOWN = {RESIDUAL_KIND: 0.5, SCRATCH: 1.0}
 """Authorities of the first table and of the learning curves: the usual one, and all that a vehicle has."""
 MILESTONES = (0.0, 0.1e6, 0.2e6, 0.4e6, 0.8e6, 1e6)
 """Control steps at which the first minutes are looked at."""
 FIGURE = "residual.png"  # file in images/ of the drawn part
 
 
-def what_it_is_for(groups: Sequence[Group]) -> str:
+def what_it_is_for(groups: Sequence[ResidualGroup]) -> str:
     """Return the section's text; "" where nothing is kept."""
     if not groups:
         return ""
@@ -42,7 +42,7 @@ def what_it_is_for(groups: Sequence[Group]) -> str:
     return "\n\n".join(part for part in parts if part)
 
 
-def mean_error(group: Group, situation: str) -> Score:
+def mean_error(group: ResidualGroup, situation: str) -> Score:
     """Return the mean capped tail [m] of agents in a situation, its interval over training seeds and episodes.
 
     It is the score of 1 - error between yardsticks of 1 and 0, so that both have one bootstrap.
@@ -52,36 +52,36 @@ def mean_error(group: Group, situation: str) -> Score:
     return seeds_score(ones, [1.0 - own for own in seeds], [np.zeros_like(one) for one in ones])
 
 
-def lost_share(group: Group, situation: str) -> Score:
+def lost_share(group: ResidualGroup, situation: str) -> Score:
     """Return the share of the episodes lost, its interval (Clopper and Pearson) over the episodes of all seeds."""
     lost = group.lost(situation)
     return Score(float(lost.mean()), share_interval(int(lost.sum()), lost.size))
 
 
-def of(groups: Sequence[Group], regime: str, kind: str) -> list[Group]:
+def of(groups: Sequence[ResidualGroup], regime: str, kind: str) -> list[ResidualGroup]:
     """Return the groups of a kind in a regime, those of small authority first, then those of small error."""
     own = [group for group in groups if (group.regime, group.kind) == (regime, kind)]
     return sorted(own, key=lambda group: (group.authority or 0.0, next(iter(group.tails.values())).mean()))
 
 
-def law(groups: Sequence[Group], regime: str) -> Group | None:
+def law(groups: Sequence[ResidualGroup], regime: str) -> ResidualGroup | None:
     """Return what the expert alone does in a regime."""
-    return next((group for group in of(groups, regime, SHIPPED) if group.name == EXPERT), None)
+    return next((group for group in of(groups, regime, SHIPPED_KIND) if group.name == EXPERT), None)
 
 
-def _shown(groups: Sequence[Group], regime: str) -> list[Group]:
+def _shown(groups: Sequence[ResidualGroup], regime: str) -> list[ResidualGroup]:
     """Return the groups of the first table: the law, then the kinds with the authority that is shown."""
     first = law(groups, regime)
     rest = [g for kind, authority in SHOWN.items() for g in of(groups, regime, kind) if g.authority == authority]
     return [*([first] if first else []), *rest]
 
 
-def _title(group: Group) -> str:
-    return "the law alone" if group.kind == SHIPPED else f"{group.kind}, authority {group.authority:g}"
+def _title(group: ResidualGroup) -> str:
+    return "the law alone" if group.kind == SHIPPED_KIND else f"{group.kind}, authority {group.authority:g}"
 
 
-def _setting(shown: Sequence[Group], regime: str) -> str:
-    counts = "; ".join(f"{_title(g)}: {_counts(*g.tails[NORMAL].shape)}" for g in shown)
+def _setting(shown: Sequence[ResidualGroup], regime: str) -> str:
+    counts = "; ".join(f"{_title(g)}: {_counts(*g.tails[AS_TRAINED].shape)}" for g in shown)
     return (
         f"### {regime}\n\n{counts}. *faster* is {_speeds(FASTER[regime])}, *slower* {_speeds(SLOWER[regime])}. An "
         f"episode is lost from a tail of {LARGEST_TAIL[regime]:g} m on."
@@ -96,7 +96,7 @@ def _speeds(interval: tuple[float, float]) -> str:
     return f"{interval[0]:g} to {interval[1]:g} m/s"
 
 
-def _comparison(shown: Sequence[Group]) -> str:
+def _comparison(shown: Sequence[ResidualGroup]) -> str:
     """Return error and lost episodes of a few groups, a row for each situation."""
     heads = [f"{_title(g)}: {what}" for g in shown for what in ("error [cm]", "lost", "by seed")]
     heads = [head for head in heads if head != "the law alone: by seed"]
@@ -104,9 +104,9 @@ def _comparison(shown: Sequence[Group]) -> str:
     return table(("situation", *heads), rows)
 
 
-def _cells(group: Group, situation: str) -> list[str]:
+def _cells(group: ResidualGroup, situation: str) -> list[str]:
     """Return error, lost episodes and, of several seeds, the least and most of one seed."""
-    several = len(group.tails[NORMAL]) > 1
+    several = len(group.tails[AS_TRAINED]) > 1
     if situation not in group.tails:
         return ["-"] * (2 + several)
     seeds = 100 * group.lost(situation).mean(axis=1)
@@ -114,7 +114,7 @@ def _cells(group: Group, situation: str) -> list[str]:
     return [_error_text(group, situation), share_text(lost_share(group, situation)), *by_seed]
 
 
-def _error_text(group: Group, situation: str) -> str:
+def _error_text(group: ResidualGroup, situation: str) -> str:
     error = mean_error(group, situation)
     return f"{fixed(100 * error.mean, 1)} ({fixed_ends([100 * end for end in error.ci95], 1)})"
 
@@ -124,7 +124,7 @@ def share_text(share: Score) -> str:
     return f"{fixed(100 * share.mean, 1)} % ({fixed_ends([100 * end for end in share.ci95], 1)})"
 
 
-def bounded(groups: Sequence[Group]) -> str:
+def bounded(groups: Sequence[ResidualGroup]) -> str:
     """Return how many episodes are lost with a correction that is stuck at its limit, by authority and regime."""
     own = {(g.regime, g.authority or 0.0): g for regime in REGIMES for g in of(groups, regime, STUCK)}
     rows = [
@@ -133,15 +133,15 @@ def bounded(groups: Sequence[Group]) -> str:
             *(
                 share_text(lost_share(own[regime, authority], limit)) if (regime, authority) in own else "-"
                 for regime in REGIMES
-                for limit in LIMITS
+                for limit in SATURATED
             ),
         ]
         for authority in sorted({authority for _, authority in own})
     ]
-    return table(("authority", *(f"{r}: {limit}" for r in REGIMES for limit in LIMITS)), rows) if rows else ""
+    return table(("authority", *(f"{r}: {limit}" for r in REGIMES for limit in SATURATED)), rows) if rows else ""
 
 
-def minutes(groups: Sequence[Group]) -> str:
+def minutes(groups: Sequence[ResidualGroup]) -> str:
     """Return the errors after so many control steps of training, mean and range over seeds."""
     followed = [g for g in _shown(groups, "cruise") if g.curves]
     rows = []
@@ -153,10 +153,10 @@ def minutes(groups: Sequence[Group]) -> str:
     return table(("control steps", *heads), rows) if followed else ""
 
 
-def at(group: Group, steps: float) -> tuple[Array, Array]:
+def at(group: ResidualGroup, steps: float) -> tuple[Array, Array]:
     """Return mean errors [m] and shares lost of each seed at the validation nearest to so many steps, shape (S,)."""
     nearest = [curve[np.abs(curve[:, 0] - steps).argmin()] for curve in group.curves]
-    error, lost = (np.array([row[CURVE.index(name)] for row in nearest]) for name in ("error_m", "lost"))
+    error, lost = (np.array([row[CURVE_COLUMNS.index(name)] for row in nearest]) for name in ("error_m", "lost"))
     return error, lost
 
 
@@ -189,10 +189,11 @@ MINUTES = """### The first minutes
 What the agents do on validation episodes after so many control steps: mean over seeds, behind it the least and the
 most of a seed. Zero steps of a residual are the law; from scratch a hundred thousand steps still lose everything, and
 after four hundred thousand the two are level."""
+_OTHER_WORLDS = [name for name in WORLDS if name != AS_TRAINED]
 _CAVEATS = f"""### What this does not show
 
 Whatever notices that a network is dead can switch to the law, and save an agent
 from scratch as well; a residual needs nobody to notice. Held, stuck and shuffled outputs are four failures of many, and
 none of an expert, a sensor or a thruster. Agents of a million steps are not at their best; the failures of longer
-trained ones are under *What ships*. {", ".join(f"*{name}*" for name in WORLDS if name != NORMAL)} are of the same eight
+trained ones are under *What ships*. {", ".join(f"*{name}*" for name in _OTHER_WORLDS)} are of the same eight
 cases, and lost episodes there are few where agents were trained to the end."""

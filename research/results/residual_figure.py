@@ -11,30 +11,30 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
 from auv_gym.scenarios.presets import REGIMES
-from baselines.tools.figure_style import COLOURS, DASHES, LOOKS, REFERENCE, panels, styled, to_png
+from baselines.tools.figure_style import COLOURS, DASHES, LOOKS, REFERENCE_STYLE, panels, styled, to_png
 from research.results.residual import FIGURE, SHOWN, law, lost_share, mean_error, of, what_it_is_for
-from research.results.residual_file import FILE, RESIDUAL, SCRATCH, STUCK, Group, load
-from research.robustness.failures import FAILURES, LIMITS
-from research.robustness.situations import NORMAL
+from research.results.residual_file import RESIDUAL_FILE, RESIDUAL_KIND, SCRATCH, STUCK, ResidualGroup, load_groups
+from research.robustness.failures import FAILURES, SATURATED
+from research.robustness.situations import AS_TRAINED
 
 _REGIME = "cruise"
 """The regime of the figure: the one in which every authority is trained."""
 TICKS = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)
 """Authorities that are marked on an axis."""
-_KINDS = {RESIDUAL: LOOKS[0], SCRATCH: LOOKS[1]}  # how each kind of agent is drawn
+_KINDS = {RESIDUAL_KIND: LOOKS[0], SCRATCH: LOOKS[1]}  # how each kind of agent is drawn
 
 
 def context(_: str) -> dict[str, Any]:
     """Return the body of the page about residuals."""
-    return {"body": what_it_is_for(load(FILE))}
+    return {"body": what_it_is_for(load_groups(RESIDUAL_FILE))}
 
 
 def figures(_: str) -> dict[str, bytes]:
     """Return the figure of the page as PNG by name."""
-    return {FIGURE: to_png(residual_figure(load(FILE)))}
+    return {FIGURE: to_png(residual_figure(load_groups(RESIDUAL_FILE)))}
 
 
-def residual_figure(groups: Sequence[Group]) -> Figure:
+def residual_figure(groups: Sequence[ResidualGroup]) -> Figure:
     """Return the figure; a group without its neighbours is drawn alone."""
     figure, [[errors, first], below] = panels(2, 2, (7.6, 6.2))
     with styled():
@@ -46,17 +46,17 @@ def residual_figure(groups: Sequence[Group]) -> Figure:
     return figure
 
 
-def _errors(ax: Axes, groups: Sequence[Group]) -> None:
+def _errors(ax: Axes, groups: Sequence[ResidualGroup]) -> None:
     """Draw the errors as trained over authority: mean with interval, and every seed."""
     for kind, look in _KINDS.items():
         own = of(groups, _REGIME, kind)
         x = np.array([group.authority for group in own], dtype=np.float64)
-        scores = [mean_error(group, NORMAL) for group in own]
+        scores = [mean_error(group, AS_TRAINED) for group in own]
         ends = 100 * np.array([score.ci95 for score in scores]).reshape(-1, 2)
         ax.fill_between(x, ends[:, 0], ends[:, 1], color=look.colour, alpha=0.15, linewidth=0)
         ax.plot(x, [100 * score.mean for score in scores], **look.line, label=kind)
         for group in own:
-            seeds = 100 * group.tails[NORMAL].mean(axis=1)
+            seeds = 100 * group.tails[AS_TRAINED].mean(axis=1)
             ax.plot(np.full(len(seeds), group.authority), seeds, **{**look.point, "markersize": 3})
     _law(ax, groups)
     _centimetres(ax, "mean tail error [cm]")
@@ -65,9 +65,9 @@ def _errors(ax: Axes, groups: Sequence[Group]) -> None:
     ax.legend(fontsize=8)
 
 
-def _law(ax: Axes, groups: Sequence[Group]) -> None:
+def _law(ax: Axes, groups: Sequence[ResidualGroup]) -> None:
     if (alone := law(groups, _REGIME)) is not None:
-        ax.axhline(100 * mean_error(alone, NORMAL).mean, **REFERENCE, label="the law alone")
+        ax.axhline(100 * mean_error(alone, AS_TRAINED).mean, **REFERENCE_STYLE, label="the law alone")
 
 
 def _centimetres(ax: Axes, label: str) -> None:
@@ -86,7 +86,7 @@ def _authorities(ax: Axes) -> None:
     ax.set_xlabel("authority [share of the limits]")
 
 
-def _failures(ax: Axes, own: Sequence[Group], kind: str) -> None:
+def _failures(ax: Axes, own: Sequence[ResidualGroup], kind: str) -> None:
     """Draw the share of the episodes that each failure loses at the authority that is shown, with its interval."""
     shown = [group for group in own if group.authority == SHOWN[kind]]
     for group in shown:
@@ -104,11 +104,11 @@ def _failures(ax: Axes, own: Sequence[Group], kind: str) -> None:
         ax.legend(fontsize=8, loc="center left", bbox_to_anchor=(0.0, 0.7))
 
 
-def _bounds(ax: Axes, groups: Sequence[Group]) -> None:
+def _bounds(ax: Axes, groups: Sequence[ResidualGroup]) -> None:
     """Draw the share of the episodes that a stuck correction loses over authority, with its interval."""
     for i, regime in enumerate(REGIMES):
         own = of(groups, regime, STUCK)
-        for dash, limit in zip(DASHES, LIMITS, strict=False):
+        for dash, limit in zip(DASHES, SATURATED, strict=False):
             shares = [lost_share(group, limit) for group in own]
             x = np.array([group.authority for group in own], dtype=np.float64)
             ends = 100 * np.array([share.ci95 for share in shares]).reshape(-1, 2)
@@ -121,7 +121,7 @@ def _bounds(ax: Axes, groups: Sequence[Group]) -> None:
     ax.legend(fontsize=7, loc="upper left")
 
 
-def _minutes(ax: Axes, groups: Sequence[Group]) -> None:
+def _minutes(ax: Axes, groups: Sequence[ResidualGroup]) -> None:
     """Draw the learning curves: mean over seeds, and their range."""
     for kind, look in _KINDS.items():
         for group in of(groups, _REGIME, kind):

@@ -10,9 +10,10 @@ from auv_gym.scenarios.presets import REGIMES
 from baselines.evaluation.score import FORESIGHTED, LARGEST_TAIL, RIVAL, capped, fixed, regime_of
 from research.pages import table
 from research.results.collection import Results, results_of
-from research.results.leads import KINDS, LEVEL, WORST, Estimate, holm, ratios
-from research.results.study_files import Study, load_all
+from research.results.leads import COMPARISONS, LEVEL, WORST_LEFT_OUT, LeadEstimate, holm, ratios
+from research.results.study_files import Study, load_studies
 
+_WORST_PERCENT = f"{100 * WORST_LEFT_OUT:.0f}"
 _LEFT_OUT = (*FORESIGHTED, "open-loop", "backstepping", "integral")
 """What the names of policies without a row begin with: those that nobody can be, and those far behind."""
 
@@ -20,7 +21,7 @@ _LEFT_OUT = (*FORESIGHTED, "open-loop", "backstepping", "integral")
 def context(_: str) -> dict[str, Any]:
     """Return the body of the page."""
     results = results_of("benchmark-v2")
-    return {"body": _section(results, load_all()) if results else ""}
+    return {"body": _section(results, load_studies()) if results else ""}
 
 
 def _section(results: Results, studies: Mapping[str, Study]) -> str:
@@ -41,7 +42,7 @@ The score pools errors, so a few bad episodes can make or unmake a lead. Here ar
 same episodes of the benchmark, none counted above the cap, below 1 is nearer: the ratio of the means over all episodes
 (*pooled*) and over the *storm* alone; *median* and *geometric mean* of the ratios of single episodes, in which a calm
 episode with an error of micrometres counts as much as a storm; and the ratio of the means without the episodes that
-are among the worst {100 * WORST:.0f} % of either side. In brackets 95 % intervals by bootstrap over episodes and, where
+are among the worst {_WORST_PERCENT} % of either side. In brackets 95 % intervals by bootstrap over episodes and, where
 there are several, training seeds; in *italics* what differs from 1 no more than chance may, after Holm's correction
 over all entries of the table. The paper's law, its variants with an integral and `open-loop` are far behind and left
 out."""
@@ -60,10 +61,10 @@ def _regime(results: Results, studies: Mapping[str, Study], regime: str) -> str:
     entries = [(policy, kind) for policy, (_, found) in sides.items() for kind in found]
     corrected = dict(zip(entries, holm([sides[policy][1][kind].p for policy, kind in entries]), strict=True))
     rows = [
-        [f"`{policy}`", str(seeds), *(_text(found[kind], corrected[policy, kind]) for kind in KINDS)]
+        [f"`{policy}`", str(seeds), *(_text(found[kind], corrected[policy, kind]) for kind in COMPARISONS)]
         for policy, (seeds, found) in sorted(sides.items(), key=lambda side: side[1][1]["pooled"].value)
     ]
-    return table([regime, "seeds", *KINDS], rows)
+    return table([regime, "seeds", *COMPARISONS], rows)
 
 
 def tails_of(policy: str, results: Results, studies: Mapping[str, Study], regime: str) -> dict[str, Array]:
@@ -82,7 +83,7 @@ def tails_of(policy: str, results: Results, studies: Mapping[str, Study], regime
     return {r.scenario.name: capped(r.measures, LARGEST_TAIL[regime])[None] for r in found if r.measures is not None}
 
 
-def _text(estimate: Estimate, p: float) -> str:
+def _text(estimate: LeadEstimate, p: float) -> str:
     low, high = (_digits(end) for end in estimate.ci95)
     text = f"{_digits(estimate.value)} ({low} ... {high})"
     return text if p < LEVEL else f"*{text}*"

@@ -12,10 +12,10 @@ from matplotlib.ticker import LogLocator
 from auv_gym.physics.namespaces import Array
 from baselines.evaluation.report.columns import lost_text
 from baselines.evaluation.score import EXPERT, RIVAL, capped, interval_text, largest_tail, lead, score_text, seeds_score
-from baselines.tools.figure_style import LOOKS, REFERENCE, panels, to_png
+from baselines.tools.figure_style import LOOKS, REFERENCE_STYLE, panels, to_png
 from research.pages import table
 from research.results.collection import Results, results_of
-from research.results.study_files import InSuite, Study, load_all
+from research.results.study_files import InSuite, Study, load_studies
 
 """The strongest of the controllers that do not learn."""
 SHORT = "short-"
@@ -25,15 +25,15 @@ SHORT = "short-"
 def context(_: str) -> dict[str, Any]:
     """Return the body of the page."""
     results = results_of("benchmark-v2")
-    return {"body": section(load_all(), [results] if results else [])}
+    return {"body": studies_section(load_studies(), [results] if results else [])}
 
 
 def figures(_: str) -> dict[str, bytes]:
     """Return the learning curves as PNG by name."""
-    return {name: to_png(curves_figure(own)) for name, own in figures_of(load_all()).items()}
+    return {name: to_png(curves_figure(own)) for name, own in figures_of(load_studies()).items()}
 
 
-def section(studies: Mapping[str, Study], found: Sequence[Results]) -> str:
+def studies_section(studies: Mapping[str, Study], found: Sequence[Results]) -> str:
     """Return the section's text for studies and what is recorded of the suites."""
     if not studies:
         return ""
@@ -133,7 +133,7 @@ def curves_figure(studies: Mapping[str, Study]) -> Figure:
         axes, (0, 1), (1e6, 60.0), ("control steps [million]", "wall time [min]"), strict=True
     ):
         ax.set_xlabel(label)
-        ax.axhline(0.0, **REFERENCE)
+        ax.axhline(0.0, **REFERENCE_STYLE)
         for i, (name, study) in enumerate(studies.items()):
             x = np.mean([curve[:, column] for curve in study.curves], axis=0) / unit
             scores = np.array([curve[:, 2] for curve in study.curves])

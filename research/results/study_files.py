@@ -15,12 +15,12 @@ from auv_gym.physics.namespaces import Array
 from baselines.evaluation import suites
 from baselines.evaluation.metrics import Ended, Measures
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import capped, in_paper_units, largest_tail, losses
+from baselines.evaluation.score import capped, in_paper_metres, largest_tail, losses
 from baselines.evaluation.store import Stored, reading, write
 from baselines.tools.files import versions
 from research import DATA
 
-FOLDER = DATA / "studies"
+STUDIES_FOLDER = DATA / "studies"
 _CURVE = ("timesteps", "seconds", "score")
 """Columns of a learning curve."""
 
@@ -46,11 +46,11 @@ class InSuite:
         """
         if failed := [run for own in runs for run in own if run.measures is None]:
             raise ValueError(f"{failed[0].policy} failed in {failed[0].scenario.name}: {failed[0].error}")
-        measures = [[in_paper_units(r.measures, r.scenario) for r in own if r.measures is not None] for own in runs]
+        measures = [[in_paper_metres(r.measures, r.scenario) for r in own if r.measures is not None] for own in runs]
         whole = [Measures.joined(own) for own in measures]
         by_cell = list(zip(*measures, strict=True))
         return cls(
-            suites.load(suite).hash,
+            suites.load_suite(suite).hash,
             tuple(run.scenario.name for run in runs[0]),
             tuple(np.stack([m.tail for m in cell]) for cell in by_cell),
             tuple(np.stack([m.lost for m in cell]) for cell in by_cell),
@@ -111,19 +111,19 @@ class Study:
         )
 
 
-def save(name: str, study: Study, folder: Path = FOLDER) -> None:
+def save_study(name: str, study: Study, folder: Path = STUDIES_FOLDER) -> None:
     """Write a study to its file."""
     arrays: dict[str, Any] = {f"curve/{i}": curve for i, curve in enumerate(study.curves)}
     record: dict[str, Any] = {key: getattr(study, key) for key in ("about", "regime", "command", "date")}
     record |= {"versions": dict(study.versions), "suites": {}}
     for suite, found in study.suites.items():
-        record["suites"][suite], own = packed(suite, found)
+        record["suites"][suite], own = packed_study(suite, found)
         arrays |= own
     write(folder / f"{name}.npz", Stored(record, arrays))
 
 
-def packed(suite: str, found: InSuite) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Return what agents do in a suite as plain JSON and arrays by name, see `unpacked`."""
+def packed_study(suite: str, found: InSuite) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return what agents do in a suite as plain JSON and arrays by name, see `unpacked_study`."""
     entry = asdict(found)
     arrays: dict[str, NDArray[Any]] = {}
     for key in ("tails", "lost"):
@@ -134,10 +134,10 @@ def packed(suite: str, found: InSuite) -> tuple[dict[str, Any], dict[str, NDArra
     return entry, arrays
 
 
-def unpacked(suite: str, packed_entry: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> InSuite | None:
+def unpacked_study(suite: str, packed_entry: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> InSuite | None:
     """Return what agents do in a suite from plain JSON and arrays; None if the suite is another one since."""
     entry = dict(packed_entry)
-    if entry["hash"] != suites.load(suite).hash:
+    if entry["hash"] != suites.load_suite(suite).hash:
         return None
     bounds = np.cumsum(entry.pop("lengths"))[:-1]
     tails, lost = (tuple(np.split(arrays[f"{suite}/{key}"], bounds, axis=1)) for key in ("tails", "lost"))
@@ -146,7 +146,7 @@ def unpacked(suite: str, packed_entry: Mapping[str, Any], arrays: Mapping[str, N
     return InSuite(tails=tuple(t.astype(np.float64) for t in tails), lost=lost, **entry, **values)
 
 
-def load_all(folder: Path = FOLDER) -> dict[str, Study]:
+def load_studies(folder: Path = STUDIES_FOLDER) -> dict[str, Study]:
     """Return the studies that are kept, by name; what they say of a suite that has changed since is left out.
 
     Raises:
@@ -158,7 +158,7 @@ def load_all(folder: Path = FOLDER) -> dict[str, Study]:
 def _load(file: Path) -> Study:
     with reading(file) as stored:
         record, arrays = dict(stored.record), stored.arrays
-        all_of = {suite: unpacked(suite, entry, arrays) for suite, entry in record.pop("suites").items()}
+        all_of = {suite: unpacked_study(suite, entry, arrays) for suite, entry in record.pop("suites").items()}
         found = {suite: own for suite, own in all_of.items() if own is not None}
         curves = [arrays[f"curve/{i}"] for i in range(sum(name.startswith("curve/") for name in arrays))]
         return Study(**record, suites=found, curves=tuple(curves))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from baselines.evaluation.report.columns import Column, ranked, used
-from baselines.evaluation.score import BOUND, ORACLE
+from baselines.evaluation.score import OPTIMUM_POLICY, ORACLE
 from research.lower_bounds import bound
 from research.pages import table
 from research.results.collection import ROUNDING, Results, better_than, results_of
@@ -64,18 +64,20 @@ def _regime(results: Results, regime: str) -> str:
 
 def _bound(results: Results) -> str:
     """Return what the full-information optimum leaves to gain, and which policy is better than it."""
-    if BOUND not in results.tails:
-        return f"`{BOUND}` is not recorded yet."
-    least, most = (1e3 * end(results.tails[BOUND].values()) for end in (min, max))
-    beaten = [(c, p) for c, p, gain in better_than(BOUND, results) if gain > ROUNDING]
+    if OPTIMUM_POLICY not in results.tails:
+        return f"`{OPTIMUM_POLICY}` is not recorded yet."
+    least, most = (1e3 * end(results.tails[OPTIMUM_POLICY].values()) for end in (min, max))
+    beaten = [(c, p) for c, p, gain in better_than(OPTIMUM_POLICY, results) if gain > ROUNDING]
     names = ", ".join(f"`{policy}` in `{case}`" for case, policy in beaten) or "none"
     first = len(results.suite.cells) - len({case for case, _, _ in better_than(ORACLE, results)})
-    counts = bound.kept()
+    counts = bound.optimum_counts()
     tried = {cell.scenario.name for cell in results.suite.cells} <= set(counts)
-    held_out = f" On held-out episodes of these cases: {bound.told(counts)}." if tried else ""
+    held_out = f" On held-out episodes of these cases: {bound.in_words(counts)}." if tried else ""
     return (
-        f"`{BOUND}`, the full-information optimum, knows everything in advance and optimises its commands over the "
-        f"whole episode. Its mean error is {least:.3f} to {most:.3f} mm, case by case. Policies that are better by "
-        f"more than the {1e3 * ROUNDING:g} mm to which it is solved: {names}. Of all other policies `{ORACLE}` has the "
+        f"`{OPTIMUM_POLICY}`, the full-information optimum, knows everything in advance and optimises its commands "
+        f"over the whole episode. Its mean error is {least:.3f} to {most:.3f} mm, case by case. Policies that "
+        f"are better "
+        f"by more than the {1e3 * ROUNDING:g} mm to which it is solved: {names}. Of all other policies "
+        f"`{ORACLE}` has the "
         f"smallest mean error in {first} of {len(results.suite.cells)} cases.{held_out}"
     )

@@ -16,9 +16,9 @@ from baselines.evaluation.metrics import Measures
 from baselines.evaluation.report.columns import lost_text
 from baselines.evaluation.report.numbers import measures_of
 from baselines.evaluation.score import (
-    BOUND,
     EXPERT,
     FORESIGHTED,
+    OPTIMUM_POLICY,
     RIVAL,
     Score,
     capped,
@@ -37,10 +37,10 @@ from baselines.evaluation.score import (
 from baselines.tools.figure_style import panels, styled, to_png
 from research.pages import table
 from research.results.collection import ROUNDING, Results, results_of
-from research.results.study_files import InSuite, Study, load_all
+from research.results.study_files import InSuite, Study, load_studies
 
-SUITE = "vehicles-v1"  # what the section is about
-_FIGURE = f"results-{SUITE}.png"  # its figure
+VEHICLES_SUITE = "vehicles-v1"  # what the section is about
+_FIGURE = f"results-{VEHICLES_SUITE}.png"  # its figure
 CALM = "calm"  # the case without a trouble, whose errors are those of rounding
 LEAST, MOST = 0.1, 10.0  # ratios from which on the figure has its darkest colours
 _SMALL = 1e-3  # [m of the paper's vehicle] below which one column takes every error to be as good
@@ -108,26 +108,29 @@ def _mean(values: Iterable[Array]) -> float:
     return float(np.concatenate(list(values)).mean())
 
 
-def shown(results: Results | None) -> TypeGuard[Results]:
+def _shown(results: Results | None) -> TypeGuard[Results]:
     """Return whether enough is recorded of the suite: its anchors and the rival."""
     return results is not None and RIVAL in results.policies
 
 
-def section(results: Results | None, studies: Mapping[str, Study]) -> str:
+def vehicles_section(results: Results | None, studies: Mapping[str, Study]) -> str:
     """Return the section's text for what is recorded of the suite, and for agents of several seeds that ran in it.
 
     Args:
         results: None where the anchors are not recorded.
         studies: by name.
     """
-    if not shown(results):
-        return f"## {SUITE}\n\nNot recorded yet: `python -m research suites record {SUITE}`."
+    if not _shown(results):
+        return f"## {VEHICLES_SUITE}\n\nNot recorded yet: `python -m research suites record {VEHICLES_SUITE}`."
     regimes = list(dict.fromkeys(regime_of(cell.scenario.name) or "" for cell in results.suite.cells))
     pairs = {regime: pairs_of(results, regime) for regime in regimes}
     everywhere = [policy for policy in pairs[regimes[0]] if all(policy in own for own in pairs.values())]
     whole = nearest_first({policy: Pair.joined([own[policy] for own in pairs.values()]) for policy in everywhere})
     parts = [_introduction(results)]
-    for heading, own in ((f"{SUITE}, all cells", whole), *((f"{SUITE}, {r}", pairs[r]) for r in regimes)):
+    for heading, own in (
+        (f"{VEHICLES_SUITE}, all cells", whole),
+        *((f"{VEHICLES_SUITE}, {r}", pairs[r]) for r in regimes),
+    ):
         parts += [f"### {heading}", *_together(results, own), *of_seeds(own[RIVAL].own, studies)]
     parts += [MAP, f"![Errors by vehicle](images/{_FIGURE})"]
     return "\n\n".join([*parts, _anchors(results), _CAVEATS])
@@ -135,7 +138,7 @@ def section(results: Results | None, studies: Mapping[str, Study]) -> str:
 
 def context(_: str) -> dict[str, Any]:
     """Return the body of the page."""
-    return {"body": section(results_of(SUITE), load_all())}
+    return {"body": vehicles_section(results_of(VEHICLES_SUITE), load_studies())}
 
 
 def vehicles_of(results: Results) -> list[str]:
@@ -160,9 +163,10 @@ def _introduction(results: Results) -> str:
     episodes = sum(len(cell.episodes) for cell in cells)
     dates = sorted({run.recorded.date for run in results.runs if run.recorded is not None})
     return (
-        f"## {SUITE}\n\n{len(vehicles_of(results))} published vehicles ([Vehicles](vehicles.md)), none of them the "
-        f"paper's, each in the eight cases at its own speeds: {len(cells)} cells, {episodes} episodes, SHA-256 "
-        f"`{suite.hash}`. Every policy is made for each vehicle, which it is told as the plan knows it. Recorded: "
+        f"## {VEHICLES_SUITE}\n\n{len(vehicles_of(results))} published vehicles ([Vehicles](vehicles.md)), none of "
+        f"them the paper's, each in the eight cases at its own speeds: {len(cells)} cells, {episodes} episodes, "
+        f"SHA-256 `{suite.hash}`. Every policy is made for each vehicle, which it is told as the plan knows "
+        f"it. Recorded: "
         f"{' and '.join(dates)}.\n\n{_INTRODUCTION}"
     )
 
@@ -189,13 +193,13 @@ def _together(results: Results, pairs: Mapping[str, Pair]) -> list[str]:
         rows.append([
             f"`{policy}`",
             *_ratios(pair.error, pair.among(_troubled).error),
-            ratio(pair.error_above(_SMALL)),
+            _ratio(pair.error_above(_SMALL)),
             f"{score_text(points, 2)} ({interval_text(points, 2)})",
             lost_text(pair.lost, pair.episodes),
-            *(ratio(pair.over(what)) for what in ("effort", "smoothness")),
+            *(_ratio(pair.over(what)) for what in ("effort", "smoothness")),
         ])  # fmt: skip
         by_case = (pair.among(lambda name, case=case: _case(name) == case) for case in cases)  # type: ignore[misc]
-        more.append([f"`{policy}`", *(ratio(few.error.mean) for few in by_case)])
+        more.append([f"`{policy}`", *(_ratio(few.error.mean) for few in by_case)])
     heads = ("policy", *_RATIOS, f"at least {1e3 * _SMALL:g} mm", "score", "lost", "effort", "rate")
     about = (
         f"{len(set(map(vehicle_of, names)))} vehicles, {len(names)} cells, {pairs[RIVAL].episodes} episodes; "
@@ -213,8 +217,8 @@ def of_seeds(rival: Mapping[str, Measures], studies: Mapping[str, Study]) -> lis
     """
     agents: dict[str, list[InSuite]] = {}
     for name, study in studies.items():
-        if SUITE in study.suites:
-            agents.setdefault(name.removesuffix(f"-{study.regime}"), []).append(study.suites[SUITE])
+        if VEHICLES_SUITE in study.suites:
+            agents.setdefault(name.removesuffix(f"-{study.regime}"), []).append(study.suites[VEHICLES_SUITE])
     rows = []
     for agent, found in agents.items():
         tails = {cell: tail for each in found for cell, tail in zip(each.cells, each.capped(), strict=True)}
@@ -235,7 +239,7 @@ _RATIOS = (f"error / {RIVAL}", f"without {CALM}")
 
 def _ratios(overall: Score, troubled: Score) -> list[str]:
     """Return the errors over the rival's in all cells and in those with a trouble, with their intervals."""
-    return [f"{ratio(error.mean)} ({fixed_ends(error.ci95, 2)})" for error in (overall, troubled)]
+    return [f"{_ratio(error.mean)} ({fixed_ends(error.ci95, 2)})" for error in (overall, troubled)]
 
 
 def _troubled(scenario: str) -> bool:
@@ -248,7 +252,7 @@ def _case(scenario: str) -> str:
     return scenario.partition("@")[0].partition("-")[2]
 
 
-def ratio(value: float) -> str:
+def _ratio(value: float) -> str:
     """Return a ratio as text."""
     return fixed(value, 2 if value < 10 else 1)
 
@@ -266,17 +270,17 @@ MAP = f"""### Vehicle by vehicle
 Error over that of `{RIVAL}` for each vehicle; blue is below 1, red above."""
 
 
-def nearer(results: Results) -> list[tuple[str, int, str, float]]:
+def nearer_than_optimum(results: Results) -> list[tuple[str, int, str, float]]:
     """Return scenario, episode, policy and by how much it is nearer than the bound, the worst of each cell first.
 
     Distances are in metres of the paper's vehicle. What counts is more than `ROUNDING` in a single episode.
     """
     found = []
     for name, case in results.cases.items():
-        for policy in case if BOUND in case else ():
-            own, best = paired(case[policy], case[BOUND])
+        for policy in case if OPTIMUM_POLICY in case else ():
+            own, best = paired(case[policy], case[OPTIMUM_POLICY])
             gain = best.tail - own.tail
-            if policy != BOUND and gain.max() > ROUNDING:
+            if policy != OPTIMUM_POLICY and gain.max() > ROUNDING:
                 found.append((name, int(gain.argmax()), policy, float(gain.max())))
     return sorted(found, key=lambda entry: -entry[-1])
 
@@ -284,12 +288,12 @@ def nearer(results: Results) -> list[tuple[str, int, str, float]]:
 def _anchors(results: Results) -> str:
     """Return what expert and bound do: how many episodes they lose, and who is nearer than the bound."""
     lost = {}
-    for policy in (EXPERT, BOUND):
+    for policy in (EXPERT, OPTIMUM_POLICY):
         own = [run for run in results.runs if run.policy == policy and run.measures is not None]
         cases = measures_of(own)
         count = sum(losses(case[policy], largest_tail(name)) for name, case in cases.items())
         lost[policy] = f"{count} of {sum(len(case[policy]) for case in cases.values())}"
-    better = nearer(results)
+    better = nearer_than_optimum(results)
     if better:
         name, episode, policy, gain = better[0]
         told = (
@@ -300,9 +304,9 @@ def _anchors(results: Results) -> str:
     else:
         told = "Nobody is"
     return (
-        f"### The anchors\n\n`{EXPERT}` loses {lost[EXPERT]} episodes, `{BOUND}` {lost[BOUND]}. Is anybody nearer than "
-        f"`{BOUND}` in any single episode by more than the {1e3 * ROUNDING:g} mm, in the paper's units, to which it is "
-        f"solved? {told}."
+        f"### The anchors\n\n`{EXPERT}` loses {lost[EXPERT]} episodes, `{OPTIMUM_POLICY}` {lost[OPTIMUM_POLICY]}. "
+        f"Is anybody nearer than `{OPTIMUM_POLICY}` in any single episode by more than the {1e3 * ROUNDING:g} mm, in "
+        f"the paper's units, to which it is solved? {told}."
     )
 
 
@@ -315,11 +319,11 @@ Eight vehicles are no sample of all there are."""
 
 def figures(_: str) -> dict[str, bytes]:
     """Return the figure of the page as PNG by name."""
-    results = results_of(SUITE)
-    return {_FIGURE: figure(results)} if shown(results) else {}
+    results = results_of(VEHICLES_SUITE)
+    return {_FIGURE: vehicles_figure(results)} if _shown(results) else {}
 
 
-def figure(results: Results) -> bytes:
+def vehicles_figure(results: Results) -> bytes:
     """Return the section's figure as PNG."""
     with styled():
         return to_png(_drawn(results))
@@ -342,7 +346,7 @@ def _drawn(results: Results) -> Figure:
         image = ax.imshow(values, aspect="auto", cmap="RdBu_r", norm=LogNorm(LEAST, MOST))
         for (i, j), value in np.ndenumerate(values):
             colour = "white" if abs(np.log10(value)) > 0.7 else "black"
-            ax.text(j, i, ratio(value), ha="center", va="center", fontsize=7, color=colour)
+            ax.text(j, i, _ratio(value), ha="center", va="center", fontsize=7, color=colour)
         ax.set_xticks(range(len(shown)), shown, rotation=40, ha="right", rotation_mode="anchor")
         ax.set_yticks(range(len(own[regime])), list(own[regime]))
         ax.set_title(regime)

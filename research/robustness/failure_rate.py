@@ -35,12 +35,12 @@ from research import DATA
 from research.seeds import FAILURE_RATE
 
 PROGRAM = "python -m research failure-rate"
-FILE = DATA / "certificates.json"  # what was counted
+_FILE = DATA / "certificates.json"  # what was counted
 _EPISODES = 10_000  # of all scenarios that are named together
-AT_ONCE = 250  # episodes of a scenario that run side by side
+_AT_ONCE = 250  # episodes of a scenario that run side by side
 ADVERSE = tuple(f"{regime}-adverse" for regime in REGIMES)
 """Names of the storms with sensor and actuator faults."""
-Count = Mapping[str, Any]
+FailureCount = Mapping[str, Any]
 """What a policy did in the first seeds of `FAILURE_RATE` of a scenario: `scenario` (SHA-256 of it), `episodes`,
 `lost` (see `score.is_lost`), `largest_tail_m` [m]."""
 
@@ -60,7 +60,7 @@ class Options:
     episodes: int = _EPISODES
     """Of each name of --scenario; those of a regime are shared evenly among its cases. Those that were run before
     count."""
-    out: Path = FILE
+    out: Path = _FILE
     """File for the counts, to which episodes are added."""
 
 
@@ -77,7 +77,7 @@ def _scenarios_of(name: str) -> tuple[Scenario, ...]:
     return (checked_scenario(name, (*REGIMES, *ADVERSE)),)
 
 
-def counted(policy: str, scenario: Scenario, first: int, episodes: int) -> tuple[int, int, float]:
+def _counted(policy: str, scenario: Scenario, first: int, episodes: int) -> tuple[int, int, float]:
     """Return episodes, failures and the largest tail [m] of a policy, in episode `first` and the following ones.
 
     Raises:
@@ -88,8 +88,8 @@ def counted(policy: str, scenario: Scenario, first: int, episodes: int) -> tuple
     return episodes, losses(found, largest_tail(scenario.name)), float(found.tail.max())
 
 
-def kept(file: Path = FILE) -> dict[str, dict[str, Any]]:
-    """Return what was counted, by policy: its `fingerprint`, and `counts`, a `Count` by scenario.
+def failure_counts(file: Path = _FILE) -> dict[str, dict[str, Any]]:
+    """Return what was counted, by policy: its `fingerprint`, and `counts`, a `FailureCount` by scenario.
 
     Raises:
         UsageError: the file holds something else.
@@ -103,7 +103,7 @@ def kept(file: Path = FILE) -> dict[str, dict[str, Any]]:
     return record
 
 
-def together(counts: Iterable[Count]) -> tuple[int, int, float]:
+def together(counts: Iterable[FailureCount]) -> tuple[int, int, float]:
     """Return failures, episodes and the largest tail [m] of several counts."""
     lost, episodes, tails = zip(*((c["lost"], c["episodes"], c["largest_tail_m"]) for c in counts), strict=True)
     return sum(lost), sum(episodes), max(tails)
@@ -121,13 +121,13 @@ def main(arguments: Sequence[str]) -> int:
         most = FAILURE_RATE.end - FAILURE_RATE.first
         raise UsageError(f"--episodes is {options.episodes}; it must be in [1, {most}]")
     policies = checked_policies(options.policy)
-    kept(options.out)
+    failure_counts(options.out)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     try:
         for policy in policies:
             for name, scenarios in named.items():
                 share = -(-options.episodes // len(scenarios))  # of each, rounded up
-                for target in (*range(AT_ONCE, share, AT_ONCE), share):  # in turns, so that none is ahead if it stops
+                for target in (*range(_AT_ONCE, share, _AT_ONCE), share):  # in turns, so that none is ahead if it stops
                     counts = [_until(policy, scenario, target, options.out) for scenario in scenarios]
                 lost, episodes, _ = together(counts)
                 at_most = f"{100 * most_lost(lost, episodes):.2g} % (one-sided, 95 %)"
@@ -138,12 +138,12 @@ def main(arguments: Sequence[str]) -> int:
     return DONE
 
 
-def _until(policy: str, scenario: Scenario, episodes: int, out: Path) -> Count:
+def _until(policy: str, scenario: Scenario, episodes: int, out: Path) -> FailureCount:
     """Run a policy until so many episodes of a scenario are counted in a file; return the count."""
     text = json.dumps(scenario.to_dict(), sort_keys=True, allow_nan=False)
     digest, print_ = hashlib.sha256(text.encode()).hexdigest(), fingerprint(policy)
     while True:
-        record = kept(out)
+        record = failure_counts(out)
         own = record.get(policy, {})
         counts = own["counts"] if own.get("fingerprint") == print_ else {}
         count: dict[str, Any] = counts.get(scenario.name, {})
@@ -151,7 +151,7 @@ def _until(policy: str, scenario: Scenario, episodes: int, out: Path) -> Count:
             count = {"scenario": digest, "episodes": 0, "lost": 0, "largest_tail_m": 0.0}
         if count["episodes"] >= episodes:
             return count
-        ran, lost, worst = counted(policy, scenario, count["episodes"], min(AT_ONCE, episodes - count["episodes"]))
+        ran, lost, worst = _counted(policy, scenario, count["episodes"], min(_AT_ONCE, episodes - count["episodes"]))
         count = {
             "scenario": digest,
             "episodes": count["episodes"] + ran,

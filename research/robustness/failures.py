@@ -12,7 +12,7 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.task.policy import Policy, preview_of
 from baselines.agents.agent import Agent
-from baselines.agents.networks import ACTIONS, Layers, Network
+from baselines.agents.networks import OUTPUTS, Layers, Network
 from baselines.agents.residual_policy import ResidualPolicy
 from baselines.policy import Memory
 
@@ -84,7 +84,7 @@ FAILURES: Mapping[str, Callable[[Agent, Array, str], Forward]] = {
     "shuffled": _shuffled,
 }
 """What takes the network's place, of the agent, the last correction (ACTIONS, N) and the precision, by failure."""
-LIMITS = ("stuck at +1", "stuck at -1")
+SATURATED = ("stuck at +1", "stuck at -1")
 """The failures that ask for all of an authority."""
 
 
@@ -121,7 +121,7 @@ class Failing:
             self._steps, self._policy.network = 0, self._agent.network
         if self._steps == self.after:
             n = len(observation)
-            last = np.zeros((n, ACTIONS)) if state is None else state[_CORRECTION]
+            last = np.zeros((n, OUTPUTS)) if state is None else state[_CORRECTION]
             broken: Any = FAILURES[self.failure](self._agent, last.T.copy(), self._precision)
             self._policy.network = broken
         self._steps += 1

@@ -35,15 +35,15 @@ from baselines.tools.command_line import DONE, FAILED, UsageError, called, check
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tuning.search import strategies
 from research import DATA, DOCS
-from research.robustness.seas import KINDS, names, sea
+from research.robustness.seas import SEA_KINDS, names, sea
 from research.seeds import FALSIFICATION
 
 PROGRAM = "python -m research falsification"
-FOLDER = DOCS / "seas"  # of the scenarios that were found
-FILE = DATA / "seas.json"  # what was found
-POPULATION = 12  # directions of a generation
+SEAS_FOLDER = DOCS / "seas"  # of the scenarios that were found
+_FILE = DATA / "seas.json"  # what was found
+_POPULATION = 12  # directions of a generation
 _EPISODES = 3  # of a sea while it is looked for; the one in the middle counts
-FIRST = tuple(np.geomspace(0.5, 6.0, 7).tolist())
+_FIRST = tuple(np.geomspace(0.5, 6.0, 7).tolist())
 """Severities along a direction before a sea is found."""
 AROUND = (0.75, 0.85, 0.93, 1.0, 1.1, 1.25, 1.5)
 """Severities along a direction afterwards, in units of the least one so far."""
@@ -63,12 +63,12 @@ class Options:
     """Policies by name, folder or file."""
     regime: Annotated[tuple[str, ...], arg(metavar="R [R ...]", help_behavior_hint="")] = REGIMES
     """Slow, cruise, or both."""
-    sea: Annotated[tuple[str, ...], arg(metavar="K [K ...]", help_behavior_hint="")] = KINDS
+    sea: Annotated[tuple[str, ...], arg(metavar="K [K ...]", help_behavior_hint="")] = SEA_KINDS
     """What is stretched: storm, the ranges of the presets' storm on slewing thrusters; adverse, those of the storm of
     training in which sensors, commands and actuators are not as told either."""
     generations: int = 24
     """Generations of the search; a generation is 252 episodes."""
-    out: Path = FOLDER
+    out: Path = SEAS_FOLDER
     """Folder for the scenarios. Another folder than that of the page gets a seas.json of its own, too."""
 
 
@@ -92,7 +92,7 @@ class Search:
 
 
 @dataclass(frozen=True)
-class Found:
+class _Found:
     """The mildest sea that was found."""
 
     fingerprint: str  # of the policy
@@ -147,18 +147,18 @@ def sailed(search: Search, towards: Sequence[Array], severities: Sequence[float]
     return near
 
 
-def found_by(search: Search, generations: int) -> Found:
+def found_by(search: Search, generations: int) -> _Found:
     """Return the mildest sea that a search finds.
 
     Raises:
         PolicyError: the policy's actions are not finite.
     """
     size = len(names(search.regime, search.kind))
-    options: dict[str, Any] = {"popsize": POPULATION, "seed": _SEED, "verbose": -9, "bounds": [-1.0, 1.0]}
+    options: dict[str, Any] = {"popsize": _POPULATION, "seed": _SEED, "verbose": -9, "bounds": [-1.0, 1.0]}
     strategy = strategies().CMAEvolutionStrategy(np.full(size, 0.3), 0.5, options | {"CMA_diagonal": True})
     best, ran, direction = math.inf, 0, np.zeros(size)
     for generation in range(generations):
-        severities = FIRST if math.isinf(best) else tuple(best * share for share in AROUND)
+        severities = _FIRST if math.isinf(best) else tuple(best * share for share in AROUND)
         towards = [np.asarray(t) / np.max(np.abs(t[:-1])) for t in strategy.ask()]
         towards = [np.append(t[:-1], np.clip(t[-1], -1.0, 1.0)) for t in towards]
         near = sailed(search, towards, severities, FALSIFICATION.first + generation * _EPISODES)
@@ -172,23 +172,23 @@ def found_by(search: Search, generations: int) -> Found:
     return _confirmed(search, best, direction, ran)
 
 
-def _confirmed(search: Search, severity: float, towards: Array, ran: int) -> Found:
+def _confirmed(search: Search, severity: float, towards: Array, ran: int) -> _Found:
     """Return a sea along a direction that loses half of fresh episodes or more, the mildest from a severity on."""
     seed, digest = FALSIFICATION.end - CONFIRMED, fingerprint(search.policy)
-    while math.isfinite(severity) and severity < 2.0 * FIRST[-1]:
+    while math.isfinite(severity) and severity < 2.0 * _FIRST[-1]:
         ran += CONFIRMED
         cell = drawn(search.scenario(severity, towards), CONFIRMED, seed)
         lost = int(closeness(search, [cell])[1][0])
         if 2 * lost >= CONFIRMED:
             *place, direction = names(search.regime, search.kind)
             where = {name: severity * float(x) for name, x in zip(place, towards, strict=False)}
-            return Found(digest, severity, {**where, direction: float(towards[-1])}, lost, ran)
+            return _Found(digest, severity, {**where, direction: float(towards[-1])}, lost, ran)
         severity *= _STEPS
-    return Found(digest, math.inf, {}, 0, ran)
+    return _Found(digest, math.inf, {}, 0, ran)
 
 
-def kept(file: Path = FILE) -> dict[str, dict[str, Any]]:
-    """Return what was found, a `Found` as a dict by the name of the search.
+def found_seas(file: Path = _FILE) -> dict[str, dict[str, Any]]:
+    """Return what was found, a `_Found` as a dict by the name of the search.
 
     Raises:
         ValueError: the file is damaged.
@@ -201,7 +201,7 @@ def kept(file: Path = FILE) -> dict[str, dict[str, Any]]:
 
 def _record(folder: Path) -> Path:
     """Return the file about the seas whose scenarios are in a folder."""
-    return FILE if folder.resolve() == FOLDER.resolve() else folder / FILE.name
+    return _FILE if folder.resolve() == SEAS_FOLDER.resolve() else folder / _FILE.name
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -212,14 +212,14 @@ def main(arguments: Sequence[str]) -> int:
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("regime", options.regime, REGIMES)
-    check_words("sea", options.sea, KINDS)
+    check_words("sea", options.sea, SEA_KINDS)
     if not 1 <= options.generations <= 10_000:
         raise UsageError(f"--generations is {options.generations}; it must be in [1, 10000]")
     policies = checked_policies(options.policy)
     folder = checked_folder(options.out)
     try:
         strategies()
-        kept(_record(folder))
+        found_seas(_record(folder))
     except (ImportError, ValueError) as error:
         raise UsageError(str(error)) from error
     searches = [Search(p, regime, kind) for kind in options.sea for regime in options.regime for p in policies]
@@ -233,11 +233,11 @@ def main(arguments: Sequence[str]) -> int:
     return DONE
 
 
-def _write(search: Search, found: Found, folder: Path) -> None:
+def _write(search: Search, found: _Found, folder: Path) -> None:
     """Add what was found to a folder, and say it."""
     about = {"policy": search.policy, "regime": search.regime, "sea": search.kind}
     file = _record(folder)
-    write_atomically(file, json_text({**kept(file), search.name: {**about, **asdict(found)}}))
+    write_atomically(file, json_text({**found_seas(file), search.name: {**about, **asdict(found)}}))
     if math.isinf(found.severity):
         print(f"{search.name}: none found in {found.episodes} episodes")
         return

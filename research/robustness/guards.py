@@ -30,16 +30,16 @@ from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from research import DATA
 from research.robustness.failures import FAILURES, Failing
-from research.robustness.situations import NORMAL, episodes_of
+from research.robustness.situations import AS_TRAINED, situation_episodes
 
 PROGRAM = "python -m research guards"
-FILE = DATA / "guards.json"  # what guards did
+GUARDS_FILE = DATA / "guards.json"  # what guards did
 FINGERPRINT = "fingerprint"  # entry beside the rows of a policy
 COUNTS = "episodes", "lost", "guarded_lost", "expert_keeps", "guarded_expert_keeps"
 TAILS = "tail_mm", "guarded_tail_mm"
 _SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1", "sealed-v1")
 """Suites in which somebody is lost."""
-AT_ONCE = 520  # episodes side by side
+_AT_ONCE = 520  # episodes side by side
 PER_CASE = 6  # episodes of each case in which networks fail
 
 
@@ -58,13 +58,13 @@ class Options:
     """Let networks fail, too."""
     episodes: int = 10_000
     """Most episodes of each cell of a suite, the first ones."""
-    out: Path = FILE
+    out: Path = GUARDS_FILE
     """File to which what they do is added."""
 
 
 def in_suite(policy: str, suite: suites.Suite, most: int) -> dict[str, Any]:
     """Return what a policy does in a suite with a guard and without, and which of the expert's episodes it loses."""
-    by_policy = {name: {r.scenario.name: r for r in recorded.read(suite, name)} for name in (EXPERT, policy)}
+    by_policy = {name: {r.scenario.name: r for r in recorded.read_recorded(suite, name)} for name in (EXPERT, policy)}
     cells = [cell for cell in suite.cells if cell.scenario.name in by_policy[policy]]
     counts = dict.fromkeys(COUNTS, 0)
     tails: dict[str, list[Array]] = {key: [] for key in TAILS}
@@ -87,8 +87,8 @@ def in_suite(policy: str, suite: suites.Suite, most: int) -> dict[str, Any]:
 def _with_guard(policy: str, cell: Cell, cap: float) -> tuple[Array, Any]:
     """Return capped tails [m] of a policy with a guard in a cell, and which episodes it loses."""
     tails, lost = [], []
-    for first in range(0, len(cell.episodes), AT_ONCE):
-        part = Cell(cell.scenario, cell.episodes[first : first + AT_ONCE])
+    for first in range(0, len(cell.episodes), _AT_ONCE):
+        part = Cell(cell.scenario, cell.episodes[first : first + _AT_ONCE])
         (ended,) = SideBySide([part]).run(make_policy(f"{policy}{GUARD}", cell.scenario.vehicle))
         lost.append(is_lost(ended, cap))
         tails.append(capped(ended, cap))
@@ -103,7 +103,7 @@ def failing(policy: str, regime: str) -> dict[str, dict[str, int]]:
     """
     if (folder := agent_folder(policy)) is None:
         raise ValueError(f"{policy!r} is no agent, so no network of it can fail")
-    agent, place, cap = Agent.load(folder), episodes_of(regime, NORMAL, PER_CASE), LARGEST_TAIL[regime]
+    agent, place, cap = Agent.load(folder), situation_episodes(regime, AS_TRAINED, PER_CASE), LARGEST_TAIL[regime]
     third, found = place.steps // 3, {}
     for failure in FAILURES:
         bare, inner = (Failing(agent, failure, third) for _ in range(2))
@@ -127,7 +127,7 @@ def main(arguments: Sequence[str]) -> int:
     options.out.parent.mkdir(parents=True, exist_ok=True)
     for policy in policies:
         for name in options.suite:
-            suite = suites.load(name)
+            suite = suites.load_suite(name)
             if policy not in recorded.recorded_policies(suite):
                 raise UsageError(f"nothing is recorded of {policy} in {name}; record it first")
             row = in_suite(policy, suite, options.episodes)

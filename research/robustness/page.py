@@ -11,17 +11,19 @@ from baselines.evaluation.score import regime_of
 from baselines.tools.files import read_json
 from research.robustness import failure_rate, falsification, guards
 
-SHOWN = 6
+_SHOWN = 6
 """How many coordinates of a sea the page shows, the largest ones."""
 
 
 def context(page: str) -> dict[str, Any]:
     """Return the rows of the page's tables."""
     del page
-    kept = read_json(guards.FILE)
+    kept = read_json(guards.GUARDS_FILE)
     return {
-        "rates": [row for policy, own in failure_rate.kept().items() for row in _rates(policy, own["counts"])],
-        "seas": [_sea(name, found) for name, found in sorted(falsification.kept().items(), key=_place)],
+        "rates": [
+            row for policy, own in failure_rate.failure_counts().items() for row in _rates(policy, own["counts"])
+        ],
+        "seas": [_sea(name, found) for name, found in sorted(falsification.found_seas().items(), key=_place)],
         "suites": [
             [f"`{policy}`", suite, *(row[key] for key in guards.COUNTS), *(f"{row[k]:.2f}" for k in guards.TAILS)]
             for policy, own in kept["suites"].items()
@@ -37,9 +39,9 @@ def context(page: str) -> dict[str, Any]:
     }
 
 
-def _rates(policy: str, counts: Mapping[str, failure_rate.Count]) -> list[list[str]]:
+def _rates(policy: str, counts: Mapping[str, failure_rate.FailureCount]) -> list[list[str]]:
     """Return a row of a policy for each set of scenarios that its episodes were drawn from."""
-    groups: dict[str, list[failure_rate.Count]] = {}
+    groups: dict[str, list[failure_rate.FailureCount]] = {}
     for name, count in counts.items():
         place = name if name in failure_rate.ADVERSE else f"the eight cases, {regime_of(name)}"
         groups.setdefault(place, []).append(count)
@@ -59,7 +61,7 @@ def _place(item: tuple[str, Mapping[str, Any]]) -> tuple[str, str, float]:
 
 def _sea(name: str, found: Mapping[str, Any]) -> list[str]:
     known = [(key, x) for key, x in found["coordinates"].items() if key != "direction"]
-    largest = sorted(known, key=lambda entry: -abs(entry[1]))[:SHOWN]
+    largest = sorted(known, key=lambda entry: -abs(entry[1]))[:_SHOWN]
     severity = found["severity"]
     return [
         f"`{found['policy']}`",

@@ -23,7 +23,7 @@ from auv_gym.scenarios.mixtures import SLEW_TIMES, adverse
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
 
-KINDS = ("storm", "adverse")
+SEA_KINDS = ("storm", "adverse")
 """What ranges are stretched: those of a regime's storm, on slewing thrusters; or those of its adverse storm too."""
 TOP_SPEED = 2.0  # [m/s] no vehicle is asked to be faster, however severe the sea
 _LEAST = 0.2  # [1] smallest factor of a mass, drag or share
@@ -65,8 +65,8 @@ def ranges(regime: str, kind: str) -> dict[str, Range]:
     Raises:
         ValueError: there is no such kind.
     """
-    if kind not in KINDS:
-        raise ValueError(f"unknown kind of sea {kind!r}; allowed are {', '.join(KINDS)}")
+    if kind not in SEA_KINDS:
+        raise ValueError(f"unknown kind of sea {kind!r}; allowed are {', '.join(SEA_KINDS)}")
     storm = PRESETS[f"{regime}-storm"] if kind == "storm" else adverse(regime)
     current, waves, mismatch, path, start = storm.current, storm.waves, storm.mismatch, storm.path, storm.start
     assert isinstance(current, RandomCurrent)
@@ -129,7 +129,7 @@ def sea(regime: str, kind: str, name: str, severity: float, towards: Sequence[fl
 
     Args:
         regime: "slow" or "cruise".
-        kind: one of `KINDS`.
+        kind: one of `SEA_KINDS`.
         name: of the scenario.
         severity: how far it lies from calm water, in units of the storm's ranges.
         towards: where it lies, a coordinate in [-1, 1] for each of `names`.

@@ -33,10 +33,10 @@ SLOWER: Mapping[str, tuple[float, float]] = {"slow": (0.05, 0.1), "cruise": (0.2
 """Speeds [m/s] below those of a regime's training."""
 _SLEW = (0.5, 1.0)  # [s] in which thrusters go from zero to full force
 PRECISION = "float32"  # of the networks here: a fifth of the time, and errors that differ by 1e-6
-World = Callable[[Scenario], Scenario]
+_World = Callable[[Scenario], Scenario]
 
 
-def _at(speeds: Mapping[str, tuple[float, float]]) -> World:
+def _at(speeds: Mapping[str, tuple[float, float]]) -> _World:
     def change(scenario: Scenario) -> Scenario:
         assert isinstance(scenario.path, RandomPath)
         return replace(scenario, path=replace(scenario.path, speed=speeds[scenario.name.partition("-")[0]]))
@@ -44,7 +44,7 @@ def _at(speeds: Mapping[str, tuple[float, float]]) -> World:
     return change
 
 
-def _slewing(seconds: float) -> World:
+def _slewing(seconds: float) -> _World:
     """Return what gives a scenario thrusters that take so long [s] from zero to full force."""
 
     def change(scenario: Scenario) -> Scenario:
@@ -55,21 +55,21 @@ def _slewing(seconds: float) -> World:
     return change
 
 
-WORLDS: Mapping[str, World] = {
+WORLDS: Mapping[str, _World] = {
     "as trained": lambda scenario: scenario,
     "faster": _at(FASTER),
     "slower": _at(SLOWER),
     **{f"slew {seconds:g} s": _slewing(seconds) for seconds in _SLEW},
 }
 """What becomes of each case, by situation; where the network fails it is as trained."""
-NORMAL = "as trained"
+AS_TRAINED = "as trained"
 """The situation in which nothing is wrong."""
-SITUATIONS = (NORMAL, *FAILURES, *(name for name in WORLDS if name != NORMAL))
+SITUATIONS = (AS_TRAINED, *FAILURES, *(name for name in WORLDS if name != AS_TRAINED))
 """Names of the situations. Networks fail after a third of each episode."""
 
 
 @dataclass(frozen=True)
-class Outcome:
+class _Outcome:
     """What a policy does in M episodes, case by case."""
 
     tail: Array  # [m] tail RMSE, cut at the largest of the regime, shape (M,)
@@ -77,7 +77,7 @@ class Outcome:
 
 
 @lru_cache(maxsize=8)
-def episodes_of(regime: str, world: str, episodes: int) -> SideBySide:
+def situation_episodes(regime: str, world: str, episodes: int) -> SideBySide:
     """Return so many fresh episodes of each of a regime's cases in a world, case after case."""
     return SideBySide([drawn(WORLDS[world](PRESETS[f"{regime}-{case}"]), episodes, HELD_OUT.first) for case in CASES])
 
@@ -94,7 +94,7 @@ def silent(authority: float) -> Agent:
     return Agent(network, weights, EXPERT, (authority, authority))
 
 
-def outcome(who: str | Agent, regime: str, situation: str, episodes: int) -> Outcome:
+def outcome(who: str | Agent, regime: str, situation: str, episodes: int) -> _Outcome:
     """Return what a policy does in a situation, in fresh episodes of a regime.
 
     Args:
@@ -108,14 +108,14 @@ def outcome(who: str | Agent, regime: str, situation: str, episodes: int) -> Out
         PolicyError: its actions are not finite.
         ValueError: there is no such policy.
     """
-    place = episodes_of(regime, situation if situation in WORLDS else NORMAL, episodes)
+    place = situation_episodes(regime, situation if situation in WORLDS else AS_TRAINED, episodes)
     cap, first = LARGEST_TAIL[regime], place.cells[0].scenario
     with warnings.catch_warnings():  # that speeds are beyond law and training is what is asked here
         warnings.simplefilter("ignore", StabilityWarning)
         warnings.filterwarnings("ignore", "this agent was trained at reference speeds")
         found = place.run(_policy(who, situation, first))
     tails: Sequence[Array] = [capped(ended, cap) for ended in found]
-    return Outcome(np.concatenate(tails), sum(losses(e, cap) for e in found))
+    return _Outcome(np.concatenate(tails), sum(losses(e, cap) for e in found))
 
 
 def _policy(who: str | Agent, situation: str, scenario: Scenario) -> Policy:

@@ -27,18 +27,18 @@ from baselines.control.backstepping import StabilityWarning
 from baselines.evaluation.metrics import resamplings
 from baselines.evaluation.rollout import beginning, play
 from baselines.evaluation.score import LARGEST_TAIL
-from research.sensitivity.changes import BEFORE, CHANGES, LENGTHS, Trial
+from research.sensitivity.changes import BEFORE, CHANGES, LENGTHS, ChangeTrial
 from research.sensitivity.episodes import acting
 
 _WINDOW = 2
 """Lengths L that an error is a mean over; windows begin a length apart."""
 WITHIN = (0.2, 0.5)
 """Shares by which an error may be above what it is compared with and count as back."""
-LARGEST = 1 + WITHIN[0]
+AS_GOOD = 1 + WITHIN[0]
 """Factor of what it is compared with up to which an error is as good."""
 ROD = math.sqrt(12)
 """Lengths L of a uniform rod, whose radius of gyration is L."""
-EPISODES = 40
+ADAPTATION_EPISODES = 40
 """Episodes of each sea."""
 _SMALLEST = 1e-4
 """Error [m] that stands for any that is smaller, where errors are compared by their ratio."""
@@ -46,20 +46,20 @@ ENDS = (0.025, 0.975)
 """Quantiles of an interval of 95 %."""
 
 
-def adapted(name: str, regime: str, sea: str, episodes: int | None = None) -> dict[str, Any]:
+def adaptation_of(name: str, regime: str, sea: str, episodes: int | None = None) -> dict[str, Any]:
     """Return how a policy takes each change, as plain numbers.
 
     Args:
         name: of the policy.
         regime: "slow" or "cruise".
         sea: one of `changes.SEAS`.
-        episodes: how many. None: `EPISODES`.
+        episodes: how many. None: `ADAPTATION_EPISODES`.
 
     Raises:
         ValueError: there is no such policy.
         PolicyError: its actions are not finite.
     """
-    trial = Trial.of(regime, sea, episodes or EPISODES)
+    trial = ChangeTrial.of(regime, sea, episodes or ADAPTATION_EPISODES)
     errors, lost = followed(name, trial, LARGEST_TAIL[regime])
     found: dict[str, Any] = {"episodes": len(trial.never), "length_m": trial.scenario.vehicle.length, "changes": {}}
     for change in CHANGES:
@@ -74,7 +74,7 @@ def always(change: str) -> str:
     return f"always {change}"
 
 
-def followed(name: str, trial: Trial, cap: float) -> tuple[dict[str, Array], dict[str, Array]]:
+def followed(name: str, trial: ChangeTrial, cap: float) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return the errors [m] of a policy behind the change, by run, windows first, and which episodes were lost.
 
     Args:
@@ -102,7 +102,7 @@ def followed(name: str, trial: Trial, cap: float) -> tuple[dict[str, Array], dic
     return {run: windows(errors[:, mine], places) for run, mine in own.items()}, {run: lost[own[run]] for run in runs}
 
 
-def lengths_of(trial: Trial) -> Array:
+def lengths_of(trial: ChangeTrial) -> Array:
     """Return how many whole lengths the references have gone since the change, behind each step, shape (steps, n)."""
     tables = np.stack(reference_tables(trial.never, *plan_of(trial.scenario)), axis=-1)
     way = np.cumsum(np.hypot(*np.diff(tables[:, :2], axis=0).transpose(1, 0, 2)), axis=0)

@@ -66,14 +66,14 @@ CHANGES: Mapping[str, Change] = {
 
 
 @dataclass(frozen=True)
-class Trial:
+class ChangeTrial:
     """A sea with its episodes, which never change, are changed on the way, or have been all along."""
 
     scenario: Scenario
     never: tuple[Episode, ...]
 
     @classmethod
-    def of(cls, regime: str, sea: str, episodes: int) -> Trial:
+    def of(cls, regime: str, sea: str, episodes: int) -> ChangeTrial:
         """Return the trial of a regime in one of `SEAS`."""
         scenario = at_speed(f"{regime}-{sea}", speed=_SPEED[regime])
         last = SLACK * LENGTHS * scenario.vehicle.length / _SPEED[regime]

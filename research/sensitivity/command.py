@@ -18,21 +18,21 @@ from baselines.policies import list_policies
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, check_words, parse
 from baselines.tools.files import json_text, write_atomically
 from research.pages import fill
-from research.sensitivity.adaptation import adapted
+from research.sensitivity.adaptation import adaptation_of
 from research.sensitivity.changes import SEAS
 from research.sensitivity.extrapolation import stretched
 from research.sensitivity.model_error import with_wrong_models
-from research.sensitivity.page import FOLDER, context, figures, load
+from research.sensitivity.page import SENSITIVITY_FOLDER, context, figures, load_sensitivity
 
 PROGRAM = "python -m research sensitivity"
-POLICIES = ("helm", "nmpc", "integral-normalised", "backstepping")
+_POLICIES = ("helm", "nmpc", "integral-normalised", "backstepping")
 """Policies by default."""
 OTHERS: Mapping[str, tuple[str, ...]] = {"model_error": ("helm-any", "helm", "ekf", "backstepping", "nmpc")}
 """Policies by default where they are others."""
 
 
 def _in_seas(name: str, regime: str, episodes: int | None) -> dict[str, Any]:
-    return {sea: adapted(name, regime, sea, episodes) for sea in SEAS}
+    return {sea: adaptation_of(name, regime, sea, episodes) for sea in SEAS}
 
 
 _PARTS: Mapping[str, Callable[[str, str, int | None], dict[str, Any]]] = {
@@ -58,7 +58,7 @@ class Options:
     """Ranges of speeds: slow, cruise."""
     episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Episodes of each kind. Default: 40 for adaptation, 12 for extrapolation and in each case for model errors."""
-    out: Path = FOLDER
+    out: Path = SENSITIVITY_FOLDER
     """Folder for the files. Results of other policies are left in it. Figures and a page go there too, unless it is the
     folder of docs/sensitivity.md."""
 
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str]) -> int:
     if options.episodes is not None and options.episodes < 2:
         raise UsageError(f"--episodes is {options.episodes}; it must be 2 or more, since intervals are over episodes")
     options.out.mkdir(parents=True, exist_ok=True)
-    asked = [(part, name) for part in options.part for name in options.policy or OTHERS.get(part, POLICIES)]
+    asked = [(part, name) for part in options.part for name in options.policy or OTHERS.get(part, _POLICIES)]
     done = [_kept(part, name, options) for part, name in asked]
     _show(options.out)
     return DONE if all(done) else FAILED
@@ -87,7 +87,7 @@ def main(arguments: Sequence[str]) -> int:
 def _kept(part: str, name: str, options: Options) -> bool:
     """Run a part with a policy and keep its result beside those of other regimes; return whether it could be run."""
     kept = Path(name).name  # of an agent's folder
-    record = load(options.out).get((part, kept), {})
+    record = load_sensitivity(options.out).get((part, kept), {})
     try:
         for regime in options.regime:
             record[regime] = _PARTS[part](name, regime, options.episodes)
@@ -101,7 +101,7 @@ def _kept(part: str, name: str, options: Options) -> bool:
 
 def _show(folder: Path) -> None:
     """Print where the results are; write page and figures beside them unless they are those of docs/."""
-    if folder.resolve() == FOLDER.resolve():
+    if folder.resolve() == SENSITIVITY_FOLDER.resolve():
         print("now: python -m research pages sensitivity")
         return
     (folder / "images").mkdir(exist_ok=True)

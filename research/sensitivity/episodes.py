@@ -18,12 +18,12 @@ from baselines.similar import made_for
 from research.robustness.situations import PRECISION
 from research.seeds import SENSITIVITY
 
-SEED = SENSITIVITY.first  # of the first episode of each scenario
+SENSITIVITY_SEED = SENSITIVITY.first  # of the first episode of each scenario
 
 
 def episodes_of(scenario: Scenario, count: int) -> tuple[Episode, ...]:
     """Return so many episodes of a scenario that nothing was trained, tuned or compared on; raises as `drawn`."""
-    return drawn(scenario, count, SEED).episodes
+    return drawn(scenario, count, SENSITIVITY_SEED).episodes
 
 
 def at_speed(name: str, speed: float, **changes: Any) -> Scenario:

@@ -26,7 +26,7 @@ from research.sensitivity.episodes import acting, at_speed, episodes_of
 
 _EPISODES = 12
 """Episodes of each value."""
-CASE = "storm"
+_CASE = "storm"
 """What is stretched."""
 
 Stretch = Callable[[Scenario, float], Scenario]
@@ -71,7 +71,7 @@ def _noise(scenario: Scenario, value: float) -> Scenario:
 
 
 def _waves(scenario: Scenario, value: float) -> Scenario:
-    waves = PRESETS[scenario.name.replace(CASE, "waves")].waves  # of the case in which they are alone
+    waves = PRESETS[scenario.name.replace(_CASE, "waves")].waves  # of the case in which they are alone
     assert waves is not None
     scaled = replace(waves, surge=value * waves.surge, sway=value * waves.sway, yaw=value * waves.yaw)
     return replace(scenario, waves=scaled)
@@ -86,7 +86,7 @@ class Parameter(NamedTuple):
     says: str
 
 
-PARAMETERS: Mapping[str, Parameter] = {
+STRETCHED: Mapping[str, Parameter] = {
     "mass": Parameter(_wrong("mass"), (0.4, 0.6, 0.8, 1.0, 1.2, 1.6, 2.2, 3.0), (0.8, 1.2), "true mass / known mass"),
     "ratio": Parameter(_wrong("ratio"), (0.83, 0.94, 1.0, 1.06, 1.2, 1.4, 1.7), (0.94, 1.06), "true m22/m11 / known"),
     "drag": Parameter(
@@ -100,7 +100,7 @@ PARAMETERS: Mapping[str, Parameter] = {
     "noise": Parameter(_noise, (0.0, 0.5, 1.0, 2.0, 4.0, 8.0), (0.0, 1.0), "noise / that of the presets"),
 }
 """What is stretched in both regimes; a storm has the value in place of what it usually draws."""
-SPEEDS: Mapping[str, Parameter] = {
+STRETCHED_SPEEDS: Mapping[str, Parameter] = {
     "slow": Parameter(_speed, (0.03, 0.05, 0.1, 0.2, 0.3, 0.4), (0.1, 0.3), "speed of the path [m/s]"),
     "cruise": Parameter(_speed, (0.3, 0.5, 1.0, 1.5, 1.75, 2.0, 2.5), (0.5, 1.6), "speed of the path [m/s]"),
 }
@@ -109,13 +109,13 @@ SPEEDS: Mapping[str, Parameter] = {
 
 def parameters_of(regime: str) -> dict[str, Parameter]:
     """Return what is stretched in a regime, by name."""
-    return {**PARAMETERS, "speed": SPEEDS[regime]}
+    return {**STRETCHED, "speed": STRETCHED_SPEEDS[regime]}
 
 
-def scenarios_of(regime: str, parameter: Parameter) -> list[Scenario]:
+def stretched_storms(regime: str, parameter: Parameter) -> list[Scenario]:
     """Return a storm of a regime for each value, all with as many integration steps as the stiffest of them needs."""
     for substeps in range(1, MOST_SUBSTEPS):
-        usual = replace(PRESETS[f"{regime}-{CASE}"], substeps=substeps)
+        usual = replace(PRESETS[f"{regime}-{_CASE}"], substeps=substeps)
         try:
             return [parameter.stretch(usual, value) for value in parameter.values]
         except ValueError as error:
@@ -139,7 +139,7 @@ def stretched(name: str, regime: str, episodes: int | None = None) -> dict[str, 
     count, cap = episodes or _EPISODES, LARGEST_TAIL[regime]
     found: dict[str, Any] = {"episodes": count, "cap_m": cap, "parameters": {}}
     for key, parameter in parameters_of(regime).items():
-        scenarios = scenarios_of(regime, parameter)
+        scenarios = stretched_storms(regime, parameter)
         with warnings.catch_warnings():  # that speeds are beyond law and training is what is asked here
             warnings.simplefilter("ignore", StabilityWarning)
             warnings.filterwarnings("ignore", "this policy was trained at reference speeds")

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from baselines.tools.figure_style import look, panels, styled, to_png
-from research.sensitivity.adaptation import LARGEST
+from research.sensitivity.adaptation import AS_GOOD
 from research.sensitivity.changes import CHANGES, SEAS
 from research.sensitivity.extrapolation import parameters_of
 
@@ -44,7 +44,7 @@ def _course(axes: Axes, name: str, names: list[str], course: Mapping[str, Any]) 
     axes.fill_between(x, low, high, color=style.colour, alpha=0.15, lw=0)
     axes.plot(len(mean) + 1.5, 1e3 * course["level_m"][0], **style.point)
     place = course["back"][0][0]
-    if place is not None and max(course["factor"][0]) > LARGEST:
+    if place is not None and max(course["factor"][0]) > AS_GOOD:
         axes.plot(place + 1, mean[int(place)], marker="|", ms=14, mew=2, color=style.colour)
 
 

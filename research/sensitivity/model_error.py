@@ -22,37 +22,37 @@ from baselines.evaluation import recorded
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import LARGEST_TAIL, RIVAL, Score, capped, lead, losses, seeds_score
 from baselines.evaluation.side_by_side import SideBySide
-from baselines.evaluation.suites import load
-from research.sensitivity.episodes import SEED, acting
+from baselines.evaluation.suites import load_suite
+from research.sensitivity.episodes import SENSITIVITY_SEED, acting
 
 _SUITE = "benchmark-v1"
 """Whose episodes run, and whose anchors the score has."""
-SIZES = (0.2, 0.4, 0.6)
+ERROR_SIZES = (0.2, 0.4, 0.6)
 """How wrong a parameter is at most, as a share of it; any error up to that is as likely as another."""
-HULLS = 12
+_HULLS = 12
 """Wrong models of each size, the same ones for all policies."""
 _EPISODES = 12
 """Episodes of each case, the first ones of the suite."""
 LESS: Mapping[str, tuple[int, int]] = {RIVAL: (4, 6)}
 """Models and episodes of a policy that takes its time, the first ones too; and the largest size alone."""
-KEPT = 3
+KEPT_EPISODES = 3
 """Episodes of each case whose errors are kept one by one, with the true model and the first wrong one."""
 
 
-HULL = ("m11", "m22", "m33", "d11", "d22", "d33")
+_HULL = ("m11", "m22", "m33", "d11", "d22", "d33")
 """Parameters of the vehicle that may be wrong."""
 
 
-class Way(NamedTuple):
+class _Way(NamedTuple):
     """A way in which a vehicle model is wrong."""
 
     names: tuple[str, ...]  # the parameters that are wrong
     says: str
 
 
-WAYS: Mapping[str, Way] = {
-    "ratios": Way(("m22", "d11", "d22", "d33"), "m22, drag"),
-    "all": Way(HULL, "m22, drag, m11, m33"),
+WAYS: Mapping[str, _Way] = {
+    "ratios": _Way(("m22", "d11", "d22", "d33"), "m22, drag"),
+    "all": _Way(_HULL, "m22, drag, m11, m33"),
 }
 """The ways, by name."""
 
@@ -62,16 +62,16 @@ def mistakes(number: int) -> dict[str, float]:
 
     They are drawn together, until there is such a vehicle in every way.
     """
-    rng = np.random.default_rng([SEED + number, 5])
+    rng = np.random.default_rng([SENSITIVITY_SEED + number, 5])
     while True:
-        drawn = {name: float(rng.uniform(-1.0, 1.0)) for name in HULL}
+        drawn = {name: float(rng.uniform(-1.0, 1.0)) for name in _HULL}
         with suppress(ValueError):  # no slender vehicle
             for way in WAYS.values():
-                wrong(PAPER_VEHICLE, drawn, SIZES[-1], way)
+                wrong(PAPER_VEHICLE, drawn, ERROR_SIZES[-1], way)
             return drawn
 
 
-def wrong(vehicle: Vehicle, mistaken: Mapping[str, float], size: float, way: Way) -> Vehicle:
+def wrong(vehicle: Vehicle, mistaken: Mapping[str, float], size: float, way: _Way) -> Vehicle:
     """Return the model that is given in place of a vehicle.
 
     Args:
@@ -88,7 +88,7 @@ def wrong(vehicle: Vehicle, mistaken: Mapping[str, float], size: float, way: Way
 
 def cells_of(regime: str, episodes: int) -> list[Cell]:
     """Return the first episodes of each cell of a regime in the suite."""
-    return [Cell(cell.scenario, cell.episodes[:episodes]) for cell in load(_SUITE).cells_in((regime,))]
+    return [Cell(cell.scenario, cell.episodes[:episodes]) for cell in load_suite(_SUITE).cells_in((regime,))]
 
 
 def with_wrong_models(name: str, regime: str, episodes: int | None = None) -> dict[str, Any]:
@@ -103,13 +103,13 @@ def with_wrong_models(name: str, regime: str, episodes: int | None = None) -> di
         ValueError: there is no such policy.
         PolicyError: its actions are not finite.
     """
-    hulls, usual = LESS.get(name, (HULLS, _EPISODES))
-    sizes, cells = SIZES[-1:] if name in LESS else SIZES, cells_of(regime, episodes or usual)
+    hulls, usual = LESS.get(name, (_HULLS, _EPISODES))
+    sizes, cells = ERROR_SIZES[-1:] if name in LESS else ERROR_SIZES, cells_of(regime, episodes or usual)
     known, true = cells[0].scenario.vehicle, SideBySide(cells)
-    zero, one = (_recorded(policy, regime, cells) for policy in load(_SUITE).anchors)
+    zero, one = (_recorded(policy, regime, cells) for policy in load_suite(_SUITE).anchors)
     right, lost = _tails(name, known, true, regime)
 
-    def compared(way: Way, size: float) -> dict[str, Any]:
+    def compared(way: _Way, size: float) -> dict[str, Any]:
         each, gone = [], []
         for vehicle in (wrong(known, mistakes(k), size, way) for k in range(hulls)):
             tails, own = _tails(name, vehicle, true, regime)
@@ -125,7 +125,7 @@ def with_wrong_models(name: str, regime: str, episodes: int | None = None) -> di
             "score": _ends(seeds_score(zero, [row[None] for row in right], one)),
             "lost": lost,
             "error_m": [round(float(row.mean()), 6) for row in right],
-            "first_m": [np.round(row[:KEPT], 6).tolist() for row in right],
+            "first_m": [np.round(row[:KEPT_EPISODES], 6).tolist() for row in right],
         },
         "wrong": {key: [compared(way, size) for size in sizes] for key, way in WAYS.items()},
     }
@@ -133,7 +133,7 @@ def with_wrong_models(name: str, regime: str, episodes: int | None = None) -> di
 
 def _recorded(policy: str, regime: str, cells: Sequence[Cell]) -> list[Array]:
     """Return the capped tails [m] that are recorded of a policy in episodes of the suite, cell by cell."""
-    runs = {run.scenario.name: run.measures for run in recorded.read(load(_SUITE), policy)}
+    runs = {run.scenario.name: run.measures for run in recorded.read_recorded(load_suite(_SUITE), policy)}
     rows = ((runs[cell.scenario.name], len(cell.episodes)) for cell in cells)
     return [capped(row[:count], LARGEST_TAIL[regime]) for row, count in rows if row is not None]
 
@@ -155,7 +155,7 @@ def _compared(zero: Sequence[Array], right: Sequence[Array], each: Sequence[Arra
         "above": _ends(above(each)),
         "hulls": [round(above([rows[[k]] for rows in each]).mean, 5) for k in range(len(each[0]))],
         "error_m": [round(float(rows.mean()), 6) for rows in each],
-        "first_m": [np.round(rows[0, :KEPT], 6).tolist() for rows in each],
+        "first_m": [np.round(rows[0, :KEPT_EPISODES], 6).tolist() for rows in each],
     }
 
 

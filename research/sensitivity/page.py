@@ -15,13 +15,13 @@ from baselines.evaluation.metrics import resamplings
 from baselines.evaluation.score import EXPERT, RIVAL
 from baselines.tools.files import read_json
 from research import DATA
-from research.sensitivity.adaptation import LARGEST, ROD, WITHIN
+from research.sensitivity.adaptation import AS_GOOD, ROD, WITHIN
 from research.sensitivity.changes import CHANGES, LENGTHS, SEAS
 from research.sensitivity.extrapolation import parameters_of
 from research.sensitivity.figures import adaptation_figure, extrapolation_figure
-from research.sensitivity.model_error import SIZES, WAYS
+from research.sensitivity.model_error import ERROR_SIZES, WAYS
 
-FOLDER = DATA / "sensitivity"
+SENSITIVITY_FOLDER = DATA / "sensitivity"
 Record: TypeAlias = dict[str, Any]
 _GOAL = 10
 """Lengths within which a policy should be back."""
@@ -34,14 +34,14 @@ BEARABLE = 0.01
 """What a score may be lower where a vehicle model is wrong."""
 
 
-def context(page: str, folder: Path = FOLDER) -> dict[str, Any]:
+def context(page: str, folder: Path = SENSITIVITY_FOLDER) -> dict[str, Any]:
     """Return what each section of the page shows, of the records in a folder.
 
     Raises:
         ValueError: a file is damaged.
     """
     del page
-    found = load(folder)
+    found = load_sensitivity(folder)
     sections = {
         "adaptation": _adaptation,
         "extrapolation": _extrapolation,
@@ -50,14 +50,14 @@ def context(page: str, folder: Path = FOLDER) -> dict[str, Any]:
     return {key: {"figures": list(_figures(found, key)), **of(_own(found, key))} for key, of in sections.items()}
 
 
-def figures(page: str, folder: Path = FOLDER) -> dict[str, bytes]:
+def figures(page: str, folder: Path = SENSITIVITY_FOLDER) -> dict[str, bytes]:
     """Return the figures of the records in a folder as PNG files, by name."""
     del page
-    found = load(folder)
+    found = load_sensitivity(folder)
     return {name: draw() for key in _DRAWN for name, draw in _figures(found, key).items()}
 
 
-def load(folder: Path) -> dict[tuple[str, str], Record]:
+def load_sensitivity(folder: Path) -> dict[tuple[str, str], Record]:
     """Return the records in a folder by part and policy.
 
     Raises:
@@ -114,7 +114,7 @@ def _verdict(name: str, record: Mapping[str, Any]) -> list[str]:
     places = [[c["back"][i][0] for c in courses] for i in range(len(WITHIN))]
     counts = [sum(x is not None and x <= limit for x in row) for row in places for limit in (_GOAL, _GOAL * ROD)]
     never = sum(x is None for x in places[0])
-    calm = sum(max(c["factor"][0]) <= LARGEST for c in courses)
+    calm = sum(max(c["factor"][0]) <= AS_GOOD for c in courses)
     return [f"`{name}`", *(f"{count} of {len(courses)}" for count in (*counts, never, calm))]
 
 
@@ -125,7 +125,7 @@ def _changes(of: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
         own = {name: changes[change] for name, changes in of.items()}
         best = min(c["level_m"][0] for c in own.values())
         for name, c in own.items():
-            good = np.flatnonzero(np.array(c["error_m"][0]) > LARGEST * best)
+            good = np.flatnonzero(np.array(c["error_m"][0]) > AS_GOOD * best)
             reached = int(good[-1]) + 1 if len(good) else 0
             level = f"{1e3 * c['never_m']:.0f} -> {1e3 * c['level_m'][0]:.0f}"
             cells = [CHANGES[change].says, f"`{name}`", level, f"{max(c['factor'][0]):.1f}", *map(_lengths, c["back"])]
@@ -194,7 +194,7 @@ def _model_error(own: Mapping[str, Record]) -> dict[str, Any]:
         "bearable": f"{BEARABLE:g}",
         "robust": "; ".join(robust[True]) or "none",
         "others": "; ".join(robust[False]) or "none",
-        "sizes": [f"by {100 * size:.0f} % at most" for size in SIZES],
+        "sizes": [f"by {100 * size:.0f} % at most" for size in ERROR_SIZES],
     }
 
 
@@ -207,7 +207,7 @@ def _ways(name: str, of: Mapping[str, Any]) -> list[list[str]]:
         worse = [after - before for before, after in zip(right["error_m"], last["error_m"], strict=True)]
         i = worse.index(max(worse))
         growth = f"{of['cases'][i]}, {1e3 * right['error_m'][i]:.1f} -> {1e3 * last['error_m'][i]:.1f} mm"
-        above = [spread(sizes[size]["above"], "+.3f") if size in sizes else "-" for size in SIZES]
+        above = [spread(sizes[size]["above"], "+.3f") if size in sizes else "-" for size in ERROR_SIZES]
         lost = f"{sum(last['lost'])} of {len(last['lost']) * episodes}; {right['lost']} of {episodes}"
         cells = [f"`{name}`", f"{right['score'][0]:.3f}", way.says, *above, f"{min(last['hulls']):+.3f}", growth, lost]
         rows.append(cells)

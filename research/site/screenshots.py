@@ -23,7 +23,7 @@ PROGRAM = "python -m research screenshots"
 IMAGES = DOCS / "images"  # folder of the pictures
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 """Programs that can take the pictures."""
-POLICIES = ("ekf", "apg-cruise", "lqi")
+_POLICIES = ("ekf", "apg-cruise", "lqi")
 """What runs besides the expert."""
 READY = "document.documentElement.dataset.ready === 'charts'"  # in the browser, once everything is drawn
 _PATIENCE = 120_000  # milliseconds that a page may take
@@ -69,7 +69,7 @@ def main(arguments: Sequence[str]) -> int:
 def _evaluated(pages: Path) -> None:
     """Make the pages that are missing."""
     wanted = {
-        "suite": ("--suite", "benchmark-v2", "--episodes", "40", "--policy", *POLICIES),
+        "suite": ("--suite", "benchmark-v2", "--episodes", "40", "--policy", *_POLICIES),
         "stability": ("--stability", "--policy", "backstepping-paper", "lqi"),
     }
     for name, words in wanted.items():

@@ -30,7 +30,7 @@ GENTLE = ("line", "circle", "sine", "random_smooth")
 """Those that every published vehicle can follow: the lobes of a figure-eight turn faster than a rudder or the little
 sway drag of a ship allows."""
 _EPISODES = 52  # of a path family in a cell of benchmark-v1 and ood-v1
-VALIDATION_EPISODES = 10  # of a path family in a cell of benchmark-v1-validation
+_VALIDATION_EPISODES = 10  # of a path family in a cell of benchmark-v1-validation
 UNMODELLED_EPISODES = 30  # of a path family in a cell of unmodelled-v1
 SEALED_EPISODES = 64  # in a cell of a sealed suite
 DEEP_EPISODES = 60  # in a cell of deep-v1
@@ -126,12 +126,12 @@ def _sealed(**changes: Any) -> list[Recipe]:
     """Return the worlds of a sealed suite: missions follow waypoints, the others take turns among the families."""
     return [
         Recipe(scenario, (*FAMILIES, "lawnmower"), SEALED_EPISODES, waypoints if roams else Recipe.path)
-        for scenario, roams in sealed.worlds(**changes)
+        for scenario, roams in sealed.sealed_worlds(**changes)
     ]
 
 
 def _deep() -> list[Recipe]:
-    return [Recipe(scenario, (*FAMILIES, "lawnmower"), DEEP_EPISODES) for scenario in deep.worlds()]
+    return [Recipe(scenario, (*FAMILIES, "lawnmower"), DEEP_EPISODES) for scenario in deep.deep_worlds()]
 
 
 def _vehicles() -> list[Recipe]:
@@ -199,9 +199,9 @@ def waypoints(rng: np.random.Generator, path: RandomPath, duration: float) -> Pa
             return spline
 
 
-SUITES: dict[str, tuple[int | None, Callable[[], list[Recipe]]]] = {
+BUILDERS: dict[str, tuple[int | None, Callable[[], list[Recipe]]]] = {
     "benchmark-v1": (1_000_001, lambda: _benchmark(_EPISODES)),
-    "benchmark-v1-validation": (1_000_002, lambda: _benchmark(VALIDATION_EPISODES)),
+    "benchmark-v1-validation": (1_000_002, lambda: _benchmark(_VALIDATION_EPISODES)),
     "ood-v1": (1_000_003, _out_of_distribution),
     "unmodelled-v1": (1_000_004, _unmodelled),
     "deep-v1": (1_000_005, _deep),
@@ -228,7 +228,7 @@ def build(name: str) -> list[Cell]:
     Raises:
         SuiteError: it is sealed.
     """
-    known, recipes = SUITES[name]
+    known, recipes = BUILDERS[name]
     seed = sealed.seed(name) if known is None else known
     return [rounded(_cell(recipe, seed, i)) for i, recipe in enumerate(recipes())]
 

@@ -13,14 +13,14 @@ from tyro.conf import Positional, arg
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.progress import run_and_show
 from baselines.evaluation.runner import STEP_LIMIT, Cell, Run
-from baselines.evaluation.suites.yardsticks import keep
+from baselines.evaluation.suites.yardsticks import write_yardsticks
 from baselines.policies import list_policies
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
 from baselines.tools.files import versions
 from baselines.tools.workers import Workers
 from research.suites import sealed
-from research.suites.builder import SHARED, SUITES, anchors_of, build
-from research.suites.verify import Verdict, cells_to_run, told
+from research.suites.builder import BUILDERS, SHARED, anchors_of, build
+from research.suites.verify import PolicyVerdict, cells_to_run, verdict_line
 
 PROGRAM = "python -m research suites"
 
@@ -65,10 +65,10 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    if unknown := [name for name in options.name if name not in (*SUITES, *SHARED)]:
-        raise UsageError(f"unknown suite {unknown[0]!r}; allowed are {', '.join((*SUITES, *SHARED))}")
+    if unknown := [name for name in options.name if name not in (*BUILDERS, *SHARED)]:
+        raise UsageError(f"unknown suite {unknown[0]!r}; allowed are {', '.join((*BUILDERS, *SHARED))}")
     if not options.name and options.action in ("build", "seal", "open", "yardsticks", "record"):
-        raise UsageError(f"name the suite to {options.action}: {', '.join((*SUITES, *SHARED))}")
+        raise UsageError(f"name the suite to {options.action}: {', '.join((*BUILDERS, *SHARED))}")
     if unknown := [policy for policy in options.policy if policy not in list_policies()]:
         raise UsageError(f"{unknown[0]!r} is not the name of a policy; allowed are {', '.join(list_policies())}")
     if options.episodes is not None and (options.episodes < 1 or options.action != "record"):
@@ -102,7 +102,7 @@ def _build(name: str, _: Options) -> int:
     if name in SHARED:
         made = suites.save_shared(name, SHARED[name], anchors)
     else:
-        made = suites.save(name, build(name), anchors=anchors)
+        made = suites.save_suite(name, build(name), anchors=anchors)
     print(f"{made}  {name}")
     return DONE
 
@@ -110,7 +110,7 @@ def _build(name: str, _: Options) -> int:
 def _seal(name: str, _: Options) -> int:
     _check_sealed(name)
     secret = secrets.token_urlsafe(24)
-    sealed.keep(name, sealed.Seal(sealed.sha256(secret)))
+    sealed.write_seal(name, sealed.Seal(sealed.sha256(secret)))
     print(f"the secret of {name}, which is kept nowhere: {secret}")
     return DONE
 
@@ -119,18 +119,18 @@ def _open(name: str, options: Options) -> int:
     _check_sealed(name)
     if name not in (kept := sealed.seals()):
         raise UsageError(f"{name} has no seal; make one with: {PROGRAM} seal {name}")
-    sealed.keep(name, kept[name].opened(options.secret or ""))
+    sealed.write_seal(name, kept[name].opened(options.secret or ""))
     return _build(name, options)
 
 
 def _check_sealed(name: str) -> None:
     """Raise UsageError if a suite is none that is sealed."""
-    if name in SHARED or SUITES[name][0] is not None:
+    if name in SHARED or BUILDERS[name][0] is not None:
         raise UsageError(f"{name} is not a suite that is sealed")
 
 
 def _check(name: str, _: Options) -> int:
-    suite = suites.load(name)
+    suite = suites.load_suite(name)
     for cell, digests in zip(suite.cells, suite.digests, strict=True):
         suites.check_cell(cell, digests)
     episodes = sum(len(cell.episodes) for cell in suite.cells)
@@ -139,19 +139,19 @@ def _check(name: str, _: Options) -> int:
 
 
 def _measure(name: str, _: Options) -> int:
-    keep(suites.load(name))
+    write_yardsticks(suites.load_suite(name))
     return DONE
 
 
 def _record(name: str, options: Options) -> int:
     """Record policy by policy, so that an interruption costs one of them."""
-    suite, status = suites.load(name), DONE
+    suite, status = suites.load_suite(name), DONE
     for policy in options.policy or tuple(list_policies()):
         regimes = recorded.regimes_of(policy)
         own = suite.cells_in(regimes)
         found = _run(policy, [Cell(cell.scenario, cell.episodes[: options.episodes]) for cell in own], options)
         try:
-            recorded.save(suite, found, versions(), regimes=regimes)
+            recorded.save_recorded(suite, found, versions(), regimes=regimes)
         except ValueError as error:
             reasons = dict.fromkeys(run.error for run in found if run.error)
             print(f"{called(PROGRAM)}: {error}: {'; '.join(map(str, reasons))}", file=sys.stderr)
@@ -161,25 +161,25 @@ def _record(name: str, options: Options) -> int:
 
 def _verify(name: str, options: Options) -> int:
     """Verify policy by policy, and say of each whether its rows are the same."""
-    suite, status = suites.load(name), DONE
+    suite, status = suites.load_suite(name), DONE
     if note := recorded.missing(name):
         print(f"note: {note}", flush=True)
     for policy in [p for p in recorded.recorded_policies(suite) if p in (options.policy or (p,))]:
         try:
-            old = {run.scenario.name: run for run in recorded.read(suite, policy)}
+            old = {run.scenario.name: run for run in recorded.read_recorded(suite, policy)}
             cells = cells_to_run(suite, list(old.values()), options.cells)
             again = _run(policy, cells, options) if cells else []
-            verdicts = [Verdict.of(old[run.scenario.name], run) for run in again]
+            verdicts = [PolicyVerdict.of(old[run.scenario.name], run) for run in again]
         except (OSError, ValueError) as error:
             print(f"FAILED     {policy} in {name}: {error}", flush=True)
             status = FAILED
             continue
         if verdicts:
-            print(told(f"{policy} in {name}", verdicts), flush=True)
+            print(verdict_line(f"{policy} in {name}", verdicts), flush=True)
         if any(verdict.differing for verdict in verdicts):
             status = FAILED
         elif verdicts and options.stamp:
-            recorded.stamp(suite, policy)
+            recorded.stamp_recorded(suite, policy)
     return status
 
 

@@ -23,7 +23,7 @@ from baselines.control.privileged.truth import Truth
 from baselines.evaluation.metrics import tail_rmse
 from baselines.evaluation.runner import Cell
 
-CASES = {"deep": "calm", "deep-current": "current", "deep-storm": "storm"}
+_CASES = {"deep": "calm", "deep-current": "current", "deep-storm": "storm"}
 """What the worlds are called, and the case of the presets that each is."""
 MISSION = {"slow": 300.0, "cruise": 240.0}  # [s] with 15 and 12 fixes on average
 INSTRUMENTS = Sensors(
@@ -40,11 +40,11 @@ OUTAGES = 0.5  # [1/min] how often the fixes fail in a storm
 OUTAGE_TIME = (20.0, 60.0)  # [s] for how long
 
 
-def worlds() -> list[Scenario]:
+def deep_worlds() -> list[Scenario]:
     """Return the scenarios of a deep suite: calm water, a current, and storms in which fixes fail."""
     found = []
     for regime in REGIMES:
-        for name, case in CASES.items():
+        for name, case in _CASES.items():
             preset = PRESETS[f"{regime}-{case}"]
             failing = replace(INSTRUMENTS, outages=OUTAGES, outage_time=OUTAGE_TIME)
             found.append(

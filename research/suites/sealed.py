@@ -35,7 +35,7 @@ FIRST: Mapping[str, Any] = {"beyond": {**BEYOND, "cruise": (1.5, 2.0)}, "slew": 
 _OUTAGES = 3.0  # [1/min] how often the position fix fails
 LONG = {"slow": (5.0, 10.0), "cruise": (3.0, 6.0)}  # [s] for how long
 _FAR = 5.0  # [m] how far off a far start is, on each axis
-HULL = (0.7, 1.3)  # masses of a hull as shares of the known one's
+MASS_SHARES = (0.7, 1.3)  # masses of a hull as shares of the known one's
 DRAG = (0.6, 1.4)  # its drag
 
 
@@ -79,7 +79,7 @@ def seals() -> dict[str, Seal]:
         raise SuiteError(f"cannot read the seals: {error}") from error
 
 
-def keep(name: str, seal: Seal) -> None:
+def write_seal(name: str, seal: Seal) -> None:
     """Write a seal down.
 
     Raises:
@@ -107,7 +107,9 @@ def seed(name: str) -> int:
     return seed_of(seal.secret)
 
 
-def worlds(beyond: Mapping[str, tuple[float, float]] = BEYOND, slew: float = _SLEW) -> list[tuple[Scenario, bool]]:
+def sealed_worlds(
+    beyond: Mapping[str, tuple[float, float]] = BEYOND, slew: float = _SLEW
+) -> list[tuple[Scenario, bool]]:
     """Return the scenarios of a sealed suite, and whether each follows random waypoints in place of path families.
 
     They lie outside of what agents are trained on (`auv_gym.scenarios.mixtures`) and controllers are tuned on: speeds
@@ -155,7 +157,7 @@ def _slewing(storm: Scenario, slew: float) -> Any:
 
 def _hulls(storm: Scenario) -> RandomMismatch:
     assert isinstance(storm.mismatch, RandomMismatch)
-    return replace(storm.mismatch, mass=HULL, m33=HULL, d11=DRAG, d22=DRAG, d33=DRAG)
+    return replace(storm.mismatch, mass=MASS_SHARES, m33=MASS_SHARES, d11=DRAG, d22=DRAG, d33=DRAG)
 
 
 def _sheared(storm: Scenario, regime: str) -> RandomCurrent:

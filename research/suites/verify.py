@@ -8,13 +8,13 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from baselines.evaluation.metrics import Measures
-from baselines.evaluation.recorded import table
+from baselines.evaluation.recorded import stored_measures
 from baselines.evaluation.runner import Cell, Run
 from baselines.evaluation.suites import Suite
 
 
 @dataclass(frozen=True)
-class Verdict:
+class PolicyVerdict:
     """How the rows of one policy in one cell compare with those of another time."""
 
     scenario: str
@@ -24,7 +24,7 @@ class Verdict:
     where: str = ""  # the measure and the episode of the largest
 
     @classmethod
-    def of(cls, recorded: Run, again: Run) -> Verdict:
+    def of(cls, recorded: Run, again: Run) -> PolicyVerdict:
         """Compare two runs of the same episodes as files hold them, see `recorded.table`.
 
         Raises:
@@ -33,7 +33,9 @@ class Verdict:
         name = recorded.scenario.name
         if recorded.measures is None or again.measures is None:
             raise ValueError(f"{again.policy} fails in {name}: {again.error}")
-        old, new = (table(run.measures).astype(np.float64) for run in (recorded, again) if run.measures is not None)
+        old, new = (
+            stored_measures(run.measures).astype(np.float64) for run in (recorded, again) if run.measures is not None
+        )
         differs = ~((old == new) | (np.isnan(old) & np.isnan(new)))
         if not differs.any():
             return cls(name, old.size, 0)
@@ -58,7 +60,7 @@ def cells_to_run(suite: Suite, recorded: Sequence[Run], names: Sequence[str]) ->
     return [Cell(cell.scenario, cell.episodes[: lengths[cell.scenario.name]]) for cell in chosen]
 
 
-def told(policy: str, verdicts: Sequence[Verdict]) -> str:
+def verdict_line(policy: str, verdicts: Sequence[PolicyVerdict]) -> str:
     """Return a line about a policy."""
     numbers, differing = (sum(getattr(v, key) for v in verdicts) for key in ("numbers", "differing"))
     if not differing:

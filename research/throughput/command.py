@@ -17,11 +17,11 @@ from baselines.tools.command_line import DONE, parse
 from baselines.tools.files import json_text, write_atomically
 from research.throughput import environments, learning, policies, tracing
 from research.throughput.figures import SCENARIO, Case
-from research.throughput.page import FILE, curves_figure
-from research.throughput.timing import Run, interleaved, typical
+from research.throughput.page import THROUGHPUT_FILE, throughput_figure
+from research.throughput.timing import TimedRun, interleaved, typical_time
 
 PROGRAM = "python -m research throughput"
-CASES: tuple[Case, ...] = (
+_CASES: tuple[Case, ...] = (
     environments.first_cases,
     environments.scalar_cases,
     environments.vector_cases,
@@ -61,14 +61,16 @@ class Options:
 def curves(quick: bool) -> dict[str, list[tuple[int, float]]]:
     """Return vehicle steps per second against N, by what is stepped; tapes and resets are left out."""
     sizes = (1, 16, 64) if quick else (1, 4, 16, 64, 256, 1024, 4096, 16384)
-    runs: dict[str, tuple[int, Callable[[int, int], Run]]] = {
+    runs: dict[str, tuple[int, Callable[[int, int], TimedRun]]] = {
         "auv_gym": (sizes[-1], environments.track),
         "auv_gym, torch": (sizes[-1], lambda n, k: learning.on_torch(n, k, compiled=not quick)),
         "Pendulum-v1, SyncVectorEnv": (1024, lambda n, k: environments.peer("Pendulum-v1", n, "sync", k)),
         "CartPole-v1, native": (sizes[-1], lambda n, k: environments.peer("CartPole-v1", n, environments.NATIVE, k)),
     }
     return {
-        label: [(n, 1 / typical(interleaved(3, run(n, max(4, min(64, 8192 // n))))[0])) for n in sizes if n <= largest]
+        label: [
+            (n, 1 / typical_time(interleaved(3, run(n, max(4, min(64, 8192 // n))))[0])) for n in sizes if n <= largest
+        ]
         for label, (largest, run) in runs.items()
     }
 
@@ -93,7 +95,7 @@ def main(arguments: Sequence[str]) -> int:
     warnings.filterwarnings("ignore", module="gymnasium")
     torch.set_num_threads(1)
     print(f"{machine()}; processor time on one thread; scenario {SCENARIO}\n")
-    for case in CASES:
+    for case in _CASES:
         for figure in case(options.quick) if options.only in case.__name__ else ():
             figures.append(figure)
             goal = f"goal {figure.goal_text}: {'met' if figure.met else 'missed'}" if figure.goal is not None else ""
@@ -108,8 +110,8 @@ def main(arguments: Sequence[str]) -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     write_atomically(options.out / "bench.json", text)
     if points:
-        write_atomically(options.out / "bench.png", curves_figure(points))
+        write_atomically(options.out / "bench.png", throughput_figure(points))
         if options.record:
-            write_atomically(FILE, text)
+            write_atomically(THROUGHPUT_FILE, text)
     print(f"\nwritten: {options.out / 'bench.json'}")
     return DONE

@@ -14,15 +14,15 @@ from auv_gym import PRESETS
 from auv_gym.scenarios.fitting import changed
 from baselines.policies import make_policy
 from research.throughput.figures import SCENARIO, Figure, faster, takes
-from research.throughput.timing import Run, cpu_time, interleaved, timed, typical, whole
+from research.throughput.timing import TimedRun, cpu_time, interleaved, mean_time, timed, typical_time
 
 TRACK = "auv_gym:UnderactuatedAUVTrack-v0"  # under a policy's own commands
-RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"  # under corrections to the expert
+RESIDUAL_ENV = "auv_gym:UnderactuatedAUVTrackResidual-v0"  # under corrections to the expert
 NATIVE = "vector_entry_point"  # the mode of Gymnasium's `make_vec` in which an environment is its own vector
 EPISODE = PRESETS[SCENARIO].steps  # control steps of an episode
 
 
-def steps_run(env_id: str, steps: int, *, resets: bool, **options: Any) -> Run:
+def steps_run(env_id: str, steps: int, *, resets: bool, **options: Any) -> TimedRun:
     """Return up to that many steps of a scalar environment under an action that never changes, until the episode ends.
 
     With `resets` the reset in front of them counts as well.
@@ -47,7 +47,7 @@ def steps_run(env_id: str, steps: int, *, resets: bool, **options: Any) -> Run:
     return run
 
 
-def vector_run(env: Any, act: Callable[[Any], Any], steps: int = EPISODE, *, staggered: bool = False) -> Run:
+def vector_run(env: Any, act: Callable[[Any], Any], steps: int = EPISODE, *, staggered: bool = False) -> TimedRun:
     """Return steps of a vector environment, a piece each, per vehicle; the actor's time is left out.
 
     Args:
@@ -77,27 +77,27 @@ def vector_run(env: Any, act: Callable[[Any], Any], steps: int = EPISODE, *, sta
     return run
 
 
-def track(n: int, steps: int = EPISODE, *, staggered: bool = False) -> Run:
+def track(n: int, steps: int = EPISODE, *, staggered: bool = False) -> TimedRun:
     """Return our vector environment on NumPy under an expert, so that no vehicle is lost."""
     expert = make_policy("backstepping-normalised")
     env = gym.make_vec(TRACK, n, NATIVE, scenario=SCENARIO)
     return vector_run(env, lambda observation: expert.predict(observation)[0], steps, staggered=staggered)
 
 
-def residual(n: int, *, staggered: bool = False) -> Run:
+def residual(n: int, *, staggered: bool = False) -> TimedRun:
     """Return our residual vector environment with zero corrections; its expert's time is a part of it."""
-    env, zero = gym.make_vec(RESIDUAL, n, NATIVE, scenario=SCENARIO), np.zeros((n, 2), dtype=np.float32)
+    env, zero = gym.make_vec(RESIDUAL_ENV, n, NATIVE, scenario=SCENARIO), np.zeros((n, 2), dtype=np.float32)
     return vector_run(env, lambda _: zero, EPISODE, staggered=staggered)
 
 
-def peer(env_id: str, n: int, mode: str, steps: int) -> Run:
+def peer(env_id: str, n: int, mode: str, steps: int) -> TimedRun:
     """Return one of Gymnasium's own vector environments under an action that never changes."""
     env = gym.make_vec(env_id, n, mode)
     still = np.zeros_like(env.action_space.sample())
     return vector_run(env, lambda _: still, steps)
 
 
-def fresh_process(code: str) -> Run:
+def fresh_process(code: str) -> TimedRun:
     """Return the run of some Python in a process of its own."""
     return timed(lambda: subprocess.run([sys.executable, "-c", code], check=True))
 
@@ -112,8 +112,8 @@ def first_cases(quick: bool) -> Iterator[Figure]:
         fresh_process("import gymnasium, numpy"),
         fresh_process(begun),
     )
-    yield faster("import auv_gym, against import gymnasium and numpy", typical(imports), typical(needed))
-    yield takes("first gym.make of a process, everything imported", typical(made), 0.4)
+    yield faster("import auv_gym, against import gymnasium and numpy", typical_time(imports), typical_time(needed))
+    yield takes("first gym.make of a process, everything imported", typical_time(made), 0.4)
 
 
 def scalar_cases(quick: bool) -> Iterator[Figure]:
@@ -122,21 +122,21 @@ def scalar_cases(quick: bool) -> Iterator[Figure]:
     own = {"scenario": SCENARIO}
     alone, plain, peer_alone, with_resets, peer_with_resets = interleaved(
         rounds,
-        steps_run(RESIDUAL, EPISODE - 1, resets=False, **own),
+        steps_run(RESIDUAL_ENV, EPISODE - 1, resets=False, **own),
         steps_run(TRACK, EPISODE - 1, resets=False, **own),
         steps_run("Pendulum-v1", pendulum - 1, resets=False),
-        steps_run(RESIDUAL, EPISODE - 1, resets=True, **own),
+        steps_run(RESIDUAL_ENV, EPISODE - 1, resets=True, **own),
         steps_run("Pendulum-v1", pendulum - 1, resets=True),
     )
-    yield faster("scalar residual, steps alone, against Pendulum-v1", typical(alone), typical(peer_alone), 4)
-    yield faster("scalar residual, with resets", typical(with_resets), typical(peer_with_resets), 2)
-    yield faster("scalar, commands, steps alone", typical(plain), typical(peer_alone))
+    yield faster("scalar residual, steps alone, against Pendulum-v1", typical_time(alone), typical_time(peer_alone), 4)
+    yield faster("scalar residual, with resets", typical_time(with_resets), typical_time(peer_with_resets), 2)
+    yield faster("scalar, commands, steps alone", typical_time(plain), typical_time(peer_alone))
     env, rounds = gym.make_vec(TRACK, 64, NATIVE, scenario=SCENARIO), 3 if quick else 100
     env.reset(seed=0)
     for n, name, goal in ((1, "alone", 4e-4), (11, "eleven at once, a lane", 2e-4)):
         mask = np.arange(64) < n
         begins = interleaved(rounds, timed(lambda mask=mask: env.reset(options={"reset_mask": mask}), n))  # type: ignore[misc]
-        yield takes(f"begin of an episode, {name}", typical(begins[0]), goal)
+        yield takes(f"begin of an episode, {name}", typical_time(begins[0]), goal)
 
 
 def vector_cases(quick: bool) -> Iterator[Figure]:
@@ -150,16 +150,16 @@ def vector_cases(quick: bool) -> Iterator[Figure]:
         runs = track(n), residual(n), track(n, staggered=True), residual(n, staggered=True)
         *own, other = interleaved(rounds, *runs, peer(name, n, mode, max(5, 6400 // n)))
         against = f"N = {n} against {name}, {'native' if mode == NATIVE else 'SyncVectorEnv'}"
-        yield faster(f"{against}, whole episodes", whole(own[0]), whole(other), goal)
-        yield faster("  residual, the expert's time included", whole(own[1]), whole(other))
-        yield faster("  episodes that end one after the other", whole(own[2]), whole(other))
-        yield faster("  the same, residual", whole(own[3]), whole(other))
+        yield faster(f"{against}, whole episodes", mean_time(own[0]), mean_time(other), goal)
+        yield faster("  residual, the expert's time included", mean_time(own[1]), mean_time(other))
+        yield faster("  episodes that end one after the other", mean_time(own[2]), mean_time(other))
+        yield faster("  the same, residual", mean_time(own[3]), mean_time(other))
         between = np.delete(own[0], np.s_[EPISODE - 1 :: EPISODE], axis=1)  # where no episode ends
-        yield faster("  step and tape, no ends", whole(between), whole(other), 50.0 if n > 64 else None)
-        yield faster("  a step alone", typical(own[0]), whole(other))
+        yield faster("  step and tape, no ends", mean_time(between), mean_time(other), 50.0 if n > 64 else None)
+        yield faster("  a step alone", typical_time(own[0]), mean_time(other))
 
 
-def drawing_run(env_id: str, frames: int, **options: Any) -> Run:
+def drawing_run(env_id: str, frames: int, **options: Any) -> TimedRun:
     """Return pictures of a scalar environment under an action that never changes; its steps are left out."""
     env = gym.make(env_id, render_mode="rgb_array", **options)
     still = np.zeros(env.action_space.shape or (), dtype=env.action_space.dtype)
@@ -187,9 +187,9 @@ def drawing_cases(quick: bool) -> Iterator[Figure]:
         drawing_run(TRACK, frames, scenario=SCENARIO),
         drawing_run("CartPole-v1", frames),
     )
-    yield takes("a frame of 480x360", typical(small), 5e-3)
-    yield faster("  against CartPole-v1, 600x400", typical(small), typical(peer_frames))
-    yield takes("  960x720", typical(large))
+    yield takes("a frame of 480x360", typical_time(small), 5e-3)
+    yield faster("  against CartPole-v1, 600x400", typical_time(small), typical_time(peer_frames))
+    yield takes("  960x720", typical_time(large))
 
 
 def scaling_cases(quick: bool) -> Iterator[Figure]:
@@ -197,7 +197,7 @@ def scaling_cases(quick: bool) -> Iterator[Figure]:
     short, long = (changed(PRESETS[SCENARIO], control_dt=dt) for dt in (0.1, 0.02))
     runs = [steps_run(TRACK, s.steps - 1, resets=True, scenario=s) for s in (short, long)]
     brief, lengthy = interleaved(1 if quick else 9, *runs)
-    yield faster("a step of an episode of 3,000 steps, against one of 600", typical(lengthy), typical(brief))
+    yield faster("a step of an episode of 3,000 steps, against one of 600", typical_time(lengthy), typical_time(brief))
     n = 256 if quick else 16384
     code = (
         "import resource, gymnasium as gym, numpy as np\n"

@@ -27,17 +27,17 @@ from baselines.training.apg.torch_network import torch_network, weights_of
 from baselines.training.config import Config
 from baselines.training.run_folder import PROGRESS, read_progress
 from research.throughput.eager import Setting
-from research.throughput.environments import EPISODE, NATIVE, RESIDUAL, track, vector_run
+from research.throughput.environments import EPISODE, NATIVE, RESIDUAL_ENV, track, vector_run
 from research.throughput.figures import SCENARIO, Figure, faster, takes
-from research.throughput.timing import Run, cpu_time, interleaved, timed, typical, whole
+from research.throughput.timing import TimedRun, cpu_time, interleaved, mean_time, timed, typical_time
 from research.trainings.trainings import HELM
 
 _WINDOW = 32  # control steps that a gradient goes back over
-GOOD = 0.95
+_GOOD = 0.95
 """Score on the validation episodes at which a training counts as done."""
 
 
-def on_torch(n: int, steps: int, *, compiled: bool) -> Run:
+def on_torch(n: int, steps: int, *, compiled: bool) -> TimedRun:
     """Return `environments.track` on torch."""
     expert = make_policy("backstepping-normalised")
     return vector_run(
@@ -50,12 +50,14 @@ def torch_cases(quick: bool) -> Iterator[Figure]:
     n, steps, rounds = (64, _WINDOW, 1) if quick else (4096, EPISODE, 3)
     compiled, plain = interleaved(rounds, on_torch(n, steps, compiled=not quick), track(n, steps))
     yield faster(
-        f"torch, N = {n}, {steps} steps with the host's tape, against ours on arrays", whole(compiled), whole(plain)
+        f"torch, N = {n}, {steps} steps with the host's tape, against ours on arrays",
+        mean_time(compiled),
+        mean_time(plain),
     )
-    yield faster("  a step alone", typical(compiled), typical(plain))
+    yield faster("  a step alone", typical_time(compiled), typical_time(plain))
 
 
-def gradient_run(n: int, *, compiled: bool) -> Run:
+def gradient_run(n: int, *, compiled: bool) -> TimedRun:
     """Return a gradient through the simulator with a network in the loop; the tape is read as it falls due.
 
     Each window begins a new batch of episodes, outside of what is timed: no vehicle is lost and nothing is planned.
@@ -86,7 +88,7 @@ def gradient_cases(quick: bool) -> Iterator[Figure]:
     runs = gradient_run(n, compiled=not quick), gradient_run(n, compiled=False)
     compiled, eager = interleaved(1 if quick else 9, *runs)
     case = f"gradient through {_WINDOW} steps of TorchSimulator, N = {n}, against eager"
-    yield faster(case, typical(compiled), typical(eager))
+    yield faster(case, typical_time(compiled), typical_time(eager))
 
 
 def sb3_cases(quick: bool) -> Iterator[Figure]:
@@ -96,7 +98,7 @@ def sb3_cases(quick: bool) -> Iterator[Figure]:
     from baselines.training.sb3.vec_env import SB3VecEnv
 
     n, steps = 64, 64 if quick else 320
-    first, second = (SB3VecEnv(gym.make_vec(RESIDUAL, n, NATIVE, scenario=SCENARIO)) for _ in range(2))
+    first, second = (SB3VecEnv(gym.make_vec(RESIDUAL_ENV, n, NATIVE, scenario=SCENARIO)) for _ in range(2))
     model = PPO("MlpPolicy", first, n_steps=64, batch_size=1024, seed=0, device="cpu")
     zero = np.zeros((n, 2), dtype=np.float32)
     second.reset()
@@ -106,7 +108,7 @@ def sb3_cases(quick: bool) -> Iterator[Figure]:
             second.step(zero)
 
     inside, all_of_it = interleaved(1, timed(alone, steps * n), timed(lambda: model.learn(steps * n), steps * n))
-    yield Figure(f"the environment in PPO, N = {n}", typical(inside) / typical(all_of_it), "share")
+    yield Figure(f"the environment in PPO, N = {n}", typical_time(inside) / typical_time(all_of_it), "share")
 
 
 def window_cases(quick: bool) -> Iterator[Figure]:
@@ -124,7 +126,9 @@ def window_cases(quick: bool) -> Iterator[Figure]:
 
     mine.run()
     own, other = interleaved(1 if quick else 7, timed(mine.run, n * steps), timed(eager, n * steps))
-    yield faster(f"training window, {n} vehicles, {steps} steps, against eager torch", typical(own), typical(other), 14)
+    yield faster(
+        f"training window, {n} vehicles, {steps} steps, against eager torch", typical_time(own), typical_time(other), 14
+    )
     if native.wanted() and native.compiler():
         with tempfile.TemporaryDirectory() as cache, mock.patch.dict(os.environ, {native.CACHE: cache}):
             native.library.cache_clear()
@@ -145,7 +149,7 @@ def group_cases(quick: bool) -> Iterator[Figure]:
             run()  # waits for the other process
         two, one = interleaved(1 if quick else 25, *runs)
     case = f"training window, {settings.n_envs} vehicles, two processes against one, time that passes"
-    yield faster(case, typical(two), typical(one))
+    yield faster(case, typical_time(two), typical_time(one))
 
 
 def training_cases(quick: bool) -> Iterator[Figure]:
@@ -157,6 +161,6 @@ def training_cases(quick: bool) -> Iterator[Figure]:
         subprocess.run(command, check=True, capture_output=True)
         seconds, rows = cpu_time() - begin, read_progress(next(Path(out).rglob(PROGRESS)).parent)
     yield takes("python train.py", seconds, None if quick else 60)
-    if reached := [row["seconds"] for row in rows if row.get("score", 0.0) >= GOOD]:
-        case = f"  to a score of {GOOD} on validation episodes, start included"
+    if reached := [row["seconds"] for row in rows if row.get("score", 0.0) >= _GOOD]:
+        case = f"  to a score of {_GOOD} on validation episodes, start included"
         yield takes(case, seconds - (rows[-1]["seconds"] - reached[0]), 45)

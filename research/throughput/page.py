@@ -10,13 +10,13 @@ from baselines.tools.files import read_json
 from research import DATA
 from research.throughput.figures import SCENARIO, Figure
 
-FILE = DATA / "throughput.json"  # what was measured
+THROUGHPUT_FILE = DATA / "throughput.json"  # what was measured
 
 
 def context(page: str) -> dict[str, Any]:
     """Return machine, scenario and the rows of the table."""
     del page
-    record = read_json(FILE)
+    record = read_json(THROUGHPUT_FILE)
     rows = [row(Figure(**figure)) for figure in record["figures"]]
     return {"machine": record["machine"], "scenario": SCENARIO, "rows": rows}
 
@@ -24,7 +24,7 @@ def context(page: str) -> dict[str, Any]:
 def figures(page: str) -> dict[str, bytes]:
     """Return the figure of vehicle steps per second against N."""
     del page
-    return {"bench.png": curves_figure(read_json(FILE)["steps_per_second"])}
+    return {"bench.png": throughput_figure(read_json(THROUGHPUT_FILE)["steps_per_second"])}
 
 
 def row(figure: Figure) -> tuple[str, str, str, str]:
@@ -33,7 +33,7 @@ def row(figure: Figure) -> tuple[str, str, str, str]:
     return figure.case.replace("  ", "… "), figure.text, figure.goal_text, met
 
 
-def curves_figure(points: Mapping[str, Sequence[tuple[int, float]]]) -> bytes:
+def throughput_figure(points: Mapping[str, Sequence[tuple[int, float]]]) -> bytes:
     """Return the figure of vehicle steps per second against N, by what is stepped."""
     figure, [[axes]] = panels(1, 1, (7.0, 4.5))
     for label, own in points.items():

@@ -17,13 +17,13 @@ from baselines.policies import list_policies, make_policy
 from baselines.policy import Privileged
 from research.throughput.environments import TRACK
 from research.throughput.figures import SCENARIO, Figure, takes
-from research.throughput.timing import Run, cpu_time, interleaved, timed, typical
+from research.throughput.timing import TimedRun, cpu_time, interleaved, timed, typical_time
 
 DECISION_GOALS = {"apg-cruise": 2e-5, "ekf": 1e-4, "nmpc": 1.5e-3}  # [s]
 STEP_GOALS = {"backstepping": 6e-7, "ekf": 6e-6, "nmpc": 1.2e-4}  # [s]
 
 
-def decision_run(name: str, steps: int) -> Run:
+def decision_run(name: str, steps: int) -> TimedRun:
     """Return a policy's decisions for one vehicle in closed loop, a piece each; the first five are left out."""
     policy = make_policy(name)
     env = gym.make(TRACK, scenario=SCENARIO, preview=preview_of(policy))
@@ -46,7 +46,7 @@ def decision_cases(quick: bool) -> Iterator[Figure]:
     steps, rounds = (8, 1) if quick else (60, 3)
     times = interleaved(rounds, *(decision_run(name, steps) for name in names))
     for name, own in zip(names, times, strict=True):
-        yield takes(f"decision of one vehicle: {name}", typical(own), DECISION_GOALS.get(name))
+        yield takes(f"decision of one vehicle: {name}", typical_time(own), DECISION_GOALS.get(name))
 
 
 def evaluation_cases(quick: bool) -> Iterator[Figure]:
@@ -55,7 +55,7 @@ def evaluation_cases(quick: bool) -> Iterator[Figure]:
     rng = np.random.default_rng(0)
     episodes = [scenario.drawn(rng, lambda _: None)[0] for _ in range(n)]
 
-    def run_of(name: str) -> Run:
+    def run_of(name: str) -> TimedRun:
         policy = make_policy(name)
         return timed(lambda: rollout(policy, scenario, episodes), n * scenario.steps)
 
@@ -63,13 +63,13 @@ def evaluation_cases(quick: bool) -> Iterator[Figure]:
         if quick and name == "nmpc":
             continue
         (times,) = interleaved(1 if name == "nmpc" else 3, run_of(name))
-        yield takes(f"evaluation, a vehicle step: {name}", typical(times), goal)
+        yield takes(f"evaluation, a vehicle step: {name}", typical_time(times), goal)
 
 
 def command_cases(quick: bool) -> Iterator[Figure]:
     """The command line as a user runs it."""
 
-    def evaluating(*arguments: str) -> Run:
+    def evaluating(*arguments: str) -> TimedRun:
         def work() -> None:
             with tempfile.TemporaryDirectory() as out:
                 command = [sys.executable, "-m", "baselines", "evaluate", "--out", out, *arguments]
@@ -79,8 +79,8 @@ def command_cases(quick: bool) -> Iterator[Figure]:
 
     quickly = ("--scenario", "cruise-calm", "--episodes", "2", "--jobs", "1") if quick else ()
     (times,) = interleaved(1, evaluating(*quickly))
-    yield takes("python evaluate.py", typical(times), 10)
+    yield takes("python evaluate.py", typical_time(times), 10)
     if not quick:
         names = [name for name in list_policies() if not name.endswith(":fade")]
         (times,) = interleaved(1, evaluating("--policy", *names))
-        yield takes("python evaluate.py, all policies of benchmark-v1 run anew", typical(times), 360)
+        yield takes("python evaluate.py, all policies of benchmark-v1 run anew", typical_time(times), 360)

@@ -10,7 +10,7 @@ import numpy as np
 
 from auv_gym.physics.namespaces import Array
 
-Run = Callable[[], Sequence[float]]
+TimedRun = Callable[[], Sequence[float]]
 """Does some work and returns the processor time [s] a unit of each piece of it."""
 
 
@@ -20,7 +20,7 @@ def cpu_time() -> float:
     return time.process_time() + children.ru_utime + children.ru_stime
 
 
-def timed(work: Callable[[], object], units: int = 1, clock: Callable[[], float] = cpu_time) -> Run:
+def timed(work: Callable[[], object], units: int = 1, clock: Callable[[], float] = cpu_time) -> TimedRun:
     """Return the run that does the work, of so many units, in one piece; by another clock, the times are its."""
 
     def run() -> Sequence[float]:
@@ -31,17 +31,17 @@ def timed(work: Callable[[], object], units: int = 1, clock: Callable[[], float]
     return run
 
 
-def interleaved(rounds: int, *runs: Run) -> list[Array]:
+def interleaved(rounds: int, *runs: TimedRun) -> list[Array]:
     """Return the times [s] of each run, taken in turn, shape (rounds, pieces)."""
     times = [[run() for run in runs] for _ in range(rounds)]
     return [np.array(column) for column in zip(*times, strict=True)]
 
 
-def whole(times: Array) -> float:
+def mean_time(times: Array) -> float:
     """Return the time [s] a unit with all that a round holds: its mean over the pieces, the median of the rounds."""
     return float(np.median(times.mean(axis=1)))
 
 
-def typical(times: Array) -> float:
+def typical_time(times: Array) -> float:
     """Return the time [s] a unit of a usual piece, without what happens in few of them, such as an episode's end."""
     return float(np.median(times))

@@ -19,7 +19,7 @@ from auv_gym.task import simulation
 from auv_gym.task.kernels import Vehicles, step_kernel
 from auv_gym.task.simulation import PARAMETER_ROWS, PLANT, PLANT_ROWS, SAMPLE_ROWS, Parameters
 from research.throughput.figures import SCENARIO, Figure, faster, takes
-from research.throughput.timing import cpu_time, interleaved, timed, typical
+from research.throughput.timing import cpu_time, interleaved, timed, typical_time
 
 _PARTS = PRESETS[SCENARIO].parts  # what is in use of the simulation
 MANY = 1024  # vehicles side by side
@@ -76,14 +76,16 @@ def tracing_cases(quick: bool) -> Iterator[Figure]:
         timed(stepping(MANY, calls), calls * MANY),
         timed(lambda: side_by_side(*several), MANY),
     )
-    ours, casadis, call, their_call, lane, their_lane = map(typical, times)
+    ours, casadis, call, their_call, lane, their_lane = map(typical_time, times)
     yield faster("recording a control step, against CasADi", ours, casadis)
     yield faster("  a call for one vehicle", call, their_call)
     yield faster(f"  a vehicle step of {MANY} side by side", lane, their_lane)
     yield takes("  ours, one vehicle", call)
     yield takes(f"  ours, a vehicle of {MANY}", lane)
     if native.wanted() and native.compiler():
-        yield takes("building the control step, once a machine", typical(interleaved(1 if quick else 5, building)[0]))
+        yield takes(
+            "building the control step, once a machine", typical_time(interleaved(1 if quick else 5, building)[0])
+        )
 
 
 def building() -> list[float]:

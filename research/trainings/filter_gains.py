@@ -3,7 +3,8 @@
 About straight motion at a speed U, in the axes of the body, a step of the model is z' = A z + w, and y = H z + n is
 what is measured; w and n have the covariances Q and R. The covariance P of the prediction's error becomes steady:
 P = A P A^T + Q - A P H^T (H P H^T + R)^-1 H P A^T, and the gain is K = P H^T (H P H^T + R)^-1. Each entry of K, found
-at `SPEEDS`, is kept as a polynomial in `filters.speed_share`, one for each regime: sensors and period are others there.
+at `_SPEEDS`, is kept as a polynomial in `filters.speed_share`, one for each regime: sensors and period are others
+there.
 """
 
 from __future__ import annotations
@@ -24,17 +25,17 @@ from baselines.agents.filters import (
     ACROSS_MEASURED,
     ALONG,
     ALONG_MEASURED,
+    FILTER_GAINS,
     LAGS,
-    TABLE,
     speed_share,
 )
-from baselines.estimation.filter_equations import Units, excitation
+from baselines.estimation.filter_equations import FilterUnits, excitation
 from baselines.estimation.kalman import Tuning
-from baselines.estimation.sea_model import AT, SIZE, Estimate, measurement, transition
+from baselines.estimation.sea_model import PLACE, STATE_SIZE, Estimate, measurement, transition
 from baselines.policy import CRUISE_SPEED
 from baselines.tools.files import write_atomically
 
-SPEEDS = {"slow": (0.06, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4), "cruise": (0.41, 0.5, 0.65, 0.8, 1.0, 1.25, 1.5, 2.0)}
+_SPEEDS = {"slow": (0.06, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4), "cruise": (0.41, 0.5, 0.65, 0.8, 1.0, 1.25, 1.5, 2.0)}
 """Speeds [m/s] at which the Riccati equation is solved, by the regime whose sensors and period count."""
 DEGREE = 3  # of the polynomials
 TUNINGS = (
@@ -50,10 +51,10 @@ _STEP = 1e-6  # half width of the central differences of the model, SI units
 def model(speed: float, lag: float, vehicle: Vehicle = PAPER_VEHICLE) -> tuple[Array, Array, float]:
     """Return A (22, 22), H (6, 22) about straight motion at a speed [m/s], and the control period [s] there."""
     dt = storm_at(speed).control_dt
-    level = np.zeros(SIZE)
-    level[AT.u], level[AT.lag] = speed, lag
+    level = np.zeros(STATE_SIZE)
+    level[PLACE.u], level[PLACE.lag] = speed, lag
     F_u = (vehicle.d11 + vehicle.X_uu * speed) * speed
-    level[AT.F_u] = F_u
+    level[PLACE.F_u] = F_u
 
     def after(z: Array) -> Any:
         return transition(Estimate(*z.tolist()), (F_u, 0.0), (0.0, 0.0), dt, vehicle.coefficients, FLOATS)
@@ -61,7 +62,7 @@ def model(speed: float, lag: float, vehicle: Vehicle = PAPER_VEHICLE) -> tuple[A
     def shown(z: Array) -> Any:
         return measurement(Estimate(*z.tolist()), FLOATS)
 
-    moves = _STEP * np.eye(SIZE)
+    moves = _STEP * np.eye(STATE_SIZE)
     A, H = (np.array([np.subtract(f(level + d), f(level - d)) / (2 * _STEP) for d in moves]).T for f in (after, shown))
     return A, H, dt
 
@@ -77,11 +78,11 @@ def problem(
     """Return A, Q (21, 21), H (6, 21) and R (6, 6) of the Riccati equation at a speed [m/s], without the lag's row."""
     A, H, dt = model(speed, lag, vehicle)
     storm = storm_at(speed)
-    act, kept = storm.actuators, [i for i in range(SIZE) if i != AT.lag]
+    act, kept = storm.actuators, [i for i in range(STATE_SIZE) if i != PLACE.lag]
     c = vehicle.coefficients
-    units = Units(speed, [d * speed for d in (c.d11, c.d22, c.d33)], (act.F_u_max, act.F_r_max))
+    units = FilterUnits(speed, [d * speed for d in (c.d11, c.d22, c.d33)], (act.F_u_max, act.F_r_max))
     Q = np.array(excitation(dt, units, tuning), dtype=float)
-    for i, limit in ((AT.F_u, act.F_u_max), (AT.F_r, act.F_r_max)):
+    for i, limit in ((PLACE.F_u, act.F_u_max), (PLACE.F_r, act.F_r_max)):
         Q[i, i] = (FORCE_NOISE * tuning.acceleration / TUNINGS[0].acceleration * limit * speed) ** 2 * dt
     R = np.diag(np.square(storm.sensors.noise))
     return A[np.ix_(kept, kept)], H[:, kept], Q[np.ix_(kept, kept)], R
@@ -91,22 +92,22 @@ def gain(speed: float, lag: float, tuning: Tuning, vehicle: Vehicle = PAPER_VEHI
     """Return the gain K (22, 6) of the steady filter at a speed [m/s], in SI units; the lag's row is zero."""
     A, H, Q, R = problem(speed, lag, tuning, vehicle)
     P = solve_discrete_are(A.T, H.T, Q, R)
-    return np.insert(np.linalg.solve(H @ P @ H.T + R, H @ P).T, AT.lag, 0.0, axis=0)
+    return np.insert(np.linalg.solve(H @ P @ H.T + R, H @ P).T, PLACE.lag, 0.0, axis=0)
 
 
-def table(regime: str, tuning: Tuning, lag: float) -> dict[str, Any]:
+def _table(regime: str, tuning: Tuning, lag: float) -> dict[str, Any]:
     """Return the polynomials of a filter's gains in a regime, as `filters.gains` reads them."""
-    speeds = SPEEDS[regime]
+    speeds = _SPEEDS[regime]
     K = np.array([gain(speed, lag, tuning) for speed in speeds])
     powers = np.vander([speed_share(U) for U in speeds], DEGREE + 1, increasing=True)
     fit = np.linalg.lstsq(powers, K.reshape(len(speeds), -1), rcond=None)[0].reshape(DEGREE + 1, *K.shape[1:])
     return {
-        name: [[[float(f"{c:.6g}") for c in fit[:, at(a), at(b)]] for b in measured] for a in entries]
+        name: [[[float(f"{c:.6g}") for c in fit[:, _at(a), _at(b)]] for b in measured] for a in entries]
         for name, entries, measured in (("along", ALONG, ALONG_MEASURED), ("across", ACROSS, ACROSS_MEASURED))
     }
 
 
-def at(name: str) -> int:
+def _at(name: str) -> int:
     """Return where an entry of an `Estimate` stands; the measured six stand in the same places."""
     return Estimate._fields.index(name)
 
@@ -114,11 +115,11 @@ def at(name: str) -> int:
 def text() -> str:
     """Return the table of all filters as its file has it."""
     known = list(zip(TUNINGS, LAGS, strict=True))
-    record = {regime: [table(regime, *own) for own in known] for regime in REGIMES}
+    record = {regime: [_table(regime, *own) for own in known] for regime in REGIMES}
     return json.dumps(record) + "\n"
 
 
 def main(_: Sequence[str]) -> int:
     """Write the table and return the exit status."""
-    write_atomically(TABLE, text().encode())
+    write_atomically(FILTER_GAINS, text().encode())
     return 0

@@ -27,29 +27,34 @@ from baselines.agents.names import agent_folder
 from baselines.evaluation.metrics import resamplings
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
-from baselines.evaluation.score import EXPERT, RIVAL, capped, in_paper_units, largest_tail, losses, relative_error
+from baselines.evaluation.score import EXPERT, RIVAL, capped, in_paper_metres, largest_tail, losses, relative_error
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tools.workers import DEFAULT_JOBS
-from baselines.training.beginning import ALGO, digest
+from baselines.training.beginning import ALGO, weights_digest
 from baselines.training.command import train
-from baselines.training.hyperparameters import TUNING, changes_of, load_hyperparameters, shipped, words_of
+from baselines.training.hyperparameters import (
+    FINE_TUNING_FILE_NAME,
+    changes_of,
+    hyperparameter_words,
+    load_hyperparameters,
+    shipped,
+)
 from baselines.training.options import Options as Training
-from baselines.training.run_folder import AGENT
+from baselines.training.run_folder import AGENT_FOLDER
+from research import DOCS
 from research.seeds import FINE_TUNING
-from research.trainings.trainings import SHIPPED, request_of
+from research.trainings.trainings import SHIPPED_TRAININGS, request_of
 
 PROGRAM = "python -m research fine-tuning"
 _GOAL = 1.05
 """What the error of a tuned agent may be at most, over that of one trained alone."""
-VEHICLES = ("lauv", "otter", "remus100", "cybership2", "nps-auv2")
+_VEHICLES = ("lauv", "otter", "remus100", "cybership2", "nps-auv2")
 """Whom it is measured for."""
-TUNED = "tuned"  # the agent that begins with another one and is trained for a vehicle
+_TUNED = "tuned"  # the agent that begins with another one and is trained for a vehicle
 ALONE = "alone"  # the one that begins with nothing
-FILE = "fine-tuning.json"  # of what was measured, in docs/
-BEGIN = "<!-- fine-tuning -->"  # before the table in the page
-END = "<!-- end of fine-tuning -->"  # behind it
+FINE_TUNING_FILE = "fine-tuning.json"  # of what was measured, in docs/
 SHARED = ("hull",)
 """Hyper-parameters of an agent that began with another one which are of no less use from nothing: not its rates."""
 LENGTH = 12_000_000
@@ -60,7 +65,7 @@ SAYS = {
     EXPERT: "the expert",
     RIVAL: "predictive control",
     "": "the agent as it is",
-    TUNED: "tuned to the vehicle",
+    _TUNED: "tuned to the vehicle",
     ALONE: "trained for it alone",
 }
 """What the table calls them."""
@@ -76,7 +81,7 @@ class Options:
     Exit status: 0 done, 1 a training failed, 2 wrong usage.
     """
 
-    vehicle: Annotated[tuple[str, ...], arg(metavar="V [V ...]", help_behavior_hint="")] = VEHICLES
+    vehicle: Annotated[tuple[str, ...], arg(metavar="V [V ...]", help_behavior_hint="")] = _VEHICLES
     """Published vehicles by name."""
     agent: str = "helm-any"
     """The agent that is tuned, one that ships with the package."""
@@ -88,7 +93,7 @@ class Options:
     """Control steps of each training, to try it out."""
     runs: Path = Path("runs/fine-tuning")
     """Folder for the trainings."""
-    out: Path = Path("docs" if checkout() else "runs") / FILE
+    out: Path = Path("docs" if checkout() else "runs") / FINE_TUNING_FILE
     """File for what is measured."""
 
 
@@ -103,12 +108,12 @@ def trainings(agent: str, vehicle: str, timesteps: int | None = None) -> dict[st
         vehicle: its name.
         timesteps: of both, None: what `train.py --from` takes, and `LENGTH`.
     """
-    own = SHIPPED[agent]
-    first = SHIPPED.get(own.from_ or "", own)  # an agent that began with another has its rates for going on
+    own = SHIPPED_TRAININGS[agent]
+    first = SHIPPED_TRAININGS.get(own.from_ or "", own)  # an agent that began with another has its rates for going on
     shared = {name: value for name, value in changes_of(own.set).items() if own.from_ and name in SHARED}
-    words = words_of({**changes_of(first.set), **shared, "groups": 1, "validations": PIECES})
+    words = hyperparameter_words({**changes_of(first.set), **shared, "groups": 1, "validations": PIECES})
     return {
-        TUNED: replace(Training(), from_=agent, vehicle=vehicle, timesteps=timesteps),
+        _TUNED: replace(Training(), from_=agent, vehicle=vehicle, timesteps=timesteps),
         ALONE: replace(first, set=tuple(words), vehicle=vehicle, timesteps=timesteps or LENGTH),
     }
 
@@ -117,9 +122,9 @@ def recipe(name: str, agent: str, vehicle: str, timesteps: int | None = None) ->
     """Return what makes one of the two `trainings` what it is, as words NAME=VALUE."""
     if name == ALONE:
         own = trainings(agent, vehicle, timesteps)[ALONE]
-        return [*own.set, *words_of({"timesteps": own.timesteps})]
-    table = load_hyperparameters(shipped(ALGO), TUNING)
-    return words_of({"timesteps": timesteps or table.timesteps, **table.values})
+        return [*own.set, *hyperparameter_words({"timesteps": own.timesteps})]
+    table = load_hyperparameters(shipped(ALGO), FINE_TUNING_FILE_NAME)
+    return hyperparameter_words({"timesteps": timesteps or table.timesteps, **table.values})
 
 
 def errors(policy: str, vehicle: str, episodes: int) -> dict[str, Any]:
@@ -133,7 +138,7 @@ def errors(policy: str, vehicle: str, episodes: int) -> dict[str, Any]:
         scenario = preset(f"cruise-{case}@{vehicle}")
         found = drawn(scenario, episodes, FINE_TUNING.first)
         measures = rollout(make_policy(policy, scenario.vehicle), scenario, found.episodes).measures
-        own, cap = in_paper_units(measures, scenario), largest_tail(scenario.name)
+        own, cap = in_paper_metres(measures, scenario), largest_tail(scenario.name)
         tails.append([float(f"{x:.4g}") for x in capped(own, cap)])
         lost.append(losses(own, cap))
     return {"tails": tails, "lost": lost}
@@ -148,12 +153,12 @@ def main(arguments: Sequence[str]) -> int:
     options = parse(Options, arguments, PROGRAM)
     if unknown := [name for name in options.vehicle if name not in fleet()]:
         raise UsageError(f"{unknown[0]!r} is no published vehicle; allowed are {', '.join(fleet())}")
-    if options.agent not in SHIPPED:
-        raise UsageError(f"--agent {options.agent} does not ship; allowed are {', '.join(SHIPPED)}")
+    if options.agent not in SHIPPED_TRAININGS:
+        raise UsageError(f"--agent {options.agent} does not ship; allowed are {', '.join(SHIPPED_TRAININGS)}")
     if options.episodes < 2:
         raise UsageError(f"--episodes is {options.episodes}; it must be 2 or more")
     names = options.policy or _compared(options.agent)
-    record = begun(options, weights_of(options.agent))
+    record = still_valid(options, shipped_digest(options.agent))
     status = DONE
     for vehicle in options.vehicle:
         kept = record["vehicles"].setdefault(vehicle, {})
@@ -170,7 +175,7 @@ def main(arguments: Sequence[str]) -> int:
     return status
 
 
-def weights_of(agent: str) -> str:
+def shipped_digest(agent: str) -> str:
     """Return the SHA-256 of the weights of an agent that ships.
 
     Raises:
@@ -179,10 +184,10 @@ def weights_of(agent: str) -> str:
     """
     if (folder := agent_folder(agent)) is None:
         raise UsageError(f"--agent {agent} is not here: python -m research train-all {agent} --install trains it")
-    return digest(folder)
+    return weights_digest(folder)
 
 
-def begun(options: Options, weights: str) -> dict[str, Any]:
+def still_valid(options: Options, weights: str) -> dict[str, Any]:
     """Return the record of a file with what still counts in it.
 
     That is nothing of another agent or of other episodes; of an agent with other weights all but the rows of the agent
@@ -191,9 +196,9 @@ def begun(options: Options, weights: str) -> dict[str, Any]:
     record = read_json(options.out) if options.out.exists() else {}
     if record.get("agent") != options.agent or record.get("episodes") != options.episodes:
         return {"agent": options.agent, "weights": weights, "episodes": options.episodes, "vehicles": {}}
-    stale = (options.agent, TUNED) if record.get("weights") != weights else ()
+    stale = (options.agent, _TUNED) if record.get("weights") != weights else ()
     for vehicle, found in record["vehicles"].items():
-        own = {name: recipe(name, options.agent, vehicle, options.timesteps) for name in (TUNED, ALONE)}
+        own = {name: recipe(name, options.agent, vehicle, options.timesteps) for name in (_TUNED, ALONE)}
         record["vehicles"][vehicle] = {
             name: row
             for name, row in found.items()
@@ -204,29 +209,31 @@ def begun(options: Options, weights: str) -> dict[str, Any]:
 
 def _compared(agent: str) -> tuple[str, ...]:
     """Return who is compared where an agent is tuned, in the order of the table."""
-    return EXPERT, RIVAL, agent, TUNED, ALONE
+    return EXPERT, RIVAL, agent, _TUNED, ALONE
 
 
 def _measured(name: str, vehicle: str, options: Options, weights: str) -> dict[str, Any]:
     """Return what one of them does, once it is trained; only a status where that has failed."""
-    if name not in (TUNED, ALONE):
+    if name not in (_TUNED, ALONE):
         return errors(name, vehicle, options.episodes)
-    of = f"{name}-{weights[:8]}" if name == TUNED else name  # no run is gone on with that began with other weights
+    of = f"{name}-{weights[:8]}" if name == _TUNED else name  # no run is gone on with that began with other weights
     folder, begin = options.runs / f"{vehicle}-{of}", time.monotonic()
     there = folder.exists()
     training = trainings(options.agent, vehicle, options.timesteps)[name]
     request = request_of(training, folder, DEFAULT_JOBS)
     if status := train(request):
         return {"status": status}
-    from baselines.training.apg.settings import check  # here: it takes seconds to load, and --help needs none of it
+    from baselines.training.apg.settings import (
+        check,  # here: it takes seconds to load, and --help needs none of it
+    )
 
     processors = min(DEFAULT_JOBS, check(request.configs[0]).groups)
     took = {} if there else {"seconds": round(time.monotonic() - begin, 1), "processors": processors}
     own = {"set": recipe(name, options.agent, vehicle, options.timesteps)}
-    return errors(str(folder / AGENT), vehicle, options.episodes) | took | own
+    return errors(str(folder / AGENT_FOLDER), vehicle, options.episodes) | took | own
 
 
-def ratio(policy: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[float, float, float]:
+def error_ratio(policy: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[float, float, float]:
     """Return the geometric mean over paired episodes of one's tail error over another's, with its 95 % interval."""
     logs = [np.log(np.array(a) / np.array(b)) for a, b in zip(policy["tails"], other["tails"], strict=True)]
     drawn_again = resamplings(tuple(map(len, logs)))
@@ -236,8 +243,9 @@ def ratio(policy: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[float, f
     return float(values[0]), low, high
 
 
-def section(record: Mapping[str, Any]) -> str:
-    """Return what the page says about what was measured."""
+def fine_tuning_section() -> str:
+    """Return what docs/training.md says about what was measured."""
+    record = read_json(DOCS / FINE_TUNING_FILE)
     asked, vehicles = _compared(record["agent"]), record["vehicles"].items()
     gaps = [f"{name} for {vehicle}" for vehicle, found in vehicles for name in asked if name not in found]
     missing = f" Not measured yet: {', '.join(gaps)}." if gaps else ""
@@ -246,11 +254,12 @@ def section(record: Mapping[str, Any]) -> str:
         "fresh episodes each; everybody is told the vehicle. The typical error is the geometric mean of tails, those "
         "of lost episodes cut at the cap; *typical over alone* is the geometric mean of ratios over paired episodes, "
         "*mean over alone* that over cases of the ratio of mean tails, which large errors decide. Intervals (95 %) are "
-        f"over episodes. One training seed.{missing}\n\n{table(record)}{worth(record)}{verdict(record)}"
+        f"over episodes. One training seed.{missing}\n\n"
+        f"{fine_tuning_table(record)}{worth(record)}{tuned_verdict(record)}"
     )
 
 
-def table(record: Mapping[str, Any]) -> str:
+def fine_tuning_table(record: Mapping[str, Any]) -> str:
     """Return what was measured as a table in Markdown."""
     count = record["episodes"] * len(CASES)
     lines = [
@@ -282,7 +291,7 @@ def _over_alone(own: Mapping[str, Any], found: Mapping[str, Any]) -> list[tuple[
     if ALONE not in found:
         return [None, None]
     mean = relative_error(*([np.array(case) for case in of["tails"]] for of in (found[ALONE], own)))
-    return [ratio(own, found[ALONE]), (mean.mean, *mean.ci95)]
+    return [error_ratio(own, found[ALONE]), (mean.mean, *mean.ci95)]
 
 
 def _share(ends: tuple[float, float, float] | None) -> str:
@@ -294,18 +303,20 @@ def worth(record: Mapping[str, Any]) -> str:
     asked = {record["agent"]: "the agent as it is", RIVAL: f"`{RIVAL}`"}
     lines = []
     for vehicle, found in record["vehicles"].items():
-        if TUNED in found and asked.keys() <= found.keys():
-            shares = [f"{_share(ratio(found[TUNED], found[name]))} times that of {of}" for name, of in asked.items()]
+        if _TUNED in found and asked.keys() <= found.keys():
+            shares = [
+                f"{_share(error_ratio(found[_TUNED], found[name]))} times that of {of}" for name, of in asked.items()
+            ]
             lines.append(f"for `{vehicle}` {' and '.join(shares)}")
     return f"\nThe typical error of the tuned agent is {'; '.join(lines)}.\n" if lines else ""
 
 
-def verdict(record: Mapping[str, Any]) -> str:
+def tuned_verdict(record: Mapping[str, Any]) -> str:
     """Return whether tuned agents are as near as those trained alone, vehicle by vehicle; nothing where none was."""
     lines = []
     for vehicle, found in record["vehicles"].items():
-        if TUNED in found and ALONE in found:
-            shares = [ends for ends in _over_alone(found[TUNED], found) if ends is not None]
+        if _TUNED in found and ALONE in found:
+            shares = [ends for ends in _over_alone(found[_TUNED], found) if ends is not None]
             words = ["within" if high <= _GOAL else "beyond" if low > _GOAL else "undecided" for _, low, high in shares]
             lines.append(f"`{vehicle}` {words[0]} by the typical error, {words[1]} by the mean one")
     if not lines:

@@ -20,25 +20,25 @@ from tyro.conf import Positional, arg
 from auv_gym.installation import checkout
 from auv_gym.scenarios.presets import REGIMES
 from auv_gym.task.policy import Policy
-from baselines.evaluation.rollout import Log, Repeatable, Watch, beginning
+from baselines.evaluation.rollout import EpisodeLog, Repeatable, Watch, beginning
 from baselines.evaluation.runner import Cell, Run
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.training.command import train
-from baselines.training.hyperparameters import changes_of, words_of
+from baselines.training.hyperparameters import changes_of, hyperparameter_words
 from baselines.training.options import Options as TrainOptions
-from baselines.training.run_folder import AGENT
+from baselines.training.run_folder import AGENT_FOLDER
 from baselines.tuning import command as tuning
 from baselines.tuning.tunables import TUNABLES
-from research.results.front_files import FOLDER, SUITE, Front, Point, save
-from research.trainings.study import cells_of
-from research.trainings.trainings import SHIPPED, request_of
+from research.results.front_files import FRONT_SUITE, FRONTS_FOLDER, Front, Point, save_front
+from research.trainings.study import suite_cells
+from research.trainings.trainings import SHIPPED_TRAININGS, request_of
 from research.vehicles.priced import FACTORS, priced_gains, priced_record, prices_of, swept_gains
 
 PROGRAM = "python -m research front"
 CONTROLLERS = ("lqi", "ekf", "nmpc")
 """Controllers that have a front, the slowest one last."""
-WEIGHTS = ((0.003, 0.002), (0.02, 0.005), (0.1, 0.01), (0.5, 0.03))
+FRONT_WEIGHTS = ((0.003, 0.002), (0.02, 0.005), (0.1, 0.01), (0.5, 0.03))
 """What agents pay for effort and rate in training, behind those that ship with the package."""
 _STEPS = 3_200_000  # control steps of each of these trainings, far fewer than of an agent that ships
 _EPISODES = 40  # of each case, eight of each family of paths
@@ -63,7 +63,7 @@ class Options:
     """Control steps of each training."""
     runs: Path = Path("runs/front")
     """Folder of the trainings."""
-    out: Path = FOLDER if checkout() else Path("runs/fronts")
+    out: Path = FRONTS_FOLDER if checkout() else Path("runs/fronts")
     """Folder for what the points did, NAME-REGIME.npz."""
 
 
@@ -76,9 +76,9 @@ def main(arguments: Sequence[str]) -> int:
     options = parse(Options, arguments, PROGRAM)
     if options.episodes < 1:
         raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more")
-    cases = [cell.scenario.name for regime in options.regime for cell in cells_of(SUITE, regime)]
+    cases = [cell.scenario.name for regime in options.regime for cell in suite_cells(FRONT_SUITE, regime)]
     if unknown := [case for case in options.case if case not in cases]:
-        raise UsageError(f"{unknown[0]!r} is no case of {SUITE} here; allowed are {', '.join(cases)}")
+        raise UsageError(f"{unknown[0]!r} is no case of {FRONT_SUITE} here; allowed are {', '.join(cases)}")
     for name in options.name:
         if name not in CONTROLLERS:
             _check_family(name)
@@ -93,7 +93,7 @@ def main(arguments: Sequence[str]) -> int:
                 points.append(point)
                 rows.append(episodes.run(name, policy))
                 print(f"{name}, {regime}: {point.label}", flush=True)
-            save(Front.of(name, regime, points, rows), options.out)
+            save_front(Front.of(name, regime, points, rows), options.out)
     return DONE
 
 
@@ -110,27 +110,27 @@ def controllers(name: str, regime: str) -> Iterator[tuple[Point, Policy]]:
 def agents(family: str, regime: str, options: Options) -> Iterator[tuple[Point, Policy | None]]:
     """Yield the points of a family's front, None for an agent whose training failed; what is missing is trained."""
     name = shipped_name(family, regime)
-    request = request_of(SHIPPED[name], options.runs / f"{name}-shipped")
+    request = request_of(SHIPPED_TRAININGS[name], options.runs / f"{name}-shipped")
     yield Point("shipped", request.command, shipped=True), make_policy(name)
-    for effort, rate in WEIGHTS:
-        training = weighted(SHIPPED[name], effort, rate, options.timesteps)
+    for effort, rate in FRONT_WEIGHTS:
+        training = priced_training(SHIPPED_TRAININGS[name], effort, rate, options.timesteps)
         request = request_of(training, options.runs / f"{name}-{effort:g}")
         done = train(request) == DONE
         point = Point(f"{effort:g}, {rate:g}", request.command)
-        yield point, make_policy(str(request.folders[0] / AGENT)) if done else None
+        yield point, make_policy(str(request.folders[0] / AGENT_FOLDER)) if done else None
 
 
 def shipped_name(family: str, regime: str) -> str:
     """Return the agent of a family that serves a regime: one of that name alone serves both."""
-    return family if family in SHIPPED else f"{family}-{regime}"
+    return family if family in SHIPPED_TRAININGS else f"{family}-{regime}"
 
 
-def weighted(training: TrainOptions, effort: float, rate: float, timesteps: int) -> TrainOptions:
+def priced_training(training: TrainOptions, effort: float, rate: float, timesteps: int) -> TrainOptions:
     """Return a training with other weights of effort and rate, in every regime, and another length."""
     changes = changes_of(training.set)
     for kind, weight in (("effort_weight", effort), ("rate_weight", rate)):
         changes |= {name: weight for name in (*changes, kind) if name == kind or name.endswith(f"_{kind}")}
-    return replace(training, timesteps=timesteps, set=tuple(words_of(changes)))
+    return replace(training, timesteps=timesteps, set=tuple(hyperparameter_words(changes)))
 
 
 class Episodes:
@@ -146,7 +146,7 @@ class Episodes:
         """Return what a policy does in each cell."""
         scenario, watch = self.cells[0].scenario, Watch()
         bounds = np.cumsum([0, *(len(cell.episodes) for cell in self.cells)]).tolist()
-        log = Log(scenario.steps, bounds[-1])
+        log = EpisodeLog(scenario.steps, bounds[-1])
         for k, moment in enumerate(self._episodes.play(policy, scenario.steps, watch)):
             log.add(k, moment)
         measures, seconds = log.measures(scenario), watch.decision_seconds
@@ -158,7 +158,7 @@ class Episodes:
 
 def _cells(regime: str, options: Options) -> list[Cell]:
     """Return what is run in a regime."""
-    known = cells_of(SUITE, regime)
+    known = suite_cells(FRONT_SUITE, regime)
     chosen = [cell for cell in known if not options.case or cell.scenario.name in options.case]
     return [replace(cell, episodes=cell.episodes[: options.episodes]) for cell in chosen]
 
@@ -166,8 +166,13 @@ def _cells(regime: str, options: Options) -> list[Cell]:
 def _check_family(name: str) -> None:
     """Raise UsageError if there is no agent of a family in every regime that is trained by the gradient."""
     known = sorted(
-        {each.removesuffix(f"-{regime}") for each, t in SHIPPED.items() for regime in REGIMES if t.algo == "apg"}
+        {
+            each.removesuffix(f"-{regime}")
+            for each, t in SHIPPED_TRAININGS.items()
+            for regime in REGIMES
+            if t.algo == "apg"
+        }
     )
-    known = [family for family in known if all(shipped_name(family, regime) in SHIPPED for regime in REGIMES)]
+    known = [family for family in known if all(shipped_name(family, regime) in SHIPPED_TRAININGS for regime in REGIMES)]
     if name not in known:
         raise UsageError(f"{name!r} has no front; allowed are {', '.join((*CONTROLLERS, *known))}")

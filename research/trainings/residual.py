@@ -34,24 +34,35 @@ from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tools.workers import Workers
 from baselines.training.command import train
 from baselines.training.options import Options as TrainOptions
-from baselines.training.run_folder import AGENT, read_progress
-from research.results.fresh import AGENTS
-from research.results.residual_file import CURVE, FILE, RESIDUAL, SCRATCH, SHIPPED, STUCK, UNIT, Group, save, whole
-from research.robustness.failures import LIMITS
-from research.robustness.situations import WORLDS, episodes_of, outcome, silent, situations_of
-from research.trainings.trainings import SLOW, request_of, training
+from baselines.training.run_folder import AGENT_FOLDER, read_progress
+from research.results.fresh import FAMILIES
+from research.results.residual_file import (
+    CURVE_COLUMNS,
+    RESIDUAL_FILE,
+    RESIDUAL_KIND,
+    SCRATCH,
+    SHIPPED_KIND,
+    STUCK,
+    UNIT,
+    ResidualGroup,
+    save_groups,
+    whole,
+)
+from research.robustness.failures import SATURATED
+from research.robustness.situations import WORLDS, outcome, silent, situation_episodes, situations_of
+from research.trainings.trainings import SLOW_TRAINING, request_of, training
 
 PROGRAM = "python -m research residual"
 SEEDS = 5  # of each training
 _STEPS = 1_000_000  # control steps of each training, an eighth of those of `apg-cruise`
 AUTHORITIES: Mapping[str, tuple[float, ...]] = {"cruise": (0.1, 0.25, 0.5, 1.0, 2.0), "slow": (0.5, 1.0)}
 """Authorities of surge and yaw that are trained with, for both kinds."""
-FOLLOWED = {(RESIDUAL, 0.5, "cruise"), (SCRATCH, 1.0, "cruise")}
+FOLLOWED = {(RESIDUAL_KIND, 0.5, "cruise"), (SCRATCH, 1.0, "cruise")}
 """Trainings whose first minutes are looked at."""
 _VALIDATIONS = {True: 20, False: 1}  # of a training that is followed, and of another
 _EPISODES = 10  # of each case for the agents of the study
 EPISODES_SHIPPED = 40  # of each case for a policy of the registry, of which there is one
-POLICIES = (EXPERT, RIVAL, "helm", *(f"{family}-{regime}" for family in AGENTS for regime in REGIMES))
+POLICIES = (EXPERT, RIVAL, "helm", *(f"{family}-{regime}" for family in FAMILIES for regime in REGIMES))
 """Policies of the registry that are measured beside them."""
 _BOUNDS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.75, 1.0, 1.5, 2.0)
 """Authorities of which it is measured what they bound, whatever a network was trained to."""
@@ -59,7 +70,7 @@ _OWN = "situations.json"  # file beside an agent of what it does
 
 
 @dataclass(frozen=True)
-class Setting:
+class _Setting:
     """Agents of the study: trained alike, with several seeds."""
 
     kind: str
@@ -69,16 +80,16 @@ class Setting:
     @property
     def training(self) -> TrainOptions:
         """How they are trained, with the first seed."""
-        changes: dict[str, Any] = {} if self.regime == "cruise" else dict(SLOW)
+        changes: dict[str, Any] = {} if self.regime == "cruise" else dict(SLOW_TRAINING)
         changes["validations"] = _VALIDATIONS[(self.kind, self.authority, self.regime) in FOLLOWED]
         expert = NO_EXPERT if self.kind == SCRATCH else None
         return training("apg", self.regime, (self.authority,), expert, _STEPS, changes)
 
 
-_SETTINGS: Mapping[str, Setting] = {
-    f"{kind}-{authority}-{regime}": Setting(kind, authority, regime)
+_SETTINGS: Mapping[str, _Setting] = {
+    f"{kind}-{authority}-{regime}": _Setting(kind, authority, regime)
     for regime, authorities in AUTHORITIES.items()
-    for kind in (RESIDUAL, SCRATCH)
+    for kind in (RESIDUAL_KIND, SCRATCH)
     for authority in authorities
 }
 """The agents of the study, by name."""
@@ -127,7 +138,7 @@ def main(arguments: Sequence[str]) -> int:
         if value is not None and value < 1:
             raise UsageError(f"--{option} is {value}; it must be 1 or more")
     workers = checked(partial(Workers.of, options.jobs))
-    file = FILE if checkout() and not options.tried else options.out / FILE.name
+    file = RESIDUAL_FILE if checkout() and not options.tried else options.out / RESIDUAL_FILE.name
     for name in options.name or (*_SETTINGS, STUCK, *POLICIES):
         if name in _SETTINGS:
             status, groups = _trained(name, options, workers)
@@ -135,56 +146,59 @@ def main(arguments: Sequence[str]) -> int:
                 return status
         else:
             groups = _stuck(options) if name == STUCK else _registered(name, options, workers)
-        checked(partial(save, groups, file))
+        checked(partial(save_groups, groups, file))
         for group in groups:
             print(_line(group), flush=True)
     print(f"written: {file}")
     return DONE
 
 
-def _line(group: Group) -> str:
+def _line(group: ResidualGroup) -> str:
     size = next(iter(group.tails.values())).size
     lost = "; ".join(f"{situation} {int(group.lost(situation).sum())}" for situation in group.tails)
     return f"{group.name}, {group.regime}: lost of {size}: {lost}"
 
 
-def _trained(name: str, options: Options, workers: Workers) -> tuple[int, list[Group]]:
+def _trained(name: str, options: Options, workers: Workers) -> tuple[int, list[ResidualGroup]]:
     """Train the agents of a setting and measure them; return the exit status and what came out."""
     setting = _SETTINGS[name]
     chosen = replace(setting.training, seeds=options.seeds or SEEDS, timesteps=options.timesteps or _STEPS)
     request = request_of(chosen, options.out / name, options.jobs)
     if not options.finished and (status := train(request)) != DONE:
         return status, []
-    folders = [folder for folder in request.folders if (folder / AGENT).exists()]
+    folders = [folder for folder in request.folders if (folder / AGENT_FOLDER).exists()]
     if not folders:
         return DONE, []
-    tasks = [(str(f / AGENT), setting.regime, options.episodes or _EPISODES, f / _OWN) for f in folders]
+    tasks = [(str(f / AGENT_FOLDER), setting.regime, options.episodes or _EPISODES, f / _OWN) for f in folders]
     tails = _measured(tasks, workers)
     curves = [
-        np.array([[row[key] for key in CURVE] for row in read_progress(folder) if "score" in row]) for folder in folders
+        np.array([[row[key] for key in CURVE_COLUMNS] for row in read_progress(folder) if "score" in row])
+        for folder in folders
     ]
     entries = setting.regime, setting.kind, setting.authority, _today(), request.command
-    return DONE, [Group(name, *entries, tails, tuple(curves))]
+    return DONE, [ResidualGroup(name, *entries, tails, tuple(curves))]
 
 
-def _registered(name: str, options: Options, workers: Workers) -> list[Group]:
+def _registered(name: str, options: Options, workers: Workers) -> list[ResidualGroup]:
     """Measure a policy of the registry in its regimes."""
     groups = []
     for regime in recorded.regimes_of(name):
-        file = options.out / SHIPPED / f"{name}-{regime}.json"
+        file = options.out / SHIPPED_KIND / f"{name}-{regime}.json"
         tails = _measured([(name, regime, options.episodes or EPISODES_SHIPPED, file)], workers)
-        groups.append(Group(name, regime, SHIPPED, None, _today(), "", tails, fingerprint=fingerprint(name)))
+        groups.append(
+            ResidualGroup(name, regime, SHIPPED_KIND, None, _today(), "", tails, fingerprint=fingerprint(name))
+        )
     return groups
 
 
-def _stuck(options: Options) -> list[Group]:
+def _stuck(options: Options) -> list[ResidualGroup]:
     """Measure the law with a correction that is stuck at its limit from a third of each episode on."""
     groups, episodes, law = [], options.episodes or EPISODES_SHIPPED, fingerprint(EXPERT)
     for regime in REGIMES:
         for authority in _BOUNDS:
-            found = {s: outcome(silent(authority), regime, s, episodes).tail[None] for s in LIMITS}
+            found = {s: outcome(silent(authority), regime, s, episodes).tail[None] for s in SATURATED}
             entries = f"{STUCK}-{authority}", regime, STUCK, authority, _today(), "", found
-            groups.append(Group(*entries, fingerprint=law))
+            groups.append(ResidualGroup(*entries, fingerprint=law))
     return groups
 
 
@@ -216,7 +230,7 @@ def measured(name: str, regime: str, episodes: int, file: Path) -> tuple[str, di
         ValueError: there is no such policy.
     """
     situations = situations_of(name)
-    worlds = [cell.hash for world in WORLDS for cell in episodes_of(regime, world, episodes).cells]
+    worlds = [cell.hash for world in WORLDS for cell in situation_episodes(regime, world, episodes).cells]
     key = hashlib.sha256(json.dumps([fingerprint(name), situations, worlds]).encode()).hexdigest()
     with suppress(OSError, ValueError, KeyError, TypeError):
         record = read_json(file)

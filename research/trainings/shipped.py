@@ -11,13 +11,13 @@ from tyro.conf import Positional, arg
 
 from auv_gym.installation import found
 from baselines.agents.agent import Agent
-from baselines.agents.model_card import CURVE
-from baselines.agents.names import AGENTS
+from baselines.agents.model_card import CURVE_FILE
+from baselines.agents.names import SHIPPED_FOLDER
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.workers import DEFAULT_JOBS
 from baselines.training.command import train
-from baselines.training.run_folder import AGENT
-from research.trainings.trainings import SHIPPED, request_of
+from baselines.training.run_folder import AGENT_FOLDER
+from research.trainings.trainings import SHIPPED_TRAININGS, request_of
 
 PROGRAM = "python -m research train-all"
 
@@ -46,19 +46,19 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    if unknown := [name for name in options.name if name not in SHIPPED]:
-        raise UsageError(f"no agent {unknown[0]!r} ships with the package; allowed are {', '.join(SHIPPED)}")
-    for name in options.name or SHIPPED:
+    if unknown := [name for name in options.name if name not in SHIPPED_TRAININGS]:
+        raise UsageError(f"no agent {unknown[0]!r} ships with the package; allowed are {', '.join(SHIPPED_TRAININGS)}")
+    for name in options.name or SHIPPED_TRAININGS:
         print(f"{name}:", flush=True)
-        training = replace(SHIPPED[name], timesteps=options.timesteps or SHIPPED[name].timesteps)
+        training = replace(SHIPPED_TRAININGS[name], timesteps=options.timesteps or SHIPPED_TRAININGS[name].timesteps)
         request = request_of(training, options.out / name, DEFAULT_JOBS)
         if (status := train(request)) != DONE:
             return status
         if options.install:
-            install(name, request.out)
+            install_agent(name, request.out)
     return DONE
 
 
-def install(name: str, run_folder: Path) -> None:
+def install_agent(name: str, run_folder: Path) -> None:
     """Put the trained agent of a run into baselines/agents/shipped, in place of what is there."""
-    Agent.load(run_folder / AGENT).save(found(AGENTS, name), (run_folder / CURVE).read_bytes())
+    Agent.load(run_folder / AGENT_FOLDER).save(found(SHIPPED_FOLDER, name), (run_folder / CURVE_FILE).read_bytes())

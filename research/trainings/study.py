@@ -18,24 +18,34 @@ from auv_gym.scenarios.presets import REGIMES
 from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation import suites
 from baselines.evaluation.progress import run_and_show
-from baselines.evaluation.recorded import SUITES
+from baselines.evaluation.recorded import RECORDED_SUITES
 from baselines.evaluation.runner import Cell, Run
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.workers import Workers
 from baselines.training.command import train
 from baselines.training.options import Options as TrainOptions
 from baselines.training.request import Request
-from baselines.training.run_folder import AGENT, read_progress
-from research.results.study_files import FOLDER, Study, save
-from research.trainings.shipped import install
-from research.trainings.trainings import EXACT, PPO_AUTHORITY, SHIPPED, SPINS, request_of, training, weighted
+from baselines.training.run_folder import AGENT_FOLDER, read_progress
+from research.results.study_files import STUDIES_FOLDER, Study, save_study
+from research.trainings.shipped import install_agent
+from research.trainings.trainings import (
+    ERROR_ONLY,
+    PPO_AUTHORITY,
+    SHIPPED_TRAININGS,
+    SPINS,
+    request_of,
+    training,
+    weighted,
+)
 
 PROGRAM = "python -m research study"
 
 
 OF_ALL_VEHICLES = "helm-any"
 """The agent that is run on other vehicles too."""
-OF_THE_PAPER = tuple(name for name in SUITES if name != "vehicles-v1")  # suites of the vehicle that the others know
+OF_THE_PAPER = tuple(
+    name for name in RECORDED_SUITES if name != "vehicles-v1"
+)  # suites of the vehicle that the others know
 
 
 @dataclass(frozen=True)
@@ -86,7 +96,7 @@ BRIEF: Mapping[str, Variant] = {
 """PPO with a quarter of the steps of those that ship."""
 SHORT_TRAININGS: Mapping[str, Variant] = {
     "short-cruise": _short("As `apg-cruise`, fewer steps: what the following ones differ from in one thing."),
-    "short-preview": _short("The network sees the reference .5, 1, 2 and 4 s ahead.", preview=EXACT["preview"]),
+    "short-preview": _short("The network sees the reference .5, 1, 2 and 4 s ahead.", preview=ERROR_ONLY["preview"]),
     "short-no-memory": _short("Two tanh layers in place of the recurrent units.", memory=False),
     "short-no-integrals": _short("The network does not see the integrals of the error.", integrals=False),
     "short-little-authority": _short("Half the authority.", authority=(0.3, 0.3)),
@@ -105,12 +115,12 @@ def _shipped(name: str, each: TrainOptions) -> dict[str, Variant]:
     if regime in REGIMES:
         return {name: Variant(_FAMILIES[family], regime, replace(each, seeds=_SEEDS))}
     own = replace(each, seeds=_SEEDS)
-    where = SUITES if name == OF_ALL_VEHICLES else OF_THE_PAPER
+    where = RECORDED_SUITES if name == OF_ALL_VEHICLES else OF_THE_PAPER
     return {f"{name}-{regime}": Variant(_FAMILIES[name], regime, own, where, name) for regime in REGIMES}
 
 
 VARIANTS: Mapping[str, Variant] = {
-    **{variant: own for name, each in SHIPPED.items() for variant, own in _shipped(name, each).items()},
+    **{variant: own for name, each in SHIPPED_TRAININGS.items() for variant, own in _shipped(name, each).items()},
     **BRIEF,
     **SHORT_TRAININGS,
 }
@@ -149,23 +159,23 @@ def main(arguments: Sequence[str]) -> int:
         request = request_of(variant.training, options.out / agent, options.jobs)
         if (status := train(request)) != DONE:
             return status
-        if options.install and agent in SHIPPED:
-            install(agent, request.folders[0])
-        save(name, studied(variant, request, options.jobs), FOLDER if checkout() else options.out)
+        if options.install and agent in SHIPPED_TRAININGS:
+            install_agent(agent, request.folders[0])
+        save_study(name, studied(variant, request, options.jobs), STUDIES_FOLDER if checkout() else options.out)
     return DONE
 
 
 def studied(variant: Variant, request: Request, jobs: int) -> Study:
     """Return what the trained agents of a request do on the suites of a variant."""
-    agents = [str(folder / AGENT) for folder in request.folders]
-    results = {name: _rolled_out(agents, cells_of(name, variant.regime), jobs) for name in variant.suites}
+    agents = [str(folder / AGENT_FOLDER) for folder in request.folders]
+    results = {name: _rolled_out(agents, suite_cells(name, variant.regime), jobs) for name in variant.suites}
     curves = [[row for row in read_progress(folder) if "score" in row] for folder in request.folders]
     return Study.of(variant.about, variant.regime, request.command, results, curves)
 
 
-def cells_of(suite: str, regime: str) -> list[Cell]:
+def suite_cells(suite: str, regime: str) -> list[Cell]:
     """Return the cells of a frozen suite in a regime."""
-    return suites.load(suite).cells_in((regime,))
+    return suites.load_suite(suite).cells_in((regime,))
 
 
 def _rolled_out(agents: Sequence[str], cells: Sequence[Cell], jobs: int) -> list[list[Run]]:

@@ -13,7 +13,7 @@ from auv_gym.scenarios.mixtures import HARDEST
 from auv_gym.scenarios.presets import CASES
 from baselines.control.open_loop import NO_EXPERT
 from baselines.tools.command_line import words_of
-from baselines.training.hyperparameters import words_of as changed_words
+from baselines.training.hyperparameters import hyperparameter_words as changed_words
 from baselines.training.options import PROGRAM, Options
 from baselines.training.request import Request
 
@@ -62,9 +62,9 @@ def weighted(regime: str, **weights: float) -> str:
 
 SLOW_AUTHORITY = (0.6, 1.6)
 """In slow motion the limits are small beside the law's own commands: a correction must be able to undo those."""
-SLOW: Mapping[str, Any] = {"effort_weight": 0.15}
+SLOW_TRAINING: Mapping[str, Any] = {"effort_weight": 0.15}
 """Of the analytic gradient in slow motion, where currents and waves are strong beside the limits."""
-EXACT: Mapping[str, Any] = {
+ERROR_ONLY: Mapping[str, Any] = {
     "preview": [5, 10, 20, 40],
     "hidden_size": 128,
     "matrix_learning_rate": 0.02,
@@ -72,8 +72,8 @@ EXACT: Mapping[str, Any] = {
     "rate_weight": 0.002,
 }
 """Of the analytic gradient where nothing counts but the error: sight ahead, a larger network, cheap commands."""
-_FREE: Mapping[str, Any] = {**EXACT, "effort_weight": 0.0003, "rate_weight": 0.0003}
-"""`EXACT` at cruise, where calm commands cost more of the error."""
+_FREE: Mapping[str, Any] = {**ERROR_ONLY, "effort_weight": 0.0003, "rate_weight": 0.0003}
+"""`ERROR_ONLY` at cruise, where calm commands cost more of the error."""
 SPINS: Mapping[str, float] = {"actuator": 3, "storm": 2}
 """Weights of the cases for PPO: fast vehicles with slow actuators spin under it."""
 PPO_AUTHORITY: Mapping[str, tuple[float, float]] = {"slow": (0.6, 1.0), "cruise": (1.0, 0.6)}
@@ -84,7 +84,7 @@ EVEN: Mapping[str, Any] = {"n_envs": 96, "n_steps": 100, "cut": 3, "final_share"
 """Of the analytic gradient where vehicles are of very different difficulty: a long sight back, derivatives that are cut
 soon, as that makes chaos of some, and errors that count mostly by their ratios, or the worst would drown all others."""
 BOTH: Mapping[str, Any] = {
-    "preview": EXACT["preview"],
+    "preview": ERROR_ONLY["preview"],
     "hidden_size": 128,
     "effort_weight": 0.02,
     "rate_weight": 0.0025,
@@ -118,19 +118,19 @@ ANY_HULL: Mapping[str, Any] = {
 }
 """Of the agent for every vehicle, which begins as `helm`: it is told the hull, which is drawn for two thirds of the
 vehicles that it learns on."""
-SHIPPED: Mapping[str, Options] = {
+SHIPPED_TRAININGS: Mapping[str, Options] = {
     "helm": training("apg", "helm", (1.0, 1.6), None, 20_000_000, HELM),
     "helm-any": training("apg", "helm", timesteps=64_000_000, changes=ANY_HULL, from_="helm"),
     "helm-blind": training("apg", "helm", (1.0, 1.6), None, 12_000_000, BLIND),
     "helm-small": training("apg", "helm", (1.0, 1.6), None, 12_000_000, _SMALL),
     "apg-cruise": training("apg", "cruise"),
-    "apg-slow": training("apg", "slow", SLOW_AUTHORITY, changes=SLOW),
+    "apg-slow": training("apg", "slow", SLOW_AUTHORITY, changes=SLOW_TRAINING),
     "apg-preview-cruise": training("apg", weighted("cruise", **HARDEST), (1.0, 1.6), None, 16_000_000, _FREE),
-    "apg-preview-slow": training("apg", weighted("slow", **HARDEST), SLOW_AUTHORITY, changes=EXACT),
+    "apg-preview-slow": training("apg", weighted("slow", **HARDEST), SLOW_AUTHORITY, changes=ERROR_ONLY),
     "apg-adverse-cruise": training("apg", "cruise-adverse"),
-    "apg-adverse-slow": training("apg", "slow-adverse", SLOW_AUTHORITY, changes=SLOW),
+    "apg-adverse-slow": training("apg", "slow-adverse", SLOW_AUTHORITY, changes=SLOW_TRAINING),
     "apg-scratch-cruise": training("apg", "cruise", (1.0, 1.0), NO_EXPERT),
-    "apg-scratch-slow": training("apg", "slow", (1.0, 1.0), NO_EXPERT, changes=SLOW),
+    "apg-scratch-slow": training("apg", "slow", (1.0, 1.0), NO_EXPERT, changes=SLOW_TRAINING),
     **{
         f"ppo-{regime}": training("ppo", weighted(regime, **SPINS), authority, None, 12_000_000, WIDE)
         for regime, authority in PPO_AUTHORITY.items()
@@ -138,7 +138,7 @@ SHIPPED: Mapping[str, Options] = {
     "ppo-lstm-cruise": training("ppo_lstm", weighted("cruise", **SPINS), PPO_AUTHORITY["cruise"], None, 6_000_000),
     "ppo-lstm-slow": training("ppo_lstm", weighted("slow", **SPINS), PPO_AUTHORITY["slow"], None, 6_000_000),
     "rma-cruise": training("rma", "cruise", timesteps=12_000_000),
-    "rma-slow": training("rma", "slow", SLOW_AUTHORITY, None, 12_000_000, SLOW),
+    "rma-slow": training("rma", "slow", SLOW_AUTHORITY, None, 12_000_000, SLOW_TRAINING),
     "sac-cruise": training("sac", "cruise"),
     "sac-slow": training("sac", "slow", (0.6, 1.0)),
     "td3-cruise": training("td3", "cruise"),

@@ -21,12 +21,12 @@ from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, write_atomically
 from baselines.tools.workers import Workers
 from research.transfer import trials
-from research.transfer.comparison import FILE, Task, caused, summarised
+from research.transfer.comparison import TRANSFER_FILE, TransferTask, caused, summarised
 from research.transfer.page import verdict
-from research.transfer.worlds import MODELS
+from research.transfer.worlds import SIX_DOF_MODELS
 
 PROGRAM = "python -m research transfer"
-POLICIES = (
+_POLICIES = (
     "backstepping",
     "backstepping-normalised",
     "integral-normalised",
@@ -41,7 +41,7 @@ POLICIES = (
     "helm-any",
 )
 """Who is compared."""
-CASES = ("calm", "noise", "current", "waves", "mismatch", "storm")
+_CASES = ("calm", "noise", "current", "waves", "mismatch", "storm")
 """What they go through: the cases whose trouble is the same in both simulators; each has lags of its own."""
 
 
@@ -54,11 +54,11 @@ class Options:
     Exit status: 0 done, 2 wrong usage.
     """
 
-    policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = POLICIES
+    policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = _POLICIES
     """Policies by name."""
-    vehicle: Annotated[tuple[str, ...], arg(metavar="V [V ...]", help_behavior_hint="")] = tuple(MODELS)
+    vehicle: Annotated[tuple[str, ...], arg(metavar="V [V ...]", help_behavior_hint="")] = tuple(SIX_DOF_MODELS)
     """Vehicles by name."""
-    case: Annotated[tuple[str, ...], arg(metavar="C [C ...]", help_behavior_hint="")] = CASES
+    case: Annotated[tuple[str, ...], arg(metavar="C [C ...]", help_behavior_hint="")] = _CASES
     """Cases by name."""
     episodes: int = 64
     """Episodes of each case."""
@@ -70,7 +70,7 @@ class Options:
     """Worker processes."""
     work: Path = Path("runs/elsewhere")
     """Folder for what came out of each policy."""
-    out: Path = FILE
+    out: Path = TRANSFER_FILE
     """File for what came out."""
 
 
@@ -102,7 +102,7 @@ def _check(options: Options) -> None:
     """Raise UsageError if the options do not make sense."""
     for what, given, allowed in (
         ("policy", options.policy, tuple(list_policies())),
-        ("vehicle", options.vehicle, tuple(MODELS)),
+        ("vehicle", options.vehicle, tuple(SIX_DOF_MODELS)),
         ("case", options.case, KNOWN),
     ):
         if unknown := [name for name in given if name not in allowed]:
@@ -122,8 +122,8 @@ def _results(options: Options, vehicle: str) -> dict[str, dict[str, Any]]:
         kept = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
         known[policy] = kept.get("cases", {}) if kept.get("stamp") == stamps[policy] else {}
     left = {policy: tuple(case for case in options.case if case not in known[policy]) for policy in options.policy}
-    tasks = [Task(policy, vehicle, cases, options.episodes) for policy, cases in left.items() if cases]
-    for task, found in Workers(options.jobs).results(Task.run, [(task,) for task in tasks]):
+    tasks = [TransferTask(policy, vehicle, cases, options.episodes) for policy, cases in left.items() if cases]
+    for task, found in Workers(options.jobs).results(TransferTask.run, [(task,) for task in tasks]):
         known[task.policy] |= found
         files[task.policy].parent.mkdir(parents=True, exist_ok=True)
         text = json_text({"stamp": stamps[task.policy], "cases": known[task.policy]})

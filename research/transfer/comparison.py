@@ -15,15 +15,15 @@ from auv_gym.scenarios.vehicles import craft
 from auv_gym.task.kernels import MadeBodies
 from auv_gym.task.policy import preview_of
 from baselines.evaluation.metrics import Measures, resamplings
-from baselines.evaluation.rollout import Log, beginning, play
+from baselines.evaluation.rollout import EpisodeLog, beginning, play
 from baselines.evaluation.runner import Cell, drawn
 from baselines.policies import make_policy
 from research import DATA
 from research.seeds import TRANSFER
 from research.transfer.bodies import bodies
-from research.transfer.worlds import VARIANTS, Own
+from research.transfer.worlds import WORLD_VARIANTS, Own
 
-FILE = DATA / "transfer.json"  # what came out
+TRANSFER_FILE = DATA / "transfer.json"  # what came out
 _REGIME = "cruise"  # vehicles that fins steer have no other
 PLANE = "plane"  # the simulator of three degrees of freedom
 SPACE = "space"  # the one of six
@@ -32,16 +32,16 @@ TAU = 0.8  # least rank correlation that is asked for
 
 
 @dataclass(frozen=True)
-class Task:
+class TransferTask:
     """One policy on one vehicle, in both simulators; the episodes of all cases run side by side."""
 
     policy: str
     vehicle: str
     cases: tuple[str, ...]
     episodes: int  # of each case
-    lacking: str = ""  # one of the `VARIANTS` of the vehicle, in place of the published one
+    lacking: str = ""  # one of the `WORLD_VARIANTS` of the vehicle, in place of the published one
 
-    def run(self) -> tuple[Task, dict[str, Any]]:
+    def run(self) -> tuple[TransferTask, dict[str, Any]]:
         """Return the task, and by case what came out: tail errors [m] and lost episodes in each simulator."""
         found: dict[str, dict[str, Any]] = {case: {} for case in self.cases}
         for place in (PLANE, SPACE):
@@ -61,7 +61,7 @@ class Task:
 
     def bodies(self, place: str) -> MadeBodies | None:
         """Return what makes the vehicles of a simulator; None for the plane."""
-        vehicle: Any = VARIANTS[self.vehicle][self.lacking] if self.lacking else self.vehicle
+        vehicle: Any = WORLD_VARIANTS[self.vehicle][self.lacking] if self.lacking else self.vehicle
         return bodies(lambda n: Own(vehicle, n), craft(self.vehicle).vehicle) if place == SPACE else None
 
     def played(self, place: str) -> Measures:
@@ -70,7 +70,7 @@ class Task:
         scenario, policy = cells[0].scenario, make_policy(self.policy, craft(self.vehicle).vehicle)
         given = [(cell.scenario, cell.episodes) for cell in cells]
         begun = beginning(given, preview_of(policy), bodies=self.bodies(place))
-        log = Log(scenario.steps, self.episodes * len(cells))
+        log = EpisodeLog(scenario.steps, self.episodes * len(cells))
         for k, moment in enumerate(play(policy, begun, scenario.steps)):
             log.add(k, moment)
         return log.measures(scenario)
@@ -89,11 +89,11 @@ def caused(vehicle: str, episodes: int) -> dict[str, Any]:
         vehicle: its name.
         episodes: how many are run.
     """
-    growth: dict[str, dict[str, float]] = {what: {} for what in VARIANTS[vehicle]}
+    growth: dict[str, dict[str, float]] = {what: {} for what in WORLD_VARIANTS[vehicle]}
     for policy in CAUSED_POLICIES:
-        plane = Task(policy, vehicle, (CAUSED,), episodes).played(PLANE).tail.mean()
+        plane = TransferTask(policy, vehicle, (CAUSED,), episodes).played(PLANE).tail.mean()
         for what, found in growth.items():
-            space = Task(policy, vehicle, (CAUSED,), episodes, lacking=what).played(SPACE).tail.mean()
+            space = TransferTask(policy, vehicle, (CAUSED,), episodes, lacking=what).played(SPACE).tail.mean()
             found[policy] = float(space / plane)
     return {"case": CAUSED, "policies": list(CAUSED_POLICIES), "episodes": episodes, "growth": growth}
 
@@ -116,7 +116,7 @@ def pooled(tails: Sequence[Array]) -> Array:
     return np.asarray(np.mean(means, axis=0))
 
 
-def ends(values: Array) -> list[float]:
+def _ends(values: Array) -> list[float]:
     """Return the 2.5th and 97.5th percentile of resampled values."""
     return [float(x) for x in np.quantile(values, (0.025, 0.975))]
 
@@ -128,7 +128,7 @@ def summarised(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[s
     policies.
 
     Args:
-        results: by policy and case what `Task.run` gives.
+        results: by policy and case what `TransferTask.run` gives.
     """
     names, cases = list(results), list(next(iter(results.values())))
     tails = {
@@ -142,7 +142,7 @@ def summarised(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[s
             "plane_m": float(plane[0, i]),
             "space_m": float(space[0, i]),
             "growth": float(growth[0, i]),
-            "ci95": ends(growth[1:, i]),
+            "ci95": _ends(growth[1:, i]),
             "worst_plane_m": max(float(own[i].max()) for own in tails[PLANE]),
             "worst_space_m": max(float(own[i].max()) for own in tails[SPACE]),
             "lost_plane": sum(results[name][case][PLANE]["lost"] for case in cases),
@@ -161,7 +161,7 @@ def summarised(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[s
         "policies": policies,
         "tau": {
             "all": float(taus[0]),
-            "ci95": ends(taus[1:]),
+            "ci95": _ends(taus[1:]),
             "medians": float(concordance(*middle)),
             "by_case": by_case,
         },

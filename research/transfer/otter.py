@@ -19,8 +19,8 @@ from auv_gym.physics.namespaces import FLOATS, Array, Namespace, Number
 from research.transfer.six_dof import (
     GRAVITY,
     Deviation,
-    Motion,
     Outside,
+    SpatialMotion,
     Vector,
     coriolis,
     cross_flow,
@@ -37,7 +37,7 @@ _DENSITY = 1025.0  # [kg/m^3] of the water
 FLOW_DENSITY = 1026.0  # [kg/m^3] the same in the source's cross-flow drag
 _HULL = 55.0  # [kg]
 PAYLOAD = 25.0  # [kg]
-LENGTH = 2.0  # [m]
+_LENGTH = 2.0  # [m]
 BEAM = 1.08  # [m]
 HULL_CENTRE = (0.2, 0.0, -0.2)  # [m] of the hull's mass
 PAYLOAD_CENTRE = (0.05, 0.0, -0.35)  # [m] of the payload's
@@ -59,7 +59,7 @@ K_ASTERN = 0.01289 / 2  # [N s^2] the same astern
 LAG = 0.1  # [s] of the propellers
 
 
-class Actuators(NamedTuple):
+class _Actuators(NamedTuple):
     """Revolutions of the propellers [rad/s]: floats, or rows of shape (N,)."""
 
     port: Number
@@ -72,7 +72,7 @@ def thrust(n: Number, ns: Namespace) -> Number:
     return ns.where(n > 0.0, K_AHEAD * square, K_ASTERN * square)
 
 
-def revolutions(T: Number, ns: Namespace) -> Number:
+def propeller_speed(T: Number, ns: Namespace) -> Number:
     """Return n [rad/s] of one propeller for a thrust [N]."""
     ahead, astern = ns.where(T > 0.0, T, 0.0), ns.where(T > 0.0, 0.0, -T)
     return ns.sqrt(ahead / K_AHEAD) - ns.sqrt(astern / K_ASTERN)
@@ -95,9 +95,9 @@ class Otter:
     crossed: bool = True  # see `six_dof.cross_flow`
 
     name: ClassVar[str] = "otter"
-    size: ClassVar[int] = len(Motion._fields) + len(Actuators._fields)
+    size: ClassVar[int] = len(SpatialMotion._fields) + len(_Actuators._fields)
     mass: ClassVar[float] = _HULL + PAYLOAD  # [kg]
-    draft: ClassVar[float] = (_HULL + PAYLOAD) / _DENSITY / (2 * _BLOCK * PONTOON_BEAM * LENGTH)  # [m]
+    draft: ClassVar[float] = (_HULL + PAYLOAD) / _DENSITY / (2 * _BLOCK * PONTOON_BEAM * _LENGTH)  # [m]
 
     @cached_property
     def centre(self) -> Array:
@@ -107,7 +107,7 @@ class Otter:
     @cached_property
     def inertia(self) -> Array:
         """Moments of inertia as the source has them, shape (3, 3)."""
-        own = _HULL * np.diag(np.square([0.4 * BEAM, 0.25 * LENGTH, 0.25 * LENGTH]))
+        own = _HULL * np.diag(np.square([0.4 * BEAM, 0.25 * _LENGTH, 0.25 * _LENGTH]))
         hull, payload = skew(self.centre.tolist()), skew(PAYLOAD_CENTRE)
         return np.asarray(own - _HULL * hull @ hull - PAYLOAD * payload @ payload)
 
@@ -122,11 +122,11 @@ class Otter:
     @cached_property
     def stiffness(self) -> Array:
         """Restoring forces and moments of the pontoons per displacement, shape (6, 6); Fossen (2021), section 4.2."""
-        waterline, volume = 2 * WATERLINE * LENGTH * PONTOON_BEAM, self.mass / _DENSITY
+        waterline, volume = 2 * WATERLINE * _LENGTH * PONTOON_BEAM, self.mass / _DENSITY
         shape = 6 * WATERLINE**3 / ((1 + WATERLINE) * (1 + 2 * WATERLINE))
-        across = 2 / 12 * LENGTH * PONTOON_BEAM**3 * shape + waterline * PONTOON_ARM**2
-        along = 0.8 * 2 / 12 * PONTOON_BEAM * LENGTH**3
-        buoyancy = (5 * self.draft / 2 - 0.5 * volume / (LENGTH * PONTOON_BEAM)) / 3  # of its centre above the keel
+        across = 2 / 12 * _LENGTH * PONTOON_BEAM**3 * shape + waterline * PONTOON_ARM**2
+        along = 0.8 * 2 / 12 * PONTOON_BEAM * _LENGTH**3
+        buoyancy = (5 * self.draft / 2 - 0.5 * volume / (_LENGTH * PONTOON_BEAM)) / 3  # of its centre above the keel
         heights = [buoyancy + second / volume - (self.draft - self.centre[2]) for second in (across, along)]
         roll, pitch = (_DENSITY * GRAVITY * volume * height for height in heights)
         return shifted(np.diag([0, 0, _DENSITY * GRAVITY * waterline, roll, pitch, 0]), (FLOTATION, 0.0, 0.0))
@@ -145,11 +145,11 @@ class Otter:
         rows[[0, 1, 5, 6, 7, 11]] = states
         vertical = slice(2, 5)
         for _ in range(20):  # heave, roll and pitch at which payload and pontoons balance
-            forces = self.payload(Motion(*np.zeros(2), *rows[vertical, 0], *np.zeros(7)), FLOATS)
+            forces = self.payload(SpatialMotion(*np.zeros(2), *rows[vertical, 0], *np.zeros(7)), FLOATS)
             rows[vertical] = np.linalg.solve(self.stiffness[vertical, vertical], forces[vertical])[:, None]
         return rows
 
-    def payload(self, s: Motion, ns: Namespace) -> tuple[Number, ...]:
+    def payload(self, s: SpatialMotion, ns: Namespace) -> tuple[Number, ...]:
         """Return the weight of the payload [N] and its moment [N m] about the origin, in the body's axes."""
         W, (x, _, z) = PAYLOAD * GRAVITY, PAYLOAD_CENTRE
         X = -W * ns.sin(s.theta) * self.pushed
@@ -159,14 +159,14 @@ class Otter:
 
     def seen(self, rows: Vector, ns: Namespace) -> tuple[Vector, Vector]:
         """Return x, y, psi, u, v, r, level and relative to the water, and F_u [N], F_r [N m] of the propellers."""
-        a = Actuators(*rows[12:])
+        a = _Actuators(*rows[12:])
         port, starboard = thrust(a.port, ns), thrust(a.starboard, ns)
-        return level(Motion(*rows[:12]), ns), (port + starboard, PONTOON_ARM * (port - starboard))
+        return level(SpatialMotion(*rows[:12]), ns), (port + starboard, PONTOON_ARM * (port - starboard))
 
-    def hull(self, s: Motion, d: Deviation, ns: Namespace) -> list[Number]:
+    def hull(self, s: SpatialMotion, d: Deviation, ns: Namespace) -> list[Number]:
         """Return drag, restoring forces and payload [N], [N m]."""
         D = self.damping
-        Y, N = cross_flow(s.v, s.r, LENGTH, PONTOON_BEAM, self.draft, FLOW_DENSITY, self.crossed)
+        Y, N = cross_flow(s.v, s.r, _LENGTH, PONTOON_BEAM, self.draft, FLOW_DENSITY, self.crossed)
         drag = (
             -d.d_u * D[0] * s.u - d.X_uu * abs(s.u) * s.u,
             d.d_v * (Y - D[1] * s.v) - d.Y_vv * abs(s.v) * s.v,
@@ -180,11 +180,11 @@ class Otter:
 
     def orders(self, first: Vector, outside: Outside, ns: Namespace) -> list[Number]:
         """Return the revolutions [rad/s] of the propellers for the force that is wanted."""
-        return [revolutions(T, ns) for T in shares(outside.F_u, outside.F_r, ns)]
+        return [propeller_speed(T, ns) for T in shares(outside.F_u, outside.F_r, ns)]
 
     def rates(self, rows: Vector, orders: Vector, outside: Outside, d: Deviation, ns: Namespace) -> list[Number]:
         """Return the time derivative of the rows."""
-        s, a, scale = Motion(*rows[:12]), Actuators(*rows[12:]), mass_scale(d, ns)
+        s, a, scale = SpatialMotion(*rows[:12]), _Actuators(*rows[12:]), mass_scale(d, ns)
         _, (F_u, F_r) = self.seen(rows, ns)
         moved = [k * x for k, x in zip(scale, rows[6:12], strict=True)]
         momentum = [k * x for k, x in zip(scale, times(self.masses.tolist(), moved), strict=True)]

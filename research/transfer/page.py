@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from baselines.tools.files import read_json
-from research.transfer.comparison import FILE, GROWTH, TAU
+from research.transfer.comparison import GROWTH, TAU, TRANSFER_FILE
 
 
 def context(page: str) -> dict[str, Any]:
     """Return the tables of each vehicle."""
     del page
-    return {"vehicles": [_vehicle(name, record) for name, record in read_json(FILE).items()]}
+    return {"vehicles": [_vehicle(name, record) for name, record in read_json(TRANSFER_FILE).items()]}
 
 
 def _vehicle(name: str, record: Mapping[str, Any]) -> dict[str, Any]:

@@ -19,8 +19,8 @@ from auv_gym.physics.namespaces import Array, Namespace, Number
 from research.transfer.six_dof import (
     GRAVITY,
     Deviation,
-    Motion,
     Outside,
+    SpatialMotion,
     Vector,
     coriolis,
     cross,
@@ -35,10 +35,10 @@ from research.transfer.six_dof import (
 )
 
 _DENSITY = 1026.0  # [kg/m^3] of the water
-LENGTH = 1.6  # [m]
+_LENGTH = 1.6  # [m]
 DIAMETER = 0.19  # [m]
 CG_BELOW = 0.02  # [m] centre of mass below that of buoyancy
-DRAG_AREA = 0.7 * LENGTH * DIAMETER  # [m^2] S, the area that lift and drag refer to
+DRAG_AREA = 0.7 * _LENGTH * DIAMETER  # [m^2] S, the area that lift and drag refer to
 FRONTAL_DRAG = 0.42  # Cd of the frontal area, Allen et al. (2000)
 OSWALD = 0.7  # efficiency of the hull as a wing
 ROLL_ADDED = 0.3  # added moment of inertia in roll as a share of that in air
@@ -70,11 +70,11 @@ KD_THETA = 2.0  # [s] by pitch rate
 KI_THETA = 0.3  # [1/s] by the integral of pitch
 K_W = 5.0  # [rad s/m] by heave velocity
 
-_NOSE = LENGTH / 2  # [m] the spheroid's semi-axis along
+_NOSE = _LENGTH / 2  # [m] the spheroid's semi-axis along
 RADIUS = DIAMETER / 2  # [m] and across
 
 
-class Actuators(NamedTuple):
+class _Actuators(NamedTuple):
     """What the actuators and the depth autopilot remember: floats, or rows of shape (N,)."""
 
     rudder: Number  # [rad], positive for a turn to starboard
@@ -130,7 +130,7 @@ def rudder(F_r: Number, speed: Number, ns: Namespace) -> Number:
     return ns.clip(F_r / per_radian, -FIN_MOST, FIN_MOST)
 
 
-def pitch_error(s: Motion, a: Actuators) -> Number:
+def pitch_error(s: SpatialMotion, a: _Actuators) -> Number:
     """Return the pitch [rad] beyond what brings the vehicle back to its depth."""
     return s.theta - KP_Z * (s.z + a.z_integral / T_Z)
 
@@ -144,7 +144,7 @@ class Remus100:
     crossed: bool = True  # see `six_dof.cross_flow`
 
     name: ClassVar[str] = "remus100"
-    size: ClassVar[int] = len(Motion._fields) + len(Actuators._fields)
+    size: ClassVar[int] = len(SpatialMotion._fields) + len(_Actuators._fields)
 
     @cached_property
     def rigid(self) -> Array:
@@ -178,11 +178,11 @@ class Remus100:
 
     def seen(self, rows: Vector, ns: Namespace) -> tuple[Vector, Vector]:
         """Return x, y, psi, u, v, r, level and relative to the water, and F_u [N], F_r [N m] of the actuators."""
-        s, a = Motion(*rows[:12]), Actuators(*rows[12:])
+        s, a = SpatialMotion(*rows[:12]), _Actuators(*rows[12:])
         X, _, _, _, _, N = self.actuation(s, a, ns)
         return level(s, ns), (X, N)
 
-    def actuation(self, s: Motion, a: Actuators, ns: Namespace) -> tuple[Number, ...]:
+    def actuation(self, s: SpatialMotion, a: _Actuators, ns: Namespace) -> tuple[Number, ...]:
         """Return the forces [N] and moments [N m] of propeller, rudder and stern planes."""
         speed = ns.sqrt(s.u * s.u + s.v * s.v + s.w * s.w)
         level_2, upright_2 = s.u * s.u + s.v * s.v, s.u * s.u + s.w * s.w  # [m^2/s^2] at rudder and planes
@@ -194,7 +194,7 @@ class Remus100:
         X = T + Y * a.rudder + Z * a.plane
         return X, self.side_force * Y, Z, TORQUE_SHARE * Q, _NOSE * Z, -_NOSE * Y
 
-    def hull(self, s: Motion, d: Deviation, ns: Namespace) -> tuple[Number, ...]:
+    def hull(self, s: SpatialMotion, d: Deviation, ns: Namespace) -> tuple[Number, ...]:
         """Return drag, lift and restoring forces [N] and moments [N m] of the hull."""
         M, W = np.diag(self.masses), self.stiffness
         speed_2 = s.u * s.u + s.v * s.v + s.w * s.w
@@ -206,7 +206,7 @@ class Remus100:
         pressure = 0.5 * _DENSITY * speed_2 * DRAG_AREA
         drag = pressure * (least + lift * lift / (math.pi * OSWALD * aspect))
         c, n, lift = ns.cos(incidence), ns.sin(incidence), pressure * lift
-        Y, N = cross_flow(s.v, s.r, LENGTH, DIAMETER, DIAMETER, _DENSITY, self.crossed)
+        Y, N = cross_flow(s.v, s.r, _LENGTH, DIAMETER, DIAMETER, _DENSITY, self.crossed)
         roll, pitch = (2 * zeta * math.sqrt(W * M[i]) for zeta, i in ((ZETA_ROLL, 3), (ZETA_PITCH, 4)))
         return (
             d.d_u * (n * lift - c * drag - M[0] / T_SURGE * fading * s.u) - d.X_uu * abs(s.u) * s.u,
@@ -236,7 +236,7 @@ class Remus100:
 
         The depth, 0, is held by the source's autopilot: PI of depth to a pitch angle, PID of that to the planes.
         """
-        s, a = Motion(*first[:12]), Actuators(*first[12:])
+        s, a = SpatialMotion(*first[:12]), _Actuators(*first[12:])
         speed = ns.sqrt(s.u * s.u + s.v * s.v + s.w * s.w)
         plane = KP_THETA * pitch_error(s, a) + KD_THETA * s.q + KI_THETA * a.theta_integral + K_W * s.w
         return [
@@ -247,7 +247,7 @@ class Remus100:
 
     def rates(self, rows: Vector, orders: Vector, outside: Outside, d: Deviation, ns: Namespace) -> list[Number]:
         """Return the time derivative of the rows."""
-        s, a = Motion(*rows[:12]), Actuators(*rows[12:])
+        s, a = SpatialMotion(*rows[:12]), _Actuators(*rows[12:])
         load = (outside.X, outside.Y, 0.0, 0.0, 0.0, outside.N)
         parts = zip(self.actuation(s, a, ns), self.hull(s, d, ns), load, self.coriolis(rows[6:12], d, ns), strict=True)
         forces = [acting + hull + other - turned for acting, hull, other, turned in parts]

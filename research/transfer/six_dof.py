@@ -16,7 +16,7 @@ from auv_gym.codegen.matrices import dot
 from auv_gym.physics.namespaces import Array, Namespace, Number
 
 Vector: TypeAlias = Sequence[Number]
-Matrix: TypeAlias = Sequence[Sequence[float]]
+_Matrix: TypeAlias = Sequence[Sequence[float]]
 
 GRAVITY = 9.81  # [m/s^2]
 STRIPS = 20  # parts of the hull whose ends make cross-flow drag, as in the sources
@@ -25,7 +25,7 @@ _HOERNER = ((0.4933, 1.2108), (0.5585, 1.0836), (0.6464, 0.9986))
 section 6.4, as PythonVehicleSimulator has digitised it, about the sections that are used."""
 
 
-class Motion(NamedTuple):
+class SpatialMotion(NamedTuple):
     """Place, attitude and velocity: floats, or rows of shape (N,)."""
 
     x: Number  # [m]
@@ -96,12 +96,12 @@ def coriolis(momentum: Vector, nu: Vector) -> tuple[Number, ...]:
     return *cross(omega, linear), *moment
 
 
-def times(matrix: Matrix, vector: Vector) -> list[Number]:
+def times(matrix: _Matrix, vector: Vector) -> list[Number]:
     """Return a constant matrix times a vector; what is zero in the matrix costs nothing."""
     return [dot(row, vector) for row in matrix]
 
 
-def place_rates(s: Motion, current: Vector, ns: Namespace) -> tuple[Number, ...]:
+def place_rates(s: SpatialMotion, current: Vector, ns: Namespace) -> tuple[Number, ...]:
     """Return the time derivative of place [m/s] and attitude [rad/s], Fossen (2021), (2.31) and (2.41)."""
     c_phi, s_phi, c_th, s_th, c_psi, s_psi = (f(a) for a in (s.phi, s.theta, s.psi) for f in (ns.cos, ns.sin))
     across = s.v * c_phi - s.w * s_phi  # of the velocity, level
@@ -118,7 +118,7 @@ def place_rates(s: Motion, current: Vector, ns: Namespace) -> tuple[Number, ...]
     )
 
 
-def level(s: Motion, ns: Namespace) -> tuple[Number, ...]:
+def level(s: SpatialMotion, ns: Namespace) -> tuple[Number, ...]:
     """Return x, y [m], psi [rad], u, v [m/s] relative to the water, psi' [rad/s]; level, along the heading."""
     x_dot, y_dot, _, _, _, psi_dot = place_rates(s, (0.0, 0.0), ns)
     c, n = ns.cos(s.psi), ns.sin(s.psi)
@@ -161,7 +161,7 @@ def cross_flow(
     return Y, N
 
 
-def solved(inverse: Matrix, forces: Vector, scale: Vector) -> list[Number]:
+def solved(inverse: _Matrix, forces: Vector, scale: Vector) -> list[Number]:
     """Return the accelerations of forces, for masses S M S with the inverse of M and the diagonal of S."""
     shares = [f / s for f, s in zip(forces, scale, strict=True)]
     return [a / s for a, s in zip(times(inverse, shares), scale, strict=True)]

@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from auv_gym.physics.actuators import Actuators
-from auv_gym.physics.dynamics import STILL_WATER, Current, Force, State
+from auv_gym.physics.dynamics import STILL_WATER, CurrentVelocity, Force, State
 from auv_gym.scenarios.fitting import adapted
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.vehicles import Craft, craft
 from baselines.identification.log import Log
-from baselines.identification.trials import CURRENT, Plant, Segment, Simulated, Trial, recorded
+from baselines.identification.trials import EXAMPLE_CURRENT, PlantStep, Segment, Simulated, Trial, recorded
 from research.transfer.six_dof import AS_PUBLISHED, Outside
 from research.transfer.worlds import Own, World
 
@@ -42,7 +42,7 @@ _SHARES = (0.1, 0.25, 0.5, 1.0)
 
 
 class Commanded:
-    """One vehicle of a `World` as a `Plant` of the trials; it remembers itself, whatever state it is handed.
+    """One vehicle of a `World` as a `PlantStep` of the trials; it remembers itself, whatever state it is handed.
 
     Args:
         world: one vehicle, which is placed at rest at the origin.
@@ -50,7 +50,7 @@ class Commanded:
         speed: surge velocity [m/s] at the beginning.
     """
 
-    def __init__(self, world: World, current: Current = STILL_WATER, speed: float = 0.0) -> None:
+    def __init__(self, world: World, current: CurrentVelocity = STILL_WATER, speed: float = 0.0) -> None:
         self._world, self._current = world, current
         states = np.zeros((6, 1))
         states[3] = speed
@@ -63,14 +63,14 @@ class Commanded:
         return x, y, psi, u, v, r
 
 
-def limits(vehicle: Craft) -> Actuators:
+def _limits(vehicle: Craft) -> Actuators:
     """Return actuators with the most that a vehicle gives at its design speed, fins included, and its own lag."""
     own = vehicle.actuators
     torque = min(own.F_r_max, own.fin * vehicle.vehicle.speed**2) if own.fin else own.F_r_max
     return replace(own, F_r_max=torque, lag=vehicle.lag or 0.0)
 
 
-def log(name: str, seed: int = 0, current: Current = CURRENT) -> Log:
+def log(name: str, seed: int = 0, current: CurrentVelocity = EXAMPLE_CURRENT) -> Log:
     """Return the log of a trial of a vehicle in six degrees of freedom: steps, zig-zags and a turning circle.
 
     Its noise is that of `cruise-noise` for this vehicle, its currents are those of the examples.
@@ -84,7 +84,7 @@ def log(name: str, seed: int = 0, current: Current = CURRENT) -> Log:
         ValueError: there is no such vehicle.
     """
     own = craft(name)
-    plant, most = Commanded(Own(name, 1), current), limits(own)
+    plant, most = Commanded(Own(name, 1), current), _limits(own)
     sensors = adapted(own, PRESETS["cruise-noise"]).sensors
     if own.actuators.fin:
         trial = Trial(most.F_u_max, most.F_r_max, DURATION[name], UNDER_WAY)
@@ -93,7 +93,7 @@ def log(name: str, seed: int = 0, current: Current = CURRENT) -> Log:
     return recorded(plant, trial, sensors, np.random.default_rng(seed), current)
 
 
-def steady(make: Callable[[], Plant], F_u: float, F_r: float, speed: float) -> tuple[float, float, float]:
+def steady(make: Callable[[], PlantStep], F_u: float, F_r: float, speed: float) -> tuple[float, float, float]:
     """Return surge, sway velocity [m/s] and yaw rate [rad/s] in which a vehicle settles under a force in still water.
 
     Args:
@@ -108,10 +108,10 @@ def steady(make: Callable[[], Plant], F_u: float, F_r: float, speed: float) -> t
     return state[3], state[4], state[5]
 
 
-def in_the_plane(name: str) -> Plant:
-    """Return the fleet's vehicle of a name as a `Plant`."""
+def in_the_plane(name: str) -> PlantStep:
+    """Return the fleet's vehicle of a name as a `PlantStep`."""
     own = craft(name)
-    return Simulated(own.vehicle, limits(own))
+    return Simulated(own.vehicle, _limits(own))
 
 
 def turned(name: str) -> dict[str, list[dict[str, float]]]:
@@ -123,7 +123,7 @@ def turned(name: str) -> dict[str, list[dict[str, float]]]:
         name: of the vehicle.
     """
     own = craft(name)
-    speed, most = own.vehicle.speed, limits(own)
+    speed, most = own.vehicle.speed, _limits(own)
     cruise = own.drag(speed)[0] * speed
     makers = (lambda: in_the_plane(name)), (lambda: Commanded(Own(name, 1), speed=speed))
     straight, turns = [], []

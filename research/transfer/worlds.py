@@ -21,7 +21,7 @@ _LEVEL = 6  # x, y, psi, u, v, r
 _FORCES = 2  # F_u, F_r
 
 
-class Model(Protocol):
+class _Model(Protocol):
     """The equations of a vehicle whose state is a row of `size` numbers."""
 
     def __hash__(self) -> int:
@@ -48,9 +48,9 @@ class Model(Protocol):
         """Return the time derivative of the rows."""
 
 
-MODELS: Mapping[str, Model] = {model.name: model for model in (REMUS100, OTTER)}
+SIX_DOF_MODELS: Mapping[str, _Model] = {model.name: model for model in (REMUS100, OTTER)}
 """The vehicles by their names in the fleet."""
-VARIANTS: Mapping[str, Mapping[str, Model]] = {"remus100": REMUS100_VARIANTS, "otter": OTTER_VARIANTS}
+WORLD_VARIANTS: Mapping[str, Mapping[str, _Model]] = {"remus100": REMUS100_VARIANTS, "otter": OTTER_VARIANTS}
 """What each is without parts of itself, to see what makes a difference; the first is the vehicle."""
 
 
@@ -93,7 +93,7 @@ RATES_ROWS = {
 
 
 @cache
-def rates_kernel(model: Model) -> Kernel:
+def rates_kernel(model: _Model) -> Kernel:
     """Return the kernel of a vehicle's rates and of what is seen of it.
 
     Orders to its actuators hold since the rows with which a step `began`.
@@ -111,7 +111,7 @@ def rates_kernel(model: Model) -> Kernel:
 
 
 class Own:
-    """N vehicles of one of the `MODELS`, whose equations are compiled.
+    """N vehicles of one of the `SIX_DOF_MODELS`, whose equations are compiled.
 
     Args:
         vehicle: its name, or its equations.
@@ -121,10 +121,12 @@ class Own:
         ValueError: there is no such vehicle.
     """
 
-    def __init__(self, vehicle: str | Model, n: int) -> None:
-        if isinstance(vehicle, str) and vehicle not in MODELS:
-            raise ValueError(f"{vehicle!r} is no vehicle of six degrees of freedom; allowed are {', '.join(MODELS)}")
-        self._model = MODELS[vehicle] if isinstance(vehicle, str) else vehicle
+    def __init__(self, vehicle: str | _Model, n: int) -> None:
+        if isinstance(vehicle, str) and vehicle not in SIX_DOF_MODELS:
+            raise ValueError(
+                f"{vehicle!r} is no vehicle of six degrees of freedom; allowed are {', '.join(SIX_DOF_MODELS)}"
+            )
+        self._model = SIX_DOF_MODELS[vehicle] if isinstance(vehicle, str) else vehicle
         size = self._model.size
         rows = {**RATES_ROWS, "began": size, "rows": size, "rates": size}
         self._arrays = {array: np.zeros((count, n)) for array, count in rows.items()}

@@ -22,21 +22,20 @@ from auv_gym.scenarios.presets import PRESETS
 from baselines.identification import identify
 from baselines.identification.command import EXAMPLE, EXAMPLE_LAG
 from baselines.identification.fit import UNKNOWN
-from baselines.identification.model import CURRENT as V
-from baselines.identification.model import HULL, LIMITS, PARAMETERS
-from baselines.identification.trials import CURRENT, example
+from baselines.identification.model import CURRENT_NAMES as V
+from baselines.identification.model import FITTED_PARAMETERS, HULL_PARAMETERS, LIMIT_NAMES
+from baselines.identification.trials import EXAMPLE_CURRENT, example
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, write_atomically
+from research import DOCS
 
 PROGRAM = "python -m research identification-coverage"
-VEHICLES = {
+_VEHICLES = {
     "the paper's vehicle": PAPER_VEHICLE,
     "with quadratic drag": replace(PAPER_VEHICLE, X_uu=20.0, Y_vv=60.0, N_rr=25.0),
 }
 """Whose logs are simulated."""
-FILE = "identify.json"  # of what was counted, in docs/
-BEGIN = "<!-- coverage -->"  # before the tables in the page
-END = "<!-- end of coverage -->"  # behind them
+_FILE = "identify.json"  # of what was counted, in docs/
 _NEAR = 0.05  # share of the true value within which a fitted one is near
 
 
@@ -49,18 +48,18 @@ class Options:
 
     logs: int = 100
     """Logs of each vehicle."""
-    out: Path = Path("docs" if checkout() else "runs") / FILE
+    out: Path = Path("docs" if checkout() else "runs") / _FILE
     """File for the counts."""
 
 
-def counted(name: str, logs: int) -> dict[str, Any]:
+def _counted(name: str, logs: int) -> dict[str, Any]:
     """Return what so many identifications of a vehicle come to: counts, errors and processor time."""
-    vehicle, sensors = VEHICLES[name], PRESETS["cruise-noise"].sensors
-    truth = dict(zip(HULL, vehicle.coefficients, strict=True)) | dict(zip(V, CURRENT, strict=True))
-    truth |= dict(zip(LIMITS, (EXAMPLE.F_u_max, EXAMPLE.F_r_max), strict=True)) | {"lag": EXAMPLE_LAG}
-    held, near = dict.fromkeys(PARAMETERS, 0), dict.fromkeys(PARAMETERS, 0)
-    errors: dict[str, list[float]] = {n: [] for n in PARAMETERS}
-    unknown, whole = dict.fromkeys(PARAMETERS, 0), 0
+    vehicle, sensors = _VEHICLES[name], PRESETS["cruise-noise"].sensors
+    truth = dict(zip(HULL_PARAMETERS, vehicle.coefficients, strict=True)) | dict(zip(V, EXAMPLE_CURRENT, strict=True))
+    truth |= dict(zip(LIMIT_NAMES, (EXAMPLE.F_u_max, EXAMPLE.F_r_max), strict=True)) | {"lag": EXAMPLE_LAG}
+    held, near = dict.fromkeys(FITTED_PARAMETERS, 0), dict.fromkeys(FITTED_PARAMETERS, 0)
+    errors: dict[str, list[float]] = {n: [] for n in FITTED_PARAMETERS}
+    unknown, whole = dict.fromkeys(FITTED_PARAMETERS, 0), 0
     begin = time.process_time()
     for seed in range(logs):
         found = identify(example(vehicle, EXAMPLE, sensors, seed)).estimates
@@ -83,12 +82,12 @@ def counted(name: str, logs: int) -> dict[str, Any]:
             "median": float(np.median(errors[n])),
             "worst": max(errors[n]),
         }
-        for n in PARAMETERS
+        for n in FITTED_PARAMETERS
     }
     return {"logs": logs, "processor_s": seconds, "whole": whole, "parameters": rows}
 
 
-def table(record: Mapping[str, Any]) -> str:
+def _table(record: Mapping[str, Any]) -> str:
     """Return the counts of a vehicle as a table in Markdown; errors of what is truly 0 are in SI units."""
     logs = record["logs"]
     lines = [
@@ -106,7 +105,12 @@ def table(record: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def section(name: str, record: Mapping[str, Any]) -> str:
+def coverage_section() -> str:
+    """Return what docs/identify.md says about the logs of each vehicle."""
+    return "\n".join(_of_vehicle(*record) for record in load(DOCS / "identify.json").items())
+
+
+def _of_vehicle(name: str, record: Mapping[str, Any]) -> str:
     """Return what the page says about the logs of a vehicle."""
     logs, rows = record["logs"], record["parameters"].values()
     there = [row["near"] for row in rows if row["true"] != 0]
@@ -116,7 +120,7 @@ def section(name: str, record: Mapping[str, Any]) -> str:
         f"Of the numbers that are not 0 in truth, {_share(there, logs)} are inside their interval or within 5 %; "
         f"of those that are 0, {_share(not_there, logs)}; in {record['whole']} of {logs} logs all of them."
     )
-    return f"{says}\n\n{table(record)}"
+    return f"{says}\n\n{_table(record)}"
 
 
 def _share(counts: Sequence[int], logs: int) -> str:
@@ -136,9 +140,9 @@ def main(arguments: Sequence[str]) -> int:
     if options.logs < 1:
         raise UsageError(f"--logs is {options.logs}; it must be 1 or more")
     records = {}
-    for name in VEHICLES:
-        records[name] = counted(name, options.logs)
-        print(section(name, records[name]), flush=True)
+    for name in _VEHICLES:
+        records[name] = _counted(name, options.logs)
+        print(_of_vehicle(name, records[name]), flush=True)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(options.out, json_text(records))
     return DONE

@@ -17,18 +17,18 @@ from baselines.tuning.search import GainSet
 from baselines.tuning.tunables import TUNABLES
 from research import DATA
 
-FOLDER = DATA / "priced"
+PRICED_FOLDER = DATA / "priced"
 FACTORS = (0.5, 1.0, 2.0, 4.0, 8.0)
 """Of the swept points; 1: the gains that ship."""
 PRICES = (0.03, 0.1, 0.25)
 """Of the priced points."""
-EVALUATIONS = 108
+PRICED_EVALUATIONS = 108
 """Evaluations of a search for each price, the same for all controllers: 8 generations and the run-off."""
 
 
 def priced_file(name: str, regime: str, price: float) -> Path:
     """Return where the gains of a controller for a regime at a positive price are kept."""
-    return FOLDER / f"{name}-{regime}-{price:g}.json"
+    return PRICED_FOLDER / f"{name}-{regime}-{price:g}.json"
 
 
 def priced_record(name: str, regime: str, price: float) -> dict[str, Any]:
@@ -74,5 +74,5 @@ def swept_gains(name: str, regime: str, factor: float) -> GainSet:
 def prices_of(name: str, regime: str) -> list[float]:
     """Return the prices at which a controller has gains for a regime, 0 first."""
     before = f"{name}-{regime}-"
-    found = (file.stem.removeprefix(before) for file in FOLDER.glob(f"{before}*.json"))
+    found = (file.stem.removeprefix(before) for file in PRICED_FOLDER.glob(f"{before}*.json"))
     return [0.0, *sorted(float(price) for price in found)]

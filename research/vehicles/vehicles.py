@@ -36,22 +36,22 @@ from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tuning.command import known_craft
-from baselines.tuning.objective import Course
+from baselines.tuning.objective import TuningEpisodes
 from baselines.tuning.search import VALIDATION_SEED, Budget, tune
 from baselines.tuning.tunables import TUNABLES
 
 PROGRAM = "python -m research vehicle-gains"
-FILE = "vehicles.json"  # of what was measured, in docs/
-SCENARIO = "cruise-storm"  # that `scaling` runs
+VEHICLES_FILE = "vehicles.json"  # of what was measured, in docs/
+SEARCHED_SCENARIO = "cruise-storm"  # that `scaling` runs
 _REGIME = "cruise"  # that `search` tunes for; vehicles with fins have no other
 _SCALED = ("integral-normalised", "los-pid", "ekf", "nmpc")
 """Policies that `scaling` compares, if none are named."""
 SEARCHED = ("backstepping-tuned", "los-pid", "lqi", "ekf", "nmpc")
 """Controllers whose gains `search` searches, if none are named."""
-AGENT = "helm-any"  # whom `agent` runs
-SIDES = ("parameters", "searched", AGENT)
+MEASURED_AGENT = "helm-any"  # whom `agent` runs
+SIDES = ("parameters", "searched", MEASURED_AGENT)
 """Who runs side by side: predictive control with gains from the parameters and with searched ones, and the agent."""
-NEAR = 1.2
+NEAR_SEARCHED = 1.2
 """How many times the error of searched gains that of gains from parameters may be, to be called near."""
 
 
@@ -75,13 +75,13 @@ class Options:
     """How often episodes are run to find gains."""
     episodes: int = 16
     """Episodes of each such evaluation, a multiple of 8."""
-    out: Path = Path("docs" if checkout() else "runs") / FILE
+    out: Path = Path("docs" if checkout() else "runs") / VEHICLES_FILE
     """File for what is found."""
 
 
 def scaling(craft: Craft, names: Sequence[str], episodes: int) -> dict[str, Any]:
     """Return what each policy does in the storm, told the vehicle alone (before) and made for it (after)."""
-    scenario = changed(PRESETS[SCENARIO], None if craft == PAPER else craft)
+    scenario = changed(PRESETS[SEARCHED_SCENARIO], None if craft == PAPER else craft)
     cell, length = drawn(scenario, episodes, VALIDATION_SEED), Units.of(craft.vehicle).length
     cap = LARGEST_TAIL[_REGIME] * length
 
@@ -102,8 +102,8 @@ def searched(craft: Craft, name: str, options: Options) -> dict[str, Any]:
     factory = partial(tunable.factory, vehicle=own.vehicle)
     start, budget = load_gains(name, _REGIME, tunable.names), Budget(options.evaluations, options.episodes)
 
-    def courses(episodes: int, seed: int) -> Course:
-        return Course(_REGIME, episodes, seed, tunable.world, own)
+    def courses(episodes: int, seed: int) -> TuningEpisodes:
+        return TuningEpisodes(_REGIME, episodes, seed, tunable.world, own)
 
     gains = tune(factory, courses, start, budget) if options.evaluations else dict(start)
     fresh = courses(options.fresh, VALIDATION_SEED)
@@ -130,10 +130,10 @@ def beside(craft: Craft, gains: Mapping[str, float], episodes: int) -> dict[str,
         episodes: how many, those that searches are compared on.
     """
     own, tunable = craft.in_paper_units, TUNABLES[RIVAL]
-    course = Course(_REGIME, episodes, VALIDATION_SEED, tunable.world, own)
+    course = TuningEpisodes(_REGIME, episodes, VALIDATION_SEED, tunable.world, own)
     start = load_gains(RIVAL, _REGIME, tunable.names)
     controllers = (tunable.factory(dict(each), vehicle=own.vehicle) for each in (start, gains))
-    ended = [course.tails(policy) for policy in (*controllers, make_policy(AGENT, vehicle=own.vehicle))]
+    ended = [course.tails(policy) for policy in (*controllers, make_policy(MEASURED_AGENT, vehicle=own.vehicle))]
     return {
         "tails": {
             side: {case: np.round(tails, 6).tolist() for case, tails in course.by_case(tail).items()}
@@ -196,7 +196,9 @@ def _found(record: Mapping[str, Any], vehicle: str) -> Any:
 def _check(options: Options) -> None:
     """Raise UsageError if an option is wrong."""
     if options.what == "agent" and options.policy:
-        raise UsageError(f"--policy {options.policy[0]} makes no sense here: {AGENT} runs, and {RIVAL}; leave it out")
+        raise UsageError(
+            f"--policy {options.policy[0]} makes no sense here: {MEASURED_AGENT} runs, and {RIVAL}; leave it out"
+        )
     allowed = POLICIES if options.what == "scaling" else TUNABLES
     for name in options.policy:
         if name not in allowed:

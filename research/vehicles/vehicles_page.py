@@ -13,11 +13,10 @@ from auv_gym.scenarios.vehicles import PAPER, Craft, craft, fleet
 from baselines.evaluation.score import RIVAL, Score, relative_error
 from baselines.evaluation.stability.analysis import linearise_policy
 from baselines.policies import make_policy
-from research.vehicles.vehicles import AGENT, NEAR, SCENARIO, SIDES
+from baselines.tools.files import read_json
+from research import DOCS
+from research.vehicles.vehicles import MEASURED_AGENT, NEAR_SEARCHED, SEARCHED_SCENARIO, SIDES, VEHICLES_FILE
 
-BEGIN = "<!-- gains: written by REFRESH_DOCS=1 python -m pytest tests/research/test_vehicle_gains.py -->"
-"""The line before what is written, in the page."""
-END = "<!-- end of gains -->"  # the line behind it
 _SHARES = (1 / 30, 1 / 15, 0.1, 0.2, 0.25, 0.3, 1 / 3, 0.5, 2 / 3, 5 / 6, 1.0)
 """Path speeds at which the expert is examined, as shares of the design speed."""
 _SLOW = 1 / 3
@@ -44,7 +43,7 @@ def worst_growth(vehicle: Craft, policy: str = "backstepping") -> float:
     return max(float(loop.eigenvalues[0].real) for loop in loops)
 
 
-def table(names: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def _table(names: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return a table in Markdown."""
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (names, ["---"] * len(names), *rows))
 
@@ -56,7 +55,7 @@ def stability_table() -> str:
         growth, top = worst_growth(c), c.vehicle.speed
         word = f"halves in {math.log(2) / -growth:.3g} s" if growth < 0 else "grows"
         rows.append([f"`{c.name}`", f"{max(_SHARES[0] * top, c.slowest):.2g} ... {top:.3g}", word])
-    return table(["vehicle", "speeds [m/s]", "the slowest small error"], rows)
+    return _table(["vehicle", "speeds [m/s]", "the slowest small error"], rows)
 
 
 def scaling_table(record: Mapping[str, Any]) -> str:
@@ -66,7 +65,7 @@ def scaling_table(record: Mapping[str, Any]) -> str:
         [f"`{vehicle}`", *(_change(entry["policies"][name]) for name in names)]
         for vehicle, entry in sorted(record.items(), key=lambda item: item[0] != "paper")
     ]
-    return table(["vehicle", *(f"`{name}`" for name in names)], rows)
+    return _table(["vehicle", *(f"`{name}`" for name in names)], rows)
 
 
 def _change(entry: Mapping[str, Any]) -> str:
@@ -91,11 +90,12 @@ def search_table(record: Mapping[str, Any]) -> str:
         for vehicle, entry in sorted(record.items(), key=lambda item: item[0] != "paper")
         for name, found in entry.items()
     ]
-    return table(["vehicle", "controller", "from parameters", "searched", "ratio"], rows)
+    return _table(["vehicle", "controller", "from parameters", "searched", "ratio"], rows)
 
 
-def section(record: Mapping[str, Any]) -> str:
-    """Return what the page says of gains that follow the vehicle, from what `research.vehicles.vehicles` has kept."""
+def gains_section() -> str:
+    """Return what docs/vehicles.md says of gains that follow the vehicle, as `research.vehicles.vehicles` measured."""
+    record = read_json(DOCS / VEHICLES_FILE)
     stable = (
         "**Stable.** The expert is locally stable on each vehicle, in still water, on straight lines and in turns as "
         "fast as those of its presets:"
@@ -109,7 +109,7 @@ def _scaling(record: Mapping[str, Any]) -> tuple[str, str]:
     errors = [p[key] for e in record.values() for p in e["policies"].values() for key in ("before", "after")]
     widest = max((e["interval"][1] - e["interval"][0]) / 2 / e["error"] for e in errors)
     says = (
-        f"**Against the gains of the paper's vehicle.** `{SCENARIO}`, {first['episodes']} episodes on each of "
+        f"**Against the gains of the paper's vehicle.** `{SEARCHED_SCENARIO}`, {first['episodes']} episodes on each of "
         f"{len(record)} vehicles: mean tail error in per cent of L, that of a lost episode counted as the score caps "
         "it, and in brackets how many were lost. On the left of an arrow the policy is told the vehicle and keeps the "
         "gains of the paper's, on the right it is made for it. 95 % intervals (bootstrap over episodes) reach up to "
@@ -120,10 +120,10 @@ def _scaling(record: Mapping[str, Any]) -> tuple[str, str]:
 
 def _search(record: Mapping[str, Any]) -> tuple[str, str]:
     found = [x for name, entry in record.items() if name != "paper" for x in entry.values()]
-    near = sum(x["ratio"] <= NEAR for x in found)
+    near = sum(x["ratio"] <= NEAR_SEARCHED for x in found)
     middle = math.exp(sum(math.log(x["ratio"]) for x in found) / len(found))
     (evaluations, episodes), fresh = found[0]["budget"], found[0]["episodes"]
-    within = f"{100 * (NEAR - 1):.0f} %"
+    within = f"{100 * (NEAR_SEARCHED - 1):.0f} %"
     says = (
         f"**Against a search for the vehicle.** {evaluations} evaluations of {episodes} episodes in all cases of "
         f"cruise, beginning at the gains from the parameters; then both on {fresh} other episodes. In {near} of "
@@ -141,18 +141,20 @@ def _agent(record: Mapping[str, Any]) -> tuple[str, str]:
     for vehicle, entry in found.items():
         own = {side: [np.array(tails) for tails in entry["tails"][side].values()] for side in SIDES}
         percent = [_percent(float(np.mean(own[side])) / PAPER.vehicle.length, entry["lost"][side]) for side in SIDES]
-        ratios = [_ratio(relative_error(own[side], own[AGENT])) for side in SIDES[:2]]
+        ratios = [_ratio(relative_error(own[side], own[MEASURED_AGENT])) for side in SIDES[:2]]
         rows.append([f"`{vehicle}`", *percent, *ratios])
         for side in SIDES:
             cells[side] += own[side]
-    over = [_ratio(relative_error(cells[side], cells[AGENT])) for side in SIDES[:2]]
+    over = [_ratio(relative_error(cells[side], cells[MEASURED_AGENT])) for side in SIDES[:2]]
     budgets = {tuple(record["search"][vehicle][RIVAL]["budget"]) for vehicle in found}
     ((evaluations, episodes),) = budgets
-    (fresh,) = {sum(map(len, entry["tails"][AGENT].values())) for entry in found.values()}
+    (fresh,) = {sum(map(len, entry["tails"][MEASURED_AGENT].values())) for entry in found.values()}
     says = (
-        f"**`{AGENT}` beside `{RIVAL}` with searched gains.** As many evaluations for each vehicle ({evaluations} of "
-        f"{episodes} episodes), all cases of cruise, {fresh} fresh episodes each, the same for all; errors as "
-        f"above. The ratio is the geometric mean over cases of that of mean errors: over all {len(found)} vehicles the "
+        f"**`{MEASURED_AGENT}` beside `{RIVAL}` with searched gains.** As many evaluations for each vehicle "
+        f"({evaluations} of {episodes} episodes), all cases of cruise, {fresh} fresh episodes each, the same "
+        f"for all; errors "
+        f"as above. The ratio is the geometric mean over cases of that of mean errors: over all {len(found)} "
+        f"vehicles the "
         f"agent has {over[0]} of the error of `{RIVAL}` with gains from the parameters, and {over[1]} of that with "
         "searched ones. The agent is tuned to none of them, one set of weights; slow motion is not searched."
     )
@@ -160,11 +162,11 @@ def _agent(record: Mapping[str, Any]) -> tuple[str, str]:
         "vehicle",
         f"`{RIVAL}`, from parameters",
         "searched",
-        f"`{AGENT}`",
+        f"`{MEASURED_AGENT}`",
         "agent over the first",
         "over the second",
     ]
-    return says, table(names, rows)
+    return says, _table(names, rows)
 
 
 def _ratio(value: Score) -> str:

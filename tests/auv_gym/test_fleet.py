@@ -11,7 +11,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from fleet_sources import SOURCES
-from kept_pages import compare_between
 from matrix_form import matrix_form
 
 from auv_gym import PRESETS, Scenario, list_vehicles
@@ -28,8 +27,8 @@ from auv_gym.planning.planner import plan
 from auv_gym.scenarios.fitting import adapted, changed, in_vehicle_units
 from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.scenario import RandomPath, Start
-from auv_gym.scenarios.vehicles import FOLDER, PAPER, Craft, as_vehicle, craft, fleet
-from auv_gym.scenarios.vehicles.scaling import POWERS
+from auv_gym.scenarios.vehicles import PAPER, VEHICLES_FOLDER, Craft, as_vehicle, craft, fleet
+from auv_gym.scenarios.vehicles.scaling import SCENARIO_POWERS
 from auv_gym.task.observation import decode_observation
 
 FLEET = pytest.mark.parametrize("name", fleet())
@@ -140,8 +139,8 @@ def test_every_entry_with_a_unit_is_scaled_by_it():
     for part, cls in {**classes, "current": RandomCurrent, "waves": RandomWaves}.items():
         units = dict(re.findall(r"^    (\w+): .*?# \[(.+?)\]", inspect.getsource(cls), re.MULTILINE))
         found = {name: powers[unit] for name, unit in units.items() if powers[unit]}
-        assert found.items() <= POWERS[part].items()
-        assert set(POWERS[part]) <= {field.name for field in fields(cls)}
+        assert found.items() <= SCENARIO_POWERS[part].items()
+        assert set(SCENARIO_POWERS[part]) <= {field.name for field in fields(cls)}
     assert "speed" in {field.name for field in fields(RandomPath)}
 
 
@@ -182,7 +181,8 @@ def test_vehicle_by_name_and_file(tmp_path):
     assert as_vehicle("lauv") == craft("lauv").vehicle
     file = tmp_path / "mine.toml"
     file.write_text(
-        (FOLDER / "lauv.toml").read_text(encoding="utf-8").replace('name = "lauv"', 'name = "mine"'), encoding="utf-8"
+        (VEHICLES_FOLDER / "lauv.toml").read_text(encoding="utf-8").replace('name = "lauv"', 'name = "mine"'),
+        encoding="utf-8",
     )
     mine = changed(PRESETS["cruise-storm"], str(file))
     assert mine == replace(as_scenario("cruise-storm@lauv"), name="cruise-storm@mine")
@@ -207,54 +207,6 @@ def test_wrong_file_is_refused(tmp_path):
     (tmp_path / "wrong.toml").write_text("slowest = 1.0\n", encoding="utf-8")
     with pytest.raises(ValueError, match=r"wrong.toml: vehicle file lacks the entry 'name'"):
         changed(PRESETS["cruise-calm"], str(tmp_path / "wrong.toml"))
-
-
-PAGE = Path(__file__).parents[2] / "docs/vehicles.md"
-
-
-def row(mine):
-    v, act, U = mine.vehicle, mine.actuators, mine.vehicle.speed
-    torque = min(act.F_r_max, act.fin * U * U) if act.fin else act.F_r_max
-    lag = 0.2 * mine.vehicle.time / PAPER.vehicle.time if mine.lag is None else mine.lag
-    _, sway, yaw = mine.drag(U)
-    numbers = (
-        mine.vehicle.length,
-        U,
-        act.F_u_max,
-        torque,
-        lag,
-        v.m22 / v.m11,
-        sway / v.m22,
-        yaw / v.m33,
-        torque / v.m11 / U**2,
-    )
-    return [f"`{mine.name}`", mine.about, *(f"{number:.3g}" for number in numbers)]
-
-
-def fleet_tables():
-    every = [PAPER, *map(craft, fleet())]
-    names = [
-        "name",
-        "what",
-        "L [m]",
-        "speed [m/s]",
-        "thrust [N]",
-        "torque [N m]",
-        "lag [s]",
-        "m22/m11",
-        "sway drag",
-        "yaw drag",
-    ]
-    names.append("yaw torque")
-    first = [names, ["---"] * len(names), *map(row, every)]
-    known = [[f"`{c.name}`", c.source, c.left_out, c.ours] for c in every[1:]]
-    second = [["name", "source", "left out", "ours"], ["---"] * 4, *known]
-    return "\n\n".join("\n".join(f"| {' | '.join(cells)} |" for cells in table) for table in (first, second))
-
-
-def test_page_shows_the_fleet():
-    begin = re.search(r"<!-- the fleet.*-->", PAGE.read_text(encoding="utf-8"))[0]
-    compare_between(PAGE, begin, "<!-- end of the fleet -->", fleet_tables())
 
 
 @pytest.mark.parametrize("name", ["lauv", "gunnerus"])

@@ -35,14 +35,14 @@ from research.suites.deep import (
     MISSION,
     OUTAGE_TIME,
     OUTAGES,
+    deep_worlds,
     navigation_errors,
     navigation_tails,
-    worlds,
 )
 from research.throughput.eager import Setting
 
 TRACK = "auv_gym:UnderactuatedAUVTrack-v0"
-DEEP = {scenario.name: scenario for scenario in worlds()}
+DEEP = {scenario.name: scenario for scenario in deep_worlds()}
 OFTEN = RandomReckoning(
     interval=(1.0, 3.0), scale=(-0.1, 0.1), misalignment=(-0.1, 0.1), drift=(-0.01, 0.01), walk=0.01
 )
@@ -267,7 +267,7 @@ def test_files_hold_it(tmp_path, suffix):
 
 
 def test_the_deep_suite_is_what_it_says():
-    suite = suites.load("deep-v1")
+    suite = suites.load_suite("deep-v1")
     assert [cell.scenario for cell in suite.cells] == list(DEEP.values())
     assert [f"{r}-{c}" for r in ("slow", "cruise") for c in ("deep", "deep-current", "deep-storm")] == list(DEEP)
     for cell in suite.cells:
@@ -286,7 +286,7 @@ def test_the_deep_suite_is_what_it_says():
 
 
 def test_who_keeps_its_estimate_on_the_reference_has_the_error_of_the_navigation():
-    cell = suites.load("deep-v1").cells[3]
+    cell = suites.load_suite("deep-v1").cells[3]
     episodes = [dataclasses.replace(e, initial_error=(0.0, 0.0, 0.0), surge=1.0) for e in cell.episodes[:6]]
     floor = navigation_tails(Cell(cell.scenario, episodes))
     tails = rollout(make_policy("backstepping"), cell.scenario, episodes).measures.tail
@@ -312,7 +312,7 @@ def test_the_page_tells_the_instruments():
 
 
 def test_results_begin_with_the_error_of_the_navigation():
-    suite = suites.load("deep-v1")
+    suite = suites.load_suite("deep-v1")
     few = dataclasses.replace(
         suite,
         anchors=BY_ORACLE,

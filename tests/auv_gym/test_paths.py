@@ -23,7 +23,7 @@ from auv_gym.planning.paths import (
     RandomSmooth,
     Sine,
     Spline,
-    evaluate,
+    evaluate_paths,
     stack,
 )
 
@@ -320,8 +320,8 @@ def test_evaluate_keeps_the_order_of_a_mixture():
     paths = (SAMPLES[1], SPLINES[0], SAMPLES[6], replace(SAMPLES[1], turn_rate=0.3), Own(), SAMPLES[0])
     t = np.linspace(0.0, 40.0, 41)
     single = np.stack([path.derivatives(t) for path in paths], axis=-1)
-    np.testing.assert_allclose(evaluate(paths, t), single, rtol=1e-13, atol=1e-12)
-    assert evaluate((), t).shape == (4, 2, 41, 0)
+    np.testing.assert_allclose(evaluate_paths(paths, t), single, rtol=1e-13, atol=1e-12)
+    assert evaluate_paths((), t).shape == (4, 2, 41, 0)
 
 
 @pytest.mark.parametrize("path", [*SAMPLES, SPLINES[0]], ids=name_of)
@@ -345,7 +345,7 @@ def test_analytic_families_have_no_ends(path):
 @pytest.mark.parametrize(("speed", "turn_rate"), [(0.2, 0.04), (1.0, 0.12)])
 def test_drawn_paths_are_mild_and_of_the_asked_speed(family, speed, turn_rate):
     paths = drawn_paths(family, 200, speed, turn_rate)
-    d = evaluate(paths, np.linspace(0.0, 20 / turn_rate, 801))
+    d = evaluate_paths(paths, np.linspace(0.0, 20 / turn_rate, 801))
     v, rate = speed_and_turn_rate(d)
     peak = np.abs(rate).max(axis=0)
     braking = np.abs((d[1] * d[2]).sum(axis=0) / v**2)

@@ -16,7 +16,7 @@ from gymnasium.error import DependencyNotInstalled
 
 from auv_gym.rendering import Renderer, View
 from auv_gym.rendering.camera import elapsed_between
-from auv_gym.rendering.canvas import ALERT, CURRENT, INK, PLAN, SEA, VEHICLE, WHITE, Canvas
+from auv_gym.rendering.canvas import ALERT, CURRENT_COLOUR, INK, PLAN, SEA_COLOUR, VEHICLE, WHITE, Canvas
 
 pygame = pytest.importorskip("pygame")
 
@@ -119,8 +119,8 @@ def test_y_points_up_and_angles_turn_counter_clockwise():
 def test_current_shows_as_arrows_and_only_then():
     calm = picture()
     flowing = picture(VIEW._replace(current=(0.03, 0.04)))
-    assert count(calm, CURRENT) == 0
-    assert count(flowing, CURRENT) > 0  # the legend's arrow
+    assert count(calm, CURRENT_COLOUR) == 0
+    assert count(flowing, CURRENT_COLOUR) > 0  # the legend's arrow
     middle = slice(100, 260), slice(0, 480)
     assert not np.array_equal(calm[middle], flowing[middle])  # and those in the water
 
@@ -225,7 +225,7 @@ def test_small_pictures_show_the_scene_alone():
 @pytest.mark.parametrize("size", [(480, 360), (960, 720), (1920, 1440)])
 def test_a_closeup_leaves_no_trace_around_what_it_shows(size):
     canvas = Canvas(pygame, size)
-    canvas.fill(SEA)
+    canvas.fill(SEA_COLOUR)
     canvas.line([(0.0, 100.0), (900.0, 700.0)], PLAN, 3.0)
     before = canvas.pixels()
     with canvas.closeup([(300.0, 250.0), (420.0, 400.0)], 10.0):

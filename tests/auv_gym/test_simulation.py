@@ -8,7 +8,7 @@ import pytest
 from auv_gym.physics.namespaces import ARRAYS, FLOATS
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.task.observation import ERRORS, Observation
+from auv_gym.task.observation import ERROR_TERMS, Observation
 from auv_gym.task.simulation import Parts, Plant, Sample, Shear, start, step
 
 AT_ONCE = (1.0, 1.0, math.inf, math.inf)
@@ -67,7 +67,9 @@ def test_measurement_errors_are_added():
     noisy = STILL._replace(n_x=0.1, n_y=-0.2, n_psi=0.0, n_u=0.3, n_v=-0.4, n_r=0.05, x_R=1.0, y_R=2.0, r_R=0.01)
     _, terms = start((1.0, 2.0, 0.0, 0.7, 0.02, 0.03), noisy._replace(u_R=0.5), CONSTANTS, FLOATS)
     o = Observation(*terms)
-    assert o[:ERRORS] == pytest.approx((0.1, -0.2, 0.0, 0.7 + 0.3 - 0.5, 0.02 - 0.4, 0.03 + 0.05 - 0.01), abs=1e-15)
+    assert o[:ERROR_TERMS] == pytest.approx(
+        (0.1, -0.2, 0.0, 0.7 + 0.3 - 0.5, 0.02 - 0.4, 0.03 + 0.05 - 0.01), abs=1e-15
+    )
     _, terms = start((0.0,) * 6, STILL._replace(n_psi=0.25), CONSTANTS, FLOATS)
     o = Observation(*terms)
     assert (o.psi_e, o.cos_psi, o.sin_psi) == pytest.approx((0.25, math.cos(0.25), math.sin(0.25)), abs=1e-15)

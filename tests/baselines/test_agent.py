@@ -306,7 +306,7 @@ def test_shipped_agents_are_policies_by_name(tmp_path, monkeypatch):
     from baselines.agents import names
 
     agent().save(tmp_path / "mine")
-    monkeypatch.setattr(names, "AGENTS", tmp_path)
+    monkeypatch.setattr(names, "SHIPPED_FOLDER", tmp_path)
     assert "card.md" in list_policies()["mine"]
     observation = UnderactuatedAUVTrackEnv("cruise-storm").reset(seed=0)[0]
     mine = make_policy("mine").predict(observation)[0]

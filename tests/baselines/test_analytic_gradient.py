@@ -22,17 +22,17 @@ from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES, Inputs
 from baselines.agents.networks import Gru, Mlp
 from baselines.control.open_loop import Zero
-from baselines.training.apg.closed_loop import CURVE, NEAR, ClosedLoop, Loss, law_of
+from baselines.training.apg.closed_loop import LINEAR_FROM, SQUARE_WEIGHT, ClosedLoop, Loss, law_of
 from baselines.training.apg.groups import Groups, Learned
 from baselines.training.apg.passes import gates_back
 from baselines.training.apg.settings import Settings, check
 from baselines.training.apg.torch_network import torch_network, weights_of
-from baselines.training.apg.trainer import Trainer, train
+from baselines.training.apg.trainer import ApgTrainer, train
 from baselines.training.apg.vehicles import TrainingVehicles
 from baselines.training.apg.window import SMALLEST, evened
 from baselines.training.config import Config
-from baselines.training.run_folder import Run
-from baselines.training.validation import PRECISION
+from baselines.training.run_folder import RunFolder
+from baselines.training.validation import VALIDATION_PRECISION
 from research.throughput.eager import AUTHORITY, LOSS, Setting
 
 SIZES = Gru(len(FEATURES), 8, 8, 8)
@@ -61,7 +61,7 @@ def network(head=0.5, sizes=SIZES, dtype=torch.float64):
 
 
 def trainer_of(run):
-    return Trainer(run, Groups(run.config, check(run.config)))
+    return ApgTrainer(run, Groups(run.config, check(run.config)))
 
 
 def gradient_of(net):
@@ -174,7 +174,7 @@ def test_even_shares_add_up_and_fall_with_the_error(errors, evenness):
 
 
 def test_loss_has_no_kink_and_a_slope_everywhere():
-    e = torch.tensor([0.0, 1e-3, NEAR - 1e-6, NEAR + 1e-6, 50.0], dtype=torch.float64, requires_grad=True)
+    e = torch.tensor([0.0, 1e-3, LINEAR_FROM - 1e-6, LINEAR_FROM + 1e-6, 50.0], dtype=torch.float64, requires_grad=True)
     still, one = torch.zeros(2, 5, dtype=torch.float64), torch.ones(5, dtype=torch.float64)
     values = Loss().of(e * e, one, still, still, one, TENSORS)
     values.sum().backward()
@@ -182,7 +182,7 @@ def test_loss_has_no_kink_and_a_slope_everywhere():
     assert torch.isfinite(e.grad).all()
     assert (e.grad[1:] > 0).all()
     assert float(e.grad[2]) == pytest.approx(float(e.grad[3]), rel=1e-4)
-    assert float(values[2]) == pytest.approx(NEAR + CURVE * NEAR**2, rel=1e-4)
+    assert float(values[2]) == pytest.approx(LINEAR_FROM + SQUARE_WEIGHT * LINEAR_FROM**2, rel=1e-4)
     moved = Loss(effort=0.5, rate=0.08).of(0.0, 1.0, (0.1, 0.1), (0.0, 0.0), 0.2, FLOATS)
     assert moved == pytest.approx(1e-3 + 0.5 * 0.02 + 2 * 0.02, rel=1e-4)
 
@@ -279,7 +279,7 @@ def configuration(**changes):
 def trained(tmp_path_factory):
     """One whole run."""
     torch.set_num_threads(1)
-    run = Run(configuration(), tmp_path_factory.mktemp("run"))
+    run = RunFolder(configuration(), tmp_path_factory.mktemp("run"))
     agent = train(run)
     run.close()
     return run, agent
@@ -301,7 +301,7 @@ def test_training_improves(trained):
 def test_best_agent_is_returned(trained):
     run, agent = trained
     best = max(row["score"] for row in rows(run) if "score" in row)
-    assert run.validation.run(agent.policy(precision=PRECISION)).score == best
+    assert run.validation.run(agent.policy(precision=VALIDATION_PRECISION)).score == best
     assert run.validation.run(agent.policy()).score == pytest.approx(best, abs=1e-5)
 
 
@@ -360,7 +360,7 @@ def test_refuses_settings(settings, says):
 def test_expert_that_looks_ahead_sees_its_own_preview(tmp_path):
     """Expert and network ask for different times; in training as in use each gets its own."""
     settings = configuration().hyperparameters | {"preview": (3, 20)}
-    trainer = trainer_of(Run(configuration(expert="nmpc", hyperparameters=settings), tmp_path))
+    trainer = trainer_of(RunFolder(configuration(expert="nmpc", hyperparameters=settings), tmp_path))
     policy, nmpc = trainer.agent(trainer.weights).policy(), make_policy("nmpc")
     assert policy.preview == (1, 2, 3, *nmpc.preview[2:])
     actions = []
@@ -376,7 +376,7 @@ def test_expert_that_looks_ahead_sees_its_own_preview(tmp_path):
 
 
 def test_gradients_that_are_not_finite_are_skipped(tmp_path, monkeypatch):
-    run = Run(configuration(), tmp_path)
+    run = RunFolder(configuration(), tmp_path)
     trainer = trainer_of(run)
 
     def diverged(self, weights):

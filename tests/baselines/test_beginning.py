@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from kept_pages import compare_between
 
 from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE
@@ -28,14 +27,14 @@ from baselines.tools.command_line import run
 from baselines.training.apg.groups import Groups
 from baselines.training.apg.settings import Settings, check
 from baselines.training.apg.torch_network import weights_of
-from baselines.training.apg.trainer import Trainer
+from baselines.training.apg.trainer import ApgTrainer
 from baselines.training.beginning import OF_AGENT, fitted, in_own_units
 from baselines.training.entry import main
-from baselines.training.hyperparameters import ENV_ID, TUNING, load_hyperparameters, shipped
+from baselines.training.hyperparameters import FINE_TUNING_FILE_NAME, TRAINED_ENV, load_hyperparameters, shipped
 from baselines.training.options import PROGRAM
-from baselines.training.run_folder import Run, read_config, read_progress
+from baselines.training.run_folder import RunFolder, read_config, read_progress
 from research.trainings import fine_tuning
-from research.trainings.trainings import SHIPPED
+from research.trainings.trainings import SHIPPED_TRAININGS
 
 torch.set_num_threads(1)
 SMALL = replace(PRESETS["cruise-current"], name="cruise-small", steps=15)
@@ -54,7 +53,10 @@ def trained(tmp_path_factory):
     folder = tmp_path_factory.mktemp("trained")
     SMALL.save(folder / "small.toml")
     SLOW.save(folder / "slow.toml")
-    tables = {ENV_ID: {**TINY, "n_timesteps": STEPS}, TUNING: {"n_timesteps": STEPS, "learning_rate": 1e-3}}
+    tables = {
+        TRAINED_ENV: {**TINY, "n_timesteps": STEPS},
+        FINE_TUNING_FILE_NAME: {"n_timesteps": STEPS, "learning_rate": 1e-3},
+    }
     (folder / "apg.yml").write_text(yaml.safe_dump(tables), encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         called = caller(folder, patch)
@@ -65,7 +67,7 @@ def trained(tmp_path_factory):
 
 def caller(folder, patch):
     patch.chdir(folder)
-    patch.setattr("baselines.training.validation.EPISODES", 3)
+    patch.setattr("baselines.training.validation.VALIDATED_EPISODES", 3)
     patch.setattr("baselines.training.apg.trainer.LOGS", 5)
     patch.setattr("baselines.training.request.shipped", lambda algo: Path(f"{algo}.yml"))
 
@@ -88,7 +90,9 @@ def weights(folder):
 
 def at_the_end(folder):
     """Return the weights at the end of a run; its agent has those that did best, perhaps those of its beginning."""
-    return {k: w.numpy() for k, w in Run(read_config(folder), folder).load_checkpoint()["modules"]["network"].items()}
+    return {
+        k: w.numpy() for k, w in RunFolder(read_config(folder), folder).load_checkpoint()["modules"]["network"].items()
+    }
 
 
 def same(a, b):
@@ -97,7 +101,7 @@ def same(a, b):
 
 def test_it_begins_with_the_agents_weights_for_a_vehicle_and_remembers_both(call):
     config, agent = read_config(FOUND), Agent.load(FOUND / "agent")
-    begun = Trainer(Run(config, Path("new")), Groups(config, check(config)))
+    begun = ApgTrainer(RunFolder(config, Path("new")), Groups(config, check(config)))
     assert same(weights_of(begun.network), weights("runs/train/apg-small-slow/agent"))
     assert same(weights_of(begun.averaged.module), weights("runs/train/apg-small-slow/agent"))
     assert not same(weights_of(begun.network), at_the_end(FOUND))
@@ -127,7 +131,7 @@ def test_what_it_validates_in_the_vehicles_units_is_what_the_agent_does_in_metre
 
 
 def test_it_goes_on_as_if_it_had_not_been_interrupted(call, monkeypatch, capsys):
-    keep = Run.save_checkpoint
+    keep = RunFolder.save_checkpoint
 
     def interrupted(self, state):
         keep(self, state)
@@ -135,7 +139,7 @@ def test_it_goes_on_as_if_it_had_not_been_interrupted(call, monkeypatch, capsys)
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(Run, "save_checkpoint", interrupted)
+        patch.setattr(RunFolder, "save_checkpoint", interrupted)
         assert call(*BEGUN, "--out", "out") == 1
     assert call(*BEGUN, "--out", "out", "--resume") == 0
     assert same(weights("out/agent"), weights(FOUND / "agent"))
@@ -176,7 +180,7 @@ def test_it_goes_on_with_what_was_trained_for_a_vehicle(call, capsys):
     ],
 )
 def test_contradictions_are_one_line_and_leave_nothing_behind(arguments, message, call, capsys):
-    Path("other.yml").write_text(yaml.safe_dump({ENV_ID: TINY}), encoding="utf-8")
+    Path("other.yml").write_text(yaml.safe_dump({TRAINED_ENV: TINY}), encoding="utf-8")
     before = set(Path().rglob("*"))
     assert call(*BEGUN, "--out", "out", *arguments) == 2
     out, err = capsys.readouterr()
@@ -219,7 +223,7 @@ def test_rates_rise_and_fall():
 
 def test_the_shipped_table_leaves_an_agent_what_it_is():
     """Of the residual environment's table, only how fast and how long is other."""
-    values = load_hyperparameters(shipped("apg"), TUNING)
+    values = load_hyperparameters(shipped("apg"), FINE_TUNING_FILE_NAME)
     assert not {*values.values} & {*OF_AGENT, "effort_weight", "rate_weight", "cut"}
     assert values.timesteps < load_hyperparameters(shipped("apg")).timesteps
     json.dumps(dict(values.values))
@@ -252,12 +256,12 @@ def test_what_fine_tuning_is_worth_is_measured(tmp_path, monkeypatch, capsys):
     own = record["vehicles"]["otter"]
     assert [len(own["helm"][name]) for name in ("tails", "lost")] == [2, 2]
     own["alone"] = {"tails": [[2 * x for x in case] for case in own["helm"]["tails"]], "lost": [0, 0]}
-    assert fine_tuning.ratio(own["helm"], own["alone"]) == pytest.approx((0.5, 0.5, 0.5))
-    assert "the agent as it is | " in fine_tuning.table(record)
-    assert "| 0.50 (0.50 ... 0.50) | 0.50 (0.50 ... 0.50) |" in fine_tuning.table(record)
-    assert fine_tuning.verdict(record) == ""
+    assert fine_tuning.error_ratio(own["helm"], own["alone"]) == pytest.approx((0.5, 0.5, 0.5))
+    assert "the agent as it is | " in fine_tuning.fine_tuning_table(record)
+    assert "| 0.50 (0.50 ... 0.50) | 0.50 (0.50 ... 0.50) |" in fine_tuning.fine_tuning_table(record)
+    assert fine_tuning.tuned_verdict(record) == ""
     own["tuned"] = {"tails": [own["helm"]["tails"][0], [5 * x for x in own["helm"]["tails"][1]]], "lost": [0, 0]}
-    assert "`otter` beyond by the typical error, beyond by the mean one" in fine_tuning.verdict(record)
+    assert "`otter` beyond by the typical error, beyond by the mean one" in fine_tuning.tuned_verdict(record)
     assert fine_tuning.worth(record) == ""
     own["nmpc"] = {"tails": [[4 * x for x in case] for case in own["tuned"]["tails"]], "lost": [0, 0]}
     worth = fine_tuning.worth({**record, "agent": "helm"})
@@ -272,38 +276,32 @@ def test_rows_of_an_agent_with_other_weights_do_not_count(tmp_path, monkeypatch)
     options = replace(fine_tuning.Options(), agent="helm", episodes=1, out=tmp_path / "kept.json")
     record = {"agent": "helm", "weights": "old", "episodes": 1, "vehicles": {"otter": rows}}
     options.out.write_text(json.dumps(record), encoding="utf-8")
-    assert fine_tuning.begun(options, "old") == record
-    found = fine_tuning.begun(options, "new")
+    assert fine_tuning.still_valid(options, "old") == record
+    found = fine_tuning.still_valid(options, "new")
     assert found["weights"] == "new"
     assert set(found["vehicles"]["otter"]) == {"backstepping", "alone"}
     for name in ("alone", "tuned"):
         rows[name]["set"] = ["another"]
         options.out.write_text(json.dumps(record), encoding="utf-8")
-        assert set(fine_tuning.begun(options, "old")["vehicles"]["otter"]) == set(rows) - {name}
+        assert set(fine_tuning.still_valid(options, "old")["vehicles"]["otter"]) == set(rows) - {name}
         rows[name]["set"] = fine_tuning.recipe(name, "helm", "otter")
     options.out.write_text(json.dumps(record), encoding="utf-8")
-    assert fine_tuning.begun(options, "old") == record
+    assert fine_tuning.still_valid(options, "old") == record
     with monkeypatch.context() as changed:
         changed.setattr(fine_tuning, "LENGTH", 2 * fine_tuning.LENGTH)
-        assert set(fine_tuning.begun(options, "old")["vehicles"]["otter"]) == set(rows) - {"alone"}
-    tried = fine_tuning.begun(replace(options, timesteps=40), "old")
+        assert set(fine_tuning.still_valid(options, "old")["vehicles"]["otter"]) == set(rows) - {"alone"}
+    tried = fine_tuning.still_valid(replace(options, timesteps=40), "old")
     assert set(tried["vehicles"]["otter"]) == {"helm", "backstepping"}
-    assert fine_tuning.begun(replace(options, episodes=2), "old")["vehicles"] == {}
+    assert fine_tuning.still_valid(replace(options, episodes=2), "old")["vehicles"] == {}
 
 
 def test_the_agent_whose_tuning_the_page_shows_is_the_one_that_ships():
     """And it is tuned, and others are trained alone, as the hyper-parameters say."""
-    kept = json.loads((ROOT / "docs" / fine_tuning.FILE).read_text(encoding="utf-8"))
+    kept = json.loads((ROOT / "docs" / fine_tuning.FINE_TUNING_FILE).read_text(encoding="utf-8"))
     for vehicle, found in kept["vehicles"].items():
         for name in ("tuned", "alone"):
             assert found[name]["set"] == fine_tuning.recipe(name, kept["agent"], vehicle), name
-    assert kept["weights"] == fine_tuning.weights_of(kept["agent"]), "run python -m research fine-tuning"
-
-
-def test_page_shows_what_fine_tuning_is_worth():
-    kept = json.loads((ROOT / "docs" / fine_tuning.FILE).read_text(encoding="utf-8"))
-    page = ROOT / "docs" / "training.md"
-    compare_between(page, fine_tuning.BEGIN, fine_tuning.END, fine_tuning.section(kept))
+    assert kept["weights"] == fine_tuning.shipped_digest(kept["agent"]), "run python -m research fine-tuning"
 
 
 def _named(words):
@@ -311,14 +309,14 @@ def _named(words):
 
 
 def test_the_two_trainings_differ_in_where_they_begin():
-    own, helms = fine_tuning.trainings("helm", "lauv"), _named(SHIPPED["helm"].set)
+    own, helms = fine_tuning.trainings("helm", "lauv"), _named(SHIPPED_TRAININGS["helm"].set)
     assert (own["tuned"].from_, own["tuned"].vehicle, own["tuned"].timesteps) == ("helm", "lauv", None)
     assert (own["alone"].from_, own["alone"].vehicle) == (None, "lauv")
     assert own["alone"].timesteps == fine_tuning.LENGTH
     assert _named(own["alone"].set) == {**helms, "groups": "1", "validations": str(fine_tuning.PIECES)}
     any_hull = fine_tuning.trainings("helm-any", "lauv")["alone"]
     assert any_hull.timesteps == fine_tuning.LENGTH
-    made, anys = _named(any_hull.set), _named(SHIPPED["helm-any"].set)
+    made, anys = _named(any_hull.set), _named(SHIPPED_TRAININGS["helm-any"].set)
     assert {name: made[name] for name in fine_tuning.SHARED} == {name: anys[name] for name in fine_tuning.SHARED}
     rates = [name for name in helms if name.endswith(("rate", "weight", "size"))]
     assert len(rates) > 4

@@ -13,16 +13,16 @@ from auv_gym.task.simulation import Parameters, start, step
 from baselines import make_policy
 from baselines.control.privileged.clairvoyant import arriving, oracle_actions
 from baselines.control.privileged.problem import HEAD, PRICE, Problem
-from baselines.control.privileged.solver import TOLERANCE, solved
+from baselines.control.privileged.solver import TOLERANCE, best_trajectory
 from baselines.control.privileged.truth import Truth
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
-from baselines.evaluation.suites import load
+from baselines.evaluation.suites import load_suite
 
 
 def optimum(scenario, episodes):
     problem = Problem.of(scenario, episodes)
-    return problem, solved(problem, arriving(oracle_actions(scenario, episodes), problem.delay))
+    return problem, best_trajectory(problem, arriving(oracle_actions(scenario, episodes), problem.delay))
 
 
 @pytest.mark.parametrize("regime", ["slow", "cruise"])
@@ -39,7 +39,7 @@ def test_at_least_as_good_as_the_oracle_in_every_episode(regime, case):
 @pytest.mark.parametrize("cell", ["slow-delay", "cruise-sluggish", "cruise-short-limits", "slow-everything"])
 def test_the_environment_gives_what_was_planned(cell):
     """Late commands, slow and short actuators, a current that varies in space; actions are rounded on the way."""
-    own = next(c for c in load("unmodelled-v1").cells if c.scenario.name == cell)
+    own = next(c for c in load_suite("unmodelled-v1").cells if c.scenario.name == cell)
     episodes = own.episodes[:6]
     _, course = optimum(own.scenario, episodes)
     run = rollout(make_policy("clairvoyant"), own.scenario, episodes, 10.0)

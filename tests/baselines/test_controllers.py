@@ -184,7 +184,7 @@ def test_interpolated_gains_stabilise_vehicles_of_other_lags(regime, lag):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    monkeypatch.setattr(gain_files, "FOLDER", tmp_path)
+    monkeypatch.setattr(gain_files, "GAINS_FOLDER", tmp_path)
     return tmp_path
 
 

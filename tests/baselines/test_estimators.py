@@ -24,7 +24,14 @@ from baselines.control.ekf_law import EKF_GAINS
 from baselines.estimation.filter_equations import Belief
 from baselines.estimation.kalman import HYPOTHESES, ODDS, ExtendedKalmanFilter, believed, tuning_of
 from baselines.estimation.sea_model import Estimate
-from baselines.estimation.water_frame import Motion, Planned, Sea, planned, reference_motion, water_errors
+from baselines.estimation.water_frame import (
+    PlannedReference,
+    ReferenceMotion,
+    Sea,
+    planned,
+    reference_motion,
+    water_errors,
+)
 from baselines.gains.loading import load_gains
 from baselines.policy import Remembering
 
@@ -148,7 +155,7 @@ def test_filter_finds_lag_and_load():
     np.testing.assert_allclose(z.N + z.N_wave, load[2], atol=2.0)
 
 
-AT_FIRST = Planned(*np.zeros((len(Planned._fields), 1)))
+AT_FIRST = PlannedReference(*np.zeros((len(PlannedReference._fields), 1)))
 
 
 def in_water(memory, motion, sea, dt):
@@ -209,7 +216,7 @@ def test_water_plan_under_a_sway_load_is_feasible():
     still = np.zeros(n)
     for k in range(600):
         t = dt * k
-        motion = Motion(still, np.ones(n), still, still, still)
+        motion = ReferenceMotion(still, np.ones(n), still, still, still)
         Y, Y_rate = 20 * np.sin([w * t]), 20 * w * np.cos([w * t])
         memory, R = in_water(memory, motion, Sea(still, still, Y=Y, Y_rate=Y_rate), np.full(n, dt))
         rows.append((*(x[0] for x in R), Y[0]))
@@ -230,12 +237,12 @@ class KnownCurrent:
         self.V = V
 
     def start(self, n):
-        return tuple(np.zeros((len(Planned._fields), n)))
+        return tuple(np.zeros((len(PlannedReference._fields), n)))
 
     def forces(self, o, memory, extra):
         V_x, V_y = (np.full_like(o.u_R, x) for x in self.V)
         memory, R = in_water(
-            Planned(*memory), reference_motion(o, PAPER_VEHICLE.coefficients, ARRAYS), Sea(V_x, V_y), o.dt
+            PlannedReference(*memory), reference_motion(o, PAPER_VEHICLE.coefficients, ARRAYS), Sea(V_x, V_y), o.dt
         )
         V_u, V_v = to_body(V_x, V_y, o.cos_psi, o.sin_psi)
         psi = np.arctan2(o.sin_psi, o.cos_psi)

@@ -242,14 +242,14 @@ class Page(html.parser.HTMLParser):
 @pytest.fixture
 def few_recorded(monkeypatch):
     """Recorded rows of two policies only."""
-    load = recorded.load
+    load = recorded.load_recorded
 
     def few(suite):
         return recorded.Found(
             tuple(run for run in load(suite).runs if run.policy in ("los-pid", "oracle")), {"lqi": "old"}
         )
 
-    monkeypatch.setattr(recorded, "load", few)
+    monkeypatch.setattr(recorded, "load_recorded", few)
 
 
 def test_report_is_one_page(call, small, tmp_path, bad_policies, few_recorded, capsys):

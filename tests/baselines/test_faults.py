@@ -15,10 +15,10 @@ from auv_gym.scenarios.mixtures import adverse
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Start
 from baselines.control.nmpc.controller import PREVIEW, later
-from baselines.estimation.faults import FAULTS, NO_FAULTS, Faults, acting, arrived
+from baselines.estimation.faults import FAULTS, NO_FAULTS, Faults, acting_forces, arrived
 from baselines.estimation.filter_equations import Belief
 from baselines.estimation.kalman import ODDS
-from baselines.estimation.sea_model import SIZE, Estimate
+from baselines.estimation.sea_model import STATE_SIZE, Estimate
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 
@@ -29,11 +29,11 @@ ACTIONS = [(0.1, -0.1), (0.2, -0.3), (0.4, 0.5), (0.8, 0.7)]
 def test_a_whole_delay_acts_with_that_action_and_a_share_of_it(delay):
     faults = NO_FAULTS._replace(surge_share=0.5, yaw_share=0.8, delay=float(delay))
     a_u, a_r = ACTIONS[delay]
-    assert acting(faults, ACTIONS, (400.0, 200.0), ARRAYS) == pytest.approx((0.5 * 400 * a_u, 0.8 * 200 * a_r))
+    assert acting_forces(faults, ACTIONS, (400.0, 200.0), ARRAYS) == pytest.approx((0.5 * 400 * a_u, 0.8 * 200 * a_r))
 
 
 def test_half_a_period_is_half_of_both_neighbours():
-    F_u, _ = acting(NO_FAULTS._replace(delay=1.5), ACTIONS, (400.0, 200.0), ARRAYS)
+    F_u, _ = acting_forces(NO_FAULTS._replace(delay=1.5), ACTIONS, (400.0, 200.0), ARRAYS)
     assert F_u == pytest.approx(400 * 0.5 * (0.2 + 0.4))
 
 
@@ -47,7 +47,7 @@ def test_the_state_in_which_a_command_begins_to_act_is_the_simulators(delay):
     for a_u, a_r in reversed(ACTIONS[:3]):
         env.step(np.array([[a_u, a_r]]))
     plant, reference = env.state[0], np.ravel(env.reference[:2])
-    z = Estimate(*np.zeros(SIZE))._replace(
+    z = Estimate(*np.zeros(STATE_SIZE))._replace(
         x_e=plant[0] - reference[0], y_e=plant[1] - reference[1], psi=plant[2], u=plant[3], v=plant[4], r=plant[5],
         F_u=env.force[0, 0], F_r=env.force[0, 1], lag=0.3,
     )  # fmt: skip
@@ -116,7 +116,7 @@ def test_the_filter_finds_biases_losses_and_delays():
     )
     weak = replace(world.actuators, effectiveness=0.7, reach=1.0, delay=2.0)
     _, z, _, _ = filtered("ekf-adverse", replace(world, sensors=steady, actuators=weak), 16, 550)
-    faults = Faults(*z[SIZE : SIZE + FAULTS])
+    faults = Faults(*z[STATE_SIZE : STATE_SIZE + FAULTS])
     assert faults.heading.mean() == pytest.approx(0.05, abs=0.015)
     assert faults.surge.mean() == pytest.approx(-0.05, abs=0.01)
     assert faults.sway.mean() == pytest.approx(-0.05, abs=0.01)

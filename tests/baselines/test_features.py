@@ -9,7 +9,7 @@ import torch
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.namespaces import ARRAYS, tensors
 from auv_gym.task.observation import SIZE, Observation, decoded_terms
-from baselines.agents.features import BOUND, FAST, FEATURES, INTEGRALS, SLOW, Inputs
+from baselines.agents.features import FAST, FEATURES, INTEGRALS, LARGEST_FEATURE, SLOW, Inputs
 from baselines.control.backstepping import Backstepping
 
 NAMES = [feature.name for feature in FEATURES]
@@ -43,7 +43,7 @@ def test_numpy_equals_torch_along_an_episode(inputs):
         others, peer = inputs.update(here, (), *actions, peer, tensors())
         np.testing.assert_allclose(torch.stack(others).numpy(), rows, rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(torch.stack(peer).numpy(), sums, rtol=1e-12, atol=1e-12)
-        assert np.abs(rows).max() <= BOUND
+        assert np.abs(rows).max() <= LARGEST_FEATURE
         assert len(rows) == len(inputs.features)
         observation, *_ = env.step(rng.uniform(-1, 1, (4, 2)))
 

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from auv_gym.rendering.canvas import SEA
+from auv_gym.rendering.canvas import SEA_COLOUR
 from auv_gym.scenarios.presets import PRESETS
 from baselines import make_policy
 from baselines.evaluation.runner import drawn, run_all
 from baselines.tools.command_line import UsageError
 from baselines.tools.workers import Workers
 from baselines.video import command, make_film
-from baselines.video.files import save
+from baselines.video.files import save_video
 from baselines.video.layout import HULLS
 from baselines.video.pairs import leads, typical
 from baselines.video.video import film, label_of
@@ -96,7 +96,7 @@ def test_pictures_have_their_size_number_and_pace():
     pictures = list(made.frames())
     assert [p.shape for p in pictures] == [(203, 301, 3)] * 6
     assert made.times == pytest.approx([0.0, 2.0, 4.0, 6.0, 8.0, 10.0])
-    assert near(pictures[-1], SEA, 2).mean() > 0.3
+    assert near(pictures[-1], SEA_COLOUR, 2).mean() > 0.3
     np.testing.assert_array_equal(pictures[2], list(made.frames(3))[2])
 
 
@@ -140,7 +140,7 @@ def test_a_lead_is_the_difference_of_paired_means():
 @pytest.mark.parametrize("suffix", [".webp", ".gif"])
 def test_loops_hold_their_pictures(suffix, tmp_path, storm):
     pictures = list(storm.frames(4))
-    with Image.open(save(pictures, tmp_path / f"folder/film{suffix}", 10)) as image:
+    with Image.open(save_video(pictures, tmp_path / f"folder/film{suffix}", 10)) as image:
         assert (image.n_frames, image.size, image.info["loop"]) == (4, (640, 400), 0)
         for k, picture in enumerate(pictures):
             image.seek(k)

@@ -13,8 +13,8 @@ from auv_gym.physics.actuators import Response
 from auv_gym.physics.namespaces import ARRAYS, FLOATS
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
 from auv_gym.task.observation import Observation
-from baselines.estimation.filter_equations import corrected, foreseen
-from baselines.estimation.sea_model import SIZE, Estimate, lag_response, measurement, transition, wave_transition
+from baselines.estimation.filter_equations import foreseen, measured_update
+from baselines.estimation.sea_model import STATE_SIZE, Estimate, lag_response, measurement, transition, wave_transition
 
 DRAGGY = Vehicle(m11=215.0, m22=265.0, m33=80.0, d11=70.0, d22=100.0, d33=50.0, X_uu=30.0, Y_vv=80.0, N_rr=20.0)
 
@@ -22,24 +22,24 @@ DRAGGY = Vehicle(m11=215.0, m22=265.0, m33=80.0, d11=70.0, d22=100.0, d33=50.0, 
 def random_state(rng, n):
     """Return states of ordinary size, in the order of `Estimate`."""
     size = np.array([1, 1, 3, 1, 0.3, 0.3, 90, 40, 0.3, 0.3, 0.02, 0.02, 20, 20, 8, 0, 20, 20, 20, 20, 8, 8])
-    z = rng.standard_normal((SIZE, n)) * size[:, None]
+    z = rng.standard_normal((STATE_SIZE, n)) * size[:, None]
     z[15] = rng.uniform(0.05, 0.8, n)
     return z
 
 
-TRIANGLE = np.tril_indices(SIZE)
+TRIANGLE = np.tril_indices(STATE_SIZE)
 
 
 def random_covariance(rng, n):
     """Return well-conditioned covariances in the units of a state, shape (n, SIZE, SIZE)."""
-    root = rng.normal(size=(n, SIZE, SIZE)) + 3 * np.eye(SIZE)
+    root = rng.normal(size=(n, STATE_SIZE, STATE_SIZE)) + 3 * np.eye(STATE_SIZE)
     size = np.abs(random_state(rng, 1))[:, 0] + 0.1
     return root @ root.transpose(0, 2, 1) * size[:, None] * size / 30
 
 
 def full(rows):
     """Return the matrices (n, SIZE, SIZE) of lower triangles (SIZE (SIZE + 1) / 2, n)."""
-    P = np.zeros((rows.shape[1], SIZE, SIZE))
+    P = np.zeros((rows.shape[1], STATE_SIZE, STATE_SIZE))
     P[:, TRIANGLE[0], TRIANGLE[1]] = rows.T
     P[:, TRIANGLE[1], TRIANGLE[0]] = rows.T
     return P
@@ -62,9 +62,11 @@ def kernel_jacobians(z, o, vehicle):
         entries = [x for outputs in (after, measurement(z, SYMBOLS)) for row in jacobian(outputs, z) for x in row]
         return {"entries": entries}
 
-    entries = Kernel.traced(equation, {"z": SIZE, "o": len(o)}, structural=True, blocked=True)(z=z, o=o)["entries"]
-    entries = entries.T.reshape(z.shape[1], -1, SIZE)
-    return entries[:, :SIZE], entries[:, SIZE:]
+    entries = Kernel.traced(equation, {"z": STATE_SIZE, "o": len(o)}, structural=True, blocked=True)(z=z, o=o)[
+        "entries"
+    ]
+    entries = entries.T.reshape(z.shape[1], -1, STATE_SIZE)
+    return entries[:, :STATE_SIZE], entries[:, STATE_SIZE:]
 
 
 def moved(z, o, vehicle):
@@ -80,7 +82,7 @@ def test_jacobians_are_complex_step_derivatives(lag):
     if lag is not None:
         z[15] = lag
     F, H = kernel_jacobians(z, o, PAPER_VEHICLE)
-    for j in range(SIZE):
+    for j in range(STATE_SIZE):
         shifted = z.astype(complex)
         shifted[j] += 1e-30j
         np.testing.assert_allclose(F[:, :, j].T, moved(shifted, o, PAPER_VEHICLE).imag / 1e-30, rtol=1e-10, atol=1e-12)
@@ -92,7 +94,7 @@ def test_jacobian_is_that_of_casadi():
     casadi = pytest.importorskip("casadi")
     rng = np.random.default_rng(2)
     z, o = random_state(rng, 3), observed(rng, 3)
-    x, terms = casadi.SX.sym("x", SIZE), casadi.SX.sym("o", len(o))
+    x, terms = casadi.SX.sym("x", STATE_SIZE), casadi.SX.sym("o", len(o))
     own, observation = Estimate(*casadi.vertsplit(x)), Observation(*casadi.vertsplit(terms))
     ns = SimpleNamespace(sin=casadi.sin, cos=casadi.cos, exp=casadi.exp, clip=lambda x, low, high: x)
     command = observation.a_u * observation.F_u_max, observation.a_r * observation.F_r_max
@@ -111,7 +113,7 @@ def test_covariance_is_foreseen_by_the_jacobian():
         z, P = foreseen(z, symmetric(P), [], (0.1, 0.05), Observation(*o), Coefficients(*DRAGGY.coefficients))
         return {"z": z, "P": triangle(P)}
 
-    rows = {"z": SIZE, "o": len(o), "P": len(TRIANGLE[0])}
+    rows = {"z": STATE_SIZE, "o": len(o), "P": len(TRIANGLE[0])}
     after = Kernel.traced(equation, rows, structural=True, blocked=True)(z=z, o=o, P=P[:, TRIANGLE[0], TRIANGLE[1]].T)
     F, _ = kernel_jacobians(z, o, DRAGGY)
     np.testing.assert_allclose(full(after["P"]), F @ P @ F.transpose(0, 2, 1), rtol=1e-9, atol=1e-9)
@@ -124,10 +126,10 @@ def test_measurements_one_by_one_are_all_at_once():
     innovation, noise = rng.normal(0, 0.1, (6, 3)), rng.uniform(1e-4, 1e-1, (6, 3))
 
     def equation(z, P, innovation, noise):
-        z, P, _ = corrected(z, symmetric(P), innovation, noise, False)
+        z, P, _ = measured_update(z, symmetric(P), innovation, noise, False)
         return {"z": z, "P": triangle(P)}
 
-    rows = {"z": SIZE, "P": len(TRIANGLE[0]), "innovation": 6, "noise": 6}
+    rows = {"z": STATE_SIZE, "P": len(TRIANGLE[0]), "innovation": 6, "noise": 6}
     kernel = Kernel.traced(equation, rows, structural=True, blocked=True)
     after = kernel(z=z, P=P[:, TRIANGLE[0], TRIANGLE[1]].T, innovation=innovation, noise=noise)
     _, H = kernel_jacobians(z, observed(rng, 3), PAPER_VEHICLE)

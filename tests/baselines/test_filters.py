@@ -14,10 +14,10 @@ from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.vehicles import craft, fleet
 from auv_gym.task.observation import Observation, decode_observation
 from baselines.agents import filters
-from baselines.agents.filters import ACROSS, ACROSS_MEASURED, ALONG, ALONG_MEASURED, KEPT, LAGS, ROWS, SHARED
+from baselines.agents.filters import ACROSS, ACROSS_MEASURED, ALONG, ALONG_MEASURED, LAGS, REMEMBERED, ROWS, SHARED
 from baselines.control.backstepping import Backstepping
 from baselines.control.linearisation import error_dynamics
-from baselines.estimation.sea_model import AT, SIZE
+from baselines.estimation.sea_model import PLACE, STATE_SIZE
 from baselines.evaluation.rollout import make_env
 from research.trainings import filter_gains
 
@@ -28,16 +28,16 @@ SPEEDS = (0.08, 0.12, 0.28, 0.6, 1.1, 1.7)
 def tabled(kind, speed):
     """Return the gain of the table at a speed, shape (SIZE, 6)."""
     own = filters.gains("cruise" if speed > 0.4 else "slow")[kind]
-    K, s = np.zeros((SIZE, 6)), filters.speed_share(speed)
+    K, s = np.zeros((STATE_SIZE, 6)), filters.speed_share(speed)
     for part, entries, measured in zip(own, (ALONG, ACROSS), (ALONG_MEASURED, ACROSS_MEASURED), strict=True):
         for entry, row in zip(entries, part, strict=True):
             for sensor, coefficients in zip(measured, row, strict=True):
-                K[getattr(AT, entry), getattr(AT, sensor)] = np.polyval(coefficients[::-1], s)
+                K[getattr(PLACE, entry), getattr(PLACE, sensor)] = np.polyval(coefficients[::-1], s)
     return K
 
 
 def test_the_table_is_what_its_command_writes():
-    kept, made = (json.loads(t) for t in (filters.TABLE.read_text(encoding="utf-8"), filter_gains.text()))
+    kept, made = (json.loads(t) for t in (filters.FILTER_GAINS.read_text(encoding="utf-8"), filter_gains.text()))
     assert kept.keys() == made.keys()
     for regime in kept:
         for a, b in zip(kept[regime], made[regime], strict=True):
@@ -57,7 +57,7 @@ def test_a_gain_is_where_a_filter_with_covariance_ends(kind, speed):
         K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
         left = np.eye(len(A)) - K @ H
         P = left @ P @ left.T + K @ R @ K.T
-    found = np.delete(filter_gains.gain(speed, lag, tuning), AT.lag, axis=0)
+    found = np.delete(filter_gains.gain(speed, lag, tuning), PLACE.lag, axis=0)
     np.testing.assert_allclose(found, K, rtol=1e-3, atol=1e-5 * np.abs(K).max())
 
 
@@ -66,16 +66,18 @@ def test_the_model_of_the_hull_is_that_of_the_linearised_equations():
     errors, _ = error_dynamics(PAPER_VEHICLE, 1.0, 0.0, 0.0)
     np.testing.assert_allclose(A[:6, :6], expm(errors * dt), atol=2e-6)
     np.testing.assert_allclose(H[:, :6], np.eye(6), atol=1e-9)
-    np.testing.assert_allclose(H[3:5, AT.V_x : AT.V_y + 1], np.eye(2), atol=1e-9)
+    np.testing.assert_allclose(H[3:5, PLACE.V_x : PLACE.V_y + 1], np.eye(2), atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", [0, 1])
 def test_gains_between_the_speeds_are_stable_and_near_those_of_the_equation(kind):
     for speed in SPEEDS:
         A, H, _ = filter_gains.model(speed, LAGS[kind])
-        kept = [i for i in range(SIZE) if i != AT.lag]
+        kept = [i for i in range(STATE_SIZE) if i != PLACE.lag]
         exact, table = filter_gains.gain(speed, LAGS[kind], filter_gains.TUNINGS[kind]), tabled(kind, speed)
-        radius = [max(abs(np.linalg.eigvals(((np.eye(SIZE) - K @ H) @ A)[np.ix_(kept, kept)]))) for K in (exact, table)]
+        radius = [
+            max(abs(np.linalg.eigvals(((np.eye(STATE_SIZE) - K @ H) @ A)[np.ix_(kept, kept)]))) for K in (exact, table)
+        ]
         assert max(radius) < 0.999
         assert np.abs(table - exact).sum() < 0.1 * np.abs(exact).sum()
 
@@ -100,7 +102,7 @@ def test_the_gains_serve_other_hulls_whose_own_model_predicts(name):
             Q = filter_gains.problem(speed, lag, tuning, replace(hull.vehicle, **drags))[2]
             P = solve_discrete_are(A.T, H.T, Q, R)
             own = np.linalg.solve(H @ P @ H.T + R, H @ P).T
-            theirs = np.delete(tabled(kind, speed), AT.lag, axis=0)
+            theirs = np.delete(tabled(kind, speed), PLACE.lag, axis=0)
             worst = np.maximum(worst, (spread(A, H, Q, R, theirs) / spread(A, H, Q, R, own))[:6])
     assert worst[:3].max() < 1.3  # position and heading
     assert worst[[3, 5]].max() < 3.5  # velocities through the water, which nobody measures, and the yaw rate
@@ -118,7 +120,7 @@ def straight(speed, heading, errors=(0.0,) * 6, action=(0.0, 0.0)):
 
 def seen(memory, kind, name):
     """Return an entry of a filter's estimate from the memory."""
-    return float(memory[SHARED + kind * len(KEPT) + KEPT.index(name)][0])
+    return float(memory[SHARED + kind * len(REMEMBERED) + REMEMBERED.index(name)][0])
 
 
 @pytest.mark.parametrize("heading", [0.0, 2.5])
@@ -126,7 +128,7 @@ def test_small_deviations_follow_the_linear_filter(heading):
     """Along the world's x, and turned: what is a vector in the world turns along."""
     speed, rng = 1.0, np.random.default_rng(0)
     A, H, _ = filter_gains.model(speed, LAGS[0])
-    K, z, memory = tabled(0, speed), np.zeros(SIZE), [np.zeros(1)] * ROWS
+    K, z, memory = tabled(0, speed), np.zeros(STATE_SIZE), [np.zeros(1)] * ROWS
     storm = filter_gains.storm_at(speed)
     F_u = PAPER_VEHICLE.d11 * speed
     held = F_u / storm.actuators.F_u_max
@@ -137,17 +139,19 @@ def test_small_deviations_follow_the_linear_filter(heading):
         if k == 0:
             z[:6] = y
             memory = list(memory)
-            memory[SHARED + KEPT.index("F_u")] = np.array([F_u])  # not from rest, which would be no small deviation
+            memory[SHARED + REMEMBERED.index("F_u")] = np.array(
+                [F_u]
+            )  # not from rest, which would be no small deviation
         else:
             ahead = A @ z
             z = ahead + K @ (y - H @ ahead)
     c, s = np.cos(heading), np.sin(heading)
-    found = {name: seen(memory, 0, name) for name in KEPT}
+    found = {name: seen(memory, 0, name) for name in REMEMBERED}
     for a, b in filters.VECTORS:
         found[a], found[b] = c * found[a] + s * found[b], c * found[b] - s * found[a]
     found |= {"psi": found["psi"] - heading, "u": found["u"] - speed, "F_u": found["F_u"] - F_u}
-    for name in KEPT:
-        assert found[name] == pytest.approx(z[getattr(AT, name)], rel=2e-3, abs=3e-6 * max(1, abs(z).max())), name
+    for name in REMEMBERED:
+        assert found[name] == pytest.approx(z[getattr(PLACE, name)], rel=2e-3, abs=3e-6 * max(1, abs(z).max())), name
 
 
 def test_a_position_that_is_held_moves_nothing():

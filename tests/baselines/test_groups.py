@@ -12,7 +12,7 @@ from auv_gym.scenarios.presets import PRESETS
 from baselines.tools.command_line import WorkerError
 from baselines.tools.workers import Elsewhere, Workers
 from baselines.training import vehicle_models
-from baselines.training.apg.groups import Group, Groups, divided
+from baselines.training.apg.groups import Groups, VehicleGroup, divided
 from baselines.training.apg.settings import check
 from baselines.training.apg.torch_network import torch_network, weights_of
 from baselines.training.apg.window import evened
@@ -92,7 +92,7 @@ def test_the_gradient_of_groups_is_the_sum_of_theirs(weights):
     for members in divided(config, settings):
         share = members.objective.shares.sum()
         alone = replace(members, objective=replace(members.objective, shares=members.objective.shares / share))
-        part = Group(config, settings, alone).learn(weights)
+        part = VehicleGroup(config, settings, alone).learn(weights)
         loss, error = loss + share * part.loss, error + part.error
         for name, gradient in part.gradients.items():
             summed[name] += share * gradient

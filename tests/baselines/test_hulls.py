@@ -14,7 +14,7 @@ from auv_gym.scenarios import vehicles as fleet
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.simulation import PARAMETERS
 from baselines.agents.agent import Agent
-from baselines.agents.features import BOUND, HULL_FEATURES, Inputs
+from baselines.agents.features import HULL_FEATURES, LARGEST_FEATURE, Inputs
 from baselines.agents.networks import Gru
 from baselines.control.backstepping import Backstepping
 from baselines.training import vehicle_models
@@ -153,7 +153,7 @@ def test_features_of_the_hull_are_bounded_and_those_of_the_table():
     assert (got["Y_ur"], got["N_ur"]) == pytest.approx((0.5, 2 * 0.625 / 1.125))
     extreme = Coefficients(215, 1e9, 80, *[1e9] * 10)
     rows, _ = Inputs(hull=True).update(o, (), (0, 0), (0, 0), np.zeros((4, 1)), ARRAYS, extreme)
-    assert np.abs([float(np.ravel(row)[0]) for row in rows]).max() <= BOUND
+    assert np.abs([float(np.ravel(row)[0]) for row in rows]).max() <= LARGEST_FEATURE
     assert Inputs().features == Inputs(hull=True).features[: -len(HULL_FEATURES)]
 
 

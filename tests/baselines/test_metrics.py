@@ -109,7 +109,7 @@ def test_a_new_column_is_one_entry(monkeypatch):
     """What stands in `COLUMNS` is in tables, results.json, results.csv and the definitions."""
     (entry,) = pool([run_of("slow-calm", "backstepping", measures([0.25, 0.5]))])
     worst = Column("largest_m", "largest [m]", "the largest", lambda _, s: s.tail_rmse_m.p95, digits(2))
-    for name in ("COLUMNS", "SHOWN"):
+    for name in ("COLUMNS", "_SHOWN"):
         monkeypatch.setattr(columns, name, (*getattr(columns, name), worst))
     assert columns.record(entry)["largest_m"] == columns.line(entry)["largest_m"] == pytest.approx(0.4875)
     assert columns.used([entry])[-1].text(entry) == "0.49"

@@ -17,11 +17,11 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.task.observation import SIZE
 from baselines.control.nmpc.casadi_solver import CasadiSolver
 from baselines.control.nmpc.controller import NMPC_GAINS, PREVIEW, one_period_on
-from baselines.control.nmpc.gauss_newton import bounded_minimum, descent, improved, solved, stage_jacobian
+from baselines.control.nmpc.gauss_newton import bounded_minimum, descent, improved, improved_plan, stage_jacobian
 from baselines.control.nmpc.problem import (
-    COMMANDS,
+    COMMAND_SIZE,
     KNOWN,
-    STATES,
+    STATE_ROWS,
     CostWeights,
     Horizon,
     OptimalControl,
@@ -70,18 +70,18 @@ def stage_slopes(vehicle, state, command, known):
         rows = stage_jacobian(state, command, Stage(*known), vehicle.coefficients)
         return {"slopes": [x for row in rows for x in row]}
 
-    rows = {"state": STATES, "command": COMMANDS, "known": KNOWN}
+    rows = {"state": STATE_ROWS, "command": COMMAND_SIZE, "known": KNOWN}
     slopes = Kernel.traced(equation, rows, structural=True, blocked=True)(state=state, command=command, known=known)
-    return slopes["slopes"].T.reshape(-1, STATES, STATES + COMMANDS)
+    return slopes["slopes"].T.reshape(-1, STATE_ROWS, STATE_ROWS + COMMAND_SIZE)
 
 
 @pytest.mark.parametrize("vehicle", [PAPER_VEHICLE, DRAGGY])
 def test_derivatives_are_those_of_casadi(vehicle):
     rng = np.random.default_rng(0)
     start, ahead = random_problem(rng, 3)
-    commands, known = rng.normal(0, 40, (COMMANDS, 3)), ahead.known[3]
-    both, stages = casadi.SX.sym("both", STATES + COMMANDS), casadi.SX.sym("stage", KNOWN)
-    state, command = casadi.vertsplit(both)[:STATES], casadi.vertsplit(both)[STATES:]
+    commands, known = rng.normal(0, 40, (COMMAND_SIZE, 3)), ahead.known[3]
+    both, stages = casadi.SX.sym("both", STATE_ROWS + COMMAND_SIZE), casadi.SX.sym("stage", KNOWN)
+    state, command = casadi.vertsplit(both)[:STATE_ROWS], casadi.vertsplit(both)[STATE_ROWS:]
     after = casadi.vertcat(*stage(state, command, Stage(*casadi.vertsplit(stages)), vehicle.coefficients, casadi))
     slopes = casadi.Function("slopes", [both, stages], [casadi.jacobian(after, both)])
     ours = stage_slopes(vehicle, start, commands, known)
@@ -95,20 +95,20 @@ def test_descent_is_that_of_a_quadratic_program():
     rng = np.random.default_rng(3)
     start, ahead = random_problem(rng, 1, limits=(1e5, 1e5))
     problem = OptimalControl(DRAGGY, WEIGHTS)
-    plan = problem.planned(start, rng.normal(0, 40, (STAGES, COMMANDS, 1)), ahead)
+    plan = problem.planned(start, rng.normal(0, 40, (STAGES, COMMAND_SIZE, 1)), ahead)
     way = descent(problem, plan, ahead)
-    size = STAGES * COMMANDS
-    by_commands, residuals, rows = np.zeros((STATES, size)), [], []
+    size = STAGES * COMMAND_SIZE
+    by_commands, residuals, rows = np.zeros((STATE_ROWS, size)), [], []
     for k in range(STAGES):
         known = Stage(*ahead.known[k, :, 0])
-        choose = np.eye(size)[COMMANDS * k : COMMANDS * (k + 1)]
+        choose = np.eye(size)[COMMAND_SIZE * k : COMMAND_SIZE * (k + 1)]
         root = np.sqrt(known.dt)
         missing = plan.commands[k, :, 0] - plan.states[k, 6:, 0]
         effort = root * np.diag((WEIGHTS.surge, WEIGHTS.yaw))
         residuals += list(effort @ missing)
         rows += list(effort @ (choose - by_commands[6:]))
         f = stage_slopes(DRAGGY, plan.states[k], plan.commands[k], ahead.known[k])[0]
-        by_commands = f[:, :STATES] @ by_commands + f[:, STATES:] @ choose
+        by_commands = f[:, :STATE_ROWS] @ by_commands + f[:, STATE_ROWS:] @ choose
         x, y, *_, v, _, _, _ = plan.states[k + 1, :, 0]
         e = np.array((x - known.aim_x, y - known.aim_y))
         touching = np.sqrt((known.dt + known.last * WEIGHTS.terminal) / np.sqrt(1 + e @ e / WEIGHTS.huber**2))
@@ -116,13 +116,13 @@ def test_descent_is_that_of_a_quadratic_program():
         rows += [*(touching * by_commands[:2]), root * WEIGHTS.sway * by_commands[4]]
     A, b = np.array(rows), np.array(residuals)
     best, *_ = np.linalg.lstsq(A, -b, rcond=None)
-    changed = np.zeros(STATES)
+    changed = np.zeros(STATE_ROWS)
     for k in range(STAGES):  # the recursion's step is for the state that the changes before it lead to
-        feedback = way.feedback[k, :, 0].reshape(COMMANDS, STATES)
+        feedback = way.feedback[k, :, 0].reshape(COMMAND_SIZE, STATE_ROWS)
         change = way.step[k, :, 0] + feedback @ changed
-        np.testing.assert_allclose(change, best[COMMANDS * k : COMMANDS * (k + 1)], rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(change, best[COMMAND_SIZE * k : COMMAND_SIZE * (k + 1)], rtol=1e-6, atol=1e-6)
         f = stage_slopes(DRAGGY, plan.states[k], plan.commands[k], ahead.known[k])[0]
-        changed = f[:, :STATES] @ changed + f[:, STATES:] @ change
+        changed = f[:, :STATE_ROWS] @ changed + f[:, STATE_ROWS:] @ change
     np.testing.assert_allclose(way.promise[0], b @ b - np.sum((A @ best + b) ** 2), rtol=1e-8)
 
 
@@ -148,7 +148,7 @@ def test_optimum_is_that_of_casadi(limits, method):
     rng = np.random.default_rng(1)
     start, ahead = random_problem(rng, 6, limits)
     problem = OptimalControl(PAPER_VEHICLE, WEIGHTS)
-    ours = guess = problem.planned(start, np.zeros((STAGES, COMMANDS, 6)), ahead)
+    ours = guess = problem.planned(start, np.zeros((STAGES, COMMAND_SIZE, 6)), ahead)
     for _ in range(60):
         ours, _ = improved(problem, ours, ahead)
     theirs = CasadiSolver(problem, STAGES, method)(guess, ahead, np.full(6, 100))
@@ -164,9 +164,9 @@ def test_steps_lower_the_cost_and_stop_where_there_is_nothing_to_gain():
     rng = np.random.default_rng(2)
     start, ahead = random_problem(rng, 8)
     problem = OptimalControl(PAPER_VEHICLE, WEIGHTS)
-    plan = problem.planned(start, rng.normal(0, 40, (STAGES, COMMANDS, 8)), ahead)
+    plan = problem.planned(start, rng.normal(0, 40, (STAGES, COMMAND_SIZE, 8)), ahead)
     steps = np.arange(8)
-    better = solved(problem, plan, ahead, steps)
+    better = improved_plan(problem, plan, ahead, steps)
     np.testing.assert_array_equal(better.commands[..., 0], plan.commands[..., 0])
     assert (better.cost[1:] < plan.cost[1:]).all()
     for _ in range(60):

@@ -5,7 +5,14 @@ import pytest
 
 from auv_gym.scenarios.presets import CASES, PRESETS
 from baselines import make_policy
-from baselines.control.privileged.oracle import ASTRAY, fleet, regulators, rehearsed, settling_gains, true_plan
+from baselines.control.privileged.oracle import (
+    ASTRAY,
+    regulators,
+    rehearsed,
+    settling_gains,
+    stacked_vehicles,
+    true_plan,
+)
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 
@@ -57,7 +64,7 @@ def test_the_true_plan_is_followed_open_loop():
 
 def test_the_fleet_has_every_vehicle():
     vehicles = [e.vehicle for e in drawn(PRESETS["cruise-storm"], 3, 0).episodes]
-    rows = fleet(vehicles)
+    rows = stacked_vehicles(vehicles)
     for i, vehicle in enumerate(vehicles):
         assert [row[i] for row in rows.coefficients] == list(vehicle.coefficients)
         assert rows.m11[i] == vehicle.m11

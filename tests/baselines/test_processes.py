@@ -17,7 +17,7 @@ import pytest
 from auv_gym.scenarios.presets import PRESETS
 from baselines.tools.command_line import THREADS, UsageError, run
 from baselines.training.config import Config
-from baselines.training.run_folder import LOCK, Run, TrainingError, locked
+from baselines.training.run_folder import LOCK, RunFolder, TrainingError, locked
 
 ROOT = Path(__file__).parents[2]
 SMALL = replace(PRESETS["cruise-calm"], name="small", steps=15)
@@ -201,7 +201,7 @@ def checkpoint(tmp_path_factory):
     import torch
 
     folder = tmp_path_factory.mktemp("run")
-    made = Run(CONFIG, folder)
+    made = RunFolder(CONFIG, folder)
     made.log(10, score=0.5)
     made.save_checkpoint({"timesteps": 10, "weights": torch.arange(100.0), "name": "x" * 50})
     made.close()
@@ -210,14 +210,14 @@ def checkpoint(tmp_path_factory):
 
 def test_no_single_bit_of_a_checkpoint_can_change_unnoticed(checkpoint):
     folder, content = checkpoint
-    assert Run(CONFIG, folder).load_checkpoint()["name"] == "x" * 50
+    assert RunFolder(CONFIG, folder).load_checkpoint()["name"] == "x" * 50
     rng = random.Random(0)
     for bit in [0, len(content) * 8 - 1, *(rng.randrange(len(content) * 8) for _ in range(300))]:
         damaged = bytearray(content)
         damaged[bit // 8] ^= 1 << bit % 8
         (folder / "checkpoint.pt").write_bytes(damaged)
         with pytest.raises(TrainingError, match=r"cannot go on from .*: it is damaged, its SHA-256 differs; begin"):
-            Run(CONFIG, folder).load_checkpoint()
+            RunFolder(CONFIG, folder).load_checkpoint()
     (folder / "checkpoint.pt").write_bytes(content)
 
 
@@ -226,7 +226,7 @@ def test_half_a_checkpoint_is_refused(checkpoint, left):
     folder, content = checkpoint
     (folder / "checkpoint.pt").write_bytes(content[:500] if left is None else left)
     with pytest.raises(TrainingError, match="it is damaged"):
-        Run(CONFIG, folder).load_checkpoint()
+        RunFolder(CONFIG, folder).load_checkpoint()
     (folder / "checkpoint.pt").write_bytes(content)
 
 
@@ -239,14 +239,14 @@ def test_damaged_progress_is_refused(checkpoint, text):
     before = (folder / "progress.csv").read_bytes()
     (folder / "progress.csv").write_text(text)
     with pytest.raises(TrainingError, match=r"progress.csv is damaged"):
-        Run(CONFIG, folder).load_checkpoint()
+        RunFolder(CONFIG, folder).load_checkpoint()
     (folder / "progress.csv").write_bytes(before)
 
 
 def test_a_folder_that_another_training_took_first_is_left_alone(checkpoint):
     folder, _ = checkpoint
     with pytest.raises(TrainingError, match="holds another training"):
-        Run(replace(CONFIG, seed=1), folder)
+        RunFolder(replace(CONFIG, seed=1), folder)
 
 
 def threads_of(monkeypatch, value):
@@ -322,7 +322,7 @@ def test_a_checkpoint_of_a_class_that_has_changed_is_refused_and_says_which(tmp_
     file.write_text(CLASSES)
     name = f"baselines.{file.stem}"
     module, folder = importlib.import_module(name), tmp_path / "run"
-    run = Run(CONFIG, folder)
+    run = RunFolder(CONFIG, folder)
     run.log(10, score=0.5)
     run.save_checkpoint({"timesteps": 10, "fleet": module.Fleet((module.Lane(1.0, 2.0),))})
     run.close()
@@ -333,16 +333,16 @@ def test_a_checkpoint_of_a_class_that_has_changed_is_refused_and_says_which(tmp_
         shutil.rmtree(tmp_path / "__pycache__", ignore_errors=True)
         importlib.import_module(name)
         if not changed:
-            assert Run(CONFIG, folder).load_checkpoint()["fleet"].lanes[0].y == 2.0
+            assert RunFolder(CONFIG, folder).load_checkpoint()["fleet"].lanes[0].y == 2.0
             continue
         message = rf"cannot go on from .*: it holds objects of {name}\.{of}.* changed since; begin again in another"
         with pytest.raises(TrainingError, match=message):
-            Run(CONFIG, folder).load_checkpoint()
+            RunFolder(CONFIG, folder).load_checkpoint()
     del sys.modules[name]
 
 
 def test_what_a_trainer_misses_in_a_checkpoint_is_one_line(checkpoint):
-    run = Run(CONFIG, checkpoint[0])
+    run = RunFolder(CONFIG, checkpoint[0])
     with (
         pytest.raises(TrainingError, match=r"cannot go on from .*: it has no 'fleet'; begin again in another folder"),
         run.restoring(),

@@ -22,7 +22,7 @@ from auv_gym.task.observation import TERMS
 from baselines import make_policy
 from baselines.agents import programs
 from baselines.agents.names import agent_folder, is_path
-from baselines.agents.programs import Program, ProgramError
+from baselines.agents.programs import ProgramError, ProgramPolicy
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.rollout import make_env, rollout
 from baselines.evaluation.runner import drawn, run_all
@@ -285,6 +285,6 @@ def test_a_large_batch_passes_through_the_pipes():
     """Larger than any pipe's buffer, both ways, and in the digits that were sent."""
     text = LOOP + "    answer = {'actions': [row[:2] for row in json.loads(line)['observations']]}\n" + TELL
     policy = make_policy(program(text))
-    assert isinstance(policy, Program)
+    assert isinstance(policy, ProgramPolicy)
     rows = np.random.default_rng(0).uniform(-1, 1, (4096, 18))
     np.testing.assert_array_equal(policy.predict(rows)[0], rows[:, :2].astype(np.float32))

@@ -7,19 +7,19 @@ from rich.console import Console
 
 from auv_gym.scenarios.presets import PRESETS
 from baselines.evaluation import progress as module
-from baselines.evaluation.progress import INTERVAL, Board, Clock, progress
+from baselines.evaluation.progress import INTERVAL, Clock, StepCounter, progress
 from baselines.evaluation.runner import drawn
 from baselines.tools.workers import Workers
 
 
 def test_board(tmp_path):
-    board = Board(tmp_path)
+    board = StepCounter(tmp_path)
     board.note("0-0", 5)
     board.note("0-1", 7)
     board.note("0-0", 6)
     (tmp_path / "0-2").write_text("")  # just being written
     assert board.total() == 13
-    Board(tmp_path / "elsewhere").note("0-0", 1)
+    StepCounter(tmp_path / "elsewhere").note("0-0", 1)
     assert not (tmp_path / "elsewhere").exists()
 
 

@@ -23,9 +23,9 @@ from baselines.evaluation.rows import RowStore
 from baselines.evaluation.runner import drawn, run_all
 from baselines.evaluation.store import Stored, reading, write
 from baselines.tools.command_line import DONE, FAILED
-from research.results.study_files import load_all
+from research.results.study_files import load_studies
 from research.suites import command
-from research.suites.verify import Verdict, cells_to_run, told
+from research.suites.verify import PolicyVerdict, cells_to_run, verdict_line
 
 SAMPLE = {
     "benchmark-v1": "cruise-storm",
@@ -43,10 +43,10 @@ CLOSEST = 1e-6
 @pytest.mark.parametrize("policy", ["backstepping", "open-loop", "los-pid"])
 def test_recorded_rows_repeat(suite, policy):
     """A sample of what `make verify` does."""
-    whole = suites.load(suite)
-    old = recorded.read(whole, policy)
+    whole = suites.load_suite(suite)
+    old = recorded.read_recorded(whole, policy)
     (cell,) = cells_to_run(whole, old, [SAMPLE[suite]])
-    verdict = Verdict.of(next(run for run in old if run.cell_hash == cell.hash), run_all((policy,), [cell])[0])
+    verdict = PolicyVerdict.of(next(run for run in old if run.cell_hash == cell.hash), run_all((policy,), [cell])[0])
     assert verdict.numbers == 9 * len(cell.episodes)
     assert verdict.largest < CLOSEST
     assert verdict.differing < 0.01 * verdict.numbers
@@ -58,9 +58,9 @@ def rows(tmp_path, monkeypatch):
     folder = tmp_path / "recorded"
     (folder / "ood-v1").mkdir(parents=True)
     for policy in ("backstepping", "open-loop"):
-        shutil.copy(found(recorded.FOLDER, f"ood-v1/{policy}.npz"), folder / "ood-v1")
-    shutil.copy(recorded.FOLDER / recorded.STAMPS, folder)
-    for name, count in (("read", 2), ("stamp", 2), ("recorded_policies", 1)):
+        shutil.copy(found(recorded.RECORDED_FOLDER, f"ood-v1/{policy}.npz"), folder / "ood-v1")
+    shutil.copy(recorded.RECORDED_FOLDER / recorded.STAMPS_FILE, folder)
+    for name, count in (("read_recorded", 2), ("stamp_recorded", 2), ("recorded_policies", 1)):
         bound = getattr(recorded, name)
         monkeypatch.setattr(recorded, name, lambda *a, count=count, bound=bound: bound(*a[:count], folder))
     return folder
@@ -73,7 +73,7 @@ def test_verify_finds_what_differs(rows, capsys):
     file = rows / "ood-v1" / "open-loop.npz"
     with reading(file) as kept:
         measures = kept.arrays["measures"].copy()
-    suite = suites.load("ood-v1")
+    suite = suites.load_suite("ood-v1")
     at = [cell.scenario.name for cell in suite.cells].index("slow-lawnmower") * 260 + 7
     measures[1, at] *= 1.001
     write(file, Stored(kept.record, {"measures": measures}))
@@ -85,38 +85,38 @@ def test_verify_finds_what_differs(rows, capsys):
 
 
 def test_stale_rows_are_stamped_once_they_are_verified(rows, monkeypatch, capsys):
-    suite = suites.load("ood-v1")
+    suite = suites.load_suite("ood-v1")
     entry = (Backstepping, {"gains": "auto"}, "the same law, said otherwise")
     monkeypatch.setitem(baselines.POLICIES, "backstepping", entry)
-    found = recorded.load(suite, rows)
+    found = recorded.load_recorded(suite, rows)
     assert "have changed since" in found.refused["backstepping"]
     assert {run.policy for run in found.runs} == {"open-loop"}
     assert (
         command.main(["verify", "ood-v1", "--policy", "backstepping", "--cells", "slow-lawnmower", "--stamp"]) == DONE
     )
-    assert recorded.load(suite, rows).refused == {}
+    assert recorded.load_recorded(suite, rows).refused == {}
 
 
 def test_rows_that_were_changed_or_are_of_another_policy_do_not_count(rows):
-    suite, folder = suites.load("ood-v1"), rows / "ood-v1"
+    suite, folder = suites.load_suite("ood-v1"), rows / "ood-v1"
     shutil.copy(folder / "open-loop.npz", folder / "backstepping.npz")
-    assert "holds the rows of open-loop" in recorded.load(suite, rows).refused["backstepping"]
+    assert "holds the rows of open-loop" in recorded.load_recorded(suite, rows).refused["backstepping"]
     with reading(folder / "open-loop.npz") as kept:
         write(folder / "open-loop.npz", Stored(kept.record, {"measures": kept.arrays["measures"] * 1.5}))
-    assert "the rows have" in recorded.load(suite, rows).refused["open-loop"]
+    assert "the rows have" in recorded.load_recorded(suite, rows).refused["open-loop"]
 
 
 def test_verdicts_by_hand():
     (old,) = run_all(("open-loop",), [drawn(PRESETS["slow-calm"], 3, 0)])
-    assert Verdict.of(old, old).differing == 0
+    assert PolicyVerdict.of(old, old).differing == 0
     tail = old.measures.tail.copy()
     tail[2] = np.nan
     other = dataclasses.replace(old, measures=dataclasses.replace(old.measures, tail=tail))
-    verdict = Verdict.of(old, other)
+    verdict = PolicyVerdict.of(old, other)
     assert (verdict.differing, verdict.largest, verdict.where) == (1, np.inf, "tail of episode 2")
-    assert "DIFFERENT" in told("open-loop", [Verdict.of(old, old), verdict])
+    assert "DIFFERENT" in verdict_line("open-loop", [PolicyVerdict.of(old, old), verdict])
     with pytest.raises(ValueError, match="fails in slow-calm: no"):
-        Verdict.of(old, dataclasses.replace(old, measures=None, error="no"))
+        PolicyVerdict.of(old, dataclasses.replace(old, measures=None, error="no"))
 
 
 def test_every_policy_has_a_fingerprint_of_its_own():
@@ -179,7 +179,7 @@ def test_of_an_agent_counts_what_acts(tmp_path, monkeypatch):
 def test_a_file_without_end_is_no_policy(tmp_path):
     file = tmp_path / "model.zip"
     with file.open("wb") as stream:
-        stream.truncate(fingerprints.LARGEST_FILE + 1)
+        stream.truncate(fingerprints.LARGEST_POLICY_FILE + 1)
     with pytest.raises(ValueError, match="is larger than"):
         fingerprint(str(file))
 
@@ -222,11 +222,11 @@ def test_records_of_the_wrong_kind_are_refused(record, tmp_path):
     np.savez(tmp_path / "a.npz", record=np.array(record))
     assert RowStore(tmp_path).load("a") is None
     with pytest.raises(ValueError, match=r"a\.npz is damaged"):
-        load_all(tmp_path)
+        load_studies(tmp_path)
 
 
 def test_a_bomb_is_not_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr(store, "LARGEST_CONTENT", 10**6)
+    monkeypatch.setattr(store, "_LARGEST_CONTENT", 10**6)
     with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("measures.npy", bytes(2 * 10**6))
     assert (tmp_path / "a.npz").stat().st_size < 10**4

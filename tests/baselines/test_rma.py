@@ -12,15 +12,15 @@ from auv_gym.physics.vehicle import LIFT, PAPER_VEHICLE
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.simulation import SAMPLE, Parameters, Parts
 from baselines.agents.features import FEATURES
-from baselines.agents.networks import ACTIONS, Rma
-from baselines.training.apg.passes import Tape
+from baselines.agents.networks import OUTPUTS, Rma
+from baselines.training.apg.passes import NetworkTape
 from baselines.training.apg.torch_network import weights_of
 from baselines.training.apg.vehicles import TrainingVehicles
 from baselines.training.config import Config
 from baselines.training.rma.extrinsics import EXTRINSICS, extrinsics
 from baselines.training.rma.networks import Filters, Teacher, TeacherPass
-from baselines.training.rma.trainer import Trainer, check
-from baselines.training.run_folder import Run
+from baselines.training.rma.trainer import RmaTrainer, check
+from baselines.training.run_folder import RunFolder
 
 SIZES = Rma(len(FEATURES), (7, 6), latent=3, channels=4)
 ROW = {name: i for i, name in enumerate(EXTRINSICS)}
@@ -111,9 +111,11 @@ def test_gradient_of_a_teacher_equals_that_of_torch():
     for layer in teacher.acting.layers:
         torch.nn.init.normal_(layer.weight, std=0.4)
     features, rows = (torch.randn(T, n, N, dtype=torch.float64) for n in (SIZES.inputs, len(EXTRINSICS)))
-    d = torch.randn(T, ACTIONS, N, dtype=torch.float64)
-    corrections = torch.zeros(T + 1, ACTIONS, N, dtype=torch.float64)
-    tape = Tape(features, torch.zeros(T + 1, 0, N), corrections, torch.zeros_like(features[0]), torch.zeros_like(d[0]))
+    d = torch.randn(T, OUTPUTS, N, dtype=torch.float64)
+    corrections = torch.zeros(T + 1, OUTPUTS, N, dtype=torch.float64)
+    tape = NetworkTape(
+        features, torch.zeros(T + 1, 0, N), corrections, torch.zeros_like(features[0]), torch.zeros_like(d[0])
+    )
     way, by_features = TeacherPass(teacher, tape), []
     way.extrinsics = rows
     with torch.no_grad():
@@ -144,8 +146,8 @@ def config(**values):
 
 
 def test_a_teacher_learns_and_its_student_learns_the_latent(tmp_path, monkeypatch):
-    monkeypatch.setattr(Run, "validate", lambda *_: 0.0)
-    trainer = Trainer(Run(config(), tmp_path))
+    monkeypatch.setattr(RunFolder, "validate", lambda *_: 0.0)
+    trainer = RmaTrainer(RunFolder(config(), tmp_path))
     lessons = [trainer._teach()["window_error_m"] for _ in range(40)]
     assert np.mean(lessons[-4:]) < 0.6 * np.mean(lessons[2:6])
     before = [p.detach().clone() for p in trainer.network.parameters()]

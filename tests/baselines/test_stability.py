@@ -21,7 +21,7 @@ from baselines.control.linearisation import error_dynamics, linearise
 from baselines.control.lqi import gain_schedule
 from baselines.evaluation.stability import report as stability_report
 from baselines.evaluation.stability.analysis import linearise_policy
-from baselines.evaluation.stability.report import LIMITS, success
+from baselines.evaluation.stability.report import EXAMINED_LIMITS, success
 from baselines.evaluation.stability.sampled_loop import steady_motion
 from baselines.evaluation.stability.tables import Stability
 from baselines.evaluation.stability.verdicts import verdicts
@@ -90,7 +90,7 @@ def test_a_policy_that_is_no_formula():
 def test_sampled_success():
     """Without limits the law spins the vehicle up from half of the starts; limits prevent it."""
     law = Backstepping("paper")
-    free, limited = (success(law, limits, 60) for limits in LIMITS.values())
+    free, limited = (success(law, limits, 60) for limits in EXAMINED_LIMITS.values())
     assert 0.4 < free < 0.65
     assert limited == 1
 

@@ -23,8 +23,8 @@ from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import EXPERT
 from baselines.training.config import Config
 from baselines.training.sb3.callbacks import FrozenActor, ZeroCorrection
-from baselines.training.sb3.export import exported
-from baselines.training.sb3.trainer import MODELS, make_model, make_training_env
+from baselines.training.sb3.export import exported_network
+from baselines.training.sb3.trainer import ALGORITHM_CLASSES, make_model, make_training_env
 from baselines.training.sb3.vec_env import SB3VecEnv
 from baselines.training.sb3.vec_features import VecFeatures
 from baselines.training.sb3.vec_reward import LINEAR
@@ -35,8 +35,8 @@ STORM = Scenario.from_dict({**PRESETS["cruise-storm"].to_dict(), "name": "short"
 COST = "baselines.training.sb3.vec_reward.VecErrorCost"
 RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"
 SMOOTH = {"use_sde": True, "policy_kwargs": {"net_arch": {"pi": [16, 8], "qf": [8]}, "clip_mean": 0.0}}
-VARIANTS = [*((algo, {}) for algo in MODELS), ("sac", SMOOTH), ("ppo", {"use_sde": True})]
-SIZES = {algo: {"pi": [16, 8], "vf" if algo.startswith("ppo") else "qf": [8]} for algo in MODELS}
+VARIANTS = [*((algo, {}) for algo in ALGORITHM_CLASSES), ("sac", SMOOTH), ("ppo", {"use_sde": True})]
+SIZES = {algo: {"pi": [16, 8], "vf" if algo.startswith("ppo") else "qf": [8]} for algo in ALGORITHM_CLASSES}
 
 
 def configuration(algo="ppo", steps=30, expert=EXPERT, **values):
@@ -60,7 +60,7 @@ def untrained(algo, **values):
 @pytest.mark.parametrize(("algo", "values"), VARIANTS)
 def test_exported_actor_is_the_models_predict(algo, values):
     model = untrained(algo, **values)
-    agent = exported(model.policy, configuration(algo))
+    agent = exported_network(model.policy, configuration(algo))
     x = np.random.default_rng(0).uniform(-2, 2, (200, len(FEATURES))).astype(np.float32)
     expected, _ = model.predict(x, deterministic=True)
     hidden = np.zeros((agent.network.memory, 200))
@@ -73,7 +73,7 @@ def test_exported_actor_is_the_models_predict(algo, values):
 def test_exported_memory_is_the_models():
     """Step after step, with episodes that begin in between."""
     model = untrained("ppo_lstm")
-    agent = exported(model.policy, configuration("ppo_lstm"))
+    agent = exported_network(model.policy, configuration("ppo_lstm"))
     layers, rng, state = agent.network.prepared(agent.weights), np.random.default_rng(0), None
     hidden = np.zeros((agent.network.memory, 4))
     for k in range(12):
@@ -88,14 +88,14 @@ def test_exported_memory_is_the_models():
 def test_other_memories_are_refused(values):
     model = make_model(configuration("ppo_lstm", policy_kwargs={"lstm_hidden_size": 4, **values}))
     with pytest.raises(ValueError, match="must be one layer: set n_lstm_layers to 1"):
-        exported(model.policy, configuration("ppo_lstm"))
+        exported_network(model.policy, configuration("ppo_lstm"))
 
 
 @pytest.mark.parametrize("squash", [True, False])
 def test_random_search_can_be_exported_too(squash):
     model = ARS("MlpPolicy", make_training_env(configuration(), 3), policy_kwargs={"squash_output": squash}, seed=0)
     x = np.random.default_rng(0).uniform(-2, 2, (200, len(FEATURES))).astype(np.float32)
-    agent = exported(model.policy, configuration())
+    agent = exported_network(model.policy, configuration())
     actions = agent.network.forward(agent.network.prepared(agent.weights), x.T.astype(np.float64), np.zeros((0, 200)))[
         0
     ].T
@@ -111,7 +111,7 @@ def test_actors_that_no_agent_can_be_are_refused():
     refused = [nn.Linear(24, 2), other, *(model.policy for model in models)]
     for policy in refused:
         with pytest.raises(ValueError, match="no chain of linear layers"):
-            exported(policy, configuration())
+            exported_network(policy, configuration())
 
 
 @pytest.mark.parametrize("expert", [EXPERT, "nmpc"])
@@ -120,7 +120,7 @@ def test_agent_acts_on_the_track_as_its_model_does_in_training(expert):
     config = configuration(expert=expert)
     model = untrained("ppo", expert=expert)
     env = model.get_env()
-    policy = exported(model.policy, config).policy()
+    policy = exported_network(model.policy, config).policy()
     assert bool(policy.preview) == (expert == "nmpc")
     track = UnderactuatedAUVTrackVectorEnv(3, STORM, preview=policy.preview)
     features, (observation, _) = env.reset(), track.reset(seed=config.episode_seed)
@@ -187,12 +187,12 @@ def test_training_starts_at_the_expert_with_the_spread_that_was_asked_for(algo, 
     else:
         assert (model.policy.actor_target(torch.tensor(x)) == 0).all()
     model.num_timesteps = 1
-    before = exported(untrained(algo).policy, configuration(algo)).weights
+    before = exported_network(untrained(algo).policy, configuration(algo)).weights
     model = untrained(algo)
     model.num_timesteps = 1
     callback.init_callback(model)
     callback.on_training_start({}, {})
-    after = exported(model.policy, configuration(algo)).weights
+    after = exported_network(model.policy, configuration(algo)).weights
     assert all(np.array_equal(before[name], after[name]) for name in before)
 
 

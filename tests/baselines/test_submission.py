@@ -24,15 +24,21 @@ from baselines.evaluation.store import Stored
 from baselines.evaluation.store import write as write_stored
 from baselines.evaluation.submission import command as submit
 from baselines.evaluation.submission import files
-from baselines.evaluation.submission.files import LARGEST, MEASURED, read, save, submission_of
-from baselines.evaluation.submission.reproduction import cells_of, chosen, mismatches, smallest_caught
+from baselines.evaluation.submission.files import (
+    LARGEST_SUBMISSION,
+    SUBMITTED,
+    read_submission,
+    save_submission,
+    submission_of,
+)
+from baselines.evaluation.submission.reproduction import chosen, chosen_cells, mismatches, smallest_caught
 from baselines.evaluation.submission.scores import entries, yardsticks
 from baselines.evaluation.suites import Suite
 from baselines.tools.command_line import DONE, FAILED, UsageError
 from baselines.tools.files import versions
 from research.leaderboard import board, command
 from research.leaderboard.board import boards, enter, stamp
-from research.leaderboard.page import NBSP, leaderboard_json, page, plain
+from research.leaderboard.page import NBSP, leaderboard_json, leaderboard_page, plain
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "enter.md").read_text(encoding="utf-8")
@@ -46,7 +52,7 @@ CASES = ("slow-calm", "cruise-storm")
 @pytest.fixture(scope="module")
 def suite():
     """Two cases of the benchmark with three episodes each, under its name."""
-    cells = [cell for cell in suites.load("benchmark-v2").cells if cell.scenario.name in CASES]
+    cells = [cell for cell in suites.load_suite("benchmark-v2").cells if cell.scenario.name in CASES]
     few = tuple(Cell(cell.scenario, cell.episodes[:3]) for cell in cells)
     return Suite("benchmark-v2", "5" * 64, few, (), BY_BOUND)
 
@@ -62,8 +68,8 @@ def rows(suite):
 def small(suite, rows, tmp_path, monkeypatch):
     """A place where the suite is that one, with the files of the page."""
     for module in (suites, request, files):
-        monkeypatch.setattr(module, "load", lambda _: suite)
-    monkeypatch.setattr(recorded, "load", lambda _: recorded.Found(rows, {}))
+        monkeypatch.setattr(module, "load_suite", lambda _: suite)
+    monkeypatch.setattr(recorded, "load_recorded", lambda _: recorded.Found(rows, {}))
     monkeypatch.chdir(tmp_path)
     for language, text in BLOCKS:
         if language == "python":
@@ -77,7 +83,7 @@ def made(small, suite, rows):
     made = submission_of(
         suite, own, "expert", About("Ada", "https://example.org/a", "The law."), versions(), "no command"
     )
-    save(made, Path("expert.npz"))
+    save_submission(made, Path("expert.npz"))
     return made
 
 
@@ -104,7 +110,7 @@ def test_the_tutorial_leads_to_the_leaderboard(capsys):
         if "cmd:" not in line:  # a program, see test_programs.py
             assert typed(line) == DONE, line
     out = capsys.readouterr().out
-    assert Path("runs/evaluate/my-controller.npz").stat().st_size < LARGEST
+    assert Path("runs/evaluate/my-controller.npz").stat().st_size < LARGEST_SUBMISSION
     assert "Reproduced: all 24 numbers" in out
     assert "6 of 6 episodes again, chosen by --seed" in out
     results = json.loads(Path("runs/evaluate/results.json").read_text())
@@ -126,13 +132,13 @@ def test_the_tutorial_leads_to_the_leaderboard(capsys):
 def test_an_agent_enters_in_its_regime_alone(suite, capsys):
     policy = ["--policy", "apg-slow", "--submit", "mine", "--training-steps", "8e6", "--training-seconds", "300"]
     assert evaluate.main([*policy, "--jobs", "1", "--out", "out"]) == DONE
-    found = read(Path("out/mine.npz"))
+    found = read_submission(Path("out/mine.npz"))
     assert [run.scenario.name for run in found.runs] == ["slow-calm"]
     assert (found.policy, found.about.training_steps) == ("apg-slow", 8e6)
     assert found.fingerprint == fingerprint("apg-slow")
     assert "--submit mine" in found.command
-    assert "8 M steps<br>5 min".replace(" ", NBSP) in page(
-        [board.Board(suite, (found,), tuple(entries([found], yardsticks(suite))), {})]
+    assert "8 M steps<br>5 min".replace(" ", NBSP) in leaderboard_page(
+        [board.Leaderboard(suite, (found,), tuple(entries([found], yardsticks(suite))), {})]
     )
 
 
@@ -167,11 +173,11 @@ def test_one_that_failed_is_not_submitted(small, capsys):
 
 
 def test_a_file_is_what_was_run(made):
-    found = read(Path("expert.npz"))
+    found = read_submission(Path("expert.npz"))
     assert (found.name, found.about, found.date) == ("expert", made.about, "2026-01-31")
     for old, new in zip(made.runs, found.runs, strict=True):
         assert old.scenario == new.scenario
-        for key in MEASURED:
+        for key in SUBMITTED:
             np.testing.assert_array_equal(getattr(old.measures, key), getattr(new.measures, key))
     with np.load("expert.npz", allow_pickle=False) as arrays:
         assert arrays["tail"].shape == (6,)
@@ -180,8 +186,8 @@ def test_a_file_is_what_was_run(made):
 @pytest.mark.parametrize("name", ["benchmark-v1", "benchmark-v2"])
 def test_scores_are_those_of_the_recorded_rows(name):
     """The whole benchmark, through a file that is small enough, with the anchors of either suite."""
-    suite = suites.load(name)
-    found = recorded.load(suite)
+    suite = suites.load_suite(name)
+    found = recorded.load_recorded(suite)
     kept = [run for run in found.runs if run.policy in (*suite.anchors, "lqi")]
     expected = {entry.place: entry for entry in pool(kept) if entry.policy == "lqi"}
     for entry in entries([command.own_submission(name, "lqi")], yardsticks(suite)):
@@ -234,7 +240,7 @@ WRONG = {
 def test_what_contradicts_itself_is_refused(case, made):
     record, arrays, says = WRONG[case]
     with pytest.raises(ValueError, match=re.escape(says)):
-        read(changed(made, arrays, **record))
+        read_submission(changed(made, arrays, **record))
     assert submit.main(["bad.npz"]) == FAILED
 
 
@@ -245,22 +251,22 @@ def test_damaged_files_are_refused_whatever_is_wrong(made):
         data[rng.integers(len(data))] ^= 1 << int(rng.integers(8))
         file.write_bytes(data if i % 3 else data[: rng.integers(len(data))])
         try:
-            assert read(file).episodes == 6
+            assert read_submission(file).episodes == 6
         except ValueError as error:
             assert "a.npz is damaged" in str(error)  # noqa: PT017
 
 
 def test_no_file_is_too_large_or_runs_anything(made, tmp_path):
-    Path("long.npz").write_bytes(bytes(LARGEST + 1))
+    Path("long.npz").write_bytes(bytes(LARGEST_SUBMISSION + 1))
     with zipfile.ZipFile("bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("tail.npy", bytes(files.LARGEST_CONTENT + 1))
     np.savez("pickle.npz", record=np.array("{}"), tail=np.array([{}], dtype=object))
     for name, says in (("long", "larger than"), ("bomb", "unpacked"), ("pickle", "allow_pickle")):
         with pytest.raises(ValueError, match=says):
-            read(Path(f"{name}.npz"))
+            read_submission(Path(f"{name}.npz"))
     big = dataclasses.replace(made, command="".join(map(chr, np.random.default_rng(0).integers(33, 126, 300_000))))
     with pytest.raises(ValueError, match="allowed are"):
-        save(big, Path("big.npz"))
+        save_submission(big, Path("big.npz"))
     assert not Path("big.npz").exists()
 
 
@@ -312,7 +318,7 @@ def test_numbers_on_the_edge(made, rows):
     episodes = chosen(made, 1.0, 0)
     again = [run for run in rows if run.policy == EXPERT]
     assert mismatches(made, episodes, again) == []
-    assert [len(cell.episodes) for cell in cells_of(made, episodes)] == [3, 3]
+    assert [len(cell.episodes) for cell in chosen_cells(made, episodes)] == [3, 3]
     run = again[1]
     for key, values, count in (
         ("tail", run.measures.tail * 1.0009, 0),
@@ -367,8 +373,8 @@ def test_what_was_verified_is_that_very_file(made):
     with pytest.raises(ValueError, match="enter it first"):
         stamp(Path("expert.npz"), folder, 5, 6, 7)
     for record in ("[]", '{"a": 3}', '{"benchmark-v2/expert": {"sha256": "a"}}', "no json"):
-        (folder / board.STAMPS).write_text(record)
-        with pytest.raises(ValueError, match=board.STAMPS):
+        (folder / board.VERIFIED_FILE).write_text(record)
+        with pytest.raises(ValueError, match=board.VERIFIED_FILE):
             boards(folder)
 
 
@@ -398,7 +404,7 @@ def test_words_of_strangers_are_no_markup():
 
 
 def test_scores_need_rows_that_count(made, monkeypatch):
-    monkeypatch.setattr(recorded, "load", lambda _: recorded.Found((), {EXPERT: "they changed"}))
+    monkeypatch.setattr(recorded, "load_recorded", lambda _: recorded.Found((), {EXPERT: "they changed"}))
     with pytest.raises(ValueError, match="rows of backstepping in benchmark-v2, which scores need, do not count: they"):
         yardsticks(made.suite)
 
@@ -406,7 +412,7 @@ def test_scores_need_rows_that_count(made, monkeypatch):
 def test_the_page_is_what_the_command_makes():
     """If this fails after rows were recorded anew: `python -m research leaderboard own`."""
     found = boards(ROOT / "leaderboard")
-    assert (ROOT / "docs" / command.PAGE).read_text(encoding="utf-8") == page(found)
+    assert (ROOT / "docs" / command.PAGE).read_text(encoding="utf-8") == leaderboard_page(found)
     assert (ROOT / "docs" / command.TABLE).read_text(encoding="utf-8") == leaderboard_json(found)
     own = {submission.name for submission in found[0].submissions}
     assert set(command.OWN) <= own
@@ -415,7 +421,7 @@ def test_the_page_is_what_the_command_makes():
 
 def test_own_entries_are_the_recorded_rows_as_they_are_now():
     for policy, file in command.own_files(ROOT / "leaderboard"):
-        kept, now = read(file), command.own_submission(command.SUITE, policy)
+        kept, now = read_submission(file), command.own_submission(command.SUITE, policy)
         assert kept.fingerprint == now.fingerprint
         for old, new in zip(kept.runs, now.runs, strict=True):
             np.testing.assert_array_equal(old.measures.tail, new.measures.tail)

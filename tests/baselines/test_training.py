@@ -32,13 +32,13 @@ from baselines.tools.seeds import TRAINING
 from baselines.training import command, request
 from baselines.training.config import ALGORITHMS, LARGEST_SEED, Config
 from baselines.training.entry import main
-from baselines.training.hyperparameters import ENV_ID, changes_of, load_hyperparameters, words_of
+from baselines.training.hyperparameters import TRAINED_ENV, changes_of, hyperparameter_words, load_hyperparameters
 from baselines.training.hyperparameters import shipped as shipped_file
 from baselines.training.options import PROGRAM, Options
-from baselines.training.run_folder import Run, locked, read_config, read_progress
+from baselines.training.run_folder import RunFolder, locked, read_config, read_progress
 from baselines.training.validation import Validation, Verdict
 from research.trainings import shipped
-from research.trainings.trainings import SHIPPED, training
+from research.trainings.trainings import SHIPPED_TRAININGS, training
 
 torch.set_num_threads(1)
 ROOT = Path(__file__).parents[2]
@@ -61,12 +61,12 @@ STEPS = 320
 def call(monkeypatch, tmp_path):
     """Run the script in-process in an empty folder and return its exit status."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("baselines.training.validation.EPISODES", 4)
+    monkeypatch.setattr("baselines.training.validation.VALIDATED_EPISODES", 4)
     for name in ("sb3.trainer.VALIDATIONS", "apg.trainer.LOGS"):
         monkeypatch.setattr(f"baselines.training.{name}", 5)
     SMALL.save("small.toml")
     for algo, values in TINY.items():
-        Path(f"{algo}.yml").write_text(yaml.safe_dump({ENV_ID: {"n_envs": 8, **values}}), encoding="utf-8")
+        Path(f"{algo}.yml").write_text(yaml.safe_dump({TRAINED_ENV: {"n_envs": 8, **values}}), encoding="utf-8")
 
     def call(*arguments):
         monkeypatch.setattr(sys, "argv", ["train.py", *map(str, arguments)])
@@ -105,20 +105,20 @@ def test_every_algorithm_trains_and_goes_on_after_an_interruption_as_if_there_ha
     assert [row["timesteps"] for row in rows] == sorted({row["timesteps"] for row in rows})
     assert rows[-1]["timesteps"] >= STEPS
 
-    keep = Run.save_checkpoint
+    keep = RunFolder.save_checkpoint
 
     def interrupted(self, state):
         keep(self, state)
         if state["timesteps"] > STEPS / 2:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(Run, "save_checkpoint", interrupted)
+    monkeypatch.setattr(RunFolder, "save_checkpoint", interrupted)
     assert call(*tiny(algo), "--out", "other") == 1
     assert "--resume goes on" in capsys.readouterr().err
     assert not Path("other/agent").exists()
     assert call(*tiny(algo), "--out", "other") == 2
     assert "unfinished; add --resume" in capsys.readouterr().err
-    monkeypatch.setattr(Run, "save_checkpoint", keep)
+    monkeypatch.setattr(RunFolder, "save_checkpoint", keep)
     assert call(*tiny(algo), "--out", "other", "--resume") == 0
     assert same(weights("other/agent"), weights("out/agent"))
     again = read_progress(Path("other"))
@@ -217,7 +217,7 @@ def test_mistakes_are_one_line_and_leave_nothing_behind(arguments, message, call
     ],
 )
 def test_impossible_hyperparameters_are_one_line(values, message, call, capsys):
-    Path("h.yml").write_text(yaml.safe_dump({ENV_ID: values}), encoding="utf-8")
+    Path("h.yml").write_text(yaml.safe_dump({TRAINED_ENV: values}), encoding="utf-8")
     algo = "sac" if "buffer_size" in values else "ppo"
     assert call("--algo", algo, "--hyperparameters", "h.yml", "--out", "out") == 2
     err = capsys.readouterr().err
@@ -229,7 +229,7 @@ def test_impossible_hyperparameters_are_one_line(values, message, call, capsys):
 @pytest.mark.parametrize("algo", ["ppo", "td3"])
 def test_divergence_is_one_line(algo, call, capsys):
     values = TINY[algo] | {"learning_rate": 1e30, "n_envs": 8}
-    Path(f"{algo}.yml").write_text(yaml.safe_dump({ENV_ID: values}), encoding="utf-8")
+    Path(f"{algo}.yml").write_text(yaml.safe_dump({TRAINED_ENV: values}), encoding="utf-8")
     assert call(*tiny(algo)) == 1
     err = capsys.readouterr().err
     assert err.splitlines()[-1].startswith("training diverged after ")
@@ -308,7 +308,7 @@ def test_a_damaged_yardstick_is_made_again(call):
     text = before.replace('expert_m": ', 'expert_m": "a", "x": ')
     for damage in (b"[1]", b"[" * 10**5, b"{}", b"\xff", text.encode()):
         Path("out/validation.json").write_bytes(damage)
-        Run(read_config(Path("out")), Path("out")).validation  # noqa: B018
+        RunFolder(read_config(Path("out")), Path("out")).validation  # noqa: B018
         assert Path("out/validation.json").read_text() == before
 
 
@@ -349,7 +349,7 @@ def test_an_interruption_ends_all_seeds(call, capsys, monkeypatch):
     def interrupted(self, state):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Run, "save_checkpoint", interrupted)
+    monkeypatch.setattr(RunFolder, "save_checkpoint", interrupted)
     assert call(*tiny("ppo"), "--seeds", 2, "--jobs", 1) == 1
     assert capsys.readouterr().err.splitlines()[-1] == "interrupted; the same command with --resume goes on"
     assert not any(Path("out/seed-1").iterdir())
@@ -381,7 +381,7 @@ def test_an_agent_and_its_score_are_of_one_validation(call, monkeypatch, drawn_h
 
 @pytest.mark.parametrize(("keeps_last", "expected"), [(False, [1, 0, 1, 0, 0, 1]), (True, [1] * 6)])
 def test_the_first_of_the_best_is_kept_or_the_last(tmp_path, keeps_last, expected):
-    run, kept = Run(configuration(), tmp_path), []
+    run, kept = RunFolder(configuration(), tmp_path), []
     run.keeps_last = keeps_last
     agent = Agent.load(agent_folder("ppo-cruise"))
     for k, score in enumerate([0.5, 0.2, 0.7, math.nan, 0.7, 0.9]):
@@ -523,13 +523,13 @@ def test_hyperparameters_are_set_one_by_one(tmp_path):
     words = ["a=3e-4", "b=lin_0.1", "c=[5,10]", "d=true", "e={net: {pi: [8]}}"]
     changes = changes_of(words)
     assert changes == {"a": 3e-4, "b": "lin_0.1", "c": [5, 10], "d": True, "e": {"net": {"pi": [8]}}}
-    assert changes_of(words_of(changes)) == changes
+    assert changes_of(hyperparameter_words(changes)) == changes
     given = request.Request.of(Options("ppo", ("cruise-storm",), set=("gamma=0.5",), out=tmp_path / "run"))
     plain = load_hyperparameters(shipped_file("ppo")).values
     assert given.configs[0].hyperparameters == {**plain, "gamma": 0.5}
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", SHIPPED_TRAININGS)
 def test_shipped_agents_can_be_trained_again(name, call, monkeypatch, tmp_path):
     made = []
     monkeypatch.setattr(shipped, "train", lambda r: made.append(r) or 1)
@@ -552,8 +552,8 @@ def test_shipped_agents_can_be_trained_again(name, call, monkeypatch, tmp_path):
 
 
 def test_shipped_agents_are_installed_and_unknown_ones_refused(call, monkeypatch, tmp_path):
-    monkeypatch.setattr(shipped, "AGENTS", tmp_path / "agents")
-    monkeypatch.setattr(shipped, "SHIPPED", {"ppo-small": training("ppo", "small.toml")})
+    monkeypatch.setattr(shipped, "SHIPPED_FOLDER", tmp_path / "agents")
+    monkeypatch.setattr(shipped, "SHIPPED_TRAININGS", {"ppo-small": training("ppo", "small.toml")})
     monkeypatch.setattr(request, "shipped", lambda algo: tmp_path / f"{algo}.yml")
     assert shipped.main(["--timesteps", "64", "--install"]) == 0
     assert same(weights("agents/ppo-small"), weights("runs/shipped/ppo-small/agent"))

@@ -1,14 +1,12 @@
 """The tuning command: its objective is the evaluation's error, its search improves, its files have a provenance."""
 
 import json
-import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from kept_pages import compare_or_refresh
 
 import baselines
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
@@ -21,14 +19,14 @@ from baselines.gains.loading import load_gains
 from baselines.tools.command_line import DONE, UsageError
 from baselines.tuning import command as tuning
 from baselines.tuning.command import main
-from baselines.tuning.objective import Course, scenarios_of
-from baselines.tuning.search import EPISODES, EVALUATIONS, POPULATION, TUNING_SEED, VALIDATION_SEED, Budget, tune
+from baselines.tuning.objective import TuningEpisodes, rewound_scenarios
+from baselines.tuning.search import EVALUATIONS, POPULATION, TUNING_EPISODES, TUNING_SEED, VALIDATION_SEED, Budget, tune
 from baselines.tuning.tunables import TUNABLES
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    monkeypatch.setattr(gain_files, "FOLDER", tmp_path / "gains")
+    monkeypatch.setattr(gain_files, "GAINS_FOLDER", tmp_path / "gains")
     monkeypatch.setattr(tuning, "VALIDATION_EPISODES", 16)
     shutil.copytree(Path(gain_files.__file__).parent, tmp_path / "gains", ignore=shutil.ignore_patterns("*.py", "__*"))
     return tmp_path / "gains"
@@ -36,7 +34,7 @@ def folder(tmp_path, monkeypatch):
 
 def test_objective_is_the_capped_tail_error_of_single_episodes():
     seed, policy = TUNING_SEED + 40, baselines.make_policy("backstepping")
-    result = Course("cruise", 8, seed).run(policy)
+    result = TuningEpisodes("cruise", 8, seed).run(policy)
     commands = []
     for i, case in enumerate(CASES):
         scenario = PRESETS[f"cruise-{case}"]
@@ -63,21 +61,21 @@ def test_policies_with_and_without_a_preview_run_the_same_course():
             assert observation.shape == (8, SIZE + 4)
             return law.predict(observation)
 
-    course, law = Course("cruise", 8, TUNING_SEED), baselines.make_policy("backstepping")
+    course, law = TuningEpisodes("cruise", 8, TUNING_SEED), baselines.make_policy("backstepping")
     course.steps = 12
     assert course.run(Looking()) == course.run(law) == course.run(Looking())
 
 
 def test_half_of_the_adverse_course_is_the_adverse_storm():
-    names = [scenario.name for scenario in scenarios_of("slow", "adverse")]
-    assert names[: len(CASES)] == [scenario.name for scenario in scenarios_of("slow", "plain")]
+    names = [scenario.name for scenario in rewound_scenarios("slow", "adverse")]
+    assert names[: len(CASES)] == [scenario.name for scenario in rewound_scenarios("slow", "plain")]
     assert names[len(CASES) :] == ["slow-adverse"] * len(CASES)
-    course, policy = Course("slow", 16, TUNING_SEED, "adverse"), baselines.make_policy("backstepping")
+    course, policy = TuningEpisodes("slow", 16, TUNING_SEED, "adverse"), baselines.make_policy("backstepping")
     result = course.run(policy)
     assert list(result.case_error_m) == [*CASES, "adverse"]
     cases = [result.case_error_m[case] for case in CASES]
     assert result.error_m == pytest.approx(0.5 * np.mean(cases) + 0.5 * result.case_error_m["adverse"])
-    assert cases == list(Course("slow", 8, TUNING_SEED).run(policy).case_error_m.values())
+    assert cases == list(TuningEpisodes("slow", 8, TUNING_SEED).run(policy).case_error_m.values())
 
 
 def test_lost_episodes_count_with_the_cap():
@@ -85,14 +83,14 @@ def test_lost_episodes_count_with_the_cap():
         def predict(self, observation, state=None, episode_start=None, deterministic=True):
             return np.tile(np.array([[1.0, 1.0]], np.float32), (len(observation), 1)), None
 
-    result = Course("slow", 8, TUNING_SEED).run(Away())
+    result = TuningEpisodes("slow", 8, TUNING_SEED).run(Away())
     assert (result.error_m, result.lost, result.smoothness) == (0.6, 1.0, 0.0)
 
 
 def courses(record):
     def make(episodes, seed):
         record.append((episodes, seed))
-        return Course("slow", episodes, seed)
+        return TuningEpisodes("slow", episodes, seed)
 
     return make
 
@@ -111,7 +109,7 @@ def test_search_improves_within_its_evaluations_and_repeats():
     assert len(runs) == 2 * POPULATION + 3  # of the run-off each counts as four, on four times the episodes
     assert asked == [(16, TUNING_SEED + 16 * i) for i in range(2)] + [(64, TUNING_SEED + 32)]
     assert budget.last_seed == TUNING_SEED + 32 + 64
-    fresh = Course("slow", 32, VALIDATION_SEED)
+    fresh = TuningEpisodes("slow", 32, VALIDATION_SEED)
     assert fresh.run(law.factory(best)).error_m < fresh.run(law.factory(dict(start))).error_m
     assert tune(law.factory, courses([]), start, budget) == best
 
@@ -120,13 +118,13 @@ def test_everybody_has_the_same_budget():
     """No gain file has fewer evaluations than another, but for the expert's sets, which say why."""
     spent = Budget()
     assert spent.generations * POPULATION + 12 == spent.evaluations == EVALUATIONS >= 300
-    files = sorted(set(gain_files.FOLDER.glob("*.json")) - {SETS})
+    files = sorted(set(gain_files.GAINS_FOLDER.glob("*.json")) - {SETS})
     assert sorted(file.stem for file in files) == sorted(f"{name}-{regime}" for name in TUNABLES for regime in REGIMES)
     for file in files:
         record = json.loads(file.read_text())
         assert file.stem == f"{record['policy']}-{record['regime']}"
         assert record["command"] == f"auv-gym tune {record['policy']} --regime {record['regime']}"
-        assert (record["evaluations"], record["episodes"]) == (EVALUATIONS, EPISODES), file
+        assert (record["evaluations"], record["episodes"]) == (EVALUATIONS, TUNING_EPISODES), file
         assert record["world"] == TUNABLES[record["policy"]].world
         assert list(record["gains"]) == list(record["start"]) == list(TUNABLES[record["policy"]].names)
     assert {name: bool(part["origin"]) for name, part in json.loads(SETS.read_text()).items()} == dict.fromkeys(
@@ -135,7 +133,7 @@ def test_everybody_has_the_same_budget():
 
 
 def test_file_holds_gains_and_provenance_and_can_be_resumed(folder, capsys, monkeypatch):
-    monkeypatch.setattr(Course, "run", brief)
+    monkeypatch.setattr(TuningEpisodes, "run", brief)
     file, names = folder / "integral-slow.json", PRINTED_GAINS
     before = json.loads(file.read_text())
     arguments = ["integral", "--regime", "slow", "--episodes", "16", "--evaluations", "24"]
@@ -155,32 +153,17 @@ def test_file_holds_gains_and_provenance_and_can_be_resumed(folder, capsys, monk
         main(arguments)
 
 
-def test_page_shows_what_the_files_say():
-    page = Path(__file__).parents[2] / "docs" / "controllers.md"
-    text = page.read_text(encoding="utf-8")
-    table = re.search(r"^\| controller \| regime \|.*?(?=\n\n)", text, re.MULTILINE | re.DOTALL)[0]
-    rows = table.splitlines()[:2]
-    for name in TUNABLES:
-        for regime in REGIMES:
-            record = json.loads((gain_files.FOLDER / f"{name}-{regime}.json").read_text())
-            v = record["validation"]
-            cells = name, regime, len(record["gains"]), f"{1e3 * v['error_m']:.3g}", f"{v['score']:.3f}"
-            ratios = f"{100 * v['lost']:.1f} %", f"{v['effort_ratio']:.2f}", f"{v['smoothness_ratio']:.1f}"
-            rows.append(f"| `{cells[0]}` | " + " | ".join(map(str, (*cells[1:], *ratios))) + " |")
-    compare_or_refresh(page, table, "\n".join(rows))
-
-
 @pytest.mark.parametrize("regime", REGIMES)
 @pytest.mark.parametrize("name", TUNABLES)
 def test_every_controller_can_be_searched(folder, name, regime, monkeypatch):
-    monkeypatch.setattr(Course, "run", brief)
+    monkeypatch.setattr(TuningEpisodes, "run", brief)
     assert main([name, "--regime", regime, "--episodes", "16", "--evaluations", "0"]) == DONE
     record = json.loads((folder / f"{name}-{regime}.json").read_text())
     assert record["gains"] == record["start"]
     assert list(record["gains"]) == list(record["start"]) == list(TUNABLES[name].names)
 
 
-def brief(course, policy, run=Course.run):
+def brief(course, policy, run=TuningEpisodes.run):
     """Return what a policy does in the first three steps of a course."""
     course.steps = 3
     return run(course, policy)

@@ -11,39 +11,39 @@ from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.tools.command_line import UsageError
 from research.lower_bounds import bound
-from research.lower_bounds.bound import Count, counted, kept, main, nearer, together, told
+from research.lower_bounds.bound import OptimumCount, all_cases, counted, in_words, main, nearer, optimum_counts
 from research.seeds import OPTIMUM
 
 SHORT = tuple(replace(PRESETS[name], steps=60) for name in ("slow-storm", "cruise-actuator"))
 
 
 def test_ten_thousand_episodes_and_none_lost():
-    """As they were counted with this policy: `kept` gives nothing where it has changed since."""
-    counts = kept()
+    """As they were counted with this policy: `optimum_counts` gives nothing where it has changed since."""
+    counts = optimum_counts()
     assert set(counts) == {scenario.name for scenario in bound.SCENARIOS}
-    every = together(counts)
-    assert every.episodes >= bound.EPISODES
+    every = all_cases(counts)
+    assert every.episodes >= bound.OPTIMUM_EPISODES
     assert every.lost == 0
     assert every.largest_error_m < 0.1  # a vehicle that spins is metres away
     assert nearer(counts) == []
-    assert f"0 of {every.episodes} episodes lost" in told(counts)
+    assert f"0 of {every.episodes} episodes lost" in in_words(counts)
 
 
 def test_a_run_goes_on_where_the_last_one_ended(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(bound, "SCENARIOS", SHORT)
-    monkeypatch.setattr(bound, "AT_ONCE", 2)
+    monkeypatch.setattr(bound, "_AT_ONCE", 2)
     file = tmp_path / "new" / "bound.json"
     assert main(["--episodes", "6", "--out", str(file)]) == 0
     assert main(["--episodes", "10", "--out", str(file)]) == 0
     assert "0 of 10 episodes lost" in capsys.readouterr().out
-    counts = kept(file)
+    counts = optimum_counts(file)
     assert [count.episodes for count in counts.values()] == [5, 5]
     cell = drawn(SHORT[1], 5, OPTIMUM.first)
     tail = rollout(make_policy("clairvoyant"), SHORT[1], cell.episodes).measures.tail
     assert counts["cruise-actuator"].tails_m == pytest.approx(tail.sum(), rel=1e-3)
     assert counts["cruise-actuator"].largest_tail_m == pytest.approx(tail.max(), rel=1e-3)
     file.write_text(file.read_text().replace('"fingerprint": "', '"fingerprint": "another'))
-    assert kept(file) == {}
+    assert optimum_counts(file) == {}
 
 
 def test_what_goes_wrong_is_told(tmp_path, monkeypatch, capsys):
@@ -55,7 +55,7 @@ def test_what_goes_wrong_is_told(tmp_path, monkeypatch, capsys):
     file = tmp_path / "bound.json"
     assert main(["--episodes", "2", "--out", str(file)]) == 1
     assert "slow-storm, seed 90000000" in capsys.readouterr().err
-    (count,) = kept(file).values()
+    (count,) = optimum_counts(file).values()
     assert [own["seed"] for own in count.astray] == [OPTIMUM.first, OPTIMUM.first + 1]
     for text in ("[]", '{"cases": {"slow-storm": {"tea": 1, "astray": []}}, "fingerprint": ""}', "{}"):
         file.write_text(text)
@@ -67,7 +67,7 @@ def test_what_goes_wrong_is_told(tmp_path, monkeypatch, capsys):
 
 
 def test_counts_add_up():
-    one, two = Count(2, 1, 0.5, 0.4, 0.6, ({"seed": 1},)), Count(3, 0, 0.1, 0.05, 0.7)
-    assert one.with_more(two) == Count(5, 1, 0.6, 0.4, 0.7, ({"seed": 1},))
+    one, two = OptimumCount(2, 1, 0.5, 0.4, 0.6, ({"seed": 1},)), OptimumCount(3, 0, 0.1, 0.05, 0.7)
+    assert one.with_more(two) == OptimumCount(5, 1, 0.6, 0.4, 0.7, ({"seed": 1},))
     assert json.loads(json.dumps(asdict(one)))["lost"] == 1
     assert counted(SHORT[0], 3, 1).episodes == 1

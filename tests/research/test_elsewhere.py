@@ -23,8 +23,8 @@ from baselines.tools.command_line import run
 from research.transfer import command, comparison, otter, remus100, trials
 from research.transfer.bodies import bodies, deviation
 from research.transfer.comparison import concordance, pooled
-from research.transfer.six_dof import AS_PUBLISHED, Deviation, Motion, Outside, coriolis, cross_flow, place_rates
-from research.transfer.worlds import MODELS, Own
+from research.transfer.six_dof import AS_PUBLISHED, Deviation, Outside, SpatialMotion, coriolis, cross_flow, place_rates
+from research.transfer.worlds import SIX_DOF_MODELS, Own
 
 NOWHERE = Outside(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -35,7 +35,7 @@ SIZES = {"remus100": (0.2, 0.2, 1500.0), "otter": (90.0, 90.0)}
 
 @pytest.mark.parametrize("name", REFERENCE)
 def test_accelerations_are_those_of_the_matrix_form(name):
-    rng, model = np.random.default_rng(0), MODELS[name]
+    rng, model = np.random.default_rng(0), SIX_DOF_MODELS[name]
     for _ in range(40):
         eta = rng.normal(size=6) * [5, 5, 0.3, 0.2, 0.2, 2]
         nu = rng.normal(size=6) * [1, 0.3, 0.2, 0.2, 0.2, 0.3]
@@ -49,7 +49,7 @@ def test_accelerations_are_those_of_the_matrix_form(name):
 
 def test_place_rates_turn_as_rotations_do():
     rng = np.random.default_rng(1)
-    state = Motion(*rng.normal(size=12) * 0.5)
+    state = SpatialMotion(*rng.normal(size=12) * 0.5)
     turn = Rotation.from_euler("ZYX", [state.psi, state.theta, state.phi])
     rates = place_rates(state, (0.3, -0.1), FLOATS)
     np.testing.assert_allclose(rates[:3], turn.apply(state[6:9]) + np.array([0.3, -0.1, 0]))
@@ -82,7 +82,9 @@ def test_inner_loops_give_what_is_asked():
     np.testing.assert_allclose(0.8 * 0.5 * 1026 * 0.0133 * 0.5 * angle[:2], [-0.3, 0.3], rtol=1e-5)
     assert angle[2] == pytest.approx(math.radians(15))
     for F_u, F_r in ((100.0, 20.0), (-60.0, -10.0), (239.0, 60.0), (0.0, 100.0)):
-        port, starboard = (otter.thrust(otter.revolutions(T, FLOATS), FLOATS) for T in otter.shares(F_u, F_r, FLOATS))
+        port, starboard = (
+            otter.thrust(otter.propeller_speed(T, FLOATS), FLOATS) for T in otter.shares(F_u, F_r, FLOATS)
+        )
         assert -133.5 / 2 <= min(port, starboard) + 1e-9
         assert max(port, starboard) <= 239.4 / 2
         assert 0.395 * (port - starboard) == pytest.approx(min(F_r, 73.63), abs=0.01)
@@ -173,7 +175,7 @@ def test_logs_are_those_of_a_vehicle(name, tmp_path):
 def test_the_command_compares_and_keeps(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(trials, "turned", lambda _: {"straight": [], "turns": []})
-    monkeypatch.setattr(comparison, "VARIANTS", {"otter": {"as published": otter.OTTER}})
+    monkeypatch.setattr(comparison, "WORLD_VARIANTS", {"otter": {"as published": otter.OTTER}})
     arguments = ["--policy", "los-pid", "ilos", "--vehicle", "otter", "--case", "current", "--episodes", "2"]
     assert run(command.main, command.PROGRAM, [*arguments, "--out", "found.json"]) == 0
     record = json.loads(Path("found.json").read_text(encoding="utf-8"))["otter"]
@@ -208,7 +210,7 @@ def test_a_mistake_is_one_line(arguments, says, capsys):
 
 @pytest.fixture
 def kept():
-    return json.loads(comparison.FILE.read_text(encoding="utf-8"))
+    return json.loads(comparison.TRANSFER_FILE.read_text(encoding="utf-8"))
 
 
 def test_what_the_page_says_in_words_holds(kept):

@@ -40,13 +40,13 @@ def test_upper_bound_is_the_rule_of_three():
 
 
 def test_fresh_episodes_are_those_of_no_suite():
-    suite, frozen = fresh.fresh("benchmark-v2", 3, ["slow-storm"]), suites.load("benchmark-v1")
+    suite, frozen = fresh.fresh("benchmark-v2", 3, ["slow-storm"]), suites.load_suite("benchmark-v1")
     known = {episode.noise_seed for cell in frozen.cells for episode in cell.episodes}
     (cell,) = suite.cells
     assert cell.scenario.name == "slow-storm"
     assert not known & {episode.noise_seed for episode in cell.episodes}
     assert suite.hash != frozen.hash
-    assert HELD_OUT.holds(fresh.SEED, max(fresh.EPISODES.values()))
+    assert HELD_OUT.holds(fresh.HELD_OUT_SEED, max(fresh.HELD_OUT_EPISODES.values()))
 
 
 @pytest.mark.parametrize("policy", ["backstepping", "apg-cruise", "apg-preview-cruise"])
@@ -62,9 +62,9 @@ def test_command_keeps_rows_that_are_found_again(tmp_path, capsys):
     words = "--suite benchmark-v2 --case cruise-calm --episodes 2 --policy apg-slow open-loop --out"
     assert fresh.main([*words.split(), str(tmp_path)]) == 0
     assert capsys.readouterr().out == "benchmark-v2: open-loop, 2 episodes\n"
-    found = recorded.load(fresh.fresh("benchmark-v2", 2, ["cruise-calm"]), tmp_path)
+    found = recorded.load_recorded(fresh.fresh("benchmark-v2", 2, ["cruise-calm"]), tmp_path)
     assert [len(run.measures) for run in found.runs] == [2]
-    assert recorded.load(fresh.fresh("benchmark-v2", 3, ["cruise-calm"]), tmp_path).refused
+    assert recorded.load_recorded(fresh.fresh("benchmark-v2", 3, ["cruise-calm"]), tmp_path).refused
 
 
 @pytest.mark.parametrize(

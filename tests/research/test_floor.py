@@ -22,11 +22,11 @@ from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.simulation import CURRENT, LOAD, Parameters, Plant, ground_state, moved
 from baselines.control.privileged.clairvoyant import arriving, oracle_actions
 from baselines.control.privileged.problem import TAIL, Problem
-from baselines.control.privileged.solver import solved
+from baselines.control.privileged.solver import best_trajectory
 from baselines.control.privileged.truth import Truth
 from baselines.evaluation.runner import drawn
 from research.lower_bounds.floor.filter import located
-from research.lower_bounds.floor.model import Model, has_floor
+from research.lower_bounds.floor.model import FloorModel, has_floor
 
 
 @pytest.mark.parametrize("name", ["slow-noise", "cruise-storm"])
@@ -37,7 +37,7 @@ def test_a_regression_over_all_measurements_finds_the_same(name):
     episodes = drawn(scenario, 1, 5).episodes
     (episode,), steps = episodes, scenario.steps
     problem, truth = Problem.of(scenario, episodes), Truth.of(scenario, episodes)
-    course = solved(problem, arriving(oracle_actions(scenario, episodes), problem.delay))
+    course = best_trajectory(problem, arriving(oracle_actions(scenario, episodes), problem.delay))
     p = Parameters.of([float(np.ravel(row)[0]) for row in leaves(truth.parameters)], scenario.parts)
     samples, stormy = truth.samples[..., 0], episode.waves is not None
     table = samples[:, :8]
@@ -96,14 +96,14 @@ def test_a_regression_over_all_measurements_finds_the_same(name):
         R = np.diag(np.tile(np.square(scenario.sensors.noise), k + 1))
         left = prior - prior @ H.T @ np.linalg.solve(H @ prior @ H.T + R, H @ prior)
         expected.append(np.trace(by_pose[k + 1, :2] @ left @ by_pose[k + 1, :2].T))
-    found = located(Model.of(scenario, episodes), [0], samples=4000)
+    found = located(FloorModel.of(scenario, episodes), [0], samples=4000)
     assert found.square[0] == pytest.approx(np.mean(expected), rel=1e-5)
     assert 0.8 * np.sqrt(found.square[0]) < found.tail[0] < np.sqrt(found.square[0])
 
 
 def test_the_errors_of_the_filter_are_as_large_as_it_says():
     scenario = PRESETS["cruise-storm"]
-    model = Model.of(replace(scenario, steps=60), drawn(scenario, 3, 11).episodes)
+    model = FloorModel.of(replace(scenario, steps=60), drawn(scenario, 3, 11).episodes)
     found = located(model, [1, 2, 3], samples=1)
     many = np.array([located(model, [3 * i, 3 * i + 1, 3 * i + 2], samples=1).tail for i in range(100)])
     np.testing.assert_allclose((many**2).mean(axis=0), found.square, rtol=0.2)
@@ -114,4 +114,4 @@ def test_without_noise_in_all_measurements_there_is_no_floor():
         *(f"{regime}-{case}" for regime in ("slow", "cruise") for case in ("noise", "storm"))
     ]
     with pytest.raises(ValueError, match="slow-calm has no floor"):
-        Model.of(PRESETS["slow-calm"], ())
+        FloorModel.of(PRESETS["slow-calm"], ())

@@ -15,29 +15,29 @@ from baselines.gains.loading import load_gains
 from baselines.tools.command_line import DONE, UsageError
 from baselines.tuning import command as tuning
 from baselines.tuning.objective import Result
-from baselines.tuning.search import EPISODES
+from baselines.tuning.search import TUNING_EPISODES
 from baselines.tuning.tunables import TUNABLES
 from research.results import front_files
 from research.results import fronts as page
 from research.results.collection import collected
-from research.results.front_files import SUITE, Front, Point, load_all, save
-from research.results.study_files import load_all as load_studies
+from research.results.front_files import FRONT_SUITE, Front, Point, load_fronts, save_front
+from research.results.study_files import load_studies
 from research.trainings import front
-from research.trainings.study import cells_of
-from research.trainings.trainings import SHIPPED, request_of
+from research.trainings.study import suite_cells
+from research.trainings.trainings import SHIPPED_TRAININGS, request_of
 from research.vehicles import priced
 
 
 def test_every_priced_gain_has_the_same_budget_and_was_made_by_its_command():
     """The same prices for every controller that has any, and nothing by hand."""
-    files = sorted(priced.FOLDER.glob("*.json"))
+    files = sorted(priced.PRICED_FOLDER.glob("*.json"))
     for file in files:
         record = json.loads(file.read_text(encoding="utf-8"))
         name, regime, price = record["policy"], record["regime"], record["price"]
         assert file == priced.priced_file(name, regime, price)
         assert price in priced.PRICES
-        assert (record["evaluations"], record["episodes"]) == (priced.EVALUATIONS, EPISODES)
-        options = f"--regime {regime} --price {price:g} --evaluations {priced.EVALUATIONS}"
+        assert (record["evaluations"], record["episodes"]) == (priced.PRICED_EVALUATIONS, TUNING_EPISODES)
+        options = f"--regime {regime} --price {price:g} --evaluations {priced.PRICED_EVALUATIONS}"
         assert record["command"] == f"auv-gym tune {name} {options}"
         assert record["start"] == pytest.approx(
             priced.priced_gains(name, regime, max(p for p in priced.prices_of(name, regime) if p < price))
@@ -58,7 +58,7 @@ def test_a_sweep_changes_the_weights_of_commands_alone():
 def test_tuning_with_a_price_begins_at_shipped_gains_or_those_of_a_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(tuning, "VALIDATION_EPISODES", 16)
-    monkeypatch.setattr(tuning.Course, "run", lambda *_: Result(1.0, {}, 0.0, 1.0, 1.0))
+    monkeypatch.setattr(tuning.TuningEpisodes, "run", lambda *_: Result(1.0, {}, 0.0, 1.0, 1.0))
     words = ["lqi", "--regime", "slow", "--evaluations", "0"]
     assert tuning.main([*words, "--price", "0.1"]) == DONE
     first = Path("runs/tune/lqi-slow-0.1.json")
@@ -74,16 +74,16 @@ def test_tuning_with_a_price_begins_at_shipped_gains_or_those_of_a_file(tmp_path
 @pytest.fixture
 def short(monkeypatch):
     """Let fronts run one short cell of two episodes."""
-    cell = cells_of(SUITE, "slow")[-1]
+    cell = suite_cells(FRONT_SUITE, "slow")[-1]
     cell = replace(cell, scenario=replace(cell.scenario, steps=30), episodes=cell.episodes[:3])
-    monkeypatch.setattr(front, "cells_of", lambda *_: [cell])
-    monkeypatch.setattr(priced, "FOLDER", front_files.FOLDER / "none")
+    monkeypatch.setattr(front, "suite_cells", lambda *_: [cell])
+    monkeypatch.setattr(priced, "PRICED_FOLDER", front_files.FRONTS_FOLDER / "none")
     return cell
 
 
 def test_points_of_a_controller_are_what_its_gains_do(short, tmp_path):
     assert front.main(["lqi", "--regime", "slow", "--episodes", "2", "--out", str(tmp_path)]) == DONE
-    (found,) = load_all(tmp_path)
+    (found,) = load_fronts(tmp_path)
     assert [point.label for point in found.points] == ["x 0.5", "x 1", "x 2", "x 4", "x 8"]
     assert [point.shipped for point in found.points] == [False, True, False, False, False]
     assert found.rows.effort[0] > found.rows.effort[-1]
@@ -98,16 +98,16 @@ def test_agents_are_trained_with_larger_weights_and_run(short, tmp_path, monkeyp
 
     def train(request):
         trained.append(request)
-        shutil.copytree(agent_folder("apg-slow"), request.folders[0] / front.AGENT)
+        shutil.copytree(agent_folder("apg-slow"), request.folders[0] / front.AGENT_FOLDER)
         return DONE
 
     monkeypatch.setattr(front, "train", train)
     words = ["apg-preview", "--regime", "slow", "--episodes", "2", "--timesteps", "1000"]
     assert front.main([*words, "--runs", str(tmp_path / "runs"), "--out", str(tmp_path / "out")]) == DONE
-    (found,) = load_all(tmp_path / "out")
-    assert [point.label for point in found.points] == ["shipped", *(f"{a:g}, {b:g}" for a, b in front.WEIGHTS)]
-    shipped = request_of(SHIPPED["apg-preview-slow"], tmp_path / "other").configs[0]
-    for request, (effort, rate) in zip(trained, front.WEIGHTS, strict=True):
+    (found,) = load_fronts(tmp_path / "out")
+    assert [point.label for point in found.points] == ["shipped", *(f"{a:g}, {b:g}" for a, b in front.FRONT_WEIGHTS)]
+    shipped = request_of(SHIPPED_TRAININGS["apg-preview-slow"], tmp_path / "other").configs[0]
+    for request, (effort, rate) in zip(trained, front.FRONT_WEIGHTS, strict=True):
         (config,) = request.configs
         changes = {"effort_weight": effort, "rate_weight": rate}
         assert config.hyperparameters == {**shipped.hyperparameters, **changes}
@@ -117,8 +117,8 @@ def test_agents_are_trained_with_larger_weights_and_run(short, tmp_path, monkeyp
 
 
 def test_weights_of_both_regimes_are_replaced():
-    both = replace(SHIPPED["apg-slow"], set=("effort_weight=0.1", "cruise_effort_weight=0.2", "n_envs=64"))
-    words = front.weighted(both, 0.5, 0.03, 1000).set
+    both = replace(SHIPPED_TRAININGS["apg-slow"], set=("effort_weight=0.1", "cruise_effort_weight=0.2", "n_envs=64"))
+    words = front.priced_training(both, 0.5, 0.03, 1000).set
     assert words == ("effort_weight=0.5", "cruise_effort_weight=0.5", "n_envs=64", "rate_weight=0.03")
 
 
@@ -141,7 +141,7 @@ def test_what_has_no_front(words, message):
 
 @pytest.fixture(scope="module")
 def benchmark():
-    return collected(SUITE)[0]
+    return collected(FRONT_SUITE)[0]
 
 
 def runs_of(results, policy, regime):
@@ -158,17 +158,17 @@ def three(benchmark):
 
 def test_files_give_back_fronts(three, tmp_path):
     for each in three:
-        save(each, tmp_path)
-    back = load_all(tmp_path)
+        save_front(each, tmp_path)
+    back = load_fronts(tmp_path)
     assert [(f.name, f.regime, f.points) for f in back] == [(f.name, f.regime, f.points) for f in reversed(three)]
     np.testing.assert_allclose(back[0].rows.tails[3], three[1].rows.tails[3], rtol=1e-6)
     old = replace(three[0], rows=replace(three[0].rows, hash="0" * 64))
-    save(old, tmp_path)
-    assert [f.regime for f in load_all(tmp_path)] == ["cruise"]
+    save_front(old, tmp_path)
+    assert [f.regime for f in load_fronts(tmp_path)] == ["cruise"]
 
 
 def test_a_lead_at_equal_effort_is_over_all_that_spend_as_much(benchmark, three):
-    text = page.section(three, benchmark, {})
+    text = page.fronts_section(three, benchmark, {})
     part = text.split("### At equal effort, slow")[1].split("### At equal effort, cruise")[0]
     rows = {cells[1]: cells for line in part.splitlines() if (cells := line.split(" | ")) and len(cells) == 9}
     rows = {
@@ -190,7 +190,7 @@ def test_a_lead_at_equal_effort_is_over_all_that_spend_as_much(benchmark, three)
     assert busy[2:4] == ["yes", "1 of 1"]
     assert busy[6] == "1 of 2"
     assert float(busy[4]) > 9
-    assert page.section([], benchmark, {}) == ""
+    assert page.fronts_section([], benchmark, {}) == ""
 
 
 def test_all_seeds_count_where_there_are_several(benchmark, three):
@@ -198,7 +198,7 @@ def test_all_seeds_count_where_there_are_several(benchmark, three):
     who = page.spenders(three, benchmark, studies, "cruise")
     (agent,) = who.agents["apg-preview-cruise"]
     assert [tail.shape for tail in agent.tails] == [(5, 260)] * 8
-    own = studies["apg-preview-cruise"].suites[SUITE]
+    own = studies["apg-preview-cruise"].suites[FRONT_SUITE]
     assert agent.error == pytest.approx(np.mean(own.capped()))
     fewer = replace(three[0], rows=replace(three[0].rows, tails=tuple(t[:, :9] for t in three[0].rows.tails)))
     with pytest.raises(ValueError, match="measure them with the same number"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from research.results.leads import KINDS, LEVEL, differences, holm, ratios
+from research.results.leads import COMPARISONS, LEVEL, differences, holm, ratios
 
 CASES = ("slow-calm", "slow-noise", "slow-storm")
 
@@ -39,7 +39,7 @@ def test_differences_are_those_of_scipy(tails):
 
 def test_ratios_by_direct_sums(tails):
     found, (rival, own) = ratios(*tails), joined(tails)
-    assert tuple(found) == KINDS
+    assert tuple(found) == COMPARISONS
     assert found["pooled"].value == pytest.approx(own.mean() / rival.mean())
     assert found["storm"].value == pytest.approx(own[:, 200:].mean() / rival[200:].mean())
     assert found["geometric mean"].value == pytest.approx(stats.gmean(own / rival, axis=None))
@@ -70,7 +70,7 @@ def test_seeds_that_differ_widen_every_interval(tails):
     rival, own = tails
     alike = {case: np.stack((tail[0],) * 3) for case, tail in own.items()}
     apart = {case: np.stack([factor * tail[0] for factor in (0.7, 1.0, 1.3)]) for case, tail in own.items()}
-    for kind in KINDS:
+    for kind in COMPARISONS:
         narrow, wide = (ratios(rival, each)[kind] for each in (alike, apart))
         assert np.log(wide.ci95[1] / wide.ci95[0]) > 1.5 * np.log(narrow.ci95[1] / narrow.ci95[0])
         assert wide.p > narrow.p

@@ -10,22 +10,22 @@ from browser import opened
 from auv_gym.codegen import native
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.rows import leaves
-from auv_gym.scenarios.exogenous import GUST_ROWS, GUSTS, MEASURED, NORMALS, SEA, Tape
+from auv_gym.scenarios.exogenous import GUST_ROWS, GUSTS, MEASUREMENT_NORMALS, NORMALS, SEA, Tape
 from auv_gym.scenarios.presets import REGIMES
 from auv_gym.task.simulation import SAMPLE_ROWS
 from baselines import make_policy
 from baselines.export.parts import exported
 from research.deployment.players import HeaderPolicy
 from research.site.live import page as live_page
-from research.site.live.data import STEPS, episode_of, path_of, scenario_of
-from research.site.live.page import LARGEST, links, write
+from research.site.live.data import LIVE_STEPS, episode_of, path_of, scenario_of
+from research.site.live.page import LARGEST_PAGE, links, write_page
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """The page as it is published."""
     made = tmp_path_factory.mktemp("live")
-    write(made)
+    write_page(made)
     return made
 
 
@@ -42,7 +42,7 @@ def bench_with_filters(browser, tmp_path_factory):
     made = tmp_path_factory.mktemp("filters")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(live_page, "page_agents", lambda: dict.fromkeys(("apg slow", "apg cruise"), exported("helm")))
-        write(made)
+        write_page(made)
     with opened(browser, bare(made, made)) as page:
         yield page
 
@@ -64,7 +64,7 @@ def episode_in_python(policy, regime, family, case, seed=1):
     observation, _ = env.reset(seed=0, options={"episode": episode})
     state = episode.initial_state(env._sample)
     samples, rows, memory = [env._sample], [], None
-    for _ in range(STEPS):
+    for _ in range(LIVE_STEPS):
         action, memory = policy.predict(observation, memory)
         observation, _, lost, _, info = env.step(action)
         samples.append(env._sample)
@@ -79,7 +79,7 @@ def differences(bench, page_name, policy, regime, family, case):
     """Return how far the page is from a policy in Python in an episode with the same samples, by what is compared."""
     samples, parameters, state, expected = episode_in_python(policy, regime, family, case)
     found = bench.evaluate("given => ENGINE.replay(...given)", [page_name, regime, family, samples, parameters, state])
-    assert len(expected) > (60 if page_name == "openLoop" else STEPS - 1)  # which may be lost
+    assert len(expected) > (60 if page_name == "openLoop" else LIVE_STEPS - 1)  # which may be lost
     return np.abs(np.array(found)[: len(expected)] - expected).max(axis=0)
 
 
@@ -125,7 +125,7 @@ def test_agents_are_those_of_the_header_even_where_they_amplify_every_rounding(b
 
 @pytest.mark.parametrize("regime", REGIMES)
 def test_the_pages_sea_is_that_of_the_tape(bench, regime):
-    path, normals = path_of(regime, "line"), np.random.default_rng(0).standard_normal((STEPS + 1, NORMALS))
+    path, normals = path_of(regime, "line"), np.random.default_rng(0).standard_normal((LIVE_STEPS + 1, NORMALS))
     scenario, episode = scenario_of(regime, "storm", path), episode_of(regime, "storm", path, 3)
 
     class Given(np.random.Generator):  # the same chance for both
@@ -136,10 +136,10 @@ def test_the_pages_sea_is_that_of_the_tape(bench, regime):
             self.row += len(out)
             return out
 
-    tape = Tape(1, STEPS + 1)
-    tape.load(0, scenario, episode, np.zeros((STEPS + 1, 8)) + np.array([0, 0, 0, 1, 0, 0, 0, 0]))
-    tape._drawn[0] = Given(np.random.PCG64(0)), MEASURED.start, GUSTS.stop
-    expected = tape.read((0,), STEPS + 1)[:, SEA, 0]
+    tape = Tape(1, LIVE_STEPS + 1)
+    tape.load(0, scenario, episode, np.zeros((LIVE_STEPS + 1, 8)) + np.array([0, 0, 0, 1, 0, 0, 0, 0]))
+    tape._drawn[0] = Given(np.random.PCG64(0)), MEASUREMENT_NORMALS.start, GUSTS.stop
+    expected = tape.read((0,), LIVE_STEPS + 1)[:, SEA, 0]
     run = """([weather, waves, normals, rows, gusts]) => {
         const gust = ENGINE.zeros(gusts), sea = ENGINE.zeros(rows);
         return normals.map((n) => (EQUATIONS.sea(gust, n, weather, waves, sea), [...sea]));
@@ -261,7 +261,7 @@ def test_it_fits_a_telephone_and_a_finger_drags(browser, folder, capsys):
 def test_all_files_are_small_and_ask_for_nothing(folder):
     files = {file.name: file.stat().st_size for file in folder.iterdir()}
     assert set(files) == {"index.html", "live.css", "equations.js", "data.js", "engine.js", "drawing.js", "page.js"}
-    assert sum(files.values()) < LARGEST
+    assert sum(files.values()) < LARGEST_PAGE
     page = Path(__file__).parents[2] / "docs" / "live.md"
     assert f"{sum(files.values()) / 1e6:.1f} MB in all" in page.read_text(encoding="utf-8")
     assert "http" not in (folder / "index.html").read_text(encoding="utf-8")

@@ -22,9 +22,18 @@ from baselines.tools.figure_style import to_png
 from research.results import residual as page
 from research.results import residual_file
 from research.results.residual_figure import residual_figure
-from research.results.residual_file import RESIDUAL, SCRATCH, SHIPPED, STUCK, Group, load, save, whole
+from research.results.residual_file import (
+    RESIDUAL_KIND,
+    SCRATCH,
+    SHIPPED_KIND,
+    STUCK,
+    ResidualGroup,
+    load_groups,
+    save_groups,
+    whole,
+)
 from research.robustness import situations
-from research.robustness.failures import FAILURES, LIMITS, Failing, Shuffled
+from research.robustness.failures import FAILURES, SATURATED, Failing, Shuffled
 from research.trainings import residual as command
 
 AFTER = 8  # control steps
@@ -138,7 +147,7 @@ def test_interval_of_a_share_is_that_of_the_beta_distribution(lost, episodes):
     assert share_interval(lost, episodes) == pytest.approx((low, high), abs=1e-9)
 
 
-def made(name="residual-0.5-cruise", kind=RESIDUAL, authority=0.5, seeds=5, episodes=6, **changes):
+def made(name="residual-0.5-cruise", kind=RESIDUAL_KIND, authority=0.5, seeds=5, episodes=6, **changes):
     """Return a group with errors of its own in every situation, the first episodes of each case lost when stuck."""
     rng = np.random.default_rng(len(name))
     shape = seeds, len(CASES), episodes
@@ -147,16 +156,16 @@ def made(name="residual-0.5-cruise", kind=RESIDUAL, authority=0.5, seeds=5, epis
     curve = np.array([[1e5 * k, 0.5 / (1 + k), 0.1] for k in range(11)])
     own = {s: tail.reshape(seeds, -1) for s, tail in tails.items()}
     entries = {"tails": own, "curves": (curve,) * seeds, "command": "python train.py", **changes}
-    return Group(name, "cruise", kind, authority, "2026-01-01", **entries)
+    return ResidualGroup(name, "cruise", kind, authority, "2026-01-01", **entries)
 
 
 @pytest.fixture(scope="module")
 def groups():
-    law = made("backstepping", SHIPPED, None, 1, curves=(), command="")
+    law = made("backstepping", SHIPPED_KIND, None, 1, curves=(), command="")
     tails = {s: tail for s, tail in law.tails.items() if s in situations.WORLDS}
     scratch = [made(f"scratch-{a}-cruise", SCRATCH, a) for a in (0.5, 1.0)]
     ends = [made(f"stuck-{a}", STUCK, a, 1, curves=(), command="") for a in (0.25, 1.0)]
-    stuck = [replace(group, tails={limit: group.tails[limit] for limit in LIMITS}) for group in ends]
+    stuck = [replace(group, tails={limit: group.tails[limit] for limit in SATURATED}) for group in ends]
     return [replace(law, tails=tails), made(), made("residual-2.0-cruise", authority=2.0), *scratch, *stuck]
 
 
@@ -181,9 +190,9 @@ def test_interval_of_one_policy_is_scipys(groups):
 
 def test_files_keep_groups_beside_the_others(groups, tmp_path):
     file = tmp_path / "residual.json"
-    save(groups[:2], file)
-    save([replace(groups[1], date="2026-02-02"), groups[2]], file)
-    found = {group.name: group for group in load(file)}
+    save_groups(groups[:2], file)
+    save_groups([replace(groups[1], date="2026-02-02"), groups[2]], file)
+    found = {group.name: group for group in load_groups(file)}
     assert set(found) == {group.name for group in groups[:3]}
     assert found[groups[1].name].date == "2026-02-02"
     for group in groups[:3]:
@@ -193,7 +202,7 @@ def test_files_keep_groups_beside_the_others(groups, tmp_path):
     assert whole(np.array([1.99999, 2.0, 0.01234]), "cruise") == [19999, 20000, 123]
     file.write_text("[1]", encoding="utf-8")
     with pytest.raises(ValueError, match="is damaged"):
-        load(file)
+        load_groups(file)
 
 
 def test_the_section_says_what_the_file_says(groups):
@@ -215,7 +224,7 @@ def test_the_section_says_what_the_file_says(groups):
     ("name", "situation"), [("apg-cruise", "stuck at -1"), ("apg-scratch-cruise", "held"), ("backstepping", "faster")]
 )
 def test_what_is_kept_is_what_they_do(name, situation):
-    kept = next(group for group in load() if (group.name, group.regime) == (name, "cruise"))
+    kept = next(group for group in load_groups() if (group.name, group.regime) == (name, "cruise"))
     again = situations.outcome(name, "cruise", situation, 1)
     first = kept.tails[situation].reshape(len(CASES), -1)[:, 0]
     np.testing.assert_allclose(again.tail, first, rtol=1e-3, atol=1e-4)
@@ -223,7 +232,7 @@ def test_what_is_kept_is_what_they_do(name, situation):
 
 def test_the_words_of_the_pages_are_true():
     """What the page of training says of shipped agents."""
-    lost = {group.name: {s: group.lost(s).mean() for s in group.tails} for group in load()}
+    lost = {group.name: {s: group.lost(s).mean() for s in group.tails} for group in load_groups()}
     for regime in ("slow", "cruise"):
         residual, scratch = lost[f"apg-{regime}"], lost[f"apg-scratch-{regime}"]
         assert scratch["dead"] == 1
@@ -235,7 +244,9 @@ def test_the_words_of_the_pages_are_true():
 
 def test_the_words_of_what_an_authority_bounds_are_true():
     """At cruise half of the limits is too much, with all of them hardly an episode is left."""
-    own = {(g.regime, g.authority): [g.lost(limit).mean() for limit in LIMITS] for g in load() if g.kind == STUCK}
+    own = {
+        (g.regime, g.authority): [g.lost(limit).mean() for limit in SATURATED] for g in load_groups() if g.kind == STUCK
+    }
     assert min(own["cruise", 0.5]) > 0.4
     assert max(own["cruise", 0.1]) < 0.02
     assert max(own["slow", 0.4]) == 0
@@ -244,44 +255,44 @@ def test_the_words_of_what_an_authority_bounds_are_true():
 
 def test_the_words_of_the_study_are_true():
     """Seeds from scratch lie on both sides of those with an expert; when they have caught up."""
-    own = [group for kind in page.SHOWN for group in page.of(load(), "cruise", kind)]
+    own = [group for kind in page.SHOWN for group in page.of(load_groups(), "cruise", kind)]
     shown = {group.kind: group for group in own if group.authority == page.SHOWN[group.kind]}
     errors = {kind: group.tails["as trained"].mean(axis=1) for kind, group in shown.items()}
     assert {len(seeds) for seeds in errors.values()} == {command.SEEDS}
-    assert errors[SCRATCH].min() < errors[RESIDUAL].min() < errors[RESIDUAL].max() < errors[SCRATCH].max()
+    assert errors[SCRATCH].min() < errors[RESIDUAL_KIND].min() < errors[RESIDUAL_KIND].max() < errors[SCRATCH].max()
     (early, lost), (late, _) = (page.at(shown[SCRATCH], steps) for steps in (1e5, 4e5))
     assert lost.min() > 0.99
-    assert early.mean() > 5 * page.at(shown[RESIDUAL], 1e5)[0].mean()
-    assert late.mean() < 1.2 * page.at(shown[RESIDUAL], 4e5)[0].mean()
+    assert early.mean() > 5 * page.at(shown[RESIDUAL_KIND], 1e5)[0].mean()
+    assert late.mean() < 1.2 * page.at(shown[RESIDUAL_KIND], 4e5)[0].mean()
 
 
 def test_a_second_call_measures_nothing_again(tmp_path, capsys):
     words = ["backstepping", "--episodes", "1", "--jobs", "1", "--out", str(tmp_path)]
     assert command.main(words) == 0
-    file = tmp_path / SHIPPED / "backstepping-cruise.json"
+    file = tmp_path / SHIPPED_KIND / "backstepping-cruise.json"
     record = json.loads(file.read_text(encoding="utf-8"))
     record["tails"]["faster"][0] = 4321
     file.write_text(json.dumps(record), encoding="utf-8")
     assert "measured: backstepping, cruise" in capsys.readouterr().err
     assert command.main(words) == 0
     assert "measured" not in capsys.readouterr().err
-    kept = {group.regime: group for group in load(tmp_path / "residual.json")}
+    kept = {group.regime: group for group in load_groups(tmp_path / "residual.json")}
     assert kept["cruise"].tails["faster"][0, 0] == pytest.approx(0.4321)
     assert kept["slow"].tails["faster"].shape == (1, len(CASES))
 
 
 def test_what_is_kept_of_policies_is_of_those_that_ship():
-    kept = [group for group in load() if group.kind in (SHIPPED, STUCK)]
-    assert {group.name for group in kept if group.kind == SHIPPED} == set(command.POLICIES)
+    kept = [group for group in load_groups() if group.kind in (SHIPPED_KIND, STUCK)]
+    assert {group.name for group in kept if group.kind == SHIPPED_KIND} == set(command.POLICIES)
     for group in kept:
-        policy = group.name if group.kind == SHIPPED else EXPERT
+        policy = group.name if group.kind == SHIPPED_KIND else EXPERT
         assert group.fingerprint == fingerprint(policy), f"run {command.PROGRAM} {group.name}, then make results"
 
 
 def test_seeds_that_are_not_finished_are_left_out(tmp_path, capsys):
     assert command.main(["residual-0.5-cruise", "--finished", "--episodes", "1", "--out", str(tmp_path)]) == 0
     assert capsys.readouterr().out == f"written: {tmp_path / 'residual.json'}\n"
-    assert load(tmp_path / "residual.json") == []
+    assert load_groups(tmp_path / "residual.json") == []
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from baselines import list_policies
 from baselines.agents.names import agent_folder
 from baselines.evaluation import recorded
 from research import pages
-from research.lower_bounds.floor.command import floor_of, kept
+from research.lower_bounds.floor.command import floor_of, recorded_floors
 from research.results import collection, overview
 from research.results.collection import ROUNDING, SUITES, TOLERANCE, Results, better_than, collected
 from research.results.left import what_is_left
@@ -55,7 +55,7 @@ def test_nobody_is_better_than_the_bound(suites):
 
 def test_nobody_is_below_the_floor(benchmark):
     """No policy that has to measure, in the mean of any case with noise; by the files alone, and as the page has it."""
-    floors = kept(benchmark.suite.source[1])
+    floors = recorded_floors(benchmark.suite.source[1])
     assert set(floors) == {f"{regime}-{case}" for regime in ("slow", "cruise") for case in ("noise", "storm")}
     for case, floor in floors.items():
         assert floor.episodes == 260
@@ -74,7 +74,7 @@ def test_nobody_is_below_the_floor(benchmark):
 
 def test_the_floor_of_single_episodes_is_what_is_kept(benchmark):
     cell = next(cell for cell in benchmark.suite.cells if cell.scenario.name == "cruise-noise")
-    floor = kept(benchmark.suite.source[1])["cruise-noise"]
+    floor = recorded_floors(benchmark.suite.source[1])["cruise-noise"]
     again = floor_of(cell.scenario, cell.episodes[: len(floor.first_m)])
     np.testing.assert_allclose(again.tail, floor.first_m, rtol=1e-3)
 
@@ -142,15 +142,17 @@ def test_an_oracle_that_is_worse_is_found(benchmark):
 
 
 def test_a_suite_without_the_oracle_is_missing(monkeypatch):
-    whole = collection.recorded.load(collection.suites.load("benchmark-v1"))
+    whole = collection.recorded.load_recorded(collection.suites.load_suite("benchmark-v1"))
     few = replace(whole, runs=tuple(run for run in whole.runs if run.policy != "oracle"))
-    monkeypatch.setattr(collection.recorded, "load", lambda _: few)
+    monkeypatch.setattr(collection.recorded, "load_recorded", lambda _: few)
     assert collected("benchmark-v1") == (None, {})
 
 
 def test_the_summary_is_the_mean_of_the_rows():
     """One row, from its file."""
-    tails = np.load(found(recorded.FOLDER, "benchmark-v1/nmpc.npz"))["measures"][1].astype(float).reshape(2, -1)
+    tails = (
+        np.load(found(recorded.RECORDED_FOLDER, "benchmark-v1/nmpc.npz"))["measures"][1].astype(float).reshape(2, -1)
+    )
     text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
     cells = re.search(r"^\| `nmpc` \| (.*) \|$", text, re.MULTILINE)[1].split(" | ")
     assert [cell.split(" (")[0] for cell in cells[:2]] == [f"{1e3 * tail.mean():.3g}" for tail in tails]

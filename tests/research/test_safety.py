@@ -20,7 +20,7 @@ from auv_gym.task.observation import Observation, encode_observation
 from baselines import make_policy
 from baselines.agents import guard
 from baselines.agents.agent import Agent
-from baselines.agents.guard import ALARMS, LEFT, MEAN, SHARE, Guarded, Thresholds, bounded_law
+from baselines.agents.guard import ALARMS, GUARD_SHARE, LEFT, MEAN, Guarded, Thresholds, bounded_law
 from baselines.agents.names import agent_folder, bare_name, guarded_name
 from baselines.control.backstepping import GAINS, lyapunov_terms
 from baselines.evaluation import recorded, suites
@@ -86,7 +86,7 @@ def test_unequal_chances_only_make_it_safer():
 def test_failures_are_counted_and_counting_goes_on(tmp_path, monkeypatch, capsys):
     """Open loop drifts away: the counts are those of the episodes run here one by one; more are added to them."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(failure_rate, "AT_ONCE", 3)
+    monkeypatch.setattr(failure_rate, "_AT_ONCE", 3)
     arguments = ["open-loop", "--scenario", "slow-current", "--out", "counts.json"]
     assert run(failure_rate.main, failure_rate.PROGRAM, [*arguments, "--episodes", "4"]) == 0
     scenario = PRESETS["slow-current"]
@@ -94,12 +94,12 @@ def test_failures_are_counted_and_counting_goes_on(tmp_path, monkeypatch, capsys
     lost = losses(measures, 0.6)
     assert lost > 0
     assert f"{lost} of 4 lost, at most" in capsys.readouterr().out
-    (count,) = failure_rate.kept(Path("counts.json"))["open-loop"]["counts"].values()
+    (count,) = failure_rate.failure_counts(Path("counts.json"))["open-loop"]["counts"].values()
     assert (count["episodes"], count["lost"]) == (4, lost)
-    monkeypatch.setattr(failure_rate, "counted", lambda _, __, first, episodes: (episodes, 0, 1e3 + first))
+    monkeypatch.setattr(failure_rate, "_counted", lambda _, __, first, episodes: (episodes, 0, 1e3 + first))
     assert run(failure_rate.main, failure_rate.PROGRAM, [*arguments, "--episodes", "6"]) == 0
     assert f"{lost} of 6 lost" in capsys.readouterr().out
-    (count,) = failure_rate.kept(Path("counts.json"))["open-loop"]["counts"].values()
+    (count,) = failure_rate.failure_counts(Path("counts.json"))["open-loop"]["counts"].values()
     assert count["largest_tail_m"] == 1004.0  # the new ones began at the fourth
     record = json.loads(Path("counts.json").read_text(encoding="utf-8"))
     record["open-loop"]["fingerprint"] = "another"
@@ -162,7 +162,7 @@ def test_energy_is_the_laws_in_its_own_units():
 def test_nothing_happens_where_nothing_is_wrong():
     for action, own in watched([observed(e_x=0.5 * math.exp(-0.02 * k), a_r=1.0) for k in range(100)]):
         np.testing.assert_array_equal(action, np.float32([0.5, -0.5]))
-        assert (own[ALARMS], own[SHARE], own[LEFT]) == (0, 1, 0)
+        assert (own[ALARMS], own[GUARD_SHARE], own[LEFT]) == (0, 1, 0)
 
 
 def test_error_that_grows_is_an_alarm_and_the_other_one_takes_over_smoothly():
@@ -171,12 +171,12 @@ def test_error_that_grows_is_an_alarm_and_the_other_one_takes_over_smoothly():
     found = watched([observed(e_x=0.1 * k) for k in range(200)])
     first = next(k for k, (_, own) in enumerate(found) if own[ALARMS])
     assert (rate * 0.1 * first) ** 2 > t.most > (rate * 0.1 * (first - 1)) ** 2
-    shares = [own[SHARE] for _, own in found[first : first + 10]]
+    shares = [own[GUARD_SHARE] for _, own in found[first : first + 10]]
     assert all(0 <= a - b <= 0.1 * rate / t.take + 1e-9 for a, b in itertools.pairwise(shares))
     for action, own in found:
-        expected = np.float32([0.5, -0.5]) * own[SHARE] + np.float32([-1.0, 1.0]) * (1 - own[SHARE])
+        expected = np.float32([0.5, -0.5]) * own[GUARD_SHARE] + np.float32([-1.0, 1.0]) * (1 - own[GUARD_SHARE])
         np.testing.assert_allclose(action, expected, atol=1e-6)
-    assert found[first + 10][1][SHARE] == 0
+    assert found[first + 10][1][GUARD_SHARE] == 0
     np.testing.assert_array_equal(found[first + 10][0], np.float32([-1.0, 1.0]))
 
 
@@ -243,7 +243,7 @@ def test_guard_whose_fallback_has_acted_is_the_fallback_bit_for_bit():
     for _ in range(60):
         action, state = eager.predict(observation, state)
         alone, memory = law.predict(observation[:18], memory)
-        if state[0][0, SHARE] == 0:
+        if state[0][0, GUARD_SHARE] == 0:
             np.testing.assert_array_equal(action, alone)
             taken += 1
         observation, *_ = env.step(action)
@@ -253,12 +253,17 @@ def test_guard_whose_fallback_has_acted_is_the_fallback_bit_for_bit():
 def test_helm_loses_no_recorded_episode_that_the_expert_keeps():
     """From the files alone: the second row is the tail, the last one says who ended far away; slow cells come first."""
     lost = 0
-    for suite in (name for name in recorded.SUITES if name != "vehicles-v1"):  # it has learned the paper's vehicle
-        rows = [np.load(found(recorded.FOLDER, f"{suite}/{name}.npz"))["measures"] for name in ("helm", "backstepping")]
+    for suite in (
+        name for name in recorded.RECORDED_SUITES if name != "vehicles-v1"
+    ):  # it has learned the paper's vehicle
+        rows = [
+            np.load(found(recorded.RECORDED_FOLDER, f"{suite}/{name}.npz"))["measures"]
+            for name in ("helm", "backstepping")
+        ]
         half = rows[0].shape[1] // 2
         caps = np.full(2 * half, 5.0) if suite == "deep-v1" else np.repeat([0.6, 2.0], half)
         mine, its = ((own[-1] > 0) | ~(own[1] < caps) for own in rows)
-        assert kept.versus_expert(_Recorded(suites.load(suite)), "helm")[0] == (mine & ~its).sum()
+        assert kept.versus_expert(_Recorded(suites.load_suite(suite)), "helm")[0] == (mine & ~its).sum()
         lost += (mine & ~its).sum()
     assert lost == 0
 
@@ -267,7 +272,10 @@ class _Recorded:
     """What is recorded of a suite, as the pages have it."""
 
     def __init__(self, suite):
-        self.suite, self.runs = suite, [r for name in ("helm", "backstepping") for r in recorded.read(suite, name)]
+        self.suite, self.runs = (
+            suite,
+            [r for name in ("helm", "backstepping") for r in recorded.read_recorded(suite, name)],
+        )
 
 
 # --- seas ---
@@ -316,13 +324,13 @@ def test_crossing_lies_between_what_is_kept_and_what_is_lost():
 def test_search_finds_a_sea_that_loses_the_policy_and_writes_it(tmp_path, monkeypatch, capsys):
     """Open loop is lost in next to nothing; a sea of half that severity along the same direction does not lose it."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(falsification, "POPULATION", 4)
-    monkeypatch.setattr(falsification, "FIRST", (0.01, 0.1, 1.0, 3.0))
+    monkeypatch.setattr(falsification, "_POPULATION", 4)
+    monkeypatch.setattr(falsification, "_FIRST", (0.01, 0.1, 1.0, 3.0))
     monkeypatch.setattr(falsification, "CONFIRMED", 4)
     given = ["backstepping", "--regime", "cruise", "--sea", "storm", "--generations", "1", "--out", "seas"]
     assert run(falsification.main, falsification.PROGRAM, given) == 0
     assert "severity" in capsys.readouterr().out
-    (entry,) = falsification.kept(Path("seas/seas.json")).values()
+    (entry,) = falsification.found_seas(Path("seas/seas.json")).values()
     scenario = Scenario.load("seas/cruise-storm-that-loses-backstepping.toml")
     again = rollout(make_policy("backstepping"), scenario, drawn(scenario, 4, FALSIFICATION.end - 4).episodes).measures
     assert losses(again, 2.0) == entry["lost"] >= 2
@@ -331,7 +339,7 @@ def test_search_finds_a_sea_that_loses_the_policy_and_writes_it(tmp_path, monkey
     )
 
 
-FOUND = falsification.kept()
+FOUND = falsification.found_seas()
 
 
 @pytest.mark.parametrize("name", FOUND)
@@ -340,7 +348,7 @@ def test_kept_seas_lose_whom_they_should(name):
     assert entry["fingerprint"] == fingerprint(entry["policy"]), f"run {falsification.PROGRAM} {entry['policy']} again"
     if entry["severity"] is None:
         pytest.fail("a search that found nothing is not to be kept as a sea")
-    scenario = Scenario.load(falsification.FOLDER / f"{name}.toml")
+    scenario = Scenario.load(falsification.SEAS_FOLDER / f"{name}.toml")
     seed = FALSIFICATION.end - falsification.CONFIRMED
     if entry["policy"] != "nmpc":  # which takes its time
         measures = rollout(make_policy(entry["policy"]), scenario, drawn(scenario, 8, seed).episodes).measures
@@ -350,7 +358,7 @@ def test_kept_seas_lose_whom_they_should(name):
 
 
 def test_rows_are_of_what_acts_now():
-    for policy, own in failure_rate.kept().items():
+    for policy, own in failure_rate.failure_counts().items():
         assert own["fingerprint"] == fingerprint(policy), f"run {failure_rate.PROGRAM} {policy} again"
-    for policy, rows in read_json(guards.FILE)["suites"].items():
+    for policy, rows in read_json(guards.GUARDS_FILE)["suites"].items():
         assert rows["fingerprint"] == fingerprint(f"{policy}:guard"), f"run {guards.PROGRAM} --policy {policy} again"

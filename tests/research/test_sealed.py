@@ -19,7 +19,7 @@ def empty(monkeypatch, tmp_path):
     file = tmp_path / "seals.json"
     file.write_text("{}")
     monkeypatch.setattr(sealed, "SEALS", file)
-    monkeypatch.setattr(suites, "save", partial(suites.save, folder=tmp_path))
+    monkeypatch.setattr(suites, "save_suite", partial(suites.save_suite, folder=tmp_path))
     return tmp_path
 
 
@@ -34,16 +34,16 @@ def test_from_a_seal_to_a_suite(empty, capsys, monkeypatch):
     assert main(["open", "sealed-v1", "--secret", secret + "?"]) != DONE
     assert "not the secret" in capsys.readouterr().err
     assert main(["open", "sealed-v1", "--secret", secret]) == DONE
-    suite = suites.load("sealed-v1", empty)
-    assert [cell.scenario for cell in suite.cells] == [s for s, _ in sealed.worlds(**sealed.FIRST)]
+    suite = suites.load_suite("sealed-v1", empty)
+    assert [cell.scenario for cell in suite.cells] == [s for s, _ in sealed.sealed_worlds(**sealed.FIRST)]
     again = builder.build("sealed-v1")
     assert all(a.episodes == b.episodes for a, b in zip(suite.cells, again, strict=True))
 
 
 def test_a_seal_is_not_replaced(empty):
-    sealed.keep("sealed-v1", sealed.Seal(sealed.sha256("one")))
+    sealed.write_seal("sealed-v1", sealed.Seal(sealed.sha256("one")))
     with pytest.raises(SuiteError, match="sealed already"):
-        sealed.keep("sealed-v1", sealed.Seal(sealed.sha256("two")))
+        sealed.write_seal("sealed-v1", sealed.Seal(sealed.sha256("two")))
 
 
 @pytest.mark.parametrize(
@@ -77,8 +77,8 @@ def slew_time(scenario):
 
 
 def test_the_first_suite_has_the_worlds_that_it_was_opened_with():
-    known, now = ([s for s, _ in sealed.worlds(**changes)] for changes in (sealed.FIRST, {}))
-    assert [cell.scenario for cell in suites.load("sealed-v1").cells] == known
+    known, now = ([s for s, _ in sealed.sealed_worlds(**changes)] for changes in (sealed.FIRST, {}))
+    assert [cell.scenario for cell in suites.load_suite("sealed-v1").cells] == known
     slewing = {f"{regime}-{name}" for regime in REGIMES for name in ("slew", "all-at-once")}
     assert {s.name for s in known if s not in now} == {"cruise-beyond", *slewing}
 
@@ -87,8 +87,8 @@ def test_every_world_has_something_that_training_never_draws():
     """A speed, a length, a rate limit, an outage, a start or a hull that no mixture has."""
     trained = [scenario for mixture in MIXTURES.values() for scenario, _ in mixture]
     speeds = [s.path.speed for s in trained]
-    assert all(s.mismatch is None or s.mismatch.mass[0] > sealed.HULL[0] for s in trained)
-    for scenario, _ in sealed.worlds():
+    assert all(s.mismatch is None or s.mismatch.mass[0] > sealed.MASS_SHARES[0] for s in trained)
+    for scenario, _ in sealed.sealed_worlds():
         low, high = scenario.path.speed
         other = {
             "speed": all(high <= a or b <= low for a, b in speeds),
@@ -97,6 +97,6 @@ def test_every_world_has_something_that_training_never_draws():
             "outages": scenario.sensors.outages > 0
             and all(scenario.sensors.outage_time[0] >= s.sensors.outage_time[1] for s in trained if s.sensors.outages),
             "start": all(scenario.start.x_e[1] > s.start.x_e[1] for s in trained),
-            "hull": scenario.mismatch.mass == sealed.HULL,
+            "hull": scenario.mismatch.mass == sealed.MASS_SHARES,
         }
         assert any(other.values()), scenario.name

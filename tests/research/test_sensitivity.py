@@ -16,10 +16,10 @@ from baselines.evaluation.rollout import beginning, play
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.tools.command_line import run
 from research.sensitivity import command, extrapolation, model_error
-from research.sensitivity.adaptation import EPISODES, back, course_of, followed, lengths_of, windows
-from research.sensitivity.changes import BEFORE, CHANGES, EVERYWHERE, LENGTHS, Trial
+from research.sensitivity.adaptation import ADAPTATION_EPISODES, back, course_of, followed, lengths_of, windows
+from research.sensitivity.changes import BEFORE, CHANGES, EVERYWHERE, LENGTHS, ChangeTrial
 from research.sensitivity.episodes import acting, episodes_of
-from research.sensitivity.page import context, load, ratio_of
+from research.sensitivity.page import context, load_sensitivity, ratio_of
 
 
 def changing(scenario, n=2):
@@ -61,7 +61,7 @@ def test_a_vehicle_that_changes_moves_as_the_other_one_from_then_on():
 
 
 def test_other_water_begins_without_a_jump_of_the_vehicle():
-    still = Trial.of("cruise", "noise", 2).scenario
+    still = ChangeTrial.of("cruise", "noise", 2).scenario
     env, episodes = changing(still)
     env.step(np.zeros((2, 2), dtype=np.float32))
     before, current = env.state, env.current
@@ -90,7 +90,7 @@ def test_errors_are_means_over_the_way():
 
 @pytest.mark.parametrize("regime", ["slow", "cruise"])
 def test_every_episode_goes_far_enough(regime):
-    places = lengths_of(Trial.of(regime, "storm", EPISODES))
+    places = lengths_of(ChangeTrial.of(regime, "storm", ADAPTATION_EPISODES))
     assert places[-1].min() >= LENGTHS
     assert all((places == j).any(axis=0).all() for j in range(LENGTHS))
 
@@ -113,7 +113,7 @@ def test_a_course_that_decays_is_back_where_it_says():
 
 def test_a_change_at_the_start_and_on_the_way_lead_to_the_same():
     """A law without memory forgets what was before; only the vehicle's own motion has to settle."""
-    trial = Trial.of("cruise", "noise", 2)
+    trial = ChangeTrial.of("cruise", "noise", 2)
     errors, lost = followed("backstepping", trial, 2.0)
     late, always = errors["fouling"][-10:], errors["always fouling"][-10:]
     np.testing.assert_allclose(late, always, atol=5e-3)
@@ -124,7 +124,7 @@ def test_a_change_at_the_start_and_on_the_way_lead_to_the_same():
 
 
 def test_stretched_storms_differ_in_one_thing():
-    scenarios = extrapolation.scenarios_of("cruise", extrapolation.PARAMETERS["mass"])
+    scenarios = extrapolation.stretched_storms("cruise", extrapolation.STRETCHED["mass"])
     first, last = (episodes_of(scenario, 2)[1] for scenario in (scenarios[0], scenarios[-1]))
     assert (first.path, first.waves, first.noise_seed, first.lag) == (last.path, last.waves, last.noise_seed, last.lag)
     assert last.vehicle.m11 / first.vehicle.m11 == pytest.approx(3.0 / 0.4)
@@ -150,8 +150,8 @@ def few(monkeypatch):
     """Make the measurement short: two cases, two models, one size."""
     whole = model_error.cells_of
     monkeypatch.setattr(model_error, "cells_of", lambda regime, n: [whole(regime, n)[i] for i in (0, 1)])
-    monkeypatch.setattr(model_error, "HULLS", 2)
-    monkeypatch.setattr(model_error, "SIZES", (0.6,))
+    monkeypatch.setattr(model_error, "_HULLS", 2)
+    monkeypatch.setattr(model_error, "ERROR_SIZES", (0.6,))
 
 
 def test_a_policy_that_does_not_use_its_model_loses_nothing(few, tmp_path):
@@ -180,9 +180,9 @@ def test_ratio_of_paired_errors():
 
 
 def test_command_in_a_quick_form(tmp_path, capsys, monkeypatch):
-    lag, speed = extrapolation.PARAMETERS["lag"], extrapolation.SPEEDS["cruise"]
-    monkeypatch.setattr(extrapolation, "PARAMETERS", {"lag": lag._replace(values=(0.2, 0.4))})
-    monkeypatch.setattr(extrapolation, "SPEEDS", {"cruise": speed._replace(values=(1.0, 2.0))})
+    lag, speed = extrapolation.STRETCHED["lag"], extrapolation.STRETCHED_SPEEDS["cruise"]
+    monkeypatch.setattr(extrapolation, "STRETCHED", {"lag": lag._replace(values=(0.2, 0.4))})
+    monkeypatch.setattr(extrapolation, "STRETCHED_SPEEDS", {"cruise": speed._replace(values=(1.0, 2.0))})
     arguments = ["--policy", "helm", "backstepping", "--regime", "cruise", "--episodes", "6", "--out", str(tmp_path)]
     parts = ["--part", "adaptation", "extrapolation"]
     assert run(command.main, command.PROGRAM, arguments + parts) == 0
@@ -191,7 +191,9 @@ def test_command_in_a_quick_form(tmp_path, capsys, monkeypatch):
     assert "## Sensitivity to model error" not in page
     for part in ("adaptation", "extrapolation"):
         assert (tmp_path / "images" / f"sensitivity-{part}-cruise.png").stat().st_size > 10_000
-    assert set(load(tmp_path)) == set(itertools.product(("adaptation", "extrapolation"), ("backstepping", "helm")))
+    assert set(load_sensitivity(tmp_path)) == set(
+        itertools.product(("adaptation", "extrapolation"), ("backstepping", "helm"))
+    )
     assert "adaptation: helm, cruise" in capsys.readouterr().out
 
 
@@ -215,9 +217,9 @@ def test_wrong_usage(arguments, says, capsys):
 @pytest.mark.parametrize(("policy", "at"), [("backstepping", 2), ("helm", 1)])
 def test_kept_errors_are_those_of_today(policy, at):
     """The first episodes of one value of one parameter, run again."""
-    kept = load(command.FOLDER)["extrapolation", policy]["cruise"]["parameters"]["noise"]
-    parameter = extrapolation.PARAMETERS["noise"]._replace(values=extrapolation.PARAMETERS["noise"].values[at : at + 1])
-    scenario = extrapolation.scenarios_of("cruise", parameter)[0]
+    kept = load_sensitivity(command.SENSITIVITY_FOLDER)["extrapolation", policy]["cruise"]["parameters"]["noise"]
+    parameter = extrapolation.STRETCHED["noise"]._replace(values=extrapolation.STRETCHED["noise"].values[at : at + 1])
+    scenario = extrapolation.stretched_storms("cruise", parameter)[0]
     errors = np.zeros((scenario.steps, 3))
     policy = acting(policy, scenario.vehicle)
     begun = beginning([(scenario, episodes_of(scenario, 3))], getattr(policy, "preview", ()))
@@ -229,9 +231,9 @@ def test_kept_errors_are_those_of_today(policy, at):
 
 def test_kept_errors_of_wrong_models_are_those_of_today():
     """Three episodes in still water, with the true model and the first wrong one."""
-    kept = load(command.FOLDER)["model_error", "helm-any"]["cruise"]
-    cell = model_error.cells_of("cruise", model_error.KEPT)[0]
-    way, size = model_error.WAYS["ratios"], model_error.SIZES[-1]
+    kept = load_sensitivity(command.SENSITIVITY_FOLDER)["model_error", "helm-any"]["cruise"]
+    cell = model_error.cells_of("cruise", model_error.KEPT_EPISODES)[0]
+    way, size = model_error.WAYS["ratios"], model_error.ERROR_SIZES[-1]
     first = model_error.wrong(cell.scenario.vehicle, model_error.mistakes(0), size, way)
     there = SideBySide([cell])
     for vehicle, errors in (

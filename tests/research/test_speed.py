@@ -4,11 +4,11 @@ import pytest
 
 from baselines.tools.files import read_json
 from research.throughput.figures import faster, takes, written
-from research.throughput.page import FILE, row
+from research.throughput.page import THROUGHPUT_FILE, row
 
 
 def test_what_is_kept_was_measured_in_full():
-    record = read_json(FILE)
+    record = read_json(THROUGHPUT_FILE)
     assert not record["quick"]
     assert record["steps_per_second"]
 

@@ -13,10 +13,10 @@ from baselines.agents.networks import Gru
 from baselines.evaluation.score import EXPERT, ORACLE, lead, score, seeds_score
 from baselines.tools.command_line import parse, run
 from baselines.training.options import Options
-from baselines.training.run_folder import AGENT, PROGRESS
+from baselines.training.run_folder import AGENT_FOLDER, PROGRESS
 from research.results import studies as study_page
 from research.results.collection import collected
-from research.results.study_files import InSuite, Study, load_all, save
+from research.results.study_files import InSuite, Study, load_studies, save_study
 from research.trainings import study
 from research.trainings.trainings import request_of, training
 
@@ -71,8 +71,8 @@ def test_seeds_that_differ_widen_the_interval(results, made):
 
 
 def test_files_give_back_what_they_were_given(made, tmp_path):
-    save("a", made, tmp_path)
-    back = load_all(tmp_path)["a"]
+    save_study("a", made, tmp_path)
+    back = load_studies(tmp_path)["a"]
     assert (back.about, back.regime, back.command, back.date) == (made.about, made.regime, made.command, made.date)
     np.testing.assert_array_equal(back.curves, made.curves)
     before, after = made.suites[SUITE], back.suites[SUITE]
@@ -85,13 +85,13 @@ def test_files_give_back_what_they_were_given(made, tmp_path):
 
 def test_what_was_measured_on_another_suite_does_not_count(made, tmp_path):
     old = replace(made, suites={SUITE: replace(made.suites[SUITE], hash="0" * 64)})
-    save("a", old, tmp_path)
-    assert load_all(tmp_path)["a"].suites == {}
+    save_study("a", old, tmp_path)
+    assert load_studies(tmp_path)["a"].suites == {}
 
 
 def test_section_has_a_row_for_each_agent_and_its_curves(results, made, monkeypatch):
     monkeypatch.setattr(study_page, "RIVAL", "lqi")
-    text = study_page.section({"mine": made}, [results])
+    text = study_page.studies_section({"mine": made}, [results])
     (row,) = [line for line in text.splitlines() if line.startswith("| `mine`")]
     cells = [cell.strip() for cell in row.strip("|").split("|")]
     expert, oracle, lqi = (tails(results, p) for p in (EXPERT, ORACLE, "lqi"))
@@ -108,7 +108,7 @@ def test_section_has_a_row_for_each_agent_and_its_curves(results, made, monkeypa
     assert list(study_page.figures_of({"mine": made, "short-it": made})) == [
         f"results-{kind}-{REGIME}.png" for kind in ("learning", "short")
     ]
-    assert study_page.section({}, [results]) == ""
+    assert study_page.studies_section({}, [results]) == ""
 
 
 def test_a_policy_that_failed_is_no_result(results):
@@ -123,10 +123,10 @@ def test_trained_agents_are_run_on_the_cells_of_their_regime(tmp_path, monkeypat
     zeros = {name: np.zeros(shape, np.float32) for name, shape in network.shapes.items()}
     folders = [tmp_path / f"seed-{i}" for i in range(2)]
     for folder in folders:
-        Agent(network, zeros, "backstepping", (0.3, 0.3)).save(folder / AGENT)
+        Agent(network, zeros, "backstepping", (0.3, 0.3)).save(folder / AGENT_FOLDER)
         (folder / PROGRESS).write_text("timesteps,seconds,score\n10,1.0,0.5\n20,2.0,\n30,3.0,0.7\n")
-    few = [replace(cell, episodes=cell.episodes[:2]) for cell in study.cells_of(SUITE, REGIME)[:2]]
-    monkeypatch.setattr(study, "cells_of", lambda suite, regime: few)
+    few = [replace(cell, episodes=cell.episodes[:2]) for cell in study.suite_cells(SUITE, REGIME)[:2]]
+    monkeypatch.setattr(study, "suite_cells", lambda suite, regime: few)
     variant = study.Variant("A test.", REGIME, training("apg", REGIME), (SUITE,))
     request = SimpleNamespace(folders=folders, command="python train.py")
     found = study.studied(variant, request, 1)

@@ -22,11 +22,11 @@ from baselines.evaluation.report.numbers import compare, pool
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Cell, drawn, run_all
 from baselines.evaluation.score import BY_BOUND, BY_ORACLE
-from baselines.evaluation.suites.yardsticks import FILE, keep, kept
+from baselines.evaluation.suites.yardsticks import YARDSTICKS_FILE, recorded_yardsticks, write_yardsticks
 from baselines.tools.command_line import UsageError
 from baselines.tools.files import read_json, versions
 from research.suites import sealed
-from research.suites.builder import FAMILIES, OLDEST, SHARED, SUITES, anchors_of, build
+from research.suites.builder import BUILDERS, FAMILIES, OLDEST, SHARED, anchors_of, build
 from research.suites.command import main
 
 NAMES = suites.list_suites()
@@ -38,40 +38,40 @@ OWN = [name for name in NAMES if name not in SHARED]
 def small(tmp_path_factory):
     """A folder with a suite of two cells, three episodes each."""
     folder = tmp_path_factory.mktemp("suites")
-    whole = suites.load("benchmark-v1-validation")
+    whole = suites.load_suite("benchmark-v1-validation")
     cells = [Cell(c.scenario, c.episodes[:3]) for c in (whole.cells[7], whole.cells[14])]
-    suites.save("small", cells, folder)
+    suites.save_suite("small", cells, folder)
     return folder
 
 
 def test_every_suite_has_its_file():
     closed = {name for name, seal in sealed.seals().items() if seal.secret is None}
-    assert set(NAMES) == {*SUITES, *SHARED} - closed
+    assert set(NAMES) == {*BUILDERS, *SHARED} - closed
     for name in NAMES:
-        file = found(suites.FOLDER, f"{name}.json.bz2")
+        file = found(suites.SUITES_FOLDER, f"{name}.json.bz2")
         assert file.stat().st_size < 3e6
-        assert hashlib.sha256(bz2.decompress(file.read_bytes())).hexdigest() == suites.load(name).hash
+        assert hashlib.sha256(bz2.decompress(file.read_bytes())).hexdigest() == suites.load_suite(name).hash
 
 
 def test_the_benchmark_is_what_it_says():
-    suite = suites.load("benchmark-v1")
+    suite = suites.load_suite("benchmark-v1")
     assert [cell.scenario.name for cell in suite.cells] == [f"{r}-{c}" for r in ("slow", "cruise") for c in CASES]
     for cell in suite.cells:
         families = [next(n for n, cls in PATHS.items() if type(e.path) is cls) for e in cell.episodes]
         assert {family: families.count(family) for family in FAMILIES} == dict.fromkeys(FAMILIES, 52)
-    seeds = [e.noise_seed for name in OWN for cell in suites.load(name).cells for e in cell.episodes]
+    seeds = [e.noise_seed for name in OWN for cell in suites.load_suite(name).cells for e in cell.episodes]
     assert len(set(seeds)) == len(seeds)  # no episode of a test is one of the validation split
 
 
 def test_benchmark_v2_has_the_same_episodes_and_the_bound_as_its_one(tmp_path):
-    old, new = suites.load("benchmark-v1"), suites.load("benchmark-v2")
+    old, new = suites.load_suite("benchmark-v1"), suites.load_suite("benchmark-v2")
     assert new.cells is old.cells
     assert old.hash == "4cee6c9f29e0accf0221a233bbf0b47e952c48d322b9f7888d4590f5a96d4fe3"
     assert new.hash != old.hash
     assert (old.anchors, new.anchors) == (("backstepping", "oracle"), ("backstepping", "clairvoyant"))
     assert new.source == old.source == ("benchmark-v1", old.hash)
-    rows = recorded.load(new)
-    assert len(rows.runs) == len(recorded.load(old).runs) > 16
+    rows = recorded.load_recorded(new)
+    assert len(rows.runs) == len(recorded.load_recorded(old).runs) > 16
     tails = {}
     for run in rows.runs:
         if run.scenario.name.startswith("cruise-") and len(run.measures) == 260:
@@ -86,29 +86,29 @@ def test_a_suite_of_anothers_episodes_is_of_these_alone(small, tmp_path):
     for name in ("small.json.bz2", suites.SUMS):
         (tmp_path / name).write_bytes((small / name).read_bytes())
     digest = suites.save_shared("other", "small", BY_BOUND, tmp_path)
-    other = suites.load("other", tmp_path)
+    other = suites.load_suite("other", tmp_path)
     assert (other.hash, other.anchors, other.source[0]) == (digest, BY_BOUND, "small")
-    recorded.save(other, run_all(("open-loop",), other.cells), versions(), tmp_path / "rows")
-    found = recorded.load(suites.load("small", tmp_path), tmp_path / "rows")
+    recorded.save_recorded(other, run_all(("open-loop",), other.cells), versions(), tmp_path / "rows")
+    found = recorded.load_recorded(suites.load_suite("small", tmp_path), tmp_path / "rows")
     assert [run.policy for run in found.runs] == ["open-loop"] * 2
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     for name in ("other.json.bz2", suites.SUMS):
         (elsewhere / name).write_bytes((tmp_path / name).read_bytes())
-    suites.save("small", other.cells[:1], elsewhere)
+    suites.save_suite("small", other.cells[:1], elsewhere)
     with pytest.raises(suites.SuiteError, match="has the episodes of another small"):
-        suites.load("other", elsewhere)
+        suites.load_suite("other", elsewhere)
 
 
 def test_new_suites_say_their_anchors(small, tmp_path):
-    cells = suites.load("small", small).cells
-    suites.save("new", cells[:1], tmp_path, anchors_of("new"))
-    assert suites.load("new", tmp_path).anchors == BY_BOUND
+    cells = suites.load_suite("small", small).cells
+    suites.save_suite("new", cells[:1], tmp_path, anchors_of("new"))
+    assert suites.load_suite("new", tmp_path).anchors == BY_BOUND
     assert {anchors_of(name) for name in OLDEST} == {BY_ORACLE}
 
 
 def test_paths_out_of_distribution_are_no_training_paths():
-    cells = {cell.scenario.name: cell for cell in suites.load("ood-v1").cells}
+    cells = {cell.scenario.name: cell for cell in suites.load_suite("ood-v1").cells}
     for name, family in (("slow-lawnmower", "lawnmower"), ("cruise-waypoints", "spline")):
         assert family not in FAMILIES
         assert {type(e.path) for e in cells[name].episodes} == {PATHS[family]}
@@ -124,10 +124,10 @@ def test_episodes_generate_what_they_did(name, capsys):
 
 def test_built_again_it_is_the_same(tmp_path):
     built = build("benchmark-v1-validation")
-    assert suites.save("again", built, tmp_path) != ""
-    frozen = suites.load("benchmark-v1-validation")
+    assert suites.save_suite("again", built, tmp_path) != ""
+    frozen = suites.load_suite("benchmark-v1-validation")
     assert [cell.episodes for cell in built] == [cell.episodes for cell in frozen.cells]
-    assert suites.load("again", tmp_path).cells == frozen.cells
+    assert suites.load_suite("again", tmp_path).cells == frozen.cells
 
 
 def test_a_changed_file_is_refused(small, tmp_path):
@@ -137,17 +137,17 @@ def test_a_changed_file_is_refused(small, tmp_path):
     text = bz2.decompress(file.read_bytes())
     file.write_bytes(bz2.compress(text.replace(b'"surge":0.', b'"surge":1.', 1)))
     with pytest.raises(suites.SuiteError, match="has been changed"):
-        suites.load("small", tmp_path)
+        suites.load_suite("small", tmp_path)
     file.write_bytes(file.read_bytes()[:50])
     with pytest.raises(suites.SuiteError, match="cannot read"):
-        suites.load("small", tmp_path)
+        suites.load_suite("small", tmp_path)
     file.unlink()
     with pytest.raises(suites.SuiteError, match="cannot read"):
-        suites.load("small", tmp_path)
+        suites.load_suite("small", tmp_path)
 
 
 def test_a_changed_random_stream_is_noticed(small):
-    cell = suites.load("small", small).cells[0]
+    cell = suites.load_suite("small", small).cells[0]
     digest = suites.digest(cell)
     suites.check_cell(cell, digest * (1 + 1e-6))
     other = digest.copy()
@@ -157,10 +157,10 @@ def test_a_changed_random_stream_is_noticed(small):
 
 
 def test_recorded_rows_belong_to_a_hash(small, tmp_path):
-    suite = suites.load("small", small)
+    suite = suites.load_suite("small", small)
     runs = run_all(("open-loop",), suite.cells)
-    recorded.save(suite, runs, versions(), tmp_path)
-    again = recorded.load(suite, tmp_path)
+    recorded.save_recorded(suite, runs, versions(), tmp_path)
+    again = recorded.load_recorded(suite, tmp_path)
     assert again.refused == {}
     assert [(r.policy, r.scenario.name) for r in again.runs] == [("open-loop", c.scenario.name) for c in suite.cells]
     for run, old in zip(again.runs, runs, strict=True):
@@ -170,33 +170,33 @@ def test_recorded_rows_belong_to_a_hash(small, tmp_path):
         assert run.recorded.versions == versions()
         assert len(run.recorded.date) == len("2000-01-01")
     other = suites.Suite(suite.name, "0" * 64, suite.cells, suite.digests)
-    found = recorded.load(other, tmp_path)
+    found = recorded.load_recorded(other, tmp_path)
     assert found.runs == ()
     assert found.refused == {"open-loop": f"another small, of hash {suite.hash[:12]}"}
     with pytest.raises(ValueError, match="open-loop has no result in cruise-actuator"):
-        recorded.save(suite, runs[:1], versions(), tmp_path)
+        recorded.save_recorded(suite, runs[:1], versions(), tmp_path)
     (tmp_path / "small" / "open-loop.npz").write_bytes(b"PK")
-    assert "is damaged: BadZipFile" in recorded.load(suite, tmp_path).refused["open-loop"]
+    assert "is damaged: BadZipFile" in recorded.load_recorded(suite, tmp_path).refused["open-loop"]
 
 
 def test_recorded_rows_belong_to_an_agents_weights(small, tmp_path, monkeypatch):
-    suite, folder = suites.load("small", small), tmp_path / "agents"
+    suite, folder = suites.load_suite("small", small), tmp_path / "agents"
     network = Gru(len(FEATURES), 2, 2, 2)
     weights = {name: np.zeros(shape, np.float32) for name, shape in network.shapes.items()}
-    monkeypatch.setattr("baselines.agents.names.AGENTS", folder)
+    monkeypatch.setattr("baselines.agents.names.SHIPPED_FOLDER", folder)
     Agent(network, weights, "backstepping", (0.5, 0.5)).save(folder / "mine")
-    recorded.save(suite, run_all(("mine",), suite.cells), versions(), tmp_path)
-    assert len(recorded.load(suite, tmp_path).runs) == 2
+    recorded.save_recorded(suite, run_all(("mine",), suite.cells), versions(), tmp_path)
+    assert len(recorded.load_recorded(suite, tmp_path).runs) == 2
     weights[next(iter(weights))][:] = 0.1
     Agent(network, weights, "backstepping", (0.5, 0.5)).save(folder / "mine")
-    assert "have changed" in recorded.load(suite, tmp_path).refused["mine"]
+    assert "have changed" in recorded.load_recorded(suite, tmp_path).refused["mine"]
 
 
 def test_a_slow_policy_is_compared_on_its_first_episodes(small, tmp_path):
-    suite = suites.load("small", small)
+    suite = suites.load_suite("small", small)
     first = [Cell(cell.scenario, cell.episodes[:2]) for cell in suite.cells]
-    recorded.save(suite, run_all(("open-loop",), first), versions(), tmp_path)
-    few = recorded.load(suite, tmp_path).runs
+    recorded.save_recorded(suite, run_all(("open-loop",), first), versions(), tmp_path)
+    few = recorded.load_recorded(suite, tmp_path).runs
     assert [len(run.measures) for run in few] == [2, 2]
     all_runs = run_all(("backstepping", "oracle"), suite.cells)
     mixed, alike = compare([*all_runs, *few]), compare(run_all(("backstepping", "oracle", "open-loop"), first))
@@ -209,8 +209,8 @@ def test_a_slow_policy_is_compared_on_its_first_episodes(small, tmp_path):
 
 
 def test_the_recorded_oracle_is_that_of_the_frozen_suite():
-    suite = suites.load("benchmark-v1")
-    runs = {run.scenario.name: run for run in recorded.load(suite).runs if run.policy == "oracle"}
+    suite = suites.load_suite("benchmark-v1")
+    runs = {run.scenario.name: run for run in recorded.load_recorded(suite).runs if run.policy == "oracle"}
     assert set(runs) == {cell.scenario.name for cell in suite.cells}
     for regime, largest in (("slow", 5e-4), ("cruise", 3e-3)):
         tails = [run.measures.tail for name, run in runs.items() if name.startswith(regime)]
@@ -222,7 +222,7 @@ def test_the_recorded_oracle_is_that_of_the_frozen_suite():
 
 def test_request_of_a_frozen_suite(tmp_path):
     whole = Request.of(Options(suite="benchmark-v1", out=tmp_path))
-    assert whole.hash == suites.load("benchmark-v1").hash
+    assert whole.hash == suites.load_suite("benchmark-v1").hash
     assert sum(len(cell.episodes) for cell in whole.cells) == 4160
     assert {run.policy for run in whole.earlier} >= {"oracle"}
     assert whole.policies == ("backstepping",)
@@ -244,39 +244,39 @@ def test_mistakes_of_the_suites_command(arguments):
 
 def test_suites_command_as_a_process():
     command = [sys.executable, "-m", "research", "suites", "--help"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=suites.FOLDER.parents[2])
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=suites.SUITES_FOLDER.parents[2])
     assert "check" in done.stdout
 
 
 def test_drawn_episodes_are_those_of_a_reset():
-    scenario = suites.load("benchmark-v1").cells[0].scenario
+    scenario = suites.load_suite("benchmark-v1").cells[0].scenario
     assert drawn(scenario, 2, 5).episodes[1] == drawn(scenario, 1, 6).episodes[0]
 
 
 def test_an_agent_of_one_regime_is_recorded_there(small, tmp_path, monkeypatch):
-    suite, agents = suites.load("small", small), tmp_path / "agents"
+    suite, agents = suites.load_suite("small", small), tmp_path / "agents"
     network = Gru(len(FEATURES), 2, 2, 2)
     zeros = {name: np.zeros(shape, np.float32) for name, shape in network.shapes.items()}
     Agent(network, zeros, "backstepping", (0.5, 0.5), ("cruise-storm",)).save(agents / "mine")
-    monkeypatch.setattr("baselines.agents.names.AGENTS", agents)
+    monkeypatch.setattr("baselines.agents.names.SHIPPED_FOLDER", agents)
     assert (recorded.regimes_of("mine"), recorded.regimes_of("ekf")) == (("cruise",), ("slow", "cruise"))
     cells = [cell for cell in suite.cells if cell.scenario.name.startswith("cruise-")]
-    recorded.save(suite, run_all(("mine",), cells), versions(), tmp_path, recorded.regimes_of("mine"))
-    runs = recorded.load(suite, tmp_path).runs
+    recorded.save_recorded(suite, run_all(("mine",), cells), versions(), tmp_path, recorded.regimes_of("mine"))
+    runs = recorded.load_recorded(suite, tmp_path).runs
     assert [(run.policy, run.scenario.name) for run in runs] == [("mine", cell.scenario.name) for cell in cells]
     with pytest.raises(ValueError, match="has no result in slow-"):
-        recorded.save(suite, runs, versions(), tmp_path)
+        recorded.save_recorded(suite, runs, versions(), tmp_path)
 
 
 def test_yardsticks_are_what_expert_and_oracle_do(tmp_path):
     """One for every cell that validations run; a cell of each regime is measured again, in a file of its own."""
-    suite = suites.load("benchmark-v1-validation")
-    assert all(kept(cell) for cell in suite.cells)
+    suite = suites.load_suite("benchmark-v1-validation")
+    assert all(recorded_yardsticks(cell) for cell in suite.cells)
     few = replace(suite, cells=tuple(c for c in suite.cells if c.scenario.name in ("slow-noise", "cruise-storm")))
-    keep(few, tmp_path / "yardsticks.json")
-    mine, theirs = (read_json(file)[suite.name] for file in (tmp_path / "yardsticks.json", FILE))
+    write_yardsticks(few, tmp_path / "yardsticks.json")
+    mine, theirs = (read_json(file)[suite.name] for file in (tmp_path / "yardsticks.json", YARDSTICKS_FILE))
     assert len(mine) == 2
     for name, record in mine.items():
         assert record.pop("cell") == theirs[name].pop("cell")
         assert record == pytest.approx(theirs[name], rel=1e-6), name
-    assert kept(replace(few.cells[0], episodes=few.cells[0].episodes[:3])) is None
+    assert recorded_yardsticks(replace(few.cells[0], episodes=few.cells[0].episodes[:3])) is None

@@ -20,7 +20,7 @@ from auv_gym.task.observation import SIZE
 from baselines import make_policy
 from baselines.control.privileged.clairvoyant import arriving, oracle_actions
 from baselines.control.privileged.problem import Problem
-from baselines.control.privileged.solver import TOLERANCE, WINDOWS, foreseeing, refined, solved
+from baselines.control.privileged.solver import TOLERANCE, WINDOWS, best_trajectory, foreseeing, refined
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.options import Options
@@ -28,13 +28,13 @@ from baselines.evaluation.report.numbers import compare, pool
 from baselines.evaluation.request import Request
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import Cell, Recorded, Run, drawn, run_all
-from baselines.evaluation.score import BY_BOUND, cap_of, in_paper_units, relative_error, unit_of, vehicle_of
+from baselines.evaluation.score import BY_BOUND, cap_of, in_paper_metres, relative_error, unit_of, vehicle_of
 from baselines.evaluation.suites import rounded
 from baselines.similar import shown_factors
 from research.results import vehicles
 from research.results.collection import ROUNDING, Results, better_than
-from research.results.study_files import Study, load_all
-from research.suites.builder import SUITES, VEHICLE_EPISODES, _cell
+from research.results.study_files import Study, load_studies
+from research.suites.builder import BUILDERS, VEHICLE_EPISODES, _cell
 
 ROOT = Path(__file__).parents[2]
 OTHER = Units(length=16.0, time=4.0, mass=4096.0)  # of a copy of the paper's vehicle
@@ -42,7 +42,7 @@ OTHER = Units(length=16.0, time=4.0, mass=4096.0)  # of a copy of the paper's ve
 
 @pytest.fixture(scope="module")
 def suite():
-    return suites.load(vehicles.SUITE)
+    return suites.load_suite(vehicles.VEHICLES_SUITE)
 
 
 def test_eight_vehicles_in_every_case_none_of_them_the_papers(suite):
@@ -62,7 +62,7 @@ def test_eight_vehicles_in_every_case_none_of_them_the_papers(suite):
 
 @pytest.mark.parametrize("index", [15, 39, 95])
 def test_its_episodes_come_from_its_seed(suite, index):
-    seed, recipes = SUITES[vehicles.SUITE]
+    seed, recipes = BUILDERS[vehicles.VEHICLES_SUITE]
     recipe = replace(recipes()[index], episodes=4)
     assert rounded(_cell(recipe, seed, index)).episodes == suite.cells[index].episodes[:4]
     suites.check_cell(Cell(recipe.scenario, suite.cells[index].episodes[:4]), suite.digests[index][:4])
@@ -139,10 +139,10 @@ def test_where_limits_bind_foresight_leads_farther_than_the_oracle():
     problem = Problem.of(scenario, episodes)
     guess = arriving(oracle_actions(scenario, episodes), problem.delay)
     alone = refined(problem, problem.standing(guess))
-    both = solved(problem, guess, [partial(foreseeing, WINDOWS[0])])
+    both = best_trajectory(problem, guess, [partial(foreseeing, WINDOWS[0])])
     assert both.tail[0] < 0.5 * alone.tail[0]
     run = rollout(make_policy("backstepping", scenario.vehicle), scenario, episodes)
-    assert both.tail[0] < in_paper_units(run.measures, scenario).tail[0]
+    assert both.tail[0] < in_paper_metres(run.measures, scenario).tail[0]
 
 
 def test_a_factory_is_told_each_vehicle(suite, tmp_path):
@@ -155,7 +155,7 @@ def test_a_factory_is_told_each_vehicle(suite, tmp_path):
         "    return known('los-pid', vehicle)\n"
     )
     name = f"{file}:make"
-    request = Request.of(Options(policy=(name,), suite=vehicles.SUITE, episodes=1, out=tmp_path))
+    request = Request.of(Options(policy=(name,), suite=vehicles.VEHICLES_SUITE, episodes=1, out=tmp_path))
     assert (name, "slow-storm@supply") in [(policy, cell.scenario.name) for policy, cell in request.pairs]
     told.unlink()  # it was made once, to see whether it can be
     wanted = [cell for cell in suite.cells if cell.scenario.name in ("cruise-calm@otter", "cruise-calm@lauv")]
@@ -194,7 +194,7 @@ def test_the_section_tells_what_the_rows_say(suite):
             Run(policy, cell.scenario, cell.hash, measures(f * base), recorded=when) for policy, f in factors.items()
         ]
     results = Results.of(suite, runs)
-    text = vehicles.section(results, {})
+    text = vehicles.vehicles_section(results, {})
     half = "| `ekf` | 0.50 (0.50 ... 0.50) | 0.50 (0.50 ... 0.50) | 0.50 | 0.96 (0.96 ... 0.96) | 0 of "
     assert [text.count(f"{half}{episodes} ") for episodes in (2304, 2048, 256)] == [1, 1, 1]
     assert text.count("| `ekf` |") == 2 * 3
@@ -203,7 +203,7 @@ def test_the_section_tells_what_the_rows_say(suite):
     studies = {}
     for regime in ("cruise", "slow"):
         own = [run for run in runs if run.policy == "ekf" and run.scenario.name.startswith(regime)]
-        studies[f"any-{regime}"] = Study.of("", regime, "", {vehicles.SUITE: [own, own]}, [[], []])
+        studies[f"any-{regime}"] = Study.of("", regime, "", {vehicles.VEHICLES_SUITE: [own, own]}, [[], []])
     pairs = [vehicles.pairs_of(results, regime)["nmpc"] for regime in ("cruise", "slow")]
     for pair, known, lost in (
         (pairs[0], studies, "0 of 4096"),
@@ -217,29 +217,31 @@ def test_the_section_tells_what_the_rows_say(suite):
     ekf = vehicles.pairs_of(results, "slow")["ekf"]
     assert ekf.error_above(1.0) == 1.0  # nobody errs by a metre
     assert ekf.error_above(1e-9) == pytest.approx(ekf.error.mean)
-    assert vehicles.nearer(results) == []
+    assert vehicles.nearer_than_optimum(results) == []
     first = next(i for i, run in enumerate(runs) if run.policy == "ekf")
     better = runs[first].measures.tail.copy()
     better[3] = 1e-5 * unit_of(runs[first].scenario)
     runs[first] = replace(runs[first], measures=measures(better))
-    ((name, episode, policy, _),) = vehicles.nearer(Results.of(suite, runs))
+    ((name, episode, policy, _),) = vehicles.nearer_than_optimum(Results.of(suite, runs))
     assert (name, episode, policy) == (suite.cells[0].scenario.name, 3, "ekf")
-    assert vehicles.figure(results).startswith(b"\x89PNG")
-    assert "Not recorded yet" in vehicles.section(None, {})
+    assert vehicles.vehicles_figure(results).startswith(b"\x89PNG")
+    assert "Not recorded yet" in vehicles.vehicles_section(None, {})
 
 
 def test_nobody_is_nearer_than_the_bound_in_what_is_recorded(suite):
-    found = recorded.load(suite)
+    found = recorded.load_recorded(suite)
     assert found.refused == {}
     if {"backstepping", "clairvoyant"} <= {run.policy for run in found.runs}:
         results = Results.of(suite, found.runs)
         assert [gain for _, _, gain in better_than("clairvoyant", results) if gain > ROUNDING] == []
-        assert [entry for entry in vehicles.nearer(results) if entry[-1] > 1e-3] == []  # a local optimum, now and then
+        assert [
+            entry for entry in vehicles.nearer_than_optimum(results) if entry[-1] > 1e-3
+        ] == []  # a local optimum, now and then
 
 
 def test_the_readme_says_how_the_agent_for_every_vehicle_compares(suite):
     """Of several training seeds, in each regime; and who loses more."""
-    results, studies = Results.of(suite, recorded.load(suite).runs), load_all()
+    results, studies = Results.of(suite, recorded.load_recorded(suite).runs), load_studies()
     pairs = {regime: vehicles.pairs_of(results, regime) for regime in ("cruise", "slow")}
     told = {}
     for regime, own in pairs.items():

@@ -69,7 +69,7 @@ def stack(paths: Sequence[Path]) -> Path:
     return stacked
 
 
-def evaluate(paths: Sequence[Path], t: Array) -> Array:
+def evaluate_paths(paths: Sequence[Path], t: Array) -> Array:
     """Return position and three derivatives of N paths of any families at times t [s], shape (T,): (4, 2, T, N)."""
     t = np.asarray(t, dtype=np.float64)
     members: dict[type, list[int]] = {}

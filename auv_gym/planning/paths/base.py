@@ -13,7 +13,7 @@ import numpy as np
 from auv_gym.physics.intervals import is_float
 from auv_gym.physics.namespaces import Array
 
-Uniform = Callable[[], float]
+UniformRange = Callable[[], float]
 """Returns the next random number in [0, 1)."""
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 from auv_gym.physics.namespaces import Array
-from auv_gym.planning.paths.base import Uniform, place, validate
+from auv_gym.planning.paths.base import UniformRange, place, validate
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Line:
         return place(self, (U * t, 0.0), (U, 0.0), (0.0, 0.0), (0.0, 0.0))
 
     @classmethod
-    def drawn(cls, speed: float, turn_rate: float, uniform: Uniform) -> Self:  # noqa: ARG003, the families share the signature
+    def drawn(cls, speed: float, turn_rate: float, uniform: UniformRange) -> Self:  # noqa: ARG003, the families share the signature
         """Draw a direction; a line does not turn."""
         return cls(speed, heading=2 * math.pi * uniform())
 
@@ -68,7 +68,7 @@ class Circle:
         return place(self, (y1 / w, (U - x1) / w), (x1, y1), (-w * y1, w * x1), (-(w**2) * x1, -(w**2) * y1))
 
     @classmethod
-    def drawn(cls, speed: float, turn_rate: float, uniform: Uniform) -> Self:
+    def drawn(cls, speed: float, turn_rate: float, uniform: UniformRange) -> Self:
         """Draw a direction, a turn rate of .4 ... 1 times the largest one, and its sign."""
         heading, magnitude = 2 * math.pi * uniform(), turn_rate * (0.4 + 0.6 * uniform())
         return cls(speed, magnitude if uniform() < 0.5 else -magnitude, heading=heading)
@@ -100,7 +100,7 @@ class Sine:
         return place(self, (U * t, A * s), (U, A * w * c), (0.0, -A * w**2 * s), (0.0, -A * w**3 * c))
 
     @classmethod
-    def drawn(cls, speed: float, turn_rate: float, uniform: Uniform) -> Self:
+    def drawn(cls, speed: float, turn_rate: float, uniform: UniformRange) -> Self:
         """Draw direction, frequency and phase; the largest turn rate, at the crests, is .8 `turn_rate`."""
         heading, w, phase = 2 * math.pi * uniform(), 2 * turn_rate * (0.4 + 0.6 * uniform()), 2 * math.pi * uniform()
         return cls(speed, 0.8 * turn_rate * speed / w**2, w, phase, heading=heading)
@@ -140,7 +140,7 @@ class Ellipse:
         return place(self, (x, y), (x1, y1), (-(w**2) * x, -(w**2) * y), (-(w**2) * x1, -(w**2) * y1))
 
     @classmethod
-    def drawn(cls, speed: float, turn_rate: float, uniform: Uniform) -> Self:
+    def drawn(cls, speed: float, turn_rate: float, uniform: UniformRange) -> Self:
         """Draw direction, b/a in .5 ... 1, largest turn rate |w| a/b in .4 ... 1 `turn_rate`, its sign and phase."""
         heading, ratio = 2 * math.pi * uniform(), 0.5 + 0.5 * uniform()
         w = ratio * turn_rate * (0.4 + 0.6 * uniform())
@@ -183,7 +183,7 @@ class FigureEight:
         return place(self, (x, y), (x1, y1), (-(w**2) * x, -4 * w**2 * y), (-(w**2) * x1, -4 * w**2 * y1))
 
     @classmethod
-    def drawn(cls, speed: float, turn_rate: float, uniform: Uniform) -> Self:
+    def drawn(cls, speed: float, turn_rate: float, uniform: UniformRange) -> Self:
         """Draw direction, frequency and phase; the lobes turn fastest, at 1.22 ... 1.75 `turn_rate`."""
         heading, w = 2 * math.pi * uniform(), 0.55 * turn_rate * (0.7 + 0.3 * uniform())
         return cls(speed / (1.2 * w), w, 2 * math.pi * uniform(), heading=heading)

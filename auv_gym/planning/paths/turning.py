@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 from auv_gym.physics.namespaces import Array
-from auv_gym.planning.paths.base import Uniform, place, validate
+from auv_gym.planning.paths.base import UniformRange, place, validate
 
 
 def _turn_coefficients() -> Array:
@@ -88,7 +88,7 @@ class Lawnmower:
         return place(self, (x, y), (x1, y1), (x2, y2), (x3, y3))
 
     @classmethod
-    def drawn(cls, speed: float, turn_rate: float, uniform: Uniform) -> Self:
+    def drawn(cls, speed: float, turn_rate: float, uniform: UniformRange) -> Self:
         """Draw direction, largest turn rate .7 ... 1 `turn_rate`, side of the first turn, leg .2 ... 1 spacing."""
         heading, turn_time = 2 * math.pi * uniform(), 15 * math.pi / (8 * turn_rate * (0.7 + 0.3 * uniform()))
         spacing = _TURN_WIDTH * speed * turn_time
@@ -157,7 +157,7 @@ class RandomSmooth:
         return np.stack((z.real, z.imag), axis=1)
 
     @classmethod
-    def drawn(cls, speed: float, turn_rate: float, uniform: Uniform) -> Self:
+    def drawn(cls, speed: float, turn_rate: float, uniform: UniformRange) -> Self:
         """Draw direction, shares of the three sines in `turn_rate`, frequencies .3 ... 1.2 `turn_rate` and phases."""
 
         def three(low: float, high: float) -> tuple[float, float, float]:

@@ -15,7 +15,7 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE, VEHICLES, Vehicle
 from auv_gym.scenarios.records import from_record, read_table
 from auv_gym.scenarios.vehicles.scaling import actuators_in
 
-FOLDER = FilePath(__file__).parent
+VEHICLES_FOLDER = FilePath(__file__).parent  # of the vehicles, NAME.toml
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ PAPER = Craft(
 
 def fleet() -> list[str]:
     """Return the names of the published vehicles that have a file of their own."""
-    return sorted(file.stem for file in FOLDER.glob("*.toml"))
+    return sorted(file.stem for file in VEHICLES_FOLDER.glob("*.toml"))
 
 
 def list_vehicles() -> list[str]:
@@ -112,7 +112,7 @@ def craft(name: str) -> Craft:
         ValueError: there is no such vehicle, or its file is wrong.
         OSError: the file cannot be read.
     """
-    return Craft.load(FOLDER / f"{name}.toml" if name in fleet() else name)
+    return Craft.load(VEHICLES_FOLDER / f"{name}.toml" if name in fleet() else name)
 
 
 def as_craft(vehicle: Any) -> Craft | None:

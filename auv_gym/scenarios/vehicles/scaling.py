@@ -12,7 +12,7 @@ from auv_gym.physics.units import POWERS as UNITS
 from auv_gym.physics.units import Units
 from auv_gym.planning.paths import Path
 
-POWERS: Mapping[str, Mapping[str, tuple[float, float]]] = {
+SCENARIO_POWERS: Mapping[str, Mapping[str, tuple[float, float]]] = {
     "path": {"speed": (1, -1)},
     "start": {"x_e": (1, 0), "y_e": (1, 0)},
     "sensors": {
@@ -45,7 +45,7 @@ def scaled_part(name: str, part: Any, units: Units) -> Any:
     """
     if part is None or isinstance(part, Path):
         return part
-    powers = dict(POWERS[name])
+    powers = dict(SCENARIO_POWERS[name])
     if name == "sensors":
         part = replace(part, reckoning=scaled_part("reckoning", part.reckoning, units))
     if name == "current" and not part.relative:

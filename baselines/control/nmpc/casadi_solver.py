@@ -12,9 +12,9 @@ import numpy as np
 
 from auv_gym.physics.namespaces import Array
 from baselines.control.nmpc.problem import (
-    COMMANDS,
+    COMMAND_SIZE,
     KNOWN,
-    STATES,
+    STATE_ROWS,
     Horizon,
     Integers,
     OptimalControl,
@@ -56,18 +56,18 @@ class CasadiSolver:
             guess = np.concatenate((plan.states[:-1, :, i], plan.commands[..., i] / limits), axis=1)
             given = np.concatenate((plan.states[0, :, i], limits, ahead.known[..., i].ravel()))
             found = self._solve(x0=np.append(guess, plan.states[-1, :, i]), p=given, **self._bounds)
-            x = np.asarray(found["x"]).ravel()[:-STATES].reshape(len(commands), -1)
-            commands[..., i] = np.clip(x[:, STATES:], -1, 1) * limits
+            x = np.asarray(found["x"]).ravel()[:-STATE_ROWS].reshape(len(commands), -1)
+            commands[..., i] = np.clip(x[:, STATE_ROWS:], -1, 1) * limits
         best = self.problem.planned(plan.states[0], commands, ahead)
         return Plan(*(np.where(best.cost <= plan.cost, a, b) for a, b in zip(best, plan, strict=True)))
 
 
 def _compiled(casadi: Any, problem: OptimalControl, stages: int, method: str) -> Any:
     """Return the solver; its unknowns are, stage by stage, the state and the commands as shares of their limits."""
-    start, limits = casadi.SX.sym("start", STATES), casadi.SX.sym("limits", COMMANDS)
+    start, limits = casadi.SX.sym("start", STATE_ROWS), casadi.SX.sym("limits", COMMAND_SIZE)
     known = [casadi.SX.sym(f"ahead{k}", KNOWN) for k in range(stages)]
-    states = [casadi.SX.sym(f"x{k}", STATES) for k in range(stages + 1)]
-    shares = [casadi.SX.sym(f"c{k}", COMMANDS) for k in range(stages)]
+    states = [casadi.SX.sym(f"x{k}", STATE_ROWS) for k in range(stages + 1)]
+    shares = [casadi.SX.sym(f"c{k}", COMMAND_SIZE) for k in range(stages)]
     cost, constraints = 0.0, []
     for k in range(stages):
         ahead = Stage(*casadi.vertsplit(known[k]))
@@ -95,7 +95,7 @@ def _options(stages: int, method: str) -> dict[str, Any]:
         return {**quiet, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-9}
     model: list[bool] = []
     for k in range(stages):
-        model += [True] * STATES + [False] * (STATES * (k == 0) + COMMANDS)
+        model += [True] * STATE_ROWS + [False] * (STATE_ROWS * (k == 0) + COMMAND_SIZE)
     return {**quiet, "structure_detection": "auto", "equality": model, "fatrop.print_level": 0, "debug": False}
 
 
@@ -103,5 +103,5 @@ def _bounds(stages: int) -> dict[str, Array]:
     """Return the bounds of the constraints: 0 but for the commands' shares of their limits."""
     high: list[float] = []
     for k in range(stages):
-        high += [0.0] * (STATES + STATES * (k == 0)) + [1.0] * COMMANDS
+        high += [0.0] * (STATE_ROWS + STATE_ROWS * (k == 0)) + [1.0] * COMMAND_SIZE
     return {"lbg": -np.array(high), "ubg": np.array(high)}

@@ -21,10 +21,10 @@ from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.task.observation import Observation
 from baselines.control.backstepping import GAINS, tracking_forces
-from baselines.control.nmpc.gauss_newton import solved
+from baselines.control.nmpc.gauss_newton import improved_plan
 from baselines.control.nmpc.problem import (
-    COMMANDS,
-    STATES,
+    COMMAND_SIZE,
+    STATE_ROWS,
     CostWeights,
     Horizon,
     Integers,
@@ -35,8 +35,15 @@ from baselines.control.nmpc.problem import (
     taken,
 )
 from baselines.estimation.faults import FAULTS, LATE, Faults
-from baselines.estimation.kalman import FAULT_TUNING, TUNING, ExtendedKalmanFilter, arrival, tuning_of
-from baselines.estimation.sea_model import SIZE, Estimate, current_after, lag_response, wave_transition, waves_after
+from baselines.estimation.kalman import FAULT_TUNING, FILTER_TUNING, ExtendedKalmanFilter, arrival, tuning_of
+from baselines.estimation.sea_model import (
+    STATE_SIZE,
+    Estimate,
+    current_after,
+    lag_response,
+    wave_transition,
+    waves_after,
+)
 from baselines.gains.loading import tuned_policy
 from baselines.policy import Memory, Remembering
 
@@ -45,10 +52,10 @@ PREVIEW = (1, 2, 4, 6, 8, 11, 14, 17, 20, 24, 28, 32, 36, 40, 45, 50)
 _STEPS = 6  # most Gauss-Newton steps at an instant
 FIRST_STEPS = 12  # most Gauss-Newton steps at the first instant of an episode
 COST_GAINS = ("huber", "surge", "yaw", "sway", "terminal")  # names of the gains that are fields of `CostWeights`
-NMPC_GAINS = (*COST_GAINS, *TUNING)
+NMPC_GAINS = (*COST_GAINS, *FILTER_TUNING)
 """Names of the gains: those of `CostWeights`, with `surge` and `yaw` for 100 N and 100 N m; and the filter's
 `Tuning`."""
-ADVERSE_GAINS = (*COST_GAINS, *FAULT_TUNING)
+NMPC_ADVERSE_GAINS = (*COST_GAINS, *FAULT_TUNING)
 """Names of the gains where the filter believes in faults: its `FaultTuning` in place of the `Tuning`."""
 
 Solver = Callable[[Plan, Horizon, Integers], Plan]
@@ -67,7 +74,7 @@ class PredictiveControl:
         """Make the controller.
 
         Args:
-            gains: named in `NMPC_GAINS`, or in `ADVERSE_GAINS`.
+            gains: named in `NMPC_GAINS`, or in `NMPC_ADVERSE_GAINS`.
             vehicle: that it believes in.
             solver: one of `SOLVERS`.
         """
@@ -81,7 +88,7 @@ class PredictiveControl:
 
     def start(self, n: int) -> Memory:
         """Return the memory at the start of n episodes."""
-        return *self.filter.start(n), np.zeros((n, len(PREVIEW), COMMANDS)), np.zeros((n, 3))
+        return *self.filter.start(n), np.zeros((n, len(PREVIEW), COMMAND_SIZE)), np.zeros((n, 3))
 
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
         """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
@@ -90,9 +97,9 @@ class PredictiveControl:
         acting, kept, seen = fins(o, seen)
         planned = planned * np.stack((np.ones_like(kept), kept), axis=1)[:, None]
         after, z = self.filter.update(tuple(believed), terms := np.array(o))
-        aim, share = aims(extra), np.ones((COMMANDS, len(fresh)))
+        aim, share = aims(extra), np.ones((COMMAND_SIZE, len(fresh)))
         if self.filter.faults:
-            faults = Faults(*z[SIZE : SIZE + FAULTS])
+            faults = Faults(*z[STATE_SIZE : STATE_SIZE + FAULTS])
             aim, share = later(aim, faults.delay), np.array((faults.surge_share, faults.yaw_share))
             z = arrival(terms, z, self.vehicle)
         ahead = horizon(terms, z, aim, share, acting)
@@ -109,8 +116,8 @@ class PredictiveControl:
         """Return the better of two plans to begin with: what was planned, and what the reference takes as it is now."""
         limits, load = ahead.limits, Estimate(*z)
         steady = np.clip(np.array((o.F_uR - load.X, o.F_rR - load.N)), -limits, limits)
-        plan = self.problem.planned(z[:STATES], np.broadcast_to(steady, warm.shape), ahead)
-        last = self.problem.planned(z[:STATES], np.clip(warm, -limits, limits), ahead)
+        plan = self.problem.planned(z[:STATE_ROWS], np.broadcast_to(steady, warm.shape), ahead)
+        last = self.problem.planned(z[:STATE_ROWS], np.clip(warm, -limits, limits), ahead)
         few = (~fresh & (last.cost <= plan.cost)).nonzero()[0]
         return replaced(plan, few, taken(last, few))
 
@@ -185,7 +192,7 @@ def horizon(o: Array, z: Array, aim: Array, share: Array, acting: Array) -> Hori
     given = {"o": o, "z": z, "aim": aim, "acting": acting, "periods": np.broadcast_to(periods, (stages, 3, n))}
     known = horizon_kernel()(stages, **given)["known"]
     first = Observation._fields.index("F_u_max")
-    return Horizon(known, share * o[first : first + COMMANDS])
+    return Horizon(known, share * o[first : first + COMMAND_SIZE])
 
 
 @cache
@@ -199,7 +206,7 @@ def horizon_kernel() -> Kernel:
         found = foreseen_stage(Observation(*o), Estimate(*z), aim, length, middle, SYMBOLS)
         return {"known": found._replace(last=last, torque=acting[0], fin=acting[1])}
 
-    rows = {"o": len(Observation._fields), "z": SIZE, "aim": 2, "acting": 2, "periods": 3}
+    rows = {"o": len(Observation._fields), "z": STATE_SIZE, "aim": 2, "acting": 2, "periods": 3}
     return Kernel.traced(equation, rows, ("aim", "periods", "known"), blocked=True)
 
 
@@ -238,7 +245,7 @@ def one_period_on(ends: Array) -> Array:
 
 
 def _batch(problem: OptimalControl) -> Solver:
-    return partial(solved, problem)
+    return partial(improved_plan, problem)
 
 
 def _casadi(problem: OptimalControl) -> Solver:
@@ -261,7 +268,7 @@ def make_nmpc(
 
     Args:
         gains: at every speed, in place of the tuned ones, which depend on the speed; their names are in `NMPC_GAINS`,
-            or in `ADVERSE_GAINS`.
+            or in `NMPC_ADVERSE_GAINS`.
         vehicle: the vehicle that it believes in; an object, a name or a dict.
         solver: "batch", or "casadi" for an independent one that takes one vehicle after the other, to convergence.
         adverse: whether its filter believes in faults of sensors and actuators.
@@ -271,5 +278,5 @@ def make_nmpc(
     """
     if solver not in SOLVERS:
         raise ValueError(f"unknown solver {solver!r}; allowed are {', '.join(SOLVERS)}")
-    name, names = ("nmpc-adverse", ADVERSE_GAINS) if adverse else ("nmpc", NMPC_GAINS)
+    name, names = ("nmpc-adverse", NMPC_ADVERSE_GAINS) if adverse else ("nmpc", NMPC_GAINS)
     return tuned_policy(name, names, partial(PredictiveControl, solver=solver), gains, vehicle)

@@ -22,26 +22,26 @@ from auv_gym.codegen.matrices import Matrix, congruence, dot, product, symmetric
 from auv_gym.physics.namespaces import Array, Namespace, Number
 from auv_gym.physics.vehicle import Coefficients
 from baselines.control.nmpc.problem import (
-    COMMANDS,
+    COMMAND_SIZE,
     CONSTANTS,
     KNOWN,
-    STATES,
+    STATE_ROWS,
     CostWeights,
-    Descent,
     Horizon,
+    Improvement,
     Integers,
     OptimalControl,
     Plan,
     Stage,
     actuated,
     constants,
-    counted,
+    error_weight,
     replaced,
     stage,
     stage_costs,
     taken,
 )
-from baselines.estimation.sea_model import AT, HULL
+from baselines.estimation.sea_model import MOTION_STATES, PLACE
 
 _LENGTHS = (1.0, 0.3, 0.05)
 """Parts of a step that are tried until one lowers the cost; where none does, the commands stay as they are."""
@@ -49,7 +49,7 @@ _TOLERANCE = 0.2  # steps go on while they break their promise by more than this
 _NEGLIGIBLE = 1e-6  # [m^2 s] added to the cost in that comparison, so that steps end where nothing is left to gain
 
 
-def solved(problem: OptimalControl, plan: Plan, ahead: Horizon, steps: Integers) -> Plan:
+def improved_plan(problem: OptimalControl, plan: Plan, ahead: Horizon, steps: Integers) -> Plan:
     """Return a better plan after up to `steps`, shape (N,), Gauss-Newton steps."""
     few = (steps > 0).nonzero()[0]
     for i in range(int(steps.max(initial=0))):
@@ -78,13 +78,17 @@ def improved(problem: OptimalControl, plan: Plan, ahead: Horizon) -> tuple[Plan,
     return best, way.promise
 
 
-def descent(problem: OptimalControl, plan: Plan, ahead: Horizon) -> Descent:
+def descent(problem: OptimalControl, plan: Plan, ahead: Horizon) -> Improvement:
     """Return the Gauss-Newton step at a plan, with commands within their limits, see `descended`."""
     steps, _, n = plan.commands.shape
-    step, feedback, promise = np.empty_like(plan.commands), np.empty((steps, COMMANDS * STATES, n)), np.zeros((1, n))
+    step, feedback, promise = (
+        np.empty_like(plan.commands),
+        np.empty((steps, COMMAND_SIZE * STATE_ROWS, n)),
+        np.zeros((1, n)),
+    )
     descent_kernel().bound(
-        slope=np.zeros((STATES, n)),
-        curvature=np.zeros((STATES * (STATES + 1) // 2, n)),
+        slope=np.zeros((STATE_ROWS, n)),
+        curvature=np.zeros((STATE_ROWS * (STATE_ROWS + 1) // 2, n)),
         promise=promise,
         state=plan.states[:-1],
         command=plan.commands,
@@ -95,7 +99,7 @@ def descent(problem: OptimalControl, plan: Plan, ahead: Horizon) -> Descent:
         step=step,
         feedback=feedback,
     )(0, steps)
-    return Descent(step, feedback, promise[0])
+    return Improvement(step, feedback, promise[0])
 
 
 @cache
@@ -126,8 +130,14 @@ def descent_kernel() -> Kernel:
             "feedback": [x for row in feedback for x in row],
         }
 
-    rows = {"slope": STATES, "curvature": STATES * (STATES + 1) // 2, "promise": 1, "state": STATES}
-    rows |= {"command": COMMANDS, "after": STATES, "known": KNOWN, "constant": CONSTANTS, "limits": COMMANDS}
+    rows = {"slope": STATE_ROWS, "curvature": STATE_ROWS * (STATE_ROWS + 1) // 2, "promise": 1, "state": STATE_ROWS}
+    rows |= {
+        "command": COMMAND_SIZE,
+        "after": STATE_ROWS,
+        "known": KNOWN,
+        "constant": CONSTANTS,
+        "limits": COMMAND_SIZE,
+    }
     over_time = ("state", "command", "after", "known", "step", "feedback")
     return Kernel.traced(equation, rows, over_time, back=True, structural=True, blocked=True)
 
@@ -155,7 +165,7 @@ def descended(
     V_x = _sum(V_x, gradient([error, sway], [1.0, 1.0], after))
     V_xx = [_sum(*rows) for rows in zip(V_xx, _hessian(sway, after), strict=True)]
     touching = _error_curvature(after, known, weights)
-    for axis in (AT.x_e, AT.y_e):
+    for axis in (PLACE.x_e, PLACE.y_e):
         V_xx[axis][axis] = V_xx[axis][axis] + touching
     columns = list(zip(*stage_jacobian(state, command, known, coefficients), strict=True))
     Q_1 = _sum([dot(column, V_x) for column in columns], gradient([effort], [1.0], both))
@@ -176,7 +186,7 @@ def feedback_law(
         command: now.
         limits: of its two numbers, either way.
     """
-    n = len(Q_1) - COMMANDS
+    n = len(Q_1) - COMMAND_SIZE
     Q_u, Q_uu, Q_ux = Q_1[n:], [row[n:] for row in Q_2[n:]], [row[:n] for row in Q_2[n:]]
     low, high = [-limit - c for limit, c in zip(limits, command, strict=True)], _sum(limits, [-c for c in command])
     k, free = bounded_minimum((Q_uu[0][0], Q_uu[0][1], Q_uu[1][1]), Q_u, low, high, SYMBOLS)
@@ -189,21 +199,23 @@ def feedback_law(
 
 
 def stage_jacobian(state: Sequence[Any], command: Sequence[Any], known: Stage, coefficients: Coefficients) -> Matrix:
-    """Return the derivative of `stage` by state and command, `STATES` rows; on symbols.
+    """Return the derivative of `stage` by state and command, `STATE_ROWS` rows; on symbols.
 
     The hull's motion depends on state and command by way of the mean loads.
     """
     both, after = [*state, *command], stage(state, command, known, coefficients, SYMBOLS)
     X, N, *_ = actuated(state, command, known)
-    acting = [*state[HULL], X, N]
-    hull = product(jacobian(after[HULL], acting), jacobian(acting, both))
-    return [*hull, *jacobian(after[HULL.stop :], both)]
+    acting = [*state[MOTION_STATES], X, N]
+    hull = product(jacobian(after[MOTION_STATES], acting), jacobian(acting, both))
+    return [*hull, *jacobian(after[MOTION_STATES.stop :], both)]
 
 
 def _error_curvature(after: Sequence[Any], known: Stage, weights: CostWeights) -> Any:
     """Return the curvature of the parabola that touches the position error's cost from above: never too small."""
-    x_e, y_e = after[AT.x_e] - known.aim_x, after[AT.y_e] - known.aim_y
-    return 2 * counted(known, weights) / SYMBOLS.sqrt(1 + (x_e * x_e + y_e * y_e) / (weights.huber * weights.huber))
+    x_e, y_e = after[PLACE.x_e] - known.aim_x, after[PLACE.y_e] - known.aim_y
+    return (
+        2 * error_weight(known, weights) / SYMBOLS.sqrt(1 + (x_e * x_e + y_e * y_e) / (weights.huber * weights.huber))
+    )
 
 
 def _hessian(cost: Any, by: Sequence[Any]) -> Sequence[Sequence[Any]]:
@@ -263,7 +275,7 @@ def _on_the_edge(
 
 
 def _feedback_of(Q_uu: Matrix, Q_ux: Matrix, free: tuple[Any, Any]) -> list[list[Any]]:
-    """Return how the free commands follow the state, `COMMANDS` rows of `STATES`; on symbols."""
+    """Return how the free commands follow the state, `COMMAND_SIZE` rows of `STATE_ROWS`; on symbols."""
     where, (free_u, free_r) = SYMBOLS.where, free
     first, second = [where(free_u, q, 0.0) for q in Q_ux[0]], [where(free_r, q, 0.0) for q in Q_ux[1]]
     a, d = where(free_u, Q_uu[0][0], 1.0), where(free_r, Q_uu[1][1], 1.0)  # of a fixed command there remains c = 0

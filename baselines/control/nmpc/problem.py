@@ -21,14 +21,14 @@ from auv_gym.physics.intervals import check_number
 from auv_gym.physics.namespaces import Array, Number
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from baselines.estimation.kalman import VEHICLE_ROWS, repeated
-from baselines.estimation.sea_model import AT
+from baselines.estimation.sea_model import PLACE
 
 Integers = NDArray[np.int64]
 
-STATES = AT.V_x
+STATE_ROWS = PLACE.V_x
 """Size of the state: x, y [m], psi [rad] in the world, u, v [m/s] relative to the water, r [rad/s], what the actuators
 apply, F_u [N], F_r [N m]: the rows of an `Estimate` in front of the current, in its order."""
-COMMANDS = 2  # how many values a command has: F_u [N], F_r [N m]
+COMMAND_SIZE = 2  # how many values a command has: F_u [N], F_r [N m]
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Plan(NamedTuple):
     cost: Array  # [m^2 s], shape (N,); infinite where no finite states come of them
 
 
-class Descent(NamedTuple):
+class Improvement(NamedTuple):
     """How commands should change: by `step` + `feedback` (state - state of the plan)."""
 
     step: Array  # shape (K, COMMANDS, N)
@@ -100,28 +100,28 @@ class Descent(NamedTuple):
     promise: Array  # [m^2 s] how much lower the cost would be if all were linear, shape (N,)
 
 
-Rows = TypeVar("Rows", bound=Any)
-"""A named tuple of arrays whose last axis goes through vehicles, as `Horizon`, `Plan` and `Descent` are."""
+_Rows = TypeVar("_Rows", bound=Any)
+"""A named tuple of arrays whose last axis goes through vehicles, as `Horizon`, `Plan` and `Improvement` are."""
 
 
-def taken(rows: Rows, few: Integers) -> Rows:
+def taken(rows: _Rows, few: Integers) -> _Rows:
     """Return what belongs to a few of the vehicles; the arrays may be the given ones where that is all of them."""
     if len(few) == rows[0].shape[-1]:
         return rows
-    return cast(Rows, rows._make(np.take(a, few, axis=-1) for a in rows))
+    return cast(_Rows, rows._make(np.take(a, few, axis=-1) for a in rows))
 
 
-def replaced(rows: Rows, few: Integers, others: Rows) -> Rows:
+def replaced(rows: _Rows, few: Integers, others: _Rows) -> _Rows:
     """Return a copy in which what belongs to a few of the vehicles is replaced."""
     if len(few) == rows[0].shape[-1]:
         return others
     copies = [a.copy() for a in rows]
     for a, b in zip(copies, others, strict=True):
         a[..., few] = b
-    return cast(Rows, rows._make(copies))
+    return cast(_Rows, rows._make(copies))
 
 
-def missing(state: Sequence[Number], command: Sequence[Number], known: Stage) -> tuple[Number, Number]:
+def _missing(state: Sequence[Number], command: Sequence[Number], known: Stage) -> tuple[Number, Number]:
     """Return F_u [N], F_r [N m] of a command less what the actuators apply; of fins at the speed of the state."""
     _, _, _, u, _, _, F_u, F_r = state
     return command[0] - F_u, command[1] * (known.torque + known.fin * u * u) - F_r
@@ -130,7 +130,7 @@ def missing(state: Sequence[Number], command: Sequence[Number], known: Stage) ->
 def actuated(state: Sequence[Number], command: Sequence[Number], known: Stage) -> tuple[Number, Number, Number, Number]:
     """Return the mean loads X [N], N [N m] on the hull over a stage, and the actuators' F_u, F_r at its end."""
     *_, F_u, F_r = state
-    missing_u, missing_r = missing(state, command, known)
+    missing_u, missing_r = _missing(state, command, known)
     mean_u, mean_r = F_u + known.share * missing_u, F_r + known.share * missing_r
     return mean_u + known.X, mean_r + known.N, F_u + known.gain * missing_u, F_r + known.gain * missing_r
 
@@ -138,7 +138,7 @@ def actuated(state: Sequence[Number], command: Sequence[Number], known: Stage) -
 def stage(
     state: Sequence[Number], command: Sequence[Number], known: Stage, coefficients: Coefficients, ns: Any
 ) -> list[Number]:
-    """Return the `STATES` components of the state at a stage's end."""
+    """Return the `STATE_ROWS` components of the state at a stage's end."""
     x, y, psi, u, v, r, *_ = state
     X, N, *force = actuated(state, command, known)
     load, current = (X, known.Y, N), (known.V_x, known.V_y)
@@ -156,14 +156,14 @@ def stage_costs(
     """Return the costs [m^2 s] of a stage: of the position error and the sway at its end, and of the commands."""
     x, y, _, _, v, *_ = after
     x_e, y_e = x - known.aim_x, y - known.aim_y
-    missing_u, missing_r = missing(state, command, known)
+    missing_u, missing_r = _missing(state, command, known)
     square = weights.huber * weights.huber
     error = 2 * square * (ns.sqrt(1 + (x_e * x_e + y_e * y_e) / square) - 1)
     effort = (weights.surge * missing_u) ** 2 + (weights.yaw * missing_r) ** 2
-    return counted(known, weights) * error, known.dt * (weights.sway * v) ** 2, known.dt * effort
+    return error_weight(known, weights) * error, known.dt * (weights.sway * v) ** 2, known.dt * effort
 
 
-def counted(known: Stage, weights: CostWeights) -> Number:
+def error_weight(known: Stage, weights: CostWeights) -> Number:
     """Return the time [s] that the position error at a stage's end counts for."""
     return known.dt + known.last * weights.terminal
 
@@ -189,8 +189,8 @@ def prediction_kernel(feedback: bool) -> Kernel:
     def equation(state: Any, cost: Any, known: Any, constant: Any, commands: Any, **descent: Any) -> Mapping[str, Any]:
         ahead, (coefficients, weights) = Stage(*known), constants(constant)
         command = [*commands]
-        for i in range(COMMANDS if feedback else 0):
-            limit, gains = descent["limits"][i], descent["gains"][i * STATES : (i + 1) * STATES]
+        for i in range(COMMAND_SIZE if feedback else 0):
+            limit, gains = descent["limits"][i], descent["gains"][i * STATE_ROWS : (i + 1) * STATE_ROWS]
             for gain, a, b in zip(gains, state, descent["planned"], strict=True):
                 command[i] = command[i] + gain * (a - b)
             command[i] = SYMBOLS.clip(command[i], -limit, limit)
@@ -199,9 +199,9 @@ def prediction_kernel(feedback: bool) -> Kernel:
         applied = {"applied": command} if feedback else {}
         return {"state": after, "cost": [cost[0] + costs[0] + costs[1] + costs[2]], "states": after, **applied}
 
-    rows = {"state": STATES, "cost": 1, "known": KNOWN, "constant": CONSTANTS, "commands": COMMANDS}
+    rows = {"state": STATE_ROWS, "cost": 1, "known": KNOWN, "constant": CONSTANTS, "commands": COMMAND_SIZE}
     if feedback:
-        rows |= {"limits": COMMANDS, "planned": STATES, "gains": COMMANDS * STATES}
+        rows |= {"limits": COMMAND_SIZE, "planned": STATE_ROWS, "gains": COMMAND_SIZE * STATE_ROWS}
     over_time = ("known", "commands", "states", "applied", "planned", "gains")
     return Kernel.traced(equation, rows, over_time, structural=True, blocked=True)
 
@@ -218,7 +218,12 @@ class OptimalControl:
         return repeated(np.array((*self.vehicle.coefficients, *astuple(self.weights)))[:, None], n)
 
     def planned(
-        self, start: Array, commands: Array, ahead: Horizon, plan: Plan | None = None, descent: Descent | None = None
+        self,
+        start: Array,
+        commands: Array,
+        ahead: Horizon,
+        plan: Plan | None = None,
+        descent: Improvement | None = None,
     ) -> Plan:
         """Return what comes of commands, shape (K, COMMANDS, N), from a state, shape (STATES, N).
 
@@ -226,7 +231,7 @@ class OptimalControl:
         and they are kept within the limits.
         """
         steps, _, n = commands.shape
-        states, cost = np.empty((steps + 1, STATES, n)), np.zeros((1, n))
+        states, cost = np.empty((steps + 1, STATE_ROWS, n)), np.zeros((1, n))
         states[0], commands = start, np.ascontiguousarray(commands)
         arrays = {"state": states[0].copy(), "cost": cost, "known": ahead.known, "constant": self.constant(n)}
         arrays |= {"commands": commands, "states": states[1:]}

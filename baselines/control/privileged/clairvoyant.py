@@ -13,8 +13,8 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from baselines.control.privileged.oracle import rehearsed, settling_gains, true_plan
-from baselines.control.privileged.problem import ACTIONS, STATES, Problem
-from baselines.control.privileged.solver import DAMPING, WINDOWS, foreseeing, solved
+from baselines.control.privileged.problem import COMMAND_ROWS, PLANT_STATES, Problem
+from baselines.control.privileged.solver import DAMPING, WINDOWS, best_trajectory, foreseeing
 from baselines.control.privileged.truth import FullInformation, Truth
 
 
@@ -29,9 +29,9 @@ class Clairvoyant(FullInformation):
     def _planned(self, scenario: Scenario, episodes: Sequence[Episode]) -> Truth:
         problem, n = Problem.of(scenario, episodes), len(episodes)
         guess = arriving(oracle_actions(scenario, episodes), problem.delay)
-        self._course = solved(problem, guess, [partial(foreseeing, window) for window in WINDOWS])
+        self._course = best_trajectory(problem, guess, [partial(foreseeing, window) for window in WINDOWS])
         feedback = problem.way(self._course, np.full(n, DAMPING)).feedback
-        self._gains = feedback.reshape(len(feedback), ACTIONS, STATES, n)
+        self._gains = feedback.reshape(len(feedback), COMMAND_ROWS, PLANT_STATES, n)
         self._limits, self._delay = problem.limits, problem.delay
         return Truth.of(scenario, episodes)
 

@@ -30,7 +30,7 @@ from auv_gym.physics.errors import to_body, tracking_errors
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.units import POWERS, Units
 from auv_gym.physics.vehicle import Coefficients, Vehicle
-from auv_gym.planning.paths import evaluate
+from auv_gym.planning.paths import evaluate_paths
 from auv_gym.planning.planner import assemble
 from auv_gym.planning.sideslip import PathRates, path_rates, sideslip_rest, sideslip_step, sideslip_terms, slow_sideslip
 from auv_gym.scenarios.episode import Episode
@@ -180,11 +180,11 @@ def true_plan(scenario: Scenario, episodes: Sequence[Episode]) -> TruePlan:
     from scipy.ndimage import gaussian_filter1d
 
     dt, truth, units = scenario.control_dt, Truth.of(scenario, episodes), Units.of(scenario.vehicle)
-    vehicle = fleet([e.vehicle for e in episodes])
+    vehicle = stacked_vehicles([e.vehicle for e in episodes])
     V, load = _halfway(truth.samples[:, CURRENT]), _halfway(truth.samples[:, LOAD])  # on a grid of half periods
     V = gaussian_filter1d(V, SMOOTHING * units.time / (0.5 * dt), axis=0, mode="nearest")
     times: Array = 0.5 * dt * np.arange(len(V), dtype=np.float64)
-    motion = evaluate([e.path for e in episodes], times)
+    motion = evaluate_paths([e.path for e in episodes], times)
     x, y = motion[0]
     V += np.stack(truth.parameters.shear.velocity(x, y, ARRAYS), axis=1)
     for order in range(1, 4):
@@ -220,7 +220,7 @@ def regulator(vehicle: Vehicle, speed: float, w: RegulatorWeights, units: Units)
     return np.asarray(-np.linalg.solve(R, B.T @ P) * f[:, None] / x)
 
 
-def fleet(vehicles: Sequence[Vehicle]) -> Vehicle:
+def stacked_vehicles(vehicles: Sequence[Vehicle]) -> Vehicle:
     """Return N vehicles as one whose parameters are rows (N,), for equations that work on rows."""
     rows = Coefficients(*np.array([vehicle.coefficients for vehicle in vehicles]).T)
     return cast(Vehicle, SimpleNamespace(coefficients=rows, **rows._asdict()))

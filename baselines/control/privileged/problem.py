@@ -33,9 +33,9 @@ from auv_gym.task.simulation import PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Par
 from baselines.control.nmpc.gauss_newton import feedback_law
 from baselines.control.privileged.truth import Truth
 
-STATES = 8  # x, y, psi, u, v, r of the vehicle and F_u, F_r of its actuators
-ACTIONS = 2  # a_u, a_r: commands as fractions of what action 1 gives
-TRIANGLE = STATES * (STATES + 1) // 2  # entries of a symmetric matrix of that size
+PLANT_STATES = 8  # x, y, psi, u, v, r of the vehicle and F_u, F_r of its actuators
+COMMAND_ROWS = 2  # a_u, a_r: commands as fractions of what action 1 gives
+TRIANGLE = PLANT_STATES * (PLANT_STATES + 1) // 2  # entries of a symmetric matrix of that size
 HEAD = 1e-3
 """Weight of the errors before the tail, all together."""
 PRICE = 1e-9
@@ -105,7 +105,7 @@ class Problem:
             weight=weight,
         )
 
-    def played(self, course: Course, way: Way | None = None, length: float = 1.0) -> Course:
+    def played(self, course: Trajectory, way: Way | None = None, length: float = 1.0) -> Trajectory:
         """Return what comes of the commands of a course, or of those that lie on the way from it; see `Way`.
 
         Args:
@@ -114,7 +114,7 @@ class Problem:
             length: how far to go.
         """
         steps, _, n = course.commands.shape
-        states, cost, error = np.empty((steps + 1, STATES, n)), np.zeros((1, n)), np.empty((steps, 1, n))
+        states, cost, error = np.empty((steps + 1, PLANT_STATES, n)), np.zeros((1, n)), np.empty((steps, 1, n))
         states[0], applied = self.begun, np.empty_like(course.commands)
         wanted = course.commands if way is None else course.commands + length * way.step
         with np.errstate(over="ignore", invalid="ignore"):  # what is lost costs too much
@@ -123,7 +123,7 @@ class Problem:
                 cost=cost,
                 command=wanted,
                 planned=course.states[:-1],
-                gains=np.zeros((steps, ACTIONS * STATES, n)) if way is None else way.feedback,
+                gains=np.zeros((steps, COMMAND_ROWS * PLANT_STATES, n)) if way is None else way.feedback,
                 limits=self.limits,
                 sample=self.samples,
                 weight=self.weight,
@@ -133,15 +133,15 @@ class Problem:
                 error=error,
             )(0, steps)
         tail = np.sqrt(error[steps // TAIL :, 0].mean(axis=0)) / self.unit
-        return Course(applied, states, np.where(np.isfinite(cost[0]), cost[0], np.inf), tail)
+        return Trajectory(applied, states, np.where(np.isfinite(cost[0]), cost[0], np.inf), tail)
 
-    def way(self, course: Course, damping: Array) -> Way:
+    def way(self, course: Trajectory, damping: Array) -> Way:
         """Return the Gauss-Newton step at a course, with its feedback; `damping` (N,) makes it shorter."""
         steps, _, n = course.commands.shape
-        step, feedback = np.empty_like(course.commands), np.empty((steps, ACTIONS * STATES, n))
+        step, feedback = np.empty_like(course.commands), np.empty((steps, COMMAND_ROWS * PLANT_STATES, n))
         with np.errstate(all="ignore"):
             way_kernel(self.parts).bound(
-                slope=np.zeros((STATES, n)),
+                slope=np.zeros((PLANT_STATES, n)),
                 curvature=np.zeros((TRIANGLE, n)),
                 state=course.states[:-1],
                 command=course.commands,
@@ -155,13 +155,13 @@ class Problem:
             )(0, steps)
         return Way(step, feedback)
 
-    def standing(self, commands: Array) -> Course:
+    def standing(self, commands: Array) -> Trajectory:
         """Return the course of commands, shape (K, ACTIONS, N), as they are."""
         steps, _, n = commands.shape
-        return self.played(Course(commands, np.zeros((steps + 1, STATES, n)), np.zeros(n), np.zeros(n)))
+        return self.played(Trajectory(commands, np.zeros((steps + 1, PLANT_STATES, n)), np.zeros(n), np.zeros(n)))
 
 
-class Course(NamedTuple):
+class Trajectory(NamedTuple):
     """Commands of N episodes and what comes of them."""
 
     commands: Array  # that act in each period, shape (K, ACTIONS, N)
@@ -178,7 +178,7 @@ class Way(NamedTuple):
 
 
 def _after(state: Sequence[Any], command: Sequence[Any], sample: Any, parameters: Any, parts: Parts) -> list[Any]:
-    """Return the `STATES` components one control period later."""
+    """Return the `PLANT_STATES` components one control period later."""
     x, y, psi, u, v, r, F_u, F_r = state
     p, a = Parameters.of(parameters, parts), (command[0], command[1])
     body, force = moved((x, y, psi, u, v, r), (F_u, F_r), a, sample, p, SYMBOLS)
@@ -199,8 +199,8 @@ def played_kernel(parts: Parts) -> Kernel:
         state: Any, cost: Any, command: Any, planned: Any, gains: Any, limits: Any, weight: Any, **known: Any
     ) -> Mapping[str, Sequence[Any]]:
         off, a = [x - c for x, c in zip(state, planned, strict=True)], []
-        for i in range(ACTIONS):
-            wanted = command[i] + dot(gains[i * STATES : (i + 1) * STATES], off)
+        for i in range(COMMAND_ROWS):
+            wanted = command[i] + dot(gains[i * PLANT_STATES : (i + 1) * PLANT_STATES], off)
             a.append(SYMBOLS.clip(wanted, -limits[i], limits[i]))
         after = _after(state, a, known["sample"], known["parameters"], parts)
         x_e, y_e = _missed(after, known["sample"])
@@ -208,8 +208,14 @@ def played_kernel(parts: Parts) -> Kernel:
         paid = weight[0] * error + PRICE * (a[0] * a[0] + a[1] * a[1])
         return {"state": after, "cost": [cost[0] + paid], "states": after, "applied": a, "error": [error]}
 
-    rows = {"state": STATES, "cost": 1, "command": ACTIONS, "planned": STATES, "gains": ACTIONS * STATES}
-    rows |= {"limits": ACTIONS, "sample": SAMPLE_ROWS, "weight": 1, "parameters": PARAMETER_ROWS}
+    rows = {
+        "state": PLANT_STATES,
+        "cost": 1,
+        "command": COMMAND_ROWS,
+        "planned": PLANT_STATES,
+        "gains": COMMAND_ROWS * PLANT_STATES,
+    }
+    rows |= {"limits": COMMAND_ROWS, "sample": SAMPLE_ROWS, "weight": 1, "parameters": PARAMETER_ROWS}
     over_time = ("command", "planned", "gains", "limits", "sample", "weight", "states", "applied", "error")
     return Kernel.traced(equation, rows, over_time, structural=True, blocked=True)
 
@@ -228,12 +234,18 @@ def way_kernel(parts: Parts) -> Kernel:
         for i, missed in enumerate(_missed(after, known["sample"])):
             V_x[i], V_xx[i][i] = V_x[i] + w * missed, V_xx[i][i] + w
         Q_1, Q_2 = [dot(column, V_x) for column in columns], [list(row) for row in congruence(columns, V_xx)]
-        for i, a in enumerate(command, STATES):
+        for i, a in enumerate(command, PLANT_STATES):
             Q_1[i], Q_2[i][i] = Q_1[i] + 2 * PRICE * a, Q_2[i][i] + 2 * PRICE + damping[0]
         slope, earlier, k, K, _ = feedback_law(Q_1, Q_2, command, limits)
         return {"slope": slope, "curvature": triangle(earlier), "step": k, "feedback": [x for row in K for x in row]}
 
-    rows = {"slope": STATES, "curvature": TRIANGLE, "state": STATES, "command": ACTIONS, "limits": ACTIONS}
+    rows = {
+        "slope": PLANT_STATES,
+        "curvature": TRIANGLE,
+        "state": PLANT_STATES,
+        "command": COMMAND_ROWS,
+        "limits": COMMAND_ROWS,
+    }
     rows |= {"sample": SAMPLE_ROWS, "weight": 1, "parameters": PARAMETER_ROWS, "damping": 1}
     over_time = ("state", "command", "limits", "sample", "weight", "step", "feedback")
     return Kernel.traced(equation, rows, over_time, back=True, structural=True, blocked=True)

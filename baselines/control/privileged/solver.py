@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import Array
 from baselines.control.nmpc.problem import replaced, taken
-from baselines.control.privileged.problem import Course, Problem, Way
+from baselines.control.privileged.problem import Problem, Trajectory, Way
 
 TOLERANCE = 1e-5
 """[m of the paper's vehicle] of the tail's root mean square: an episode is solved when a step that is hardly damped
@@ -40,7 +40,7 @@ _FADING = 0.5  # share of the last command that the periods after a window begin
 _STEPS_OF_WINDOW = 20  # most Gauss-Newton steps in a window
 
 
-def solved(problem: Problem, guess: Array, others: Sequence[Callable[[Problem], Array]] = ()) -> Course:
+def best_trajectory(problem: Problem, guess: Array, others: Sequence[Callable[[Problem], Array]] = ()) -> Trajectory:
     """Return the best course of N episodes that is found from commands to begin with.
 
     Args:
@@ -61,7 +61,7 @@ def solved(problem: Problem, guess: Array, others: Sequence[Callable[[Problem], 
     return best
 
 
-def refined(problem: Problem, course: Course, most: int = _MOST_STEPS) -> Course:
+def refined(problem: Problem, course: Trajectory, most: int = _MOST_STEPS) -> Trajectory:
     """Return a course after as many steps as each episode takes, at most so many."""
     damping, few = np.full(len(course.cost), DAMPING), np.arange(len(course.cost))
     for _ in range(most):
@@ -79,7 +79,7 @@ def refined(problem: Problem, course: Course, most: int = _MOST_STEPS) -> Course
     return course
 
 
-def _stepped(problem: Problem, course: Course, way: Way) -> tuple[Course, NDArray[np.bool_]]:
+def _stepped(problem: Problem, course: Trajectory, way: Way) -> tuple[Trajectory, NDArray[np.bool_]]:
     """Return the course after the longest part of a step that lowers the cost, and whether that is all of it."""
     best, whole = course, np.zeros(len(course.cost), dtype=bool)
     few = np.arange(len(course.cost))
@@ -95,18 +95,18 @@ def _stepped(problem: Problem, course: Course, way: Way) -> tuple[Course, NDArra
     return best, whole
 
 
-class Window(NamedTuple):
+class _Window(NamedTuple):
     """How far is looked ahead."""
 
     ahead: int  # control periods that are optimised
     kept: int  # of them, the first ones, whose commands are taken
 
 
-WINDOWS = Window(80, 40), Window(160, 40)
+WINDOWS = _Window(80, 40), _Window(160, 40)
 """Windows that are tried in turn: 8 s and 16 s at the cruise of the paper's vehicle."""
 
 
-def foreseeing(window: Window, problem: Problem) -> Array:
+def foreseeing(window: _Window, problem: Problem) -> Array:
     """Return the commands, shape (K, ACTIONS, N), that windows through an episode of K periods give."""
     commands, begun, steps = np.zeros_like(problem.limits), problem.begun, len(problem.limits)
     for first in range(0, steps, window.kept):

@@ -12,7 +12,7 @@ from typing import Any
 
 from baselines.evaluation.metrics import WORST, Summary, most_lost
 from baselines.evaluation.report.numbers import Entry
-from baselines.evaluation.score import BOUND, LARGEST_TAIL, ORACLE, RIVAL, fixed, fixed_ends
+from baselines.evaluation.score import LARGEST_TAIL, OPTIMUM_POLICY, ORACLE, RIVAL, fixed, fixed_ends
 
 NONE = "-"
 """Shown where there is no value."""
@@ -92,8 +92,8 @@ COLUMNS = (
            lambda _, s: s.tail_rmse_m.cvar95, digits(3), 3),
     Column("score.mean", "score",
            "(E_expert - E_policy) / (E_expert - E_best), E the mean tail over the same episodes: 0 is the paper's law, "
-           f"1 in benchmark-v2 the optimum of whom all is known, {BOUND}, in older suites the {ORACLE}, a regulator "
-           "that knows plant, current, waves and lag; errors are pooled over cases before dividing",
+           f"1 in benchmark-v2 the optimum of whom all is known, {OPTIMUM_POLICY}, in older suites the {ORACLE}, a "
+           "regulator that knows plant, current, waves and lag; errors are pooled over cases before dividing",
            lambda e, _: e.score and e.score.mean, fixed, 7),
     Column("score.ci95", "95 % of score", "95 % interval of the score, by bootstrap over paired episodes",
            lambda e, _: e.score and list(e.score.ci95), fixed_ends, 5),
@@ -123,12 +123,12 @@ COLUMNS = (
            lambda e, _: 1e3 * e.decision_seconds, digits(2)),
 )  # fmt: skip
 """What is told of every policy, in the order of the tables."""
-SHOWN = tuple(column for column in COLUMNS if column.heading)  # the columns that tables have
+_SHOWN = tuple(column for column in COLUMNS if column.heading)  # the columns that tables have
 
 
 def used(entries: Sequence[Entry]) -> list[Column]:
     """Return the columns of tables in which one of the entries has a value."""
-    return [column for column in SHOWN if any(column.text(entry) != NONE for entry in entries)]
+    return [column for column in _SHOWN if any(column.text(entry) != NONE for entry in entries)]
 
 
 def record(entry: Entry) -> dict[str, Any]:

@@ -9,14 +9,14 @@ from typing import Any
 
 from baselines.evaluation.report.columns import Column, definitions, lost_text, ranked, used
 from baselines.evaluation.report.numbers import Entry, Result, recordings
-from baselines.evaluation.report.page import mixed, render
+from baselines.evaluation.report.page import mixed, render_report
 from baselines.evaluation.report.page_data import at_first, by_scenario, look_of, page_data
 from baselines.evaluation.request import Request
 from baselines.evaluation.score import EXPERT, FORESIGHTED, Score, fixed, fixed_ends, regime_of, score_text
 from baselines.tools.figure_style import look
 from baselines.tools.files import versions
 
-FIRST = ("score", "lost", "tail", "effort", "smoothness", "decision_ms", "settling", "saturation", "capped")
+_FIRST = ("score", "lost", "tail", "effort", "smoothness", "decision_ms", "settling", "saturation", "capped")
 """The columns in the order in which a page has them, by the beginning of their keys; the others come behind."""
 _LEAST = -0.2
 """Score at the left end of the intervals that are drawn in the leaderboard."""
@@ -31,7 +31,7 @@ class TableCell:
 
 
 @dataclass(frozen=True)
-class Line:
+class _Line:
     """A line of a table of policies."""
 
     policy: str
@@ -45,13 +45,13 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Board:
+class _Board:
     """The policies of a regime or in a scenario, the best first."""
 
     place: str
     lead: str  # a sentence about the best
     columns: list[Column]
-    lines: list[Line]
+    lines: list[_Line]
     zero_one: tuple[float, float] | None  # where the scores 0 and 1 are in the intervals
 
 
@@ -67,7 +67,7 @@ def report_html(request: Request, results: Sequence[Result], pooled: Sequence[En
         for r in results
         if not scored or regime_of(r.run.scenario.name) not in {entry.place for entry in pooled}
     ]
-    return render(
+    return render_report(
         "report.html",
         page_data(results, pooled),
         ("report.js", "player.js"),
@@ -99,30 +99,30 @@ def _plural(count: int, what: str) -> str:
     return f"{count} {what}{'' if count == 1 else 's'}"
 
 
-def _boards(entries: Sequence[Entry], policies: Sequence[str], shown: set[str]) -> list[Board]:
+def _boards(entries: Sequence[Entry], policies: Sequence[str], shown: set[str]) -> list[_Board]:
     places = dict.fromkeys(entry.place for entry in entries)
     return [_board(place, [e for e in entries if e.place == place], policies, shown) for place in places]
 
 
-def _board(place: str, entries: Sequence[Entry], policies: Sequence[str], shown: set[str]) -> Board:
+def _board(place: str, entries: Sequence[Entry], policies: Sequence[str], shown: set[str]) -> _Board:
     columns, order = sorted(used(entries), key=_weight), ranked(entries)
     lines = [_line(entry, columns, policies, shown) for entry in order]
     scale = (_place(0.0), _place(1.0)) if any(line.interval for line in lines) else None
-    return Board(place, _lead(order), columns, lines, scale)
+    return _Board(place, _lead(order), columns, lines, scale)
 
 
 def _weight(column: Column) -> int:
     """Return where a column stands: the score and what is lost first, since a screen may not hold all."""
-    return next((i for i, name in enumerate(FIRST) if column.key.startswith(name)), len(FIRST))
+    return next((i for i, name in enumerate(_FIRST) if column.key.startswith(name)), len(_FIRST))
 
 
-def _line(entry: Entry, columns: Sequence[Column], policies: Sequence[str], shown: set[str]) -> Line:
+def _line(entry: Entry, columns: Sequence[Column], policies: Sequence[str], shown: set[str]) -> _Line:
     failed = entry.summary is None
     cells = [TableCell("failed" if failed else column.text(entry), _key(column.of(entry))) for column in columns]
     index = None if failed else policies.index(entry.policy)
     colour = "" if failed else look(entry.policy, policies).colour
     mark = "*" if entry.recorded else ""
-    return Line(entry.policy, mark, index, colour, entry.policy in shown, cells, _interval(entry.score), failed)
+    return _Line(entry.policy, mark, index, colour, entry.policy in shown, cells, _interval(entry.score), failed)
 
 
 def _key(value: Any) -> float | str:

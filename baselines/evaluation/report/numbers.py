@@ -13,13 +13,13 @@ from auv_gym.scenarios.presets import REGIMES
 from baselines.evaluation.metrics import Measures, Summary, ratio, summarise
 from baselines.evaluation.runner import Run
 from baselines.evaluation.score import (
-    AT,
     EXPERT,
     RIVAL,
+    VEHICLE_MARK,
     Anchors,
     Score,
     capped,
-    in_paper_units,
+    in_paper_metres,
     largest_tail,
     losses,
     paired,
@@ -29,7 +29,7 @@ from baselines.evaluation.score import (
     vehicle_of,
 )
 
-Case = Mapping[str, Measures]
+_Case = Mapping[str, Measures]
 """What was measured in a scenario, by policy, in metres of the paper's vehicle, see `score.in_paper_units`."""
 _PAPER = "paper"  # names the paper's vehicle where there are others
 
@@ -97,11 +97,11 @@ def _places(scenarios: Sequence[str]) -> dict[str, list[str]]:
         if own:
             found[regime] = own
         for vehicle in vehicles if len(vehicles) > 1 else ():
-            found[f"{regime}{AT}{vehicle or _PAPER}"] = [name for name in own if vehicle_of(name) == vehicle]
+            found[f"{regime}{VEHICLE_MARK}{vehicle or _PAPER}"] = [name for name in own if vehicle_of(name) == vehicle]
     return found
 
 
-def _entry(place: str, runs: Sequence[Run], by_name: Mapping[str, Case], anchors: Anchors) -> Entry:
+def _entry(place: str, runs: Sequence[Run], by_name: Mapping[str, _Case], anchors: Anchors) -> Entry:
     """Return the figures of one policy's runs, all together, in these cases."""
     policy, cases, caps = runs[0].policy, list(by_name.values()), list(map(largest_tail, by_name))
     seconds, recorded = float(np.mean([run.decision_seconds for run in runs])), runs[0].recorded is not None
@@ -143,7 +143,7 @@ def measures_of(runs: Sequence[Run]) -> dict[str, dict[str, Measures]]:
     for run in runs:
         case = found.setdefault(run.scenario.name, {})
         if run.measures is not None:
-            case[run.policy] = in_paper_units(run.measures, run.scenario)
+            case[run.policy] = in_paper_metres(run.measures, run.scenario)
     return found
 
 

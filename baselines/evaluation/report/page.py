@@ -28,7 +28,7 @@ _WORST, _MIDDLE, _BEST = (217, 128, 50), (250, 250, 248), (60, 130, 190)  # colo
 _SNIPPET = "window.vegaEmbed = vegaEmbed;"  # what the pages need of the library
 
 
-def render(template: str, data: Any, scripts: tuple[str, ...] = (), **context: Any) -> str:
+def render_report(template: str, data: Any, scripts: tuple[str, ...] = (), **context: Any) -> str:
     """Return the text of a page.
 
     Args:

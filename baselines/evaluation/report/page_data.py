@@ -15,7 +15,7 @@ from baselines.evaluation.report.charts import charts
 from baselines.evaluation.report.columns import digits, ends, lost_text, ranked
 from baselines.evaluation.report.numbers import Entry, Result
 from baselines.evaluation.rollout import TRACED
-from baselines.evaluation.score import BOUND, EXPERT, LARGEST_TAIL, fixed, fixed_ends, regime_of, waters_of
+from baselines.evaluation.score import EXPERT, LARGEST_TAIL, OPTIMUM_POLICY, fixed, fixed_ends, regime_of, waters_of
 from baselines.tools.figure_style import DASHES, OUTLINES, look
 
 FEW = 10
@@ -71,7 +71,7 @@ def at_first(results: Sequence[Result], pooled: Sequence[Entry]) -> set[str]:
     groups = [ranked([e for e in entries if e.place == place]) for place in dict.fromkeys(e.place for e in entries)]
     deepest = max(map(len, groups), default=0)
     best = [group[i].policy for i in range(deepest) for group in groups if i < len(group)]
-    order = list(dict.fromkeys((EXPERT, BOUND, *live, *best)))
+    order = list(dict.fromkeys((EXPERT, OPTIMUM_POLICY, *live, *best)))
     known = {result.run.policy for result in results}
     named = [policy for policy in order if policy in known]
     return set(named if len(named) <= 1.3 * FEW else named[:FEW])

@@ -12,7 +12,7 @@ from baselines.evaluation.report.numbers import Entry, Result
 from baselines.evaluation.report.page_data import page_data
 from baselines.evaluation.score import FORESIGHTED
 
-WIDTH = 640  # [px] of a chart, without its axis
+_WIDTH = 640  # [px] of a chart, without its axis
 _SCALE = 2.0  # pixels of the file for each pixel of the chart
 
 
@@ -46,7 +46,7 @@ def charts_png(results: Sequence[Result], pooled: Sequence[Entry]) -> dict[str, 
 def _png(spec: Spec, rows: Sequence[Any], others: Mapping[str, Any] | None = None) -> bytes:
     """Return a chart with its rows and a legend as a PNG file."""
     names = list(dict.fromkeys(row["policy"] for row in rows))
-    filled = {**_with_legend(spec, names), "width": WIDTH, "datasets": {"rows": rows, **(others or {})}}
+    filled = {**_with_legend(spec, names), "width": _WIDTH, "datasets": {"rows": rows, **(others or {})}}
     picture: bytes = vl_convert.vegalite_to_png(filled, scale=_SCALE)
     return picture
 

@@ -16,14 +16,14 @@ from baselines.evaluation.report.columns import Column, ranked, used
 from baselines.evaluation.report.numbers import Entry, Result, recordings
 from baselines.evaluation.score import FORESIGHTED, SCALE
 
-WIDTH = 200  # characters in a line of a table that does not go to a terminal
+_WIDTH = 200  # characters in a line of a table that does not go to a terminal
 LOOK: dict[str, Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False}  # of every table
 
 
 def console() -> Console:
     """Return the console for tables on stdout, wide enough for them where it is no terminal."""
     out = Console(highlight=False)
-    return out if out.is_terminal else Console(highlight=False, width=WIDTH)
+    return out if out.is_terminal else Console(highlight=False, width=_WIDTH)
 
 
 def print_report(results: Sequence[Result], pooled: Sequence[Entry], folder: Path) -> None:

@@ -64,7 +64,7 @@ def feedback(state: State, reference: SteadyCircle, t: Any, vehicle: Vehicle, ga
     return errors, tracking_forces(observation, vehicle, gains, ARRAYS)
 
 
-def respond(
+def closed_loop_response(
     starts: Array,
     path: Circle,
     vehicle: Vehicle,
@@ -103,7 +103,7 @@ def respond(
     return Response(times, state, np.stack(reference.state(times)[:2]), np.stack(errors), np.stack(force))
 
 
-def settling_time(t: Array, error: Array, bound: float) -> float:
+def last_outside(t: Array, error: Array, bound: float) -> float:
     """Return the last of the times [s], shape (T,), at which |error| is outside the bound; 0 if it never is."""
     outside = np.flatnonzero(np.abs(error) > bound)
     return float(t[outside[-1]]) if len(outside) else 0.0

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from baselines.evaluation.report.charts import rate_chart
-from baselines.evaluation.report.page import mixed, render
+from baselines.evaluation.report.page import mixed, render_report
 from baselines.evaluation.report.page_data import look_of
 from baselines.evaluation.stability.certificate import MISSING, installed
 from baselines.evaluation.stability.tables import Stability, decay_texts, sheets
@@ -27,7 +27,7 @@ def stability_html(found: Sequence[Stability], command: str) -> str:
         for w, rate in zip(s.turn_rates, row, strict=True)
         if math.isfinite(rate)
     ]
-    return render(
+    return render_report(
         "stability.html",
         {"charts": {"rates": rate_chart([s.policy for s in found])}, "rows": {"rates": rows}},
         ("figures.js",),

@@ -34,7 +34,7 @@ from baselines.tools.files import json_text, write_atomically
 SPEEDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.75, 1.0, 1.5, 2.0)  # [m/s] path speeds of the map
 TURN_RATES = (0.0, 0.1, 0.2, 0.3)  # [rad/s] turn rates of the map
 CERTIFIED_SPEEDS = (0.1, 0.3, 1.0, 2.0)  # [m/s] path speeds of the certificates
-LIMITS: dict[str, tuple[float, float]] = {"without limits": (8192.0, 4096.0), "250 N, 120 N m": (250.0, 120.0)}
+EXAMINED_LIMITS: dict[str, tuple[float, float]] = {"without limits": (8192.0, 4096.0), "250 N, 120 N m": (250.0, 120.0)}
 """Limits of the actuators [N], [N m] that success is sampled with; none means the largest that can be set."""
 STARTS = 200  # number of random starts
 _STEPS = 2000  # control steps from each start
@@ -71,7 +71,7 @@ def examine(name: str) -> Stability:
         periods,
         limits_of_speed(policy, [motion[0].held for motion in motions], periods is None),
         STARTS,
-        {label: success(policy, limits, STARTS) for label, limits in LIMITS.items()},
+        {label: success(policy, limits, STARTS) for label, limits in EXAMINED_LIMITS.items()},
         certified,
     )
 

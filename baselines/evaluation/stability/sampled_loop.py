@@ -31,7 +31,7 @@ from auv_gym.task.preview import encode_preview
 from auv_gym.task.simulation import SAMPLE, SAMPLE_ROWS, start, step
 from baselines.policy import CRUISE_SPEED, Memory, Privileged
 
-VEHICLE = 8
+_VEHICLE = 8
 """How many entries of z are not memory: six errors and the last action."""
 SETTLING = 200.0
 """Seconds that a policy gets to settle."""
@@ -53,7 +53,7 @@ NUDGED = 40  # control steps that this takes
 _SHARE = 0.02  # half width of differences as a share of what the nudge moved a memory by
 _ROUNDING = 1e-9
 """Relative change of a memory that is none."""
-WIDTH = np.array((1e-3,) * 6 + (1e-4,) * 2)  # half width of the differences of the vehicle's own part, SI units
+_WIDTH = np.array((1e-3,) * 6 + (1e-4,) * 2)  # half width of the differences of the vehicle's own part, SI units
 SLIGHT = 1e-3
 """Entry of the Jacobian, in units of the differences, that is none: actions have single precision."""
 _BLOCK = 4096  # most vehicles at once
@@ -262,7 +262,7 @@ def _widths(loop: _Loop, orbit: _Orbit) -> Array:
         difference = _flat(moved[1], len(psi)) - _flat(still[1], len(psi))
         felt = np.maximum(felt, np.abs(difference).max(axis=1, initial=0.0))
     size = np.abs(_flat(orbit.memory, len(orbit.psi))).max(axis=1, initial=0.0)
-    return np.concatenate((WIDTH, np.where(felt > _ROUNDING * size, _SHARE * felt, 0.0)))
+    return np.concatenate((_WIDTH, np.where(felt > _ROUNDING * size, _SHARE * felt, 0.0)))
 
 
 def _of_a_nudge(loop: _Loop, orbit: _Orbit, rate: float) -> float:
@@ -305,8 +305,8 @@ def _applied(loop: _Loop, z: Array, orbit: _Orbit, psi: float) -> Array:
     for a in range(0, z.shape[1], _BLOCK):
         part = z[:, a : a + _BLOCK]
         count = part.shape[1]
-        memory = _shaped(part[VEHICLE:], orbit.memory) if orbit.memory else None
-        own, after = loop.moved(part[:VEHICLE], memory, np.full(count, psi))
+        memory = _shaped(part[_VEHICLE:], orbit.memory) if orbit.memory else None
+        own, after = loop.moved(part[:_VEHICLE], memory, np.full(count, psi))
         found.append(np.vstack((own, _flat(after, count))))
     return np.hstack(found)
 

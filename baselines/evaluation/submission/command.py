@@ -15,13 +15,13 @@ from baselines.evaluation.progress import run_and_show
 from baselines.evaluation.report.terminal import console, entries_table
 from baselines.evaluation.request import checked_policies
 from baselines.evaluation.runner import STEP_LIMIT
-from baselines.evaluation.submission.files import MEASURED, Submission, read
+from baselines.evaluation.submission.files import SUBMITTED, Submission, read_submission
 from baselines.evaluation.submission.reproduction import (
     RELATIVE,
-    SHARE,
-    Chosen,
-    cells_of,
+    REPRODUCED_SHARE,
+    ChosenEpisodes,
     chosen,
+    chosen_cells,
     mismatches,
     smallest_caught,
 )
@@ -30,7 +30,7 @@ from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
 from baselines.tools.workers import DEFAULT_JOBS, Workers
 
 PROGRAM = "auv-gym submit"
-SHOWN = 5
+_SHOWN = 5
 """Largest number of mismatches that are printed."""
 MOST_SEED = 2**32  # of the seeds that choose the episodes
 
@@ -46,7 +46,7 @@ class Options:
     """The submission, NAME.npz."""
     policy: Annotated[Positional[str], arg(metavar="[POLICY]")] = ""
     """The policy as evaluate.py --policy takes it. Without one, nothing runs."""
-    share: float = SHARE
+    share: float = REPRODUCED_SHARE
     """Share of each case's episodes that is run again, from above 0 to 1."""
     seed: int | None = None
     """Seed that chooses them. Default: a random one, which is shown."""
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    check(options.share, options.seed, options.step_limit, options.jobs)
+    check_numbers(options.share, options.seed, options.step_limit, options.jobs)
     try:
         submission = read_file(options.file)
         print(
@@ -80,7 +80,7 @@ def main(arguments: Sequence[str]) -> int:
         return FAILED
 
 
-def check(share: float, seed: int | None, step_limit: float, jobs: int) -> None:
+def check_numbers(share: float, seed: int | None, step_limit: float, jobs: int) -> None:
     """Raise UsageError if one of the numbers makes no sense."""
     if not 0 < share <= 1:
         raise UsageError(f"--share is {share}; it must be above 0 and at most 1")
@@ -98,12 +98,12 @@ def read_file(file: Path) -> Submission:
         ValueError: it holds no submission, or contradicts itself.
     """
     try:
-        return read(file)
+        return read_submission(file)
     except OSError as error:
         raise UsageError(f"cannot read {file}: {error.strerror}") from error
 
 
-def episodes_to_run(submission: Submission, share: float, seed: int | None) -> tuple[Chosen, int]:
+def episodes_to_run(submission: Submission, share: float, seed: int | None) -> tuple[ChosenEpisodes, int]:
     """Return the episodes to run again, and the seed that chose them, which is printed."""
     seed = secrets.randbelow(MOST_SEED) if seed is None else seed
     episodes = chosen(submission, share, seed)
@@ -112,10 +112,10 @@ def episodes_to_run(submission: Submission, share: float, seed: int | None) -> t
     return episodes, seed
 
 
-def reproduce(submission: Submission, policy: str, episodes: Chosen, jobs: int, step_limit: float) -> int:
+def reproduce(submission: Submission, policy: str, episodes: ChosenEpisodes, jobs: int, step_limit: float) -> int:
     """Run a share of the episodes again, print what differs and return the exit status."""
     checked_policies([policy])
-    pairs = [(policy, cell) for cell in cells_of(submission, episodes)]
+    pairs = [(policy, cell) for cell in chosen_cells(submission, episodes)]
     again = run_and_show(pairs, Workers(jobs), step_limit)
     if again[0].fingerprint != submission.fingerprint:
         print(f"note: {policy} is not the policy that was submitted: its fingerprint is another one", file=sys.stderr)
@@ -123,10 +123,10 @@ def reproduce(submission: Submission, policy: str, episodes: Chosen, jobs: int, 
     if found:
         wrong = len({(m.scenario, m.episode) for m in found})
         print(f"NOT REPRODUCED: {wrong} of {count} episodes differ")
-        for mismatch in found[:SHOWN]:
+        for mismatch in found[:_SHOWN]:
             print(f"  {mismatch}")
         return FAILED
-    print(f"Reproduced: all {len(MEASURED) * count} numbers, to {100 * RELATIVE:g} % of each.")
+    print(f"Reproduced: all {len(SUBMITTED) * count} numbers, to {100 * RELATIVE:g} % of each.")
     caught = 100 * smallest_caught(count)
     print(f"Had {caught:.1f} % of the episodes been made up, this would have shown it with 95 % certainty.")
     return DONE

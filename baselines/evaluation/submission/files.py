@@ -24,19 +24,19 @@ from baselines.evaluation.metrics import Measures
 from baselines.evaluation.runner import Cell, Recorded, Run
 from baselines.evaluation.score import regime_of
 from baselines.evaluation.store import Stored, reading, write
-from baselines.evaluation.suites import Suite, list_suites, load
+from baselines.evaluation.suites import Suite, list_suites, load_suite
 from baselines.tools.command_line import printable
 from baselines.tools.files import checked_plain
 
 _FORMAT = 1
 """Version of the file's layout."""
-LARGEST = 200_000
+LARGEST_SUBMISSION = 200_000
 """Most bytes of a file."""
-LARGEST_CONTENT = 20 * LARGEST
+LARGEST_CONTENT = 20 * LARGEST_SUBMISSION
 """Most bytes that it unpacks to."""
-MEASURED = ("tail", "effort", "smoothness", "lost")
+SUBMITTED = ("tail", "effort", "smoothness", "lost")
 """What is kept of an episode, fields of `Measures`: tail RMSE [m], effort, rate of the command, ended too far off."""
-_TYPES = {key: np.dtype(bool if key == "lost" else np.float32) for key in MEASURED}
+_TYPES = {key: np.dtype(bool if key == "lost" else np.float32) for key in SUBMITTED}
 _MOST = {"tail": 1e6, "effort": 1.0, "smoothness": 4.0, "lost": True}  # what a measure can be
 _TEXTS = ("policy", "fingerprint", "date", "command", "versions")
 KEYS = frozenset(("format", "name", "suite", "suite_hash", "about", "cells", "episodes", "decision_seconds", *_TEXTS))
@@ -55,7 +55,7 @@ class Submission:
     date: str  # ISO 8601
     command: str  # that ran it
     suite: Suite
-    runs: tuple[Run, ...]  # cell by cell; of the measures those of `MEASURED`, the others nan
+    runs: tuple[Run, ...]  # cell by cell; of the measures those of `SUBMITTED`, the others nan
 
     @property
     def episodes(self) -> int:
@@ -72,7 +72,7 @@ class Submission:
         record |= {"episodes": [len(run.measures or ()) for run in self.runs]}
         record |= {"decision_seconds": [run.decision_seconds for run in self.runs]}
         measures = Measures.joined([run.measures for run in self.runs if run.measures is not None])
-        return Stored(record, {key: getattr(measures, key).astype(_TYPES[key]) for key in MEASURED})
+        return Stored(record, {key: getattr(measures, key).astype(_TYPES[key]) for key in SUBMITTED})
 
 
 def submission_of(
@@ -100,28 +100,28 @@ def submission_of(
     return _checked(made.stored)
 
 
-def save(submission: Submission, file: Path) -> int:
+def save_submission(submission: Submission, file: Path) -> int:
     """Write a submission and return how many bytes it has.
 
     Raises:
         OSError: the file cannot be written.
-        ValueError: it would be larger than `LARGEST`.
+        ValueError: it would be larger than `LARGEST_SUBMISSION`.
     """
     write(file, submission.stored)
-    if (size := file.stat().st_size) > LARGEST:
+    if (size := file.stat().st_size) > LARGEST_SUBMISSION:
         file.unlink()
-        raise ValueError(f"the submission would be {size} bytes long; allowed are {LARGEST}")
+        raise ValueError(f"the submission would be {size} bytes long; allowed are {LARGEST_SUBMISSION}")
     return size
 
 
-def read(file: Path) -> Submission:
+def read_submission(file: Path) -> Submission:
     """Return the submission of a file, once all of it is what it must be.
 
     Raises:
         OSError: it cannot be read.
         ValueError: it is too large or damaged, of no suite that there is, or not of whole regimes of it.
     """
-    with reading(file, LARGEST, LARGEST_CONTENT) as stored:
+    with reading(file, LARGEST_SUBMISSION, LARGEST_CONTENT) as stored:
         return _checked(stored)
 
 
@@ -130,8 +130,8 @@ def _checked(stored: Stored) -> Submission:
     record = checked_plain(dict(stored.record))
     if record.get("format") != _FORMAT or set(record) != KEYS:
         raise ValueError(f"its record must be of format {_FORMAT} with {', '.join(sorted(KEYS))}, and nothing else")
-    if set(stored.arrays) != set(MEASURED):
-        raise ValueError(f"its arrays are {', '.join(sorted(stored.arrays))}; they must be {', '.join(MEASURED)}")
+    if set(stored.arrays) != set(SUBMITTED):
+        raise ValueError(f"its arrays are {', '.join(sorted(stored.arrays))}; they must be {', '.join(SUBMITTED)}")
     for key in ("policy", "command"):
         _text(record, key, r".{0,2000}")
     _text(record, "fingerprint", r"[0-9a-f]{64}")
@@ -158,7 +158,7 @@ def _suite(record: Mapping[str, Any]) -> Suite:
     name = record["suite"]
     if name not in list_suites():
         raise ValueError(f"its suite is {name!r:.100}; there are {', '.join(list_suites())}")
-    suite = load(name)
+    suite = load_suite(name)
     if record["suite_hash"] != suite.hash:
         raise ValueError(f"it is of another {name}, of hash {record['suite_hash']!r:.20}, not {suite.hash[:12]}")
     return suite
@@ -180,7 +180,7 @@ def _runs(suite: Suite, record: Mapping[str, Any], arrays: Mapping[str, NDArray[
         if not ((values >= 0) & (values <= _MOST[key])).all():
             raise ValueError(f"its {key} is not within [0, {_MOST[key]:g}] everywhere")
     when, bounds = Recorded(record["date"], record["versions"]), np.cumsum([0, *lengths]).tolist()
-    parts = [{key: arrays[key][a:b] for key in MEASURED} for a, b in itertools.pairwise(bounds)]
+    parts = [{key: arrays[key][a:b] for key in SUBMITTED} for a, b in itertools.pairwise(bounds)]
     for cell, part in zip(cells, parts, strict=True):
         _plausible(cell, part)
     make = partial(Run, record["policy"], recorded=when, fingerprint=record["fingerprint"])

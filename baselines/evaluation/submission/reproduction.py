@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.evaluation.runner import Cell, Run
-from baselines.evaluation.submission.files import MEASURED, Submission
+from baselines.evaluation.submission.files import SUBMITTED, Submission
 
-SHARE = 0.05
+REPRODUCED_SHARE = 0.05
 """Share of each cell's episodes that is run again, unless another one is asked for."""
 RELATIVE = 1e-3
 """Difference of a measure, as a share of it, up to which it counts as the same."""
 ABSOLUTE = {"tail": 1e-5, "effort": 1e-5, "smoothness": 1e-5, "lost": 0.0}
 """Difference up to which a measure counts as the same, however small it is; of the tail in m."""
 
-Chosen = dict[str, NDArray[np.int64]]
+ChosenEpisodes = dict[str, NDArray[np.int64]]
 """Numbers of the episodes to run again, by scenario."""
 
 
@@ -39,7 +39,7 @@ class Mismatch:
         return f"{where} {self.submitted:.6g}{unit} submitted, {self.found:.6g}{unit} found"
 
 
-def chosen(submission: Submission, share: float, seed: int) -> Chosen:
+def chosen(submission: Submission, share: float, seed: int) -> ChosenEpisodes:
     """Return a random share of each cell's episodes, at least one, in ascending order.
 
     Args:
@@ -51,13 +51,13 @@ def chosen(submission: Submission, share: float, seed: int) -> Chosen:
     return {name: np.sort(rng.permutation(n)[: max(1, math.ceil(share * n - 1e-9))]) for name, n in lengths.items()}
 
 
-def cells_of(submission: Submission, episodes: Chosen) -> list[Cell]:
+def chosen_cells(submission: Submission, episodes: ChosenEpisodes) -> list[Cell]:
     """Return the cells of these episodes."""
     by_name = {cell.scenario.name: cell for cell in submission.suite.cells}
     return [Cell(by_name[n].scenario, tuple(by_name[n].episodes[i] for i in own)) for n, own in episodes.items()]
 
 
-def mismatches(submission: Submission, episodes: Chosen, again: Sequence[Run]) -> list[Mismatch]:
+def mismatches(submission: Submission, episodes: ChosenEpisodes, again: Sequence[Run]) -> list[Mismatch]:
     """Return what does not repeat, the episodes in the order of the suite.
 
     Args:
@@ -73,7 +73,7 @@ def mismatches(submission: Submission, episodes: Chosen, again: Sequence[Run]) -
         name = old.scenario.name
         if (new := runs[name]).measures is None:
             raise ValueError(f"{new.policy} fails in {name}: {new.error}")
-        for measure in MEASURED:
+        for measure in SUBMITTED:
             was = getattr(old.measures, measure)[episodes[name]].astype(np.float64)
             now = getattr(new.measures, measure).astype(np.float64)
             differs = ~(np.abs(now - was) <= ABSOLUTE[measure] + RELATIVE * np.abs(was) * (measure != "lost"))

@@ -21,7 +21,7 @@ def yardsticks(suite: Suite) -> tuple[Run, ...]:
     Raises:
         ValueError: there are none that count; the message says why.
     """
-    found = recorded.load(suite)
+    found = recorded.load_recorded(suite)
     for policy in suite.anchors:
         if all(run.policy != policy for run in found.runs):
             reason = recorded.missing(suite.name) or found.refused.get(policy, "there are none")

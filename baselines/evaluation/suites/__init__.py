@@ -35,7 +35,7 @@ from baselines.control.privileged.truth import samples
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import BY_ORACLE, Anchors, regime_of
 
-FOLDER = Path(__file__).parent
+SUITES_FOLDER = Path(__file__).parent  # of the files of the suites
 SUMS = "SHA256SUMS"  # file of the suites' hashes
 FORMAT = 1  # version of the files' layout
 
@@ -67,7 +67,7 @@ class Suite:
 
 def list_suites() -> list[str]:
     """Return the names of the frozen suites."""
-    return sorted(_sums(FOLDER))
+    return sorted(_sums(SUITES_FOLDER))
 
 
 def _sums(folder: Path) -> dict[str, str]:
@@ -79,7 +79,7 @@ def _sums(folder: Path) -> dict[str, str]:
     return {name.removesuffix(".json"): digest for digest, name in (line.split() for line in lines)}
 
 
-def load(name: str, folder: Path = FOLDER) -> Suite:
+def load_suite(name: str, folder: Path = SUITES_FOLDER) -> Suite:
     """Return a suite once its hash is right and a sample of its episodes is what it was.
 
     Raises:
@@ -112,7 +112,7 @@ def _loaded(name: str, folder: Path) -> Suite:
     return suite
 
 
-def save(name: str, cells: Sequence[Cell], folder: Path = FOLDER, anchors: Anchors = BY_ORACLE) -> str:
+def save_suite(name: str, cells: Sequence[Cell], folder: Path = SUITES_FOLDER, anchors: Anchors = BY_ORACLE) -> str:
     """Write a suite and its hash, which is returned."""
     record: dict[str, Any] = {
         "suite": name,
@@ -131,13 +131,13 @@ def save(name: str, cells: Sequence[Cell], folder: Path = FOLDER, anchors: Ancho
     return _written(name, record, folder)
 
 
-def save_shared(name: str, episodes_of: str, anchors: Anchors, folder: Path = FOLDER) -> str:
+def save_shared(name: str, episodes_of: str, anchors: Anchors, folder: Path = SUITES_FOLDER) -> str:
     """Write a suite that has the episodes of another one and anchors of its own, and its hash, which is returned.
 
     Raises:
         SuiteError: the other one cannot be read.
     """
-    source = {"suite": episodes_of, "hash": load(episodes_of, folder).hash}
+    source = {"suite": episodes_of, "hash": load_suite(episodes_of, folder).hash}
     record = {"suite": name, "format": FORMAT, "episodes_of": source, "anchors": anchors._asdict()}
     return _written(name, record, folder)
 
@@ -223,7 +223,7 @@ def _episode(record: Mapping[str, Any], scenario: Scenario) -> Episode:
 
 def _shared(record: Mapping[str, Any], text_hash: str, folder: Path) -> Suite:
     """Return a suite that has the episodes of another one."""
-    source = load(record["episodes_of"]["suite"], folder)
+    source = load_suite(record["episodes_of"]["suite"], folder)
     if source.hash != record["episodes_of"]["hash"]:
         raise SuiteError(f"{record['suite']} has the episodes of another {source.name}, of hash {source.hash[:12]}")
     anchors = Anchors(**record["anchors"])

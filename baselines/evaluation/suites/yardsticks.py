@@ -16,11 +16,11 @@ from auv_gym.physics.namespaces import Array
 from baselines.evaluation.rollout import PolicyError, rollout
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import BY_ORACLE, cap_of, capped
-from baselines.evaluation.suites import FOLDER, Suite
+from baselines.evaluation.suites import SUITES_FOLDER, Suite
 from baselines.policies import make_policy
 from baselines.tools.files import json_text, read_json, write_atomically
 
-FILE = FOLDER / "yardsticks.json"  # of all suites that have been measured
+YARDSTICKS_FILE = SUITES_FOLDER / "yardsticks.json"  # of all suites that have been measured
 
 
 class Yardstick(NamedTuple):
@@ -33,24 +33,24 @@ class Yardstick(NamedTuple):
     oracle_m: float
 
 
-def measured(cell: Cell, brief: bool = False) -> Yardstick:
+def measured_yardsticks(cell: Cell, brief: bool = False) -> Yardstick:
     """Return what the anchors do in a cell; where it is to be brief the oracle is left out: infinite."""
     one = math.inf if brief else float(np.mean(_capped_tail(BY_ORACLE.one, cell)))
     return Yardstick(float(np.mean(_capped_tail(BY_ORACLE.zero, cell))), one)
 
 
-def kept(cell: Cell) -> Yardstick | None:
+def recorded_yardsticks(cell: Cell) -> Yardstick | None:
     """Return what the anchors do in a cell of a frozen suite, as it was measured; None for another cell."""
-    return _kept(FILE).get(cell.hash)
+    return _kept(YARDSTICKS_FILE).get(cell.hash)
 
 
-def keep(suite: Suite, file: Path = FILE) -> None:
+def write_yardsticks(suite: Suite, file: Path = YARDSTICKS_FILE) -> None:
     """Measure the cells of a suite and write down what was found, in place of what was known of it.
 
     Raises:
         OSError: the file cannot be written.
     """
-    found = {cell.scenario.name: {"cell": cell.hash, **measured(cell)._asdict()} for cell in suite.cells}
+    found = {cell.scenario.name: {"cell": cell.hash, **measured_yardsticks(cell)._asdict()} for cell in suite.cells}
     write_atomically(file, json_text((read_json(file) if file.exists() else {}) | {suite.name: found}))
     _kept.cache_clear()
 

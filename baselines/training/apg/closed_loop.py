@@ -22,11 +22,11 @@ from baselines.control.backstepping import Backstepping, tracking_forces
 from baselines.control.ekf_law import EkfLaw
 from baselines.policy import U_R, V_R, BySpeed, is_fast
 
-NEAR = 2.0  # error in units of its scale where the loss turns from a parabola into a logarithm
-CURVE = 0.3  # weight of the squared error, in units of its scale, in the parabola
+LINEAR_FROM = 2.0  # error in units of its scale where the loss turns from a parabola into a logarithm
+SQUARE_WEIGHT = 0.3  # weight of the squared error, in units of its scale, in the parabola
 _TINY = 1e-6  # added to the squared error, in units of the scale's square: the distance has no slope at zero
 
-Rows = Sequence[Number]
+_Rows = Sequence[Number]
 """Components, each a number of every vehicle."""
 
 
@@ -37,7 +37,7 @@ class Loss(NamedTuple):
     rate: Number = 0.003  # [s^2] of its squared rate of change
 
     def of(
-        self, squared_error: Number, scale: Number, command: Rows, previous: Rows, dt: Number, ns: Namespace
+        self, squared_error: Number, scale: Number, command: _Rows, previous: _Rows, dt: Number, ns: Namespace
     ) -> Number:
         """Return the loss of a step.
 
@@ -53,9 +53,9 @@ class Loss(NamedTuple):
             ns: the namespace of the numbers.
         """
         e = ns.sqrt(squared_error / (scale * scale) + _TINY)
-        near, far = ns.clip(e, 0.0, NEAR), ns.clip(e, NEAR, math.inf)
-        slope = NEAR * (1 + 2 * CURVE * NEAR)
-        error = near + CURVE * near * near + slope * ns.log(far / NEAR)
+        near, far = ns.clip(e, 0.0, LINEAR_FROM), ns.clip(e, LINEAR_FROM, math.inf)
+        slope = LINEAR_FROM * (1 + 2 * SQUARE_WEIGHT * LINEAR_FROM)
+        error = near + SQUARE_WEIGHT * near * near + slope * ns.log(far / LINEAR_FROM)
         d_u, d_r = ((now - before) / dt for now, before in zip(command, previous, strict=True))
         a_u, a_r = command
         return error + self.effort * (a_u * a_u + a_r * a_r) + self.rate * (d_u * d_u + d_r * d_r)
@@ -83,7 +83,7 @@ class ClosedLoop:
     informed: Backstepping | None = None  # the expert, where known models differ: its `law` for any of them
 
     def expert(
-        self, observation: Rows, ns: Namespace, known: Rows = PAPER_VEHICLE.coefficients
+        self, observation: _Rows, ns: Namespace, known: _Rows = PAPER_VEHICLE.coefficients
     ) -> tuple[Number, Number]:
         """Return the law's action on an observation without its preview; `informed` takes the known models."""
         o = decode(observation, ns)
@@ -92,13 +92,13 @@ class ClosedLoop:
 
     def features(
         self,
-        observation: Rows,
-        ahead: Rows,
-        base: Rows,
-        correction: Rows,
-        integrals: Rows,
+        observation: _Rows,
+        ahead: _Rows,
+        base: _Rows,
+        correction: _Rows,
+        integrals: _Rows,
         ns: Namespace,
-        known: Rows = PAPER_VEHICLE.coefficients,
+        known: _Rows = PAPER_VEHICLE.coefficients,
     ) -> tuple[tuple[Number, ...], tuple[Number, ...]]:
         """Return what the network sees, and the integrals to hand in at the next control instant.
 
@@ -117,12 +117,12 @@ class ClosedLoop:
 
     def move(
         self,
-        state: Rows,
-        base: Rows,
-        correction: Rows,
-        sample: Rows,
-        parameters: Rows,
-        authority: Rows,
+        state: _Rows,
+        base: _Rows,
+        correction: _Rows,
+        sample: _Rows,
+        parameters: _Rows,
+        authority: _Rows,
         loss: Loss,
         ns: Namespace,
     ) -> Moved:

@@ -63,7 +63,7 @@ def divided(config: Config, settings: Settings) -> list[Members]:
     return found
 
 
-class Group:
+class VehicleGroup:
     """Vehicles that go from window to window, beginning new episodes between them.
 
     Args:
@@ -132,7 +132,7 @@ class Worker:
     """The groups of one process, each by its number."""
 
     def __init__(self, config: Config, settings: Settings, members: Mapping[int, Members]) -> None:
-        self.groups = {k: Group(config, settings, each) for k, each in members.items()}
+        self.groups = {k: VehicleGroup(config, settings, each) for k, each in members.items()}
 
     def learn(self, weights: Mapping[str, NDArray[np.float32]]) -> dict[int, Learned]:
         """Return what each group learns from its next window."""

@@ -16,16 +16,16 @@ from auv_gym.codegen.graph import SYMBOLS, Symbol
 from auv_gym.codegen.kernel import Equation, Kernel
 from auv_gym.physics.namespaces import Number
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients
-from auv_gym.task.observation import ERRORS, SIZE, Observation
+from auv_gym.task.observation import ERROR_TERMS, SIZE, Observation
 from auv_gym.task.simulation import PARAMETER_ROWS, PLANT_ROWS, SAMPLE_ROWS
-from baselines.agents.networks import ACTIONS
+from baselines.agents.networks import OUTPUTS
 from baselines.training.apg.closed_loop import ClosedLoop, Loss, Moved
 
-Symbols = Sequence[Symbol]
-Results = Mapping[str, Symbols]
+_Symbols = Sequence[Symbol]
+_Results = Mapping[str, _Symbols]
 
 
-class Chosen(NamedTuple):
+class RunConstants(NamedTuple):
     """What a run chooses, as rows of a kernel, so that one compiled library serves all runs."""
 
     authority_u: Number
@@ -35,19 +35,19 @@ class Chosen(NamedTuple):
     share: Number  # of a vehicle's control step in the window's loss
 
 
-_SEEN = {"observation": SIZE, "correction": ACTIONS}
+_SEEN = {"observation": SIZE, "correction": OUTPUTS}
 """What the features are made of, rows by array, but for what is remembered, `ahead` and the expert's action."""
-_STEERED = (*Observation._fields[:ERRORS], "cos_psi", "sin_psi", "F_r_max", "a_u", "a_r")
+_STEERED = (*Observation._fields[:ERROR_TERMS], "cos_psi", "sin_psi", "F_r_max", "a_u", "a_r")
 STEERED = tuple(map(Observation._fields.index, _STEERED))
 """Terms of an observation that the vehicle's motion changes; the others are not differentiated by. The largest torque
 is among them: that of fins changes with the speed."""
 MOVED = {
     "state": PLANT_ROWS,
-    "base": ACTIONS,
-    "correction": ACTIONS,
+    "base": OUTPUTS,
+    "correction": OUTPUTS,
     "sample": SAMPLE_ROWS,
     "parameters": PARAMETER_ROWS,
-    "chosen": len(Chosen._fields),
+    "chosen": len(RunConstants._fields),
 }
 """What a control step is made of, rows by array."""
 FIXED = frozenset(
@@ -78,42 +78,42 @@ class LoopKernels:
         """observation, ahead, correction, integrals (and base, known where given) -> features, following, base."""
 
         def equation(
-            observation: Symbols,
-            correction: Symbols,
-            integrals: Symbols,
-            ahead: Symbols,
-            base: Symbols = (),
-            known: Symbols = (),
-        ) -> Results:
+            observation: _Symbols,
+            correction: _Symbols,
+            integrals: _Symbols,
+            ahead: _Symbols,
+            base: _Symbols = (),
+            known: _Symbols = (),
+        ) -> _Results:
             action = base or self.loop.expert(observation, SYMBOLS, known or _PAPER)
             seen = (observation, ahead, action, correction, integrals)
             features, following = self.loop.features(*seen, SYMBOLS, known or _PAPER)
             return {"features": features, "following": following, **({} if base else {"base": action})}
 
-        return self._traced(equation, self._seen if self.exact else self._seen | {"base": ACTIONS})
+        return self._traced(equation, self._seen if self.exact else self._seen | {"base": OUTPUTS})
 
     @cached_property
     def look_back(self) -> Kernel:
         """d_features, d_base, d_integrals after -> d_observation, d_correction, d_integrals before."""
 
         def equation(
-            observation: Symbols,
-            correction: Symbols,
-            integrals: Symbols,
-            ahead: Symbols,
-            base: Symbols,
-            d_features: Symbols,
-            d_base: Symbols,
-            d_integrals: Symbols,
-            known: Symbols = (),
-        ) -> Results:
+            observation: _Symbols,
+            correction: _Symbols,
+            integrals: _Symbols,
+            ahead: _Symbols,
+            base: _Symbols,
+            d_features: _Symbols,
+            d_base: _Symbols,
+            d_integrals: _Symbols,
+            known: _Symbols = (),
+        ) -> _Results:
             given = (observation, ahead, base, correction, integrals)
             features, following = self.loop.features(*given, SYMBOLS, known or _PAPER)
             seen = [observation[i] for i in STEERED]
             within = (*seen, *correction, *integrals, *base)
             shares = _split(
                 gradient((*features, *following), (*d_features, *d_integrals), within),
-                len(seen), ACTIONS, self.loop.inputs.memory, ACTIONS,
+                len(seen), OUTPUTS, self.loop.inputs.memory, OUTPUTS,
             )  # fmt: skip
             action = self.loop.expert(observation, SYMBOLS, known or _PAPER)
             through = gradient(action, _sum(d_base, shares[3]), seen)  # the law's slope, whoever acts
@@ -126,16 +126,16 @@ class LoopKernels:
 
         after = {
             "d_features": len(self.loop.inputs.features),
-            "d_base": ACTIONS,
+            "d_base": OUTPUTS,
             "d_integrals": self.loop.inputs.memory,
         }
-        return self._traced(equation, self._seen | {"base": ACTIONS} | after)
+        return self._traced(equation, self._seen | {"base": OUTPUTS} | after)
 
     @cached_property
     def move(self) -> Kernel:
         """state, base, correction, sample -> landed, observation, squared_error."""
 
-        def equation(**arrays: Symbols) -> Results:
+        def equation(**arrays: _Symbols) -> _Results:
             moved = self._moved(**arrays)
             return {"landed": moved.state, "observation": moved.observation, "squared_error": (moved.squared_error,)}
 
@@ -145,15 +145,17 @@ class LoopKernels:
     def move_back(self) -> Kernel:
         """d_state, d_observation, d_correction after -> d_state, d_base, d_correction before."""
 
-        def equation(d_state: Symbols, d_observation: Symbols, d_correction: Symbols, **arrays: Symbols) -> Results:
+        def equation(
+            d_state: _Symbols, d_observation: _Symbols, d_correction: _Symbols, **arrays: _Symbols
+        ) -> _Results:
             moved = self._moved(**arrays)
-            share = Chosen._make(arrays["chosen"]).share
+            share = RunConstants._make(arrays["chosen"]).share
             within = (*arrays["state"], *arrays["base"], *arrays["correction"])
             shares = gradient((*moved.state, *moved.observation, moved.loss), (*d_state, *d_observation, share), within)
-            state, base, correction = _split(shares, PLANT_ROWS, ACTIONS, ACTIONS)
+            state, base, correction = _split(shares, PLANT_ROWS, OUTPUTS, OUTPUTS)
             return {"d_state": state, "d_base": base, "d_correction": _sum(d_correction, correction)}
 
-        after = {"d_state": PLANT_ROWS, "d_observation": SIZE, "d_correction": ACTIONS}
+        after = {"d_state": PLANT_ROWS, "d_observation": SIZE, "d_correction": OUTPUTS}
         return self._traced(equation, MOVED | after)
 
     @property
@@ -164,12 +166,12 @@ class LoopKernels:
 
     def _moved(
         self,
-        state: Symbols,
-        base: Symbols,
-        correction: Symbols,
-        sample: Symbols,
-        parameters: Symbols,
-        chosen: Symbols,
+        state: _Symbols,
+        base: _Symbols,
+        correction: _Symbols,
+        sample: _Symbols,
+        parameters: _Symbols,
+        chosen: _Symbols,
     ) -> Moved:
         authority_u, authority_r, effort, rate, _ = chosen
         authority, loss = (authority_u, authority_r), Loss(effort, rate)
@@ -182,11 +184,11 @@ class LoopKernels:
         return Kernel.traced(equation, rows, over_time, precision=self.precision, structural=True, blocked=wide)
 
 
-def _sum(a: Symbols, b: Symbols) -> list[Symbol]:
+def _sum(a: _Symbols, b: _Symbols) -> list[Symbol]:
     return [x + y for x, y in zip(a, b, strict=True)]
 
 
-def _split(symbols: Symbols, *sizes: int) -> list[Symbols]:
+def _split(symbols: _Symbols, *sizes: int) -> list[_Symbols]:
     parts, at = [], 0
     for size in sizes:
         parts.append(symbols[at : at + size])

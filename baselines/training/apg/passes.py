@@ -21,7 +21,7 @@ from baselines.training.apg.torch_network import TorchGru, TorchMlp
 _tanh_back = torch.ops.aten.tanh_backward.grad_input  # (d_y, y, grad_input=d_x) of y = tanh(x)
 
 
-class Tape(NamedTuple):
+class NetworkTape(NamedTuple):
     """What a network reads and writes in a window of T steps."""
 
     inputs: Tensor  # shape (T, inputs, N)
@@ -49,7 +49,7 @@ class Pass(Protocol):
         """Set the gradients of the weights, those of the whole window."""
 
 
-def pass_of(network: TorchGru | TorchMlp, tape: Tape) -> Pass:
+def pass_of(network: TorchGru | TorchMlp, tape: NetworkTape) -> Pass:
     """Return the way through a network, which may change its weights in place between windows."""
     return GruPass(network, tape) if isinstance(network, TorchGru) else MlpPass(network, tape)
 
@@ -105,7 +105,7 @@ class Layer:
 class GruPass:
     """A `Pass` through a `TorchGru`."""
 
-    def __init__(self, network: TorchGru, tape: Tape) -> None:
+    def __init__(self, network: TorchGru, tape: NetworkTape) -> None:
         (steps, _, n), sizes = tape.inputs.shape, network.sizes
         encoded, decoded, gates, self._d_gates = (
             tape.inputs.new_empty(steps, rows, n)
@@ -178,7 +178,7 @@ class GruPass:
 class MlpPass:
     """A `Pass` through a `TorchMlp`."""
 
-    def __init__(self, network: TorchMlp, tape: Tape) -> None:
+    def __init__(self, network: TorchMlp, tape: NetworkTape) -> None:
         self._d_correction, (steps, _, n) = tape.d_correction, tape.inputs.shape
         self.d_hidden = tape.inputs.new_empty(0, n)
         wide = [tape.inputs.new_empty(steps, size, n) for size in network.sizes.layers]

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from baselines.agents.networks import ACTIONS, Gru, Mlp
+from baselines.agents.networks import OUTPUTS, Gru, Mlp
 
 LONGEST_MEMORY = 200.0
 """Control steps that the slowest units of an untrained network remember."""
@@ -31,7 +31,7 @@ class TorchGru(nn.Module):
         self.encoder = nn.Linear(sizes.inputs, sizes.encoder)
         self.gru = nn.GRUCell(sizes.encoder, sizes.hidden)
         self.decoder = nn.Linear(sizes.hidden, sizes.decoder)
-        self.head = nn.Linear(sizes.decoder, ACTIONS)
+        self.head = nn.Linear(sizes.decoder, OUTPUTS)
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)
         # Forgets over 1 ... LONGEST_MEMORY steps: "chrono initialisation" (Tallec and Ollivier 2018).
@@ -46,7 +46,7 @@ class TorchMlp(nn.Module):
     def __init__(self, sizes: Mlp) -> None:
         super().__init__()
         self.sizes = sizes
-        wide = (sizes.inputs, *sizes.layers, ACTIONS)
+        wide = (sizes.inputs, *sizes.layers, OUTPUTS)
         layers = [nn.Linear(a, b) for a, b in itertools.pairwise(wide)]
         nn.init.zeros_(layers[-1].weight)
         nn.init.zeros_(layers[-1].bias)

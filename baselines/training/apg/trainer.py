@@ -21,25 +21,25 @@ from baselines.training.apg.groups import Groups
 from baselines.training.apg.settings import Settings, check
 from baselines.training.apg.torch_network import put, torch_network, weights_of
 from baselines.training.beginning import loaded
-from baselines.training.run_folder import Run, TrainingError
+from baselines.training.run_folder import RunFolder, TrainingError
 
 LOGS = 200  # how often in a run its progress is logged
 PATIENCE = 50  # updates in a row that may be skipped for a gradient that is not finite
 
 
-def train(run: Run) -> Agent:
+def train(run: RunFolder) -> Agent:
     """Train an agent and return that of the best validation, or of the last one where vehicle models are drawn.
 
     Raises:
         OSError: the run's folder cannot be written to.
         TrainingError: the gradient is not finite any more.
-        ValueError: see `check`.
+        ValueError: see `checked_settings`.
     """
     with closing(Groups(run.config, check(run.config), run.processes)) as groups:
-        return Trainer(run, groups).train()
+        return ApgTrainer(run, groups).train()
 
 
-class Descent:
+class GradientTrainer:
     """A run that follows the gradient of windows; a trainer fills in what it learns, and what it is made of.
 
     Args:
@@ -53,7 +53,14 @@ class Descent:
     """
 
     def __init__(
-        self, run: Run, settings: Settings, network: nn.Module, sizes: Network, total: int, following: int, **more: Any
+        self,
+        run: RunFolder,
+        settings: Settings,
+        network: nn.Module,
+        sizes: Network,
+        total: int,
+        following: int,
+        **more: Any,
     ) -> None:
         self.run, self.gradient, self.network, self.sizes, self.total = run, settings, network, sizes, total
         kept = 1 - 1 / max(1.0, settings.average * following)
@@ -169,10 +176,10 @@ class Descent:
         return norm
 
 
-class Trainer(Descent):
+class ApgTrainer(GradientTrainer):
     """Network, optimiser and vehicles of a run; goes on from the run's checkpoint, if there is one."""
 
-    def __init__(self, run: Run, groups: Groups) -> None:
+    def __init__(self, run: RunFolder, groups: Groups) -> None:
         """Begin a run with these vehicles, or take it up."""
         self.groups, settings, config = groups, groups.settings, run.config
         run.keeps_last = settings.draws_vehicles(config.vehicle)  # of validations, which are of that vehicle alone

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.envs.lanes import Lanes, Planned
+from auv_gym.envs.lanes import Lanes, ReadyEpisode
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.simulation import SAMPLE_ROWS, Parts
 from baselines.agents.features import STANDARD
-from baselines.agents.networks import ACTIONS
+from baselines.agents.networks import OUTPUTS
 from baselines.training.apg.window import Carried
 
 TURNS = 4  # of its scenarios that a vehicle tries at most until an episode can be planned
@@ -79,7 +79,7 @@ class TrainingVehicles:
         `memory` is how many rows its inputs remember.
         """
         n, beginning = len(self.fresh), self._lanes.reset(self._seed, None)
-        nothing = (np.zeros((rows, n)) for rows in (memory, ACTIONS, hidden))
+        nothing = (np.zeros((rows, n)) for rows in (memory, OUTPUTS, hidden))
         return Carried(beginning.plant, beginning.seen, *nothing)
 
     def window(self) -> tuple[Array, Array]:
@@ -116,7 +116,7 @@ class TrainingVehicles:
             vehicle = self._lanes.scenarios[i].vehicle
             self.known[:, i] = (self._model(vehicle, self._rng) if self._model else vehicle).coefficients
 
-    def _planned(self, lanes: NDArray[np.int64]) -> list[Planned]:
+    def _planned(self, lanes: NDArray[np.int64]) -> list[ReadyEpisode]:
         """Return the next episodes of some vehicles; where no path can be followed each goes on to its next turn."""
         for left in reversed(range(TURNS)):
             self._begun[lanes] += 1

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.task.observation import SIZE
 from auv_gym.task.simulation import PARAMETERS, PLANT, PLANT_ROWS
-from baselines.agents.networks import ACTIONS, Network
+from baselines.agents.networks import OUTPUTS, Network
 from baselines.training.apg.closed_loop import Loss
-from baselines.training.apg.kernels import KNOWN_ROWS, MOVED, Chosen, LoopKernels
-from baselines.training.apg.passes import Pass, Tape, pass_of
+from baselines.training.apg.kernels import KNOWN_ROWS, MOVED, LoopKernels, RunConstants
+from baselines.training.apg.passes import NetworkTape, Pass, pass_of
 from baselines.training.apg.torch_network import TorchGru, TorchMlp
 
 Array = NDArray[Any]
@@ -35,7 +35,7 @@ class Steering(Protocol):
 SMALLEST = 0.002
 """Mean error, in units of its scale, far below which errors count as equal where they are compared by ratios."""
 _LARGEST = 1000.0  # likewise, for those of vehicles that are lost altogether
-_SHARE = Chosen._fields.index("share")  # row of what a vehicle's loss counts for
+_SHARE = RunConstants._fields.index("share")  # row of what a vehicle's loss counts for
 CARRIED = ("d_state", "d_observation", "d_integrals", "d_correction")
 """Derivatives that go from one control instant back to the one before."""
 
@@ -88,20 +88,20 @@ class Window:
         steps: int,
         authority: Sequence[float],
         objective: Objective,
-        way: Callable[[Any, Tape], Pass] = pass_of,
+        way: Callable[[Any, NetworkTape], Pass] = pass_of,
     ) -> None:
         self.steps, self.objective, self._type = steps, objective, np.dtype(kernels.precision)
         inputs, self._substeps = kernels.loop.inputs, kernels.loop.parts.substeps
         features, memory = len(inputs.features), network.sizes.memory
         self._carried = Carried(
-            *(self._zeros(steps + 1, rows, n) for rows in (PLANT_ROWS, SIZE, inputs.memory, ACTIONS, memory))
+            *(self._zeros(steps + 1, rows, n) for rows in (PLANT_ROWS, SIZE, inputs.memory, OUTPUTS, memory))
         )
         self._ahead, self._samples, self._features, self._base, self._squared = (
-            self._zeros(steps, rows, n) for rows in (2 * len(inputs.preview), MOVED["sample"], features, ACTIONS, 1)
+            self._zeros(steps, rows, n) for rows in (2 * len(inputs.preview), MOVED["sample"], features, OUTPUTS, 1)
         )
         self._parameters = self._zeros(MOVED["parameters"], n)
         self._shares = np.full(n, 1 / n) if objective.shares is None else objective.shares
-        chosen = (*authority, *objective.loss, self._shares / steps)  # a `Chosen`
+        chosen = (*authority, *objective.loss, self._shares / steps)  # a `RunConstants`
         self._chosen = np.array([np.broadcast_to(x, n) for x in chosen], dtype=self._type)
         self._known = {"known": self._zeros(KNOWN_ROWS, n)} if inputs.hull else {}
         self._d = {
@@ -110,14 +110,14 @@ class Window:
                 ("d_state", PLANT_ROWS),
                 ("d_observation", SIZE),
                 ("d_integrals", inputs.memory),
-                ("d_base", ACTIONS),
-                ("d_correction", ACTIONS),
+                ("d_base", OUTPUTS),
+                ("d_correction", OUTPUTS),
                 ("d_features", features),
             )
         }
         tensors = (self._features, self._carried.hidden, self._carried.correction)
         derivatives = (self._d["d_features"], self._d["d_correction"])
-        self._pass = way(network, Tape(*map(torch.from_numpy, (*tensors, *derivatives))))
+        self._pass = way(network, NetworkTape(*map(torch.from_numpy, (*tensors, *derivatives))))
         self._bind(kernels)
 
     def _zeros(self, *shape: int) -> Array:

@@ -16,9 +16,9 @@ from typing import Any
 
 from baselines.tools.files import parse_yaml, read_yaml
 
-FOLDER = Path(__file__).parent
-ENV_ID = "UnderactuatedAUVTrackResidual-v0"  # the key of the files
-TUNING = "fine-tuning"
+_FOLDER = Path(__file__).parent
+TRAINED_ENV = "UnderactuatedAUVTrackResidual-v0"  # the key of the files
+FINE_TUNING_FILE_NAME = "fine-tuning"
 """The key of what is other than in an agent's own training, where a training begins with that agent."""
 
 
@@ -32,12 +32,12 @@ class Hyperparameters:
     authority: tuple[float, ...] | None
 
 
-def load_hyperparameters(file: Path, key: str = ENV_ID) -> Hyperparameters:
+def load_hyperparameters(file: Path, key: str = TRAINED_ENV) -> Hyperparameters:
     """Return the hyper-parameters of a YAML file.
 
     Args:
         file: the file.
-        key: of the table in it: that of the residual environment, or `TUNING`.
+        key: of the table in it: that of the residual environment, or `FINE_TUNING_FILE_NAME`.
 
     Raises:
         OSError: the file cannot be read.
@@ -83,11 +83,11 @@ def changes_of(words: Sequence[str]) -> dict[str, Any]:
     return changes
 
 
-def words_of(changes: Mapping[str, Any]) -> list[str]:
+def hyperparameter_words(changes: Mapping[str, Any]) -> list[str]:
     """Return hyper-parameters as words NAME=VALUE."""
     return [f"{name}={json.dumps(value, separators=(',', ':'))}" for name, value in changes.items()]
 
 
 def shipped(algo: str) -> Path:
     """Return the file of an algorithm; TQC learns well with what SAC learns with."""
-    return FOLDER / f"{'sac' if algo == 'tqc' else algo}.yml"
+    return _FOLDER / f"{'sac' if algo == 'tqc' else algo}.yml"

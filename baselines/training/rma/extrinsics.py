@@ -17,7 +17,7 @@ from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.rows import filled
 from auv_gym.physics.vehicle import LIFT, Coefficients, Vehicle
 from auv_gym.task.simulation import SAMPLE, Parameters, Parts
-from baselines.agents.features import BOUND
+from baselines.agents.features import LARGEST_FEATURE
 from baselines.policy import reference_speed
 
 Array = NDArray[Any]
@@ -50,7 +50,9 @@ def extrinsics(samples: Array, constants: Array, known: Vehicle) -> Array:
         *(4 * (1 - p.thrust_u / p.F_u_max), 4 * (1 - p.thrust_r / p.F_r_max)),
         *(2 * (1 - np.minimum(p.reach_u, 1.0)), 2 * (1 - np.minimum(p.reach_r, 1.0)), p.delay / 3),
     )
-    return np.stack([np.broadcast_to(np.clip(row, -BOUND, BOUND), s.X.shape) for row in rows], axis=1)
+    return np.stack(
+        [np.broadcast_to(np.clip(row, -LARGEST_FEATURE, LARGEST_FEATURE), s.X.shape) for row in rows], axis=1
+    )
 
 
 def _against(true: Sequence[Any], known: Sequence[Any]) -> list[Any]:

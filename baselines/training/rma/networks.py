@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from baselines.agents.networks import FILTERS, Layers, Rma, Weights
-from baselines.training.apg.passes import MlpPass, Tape
+from baselines.training.apg.passes import MlpPass, NetworkTape
 from baselines.training.apg.torch_network import TorchMlp
 from baselines.training.rma.extrinsics import EXTRINSICS
 
@@ -74,7 +74,7 @@ class TeacherPass:
 
     extrinsics: Tensor
 
-    def __init__(self, teacher: Teacher, tape: Tape) -> None:
+    def __init__(self, teacher: Teacher, tape: NetworkTape) -> None:
         self._teacher, self._tape, self._features = teacher, tape, tape.inputs.shape[1]
         steps, _, n = tape.inputs.shape
         inputs = teacher.sizes.inputs
@@ -118,7 +118,7 @@ class Student:
 class StudentPass:
     """A `Pass` forward through a student, which keeps what it has seen and remembered."""
 
-    def __init__(self, student: Student, tape: Tape) -> None:
+    def __init__(self, student: Student, tape: NetworkTape) -> None:
         self.student, self._tape = student, tape
         self._layers: Layers = ()
 

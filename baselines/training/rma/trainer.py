@@ -20,24 +20,24 @@ from torch import Tensor
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from baselines.agents.agent import Agent
-from baselines.agents.networks import LARGEST, Rma, Weights
+from baselines.agents.networks import LARGEST_LAYER, Rma, Weights
 from baselines.training.apg.closed_loop import ClosedLoop, law_of
 from baselines.training.apg.kernels import LoopKernels
-from baselines.training.apg.passes import Tape
+from baselines.training.apg.passes import NetworkTape
 from baselines.training.apg.settings import Settings as Gradient
 from baselines.training.apg.settings import check as check_gradient
 from baselines.training.apg.torch_network import weights_of
-from baselines.training.apg.trainer import Descent
+from baselines.training.apg.trainer import GradientTrainer
 from baselines.training.apg.vehicles import TrainingVehicles
 from baselines.training.apg.window import Window
 from baselines.training.config import Config, check_integer
 from baselines.training.rma.extrinsics import extrinsics
 from baselines.training.rma.networks import Filters, Student, StudentPass, Teacher, TeacherPass
-from baselines.training.run_folder import Run
+from baselines.training.run_folder import RunFolder
 
 
 @dataclass(frozen=True)
-class Settings:
+class _Settings:
     """Hyper-parameters: those of the analytic gradient but for `memory` and `groups`, for the teacher, and these."""
 
     latent: int = 8  # numbers that an encoder makes of the extrinsics
@@ -50,7 +50,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         for name in ("latent", "channels", "encoder_size", "adaptation_batches"):
-            check_integer(name, getattr(self, name), 1, LARGEST)
+            check_integer(name, getattr(self, name), 1, LARGEST_LAYER)
         check_number("adaptation_share", self.adaptation_share, 0.01, 0.99)
         check_number("adaptation_rate", self.adaptation_rate, 1e-9, 1)
 
@@ -61,11 +61,11 @@ class Settings:
         return Rma(len(self.gradient.inputs.features), (size, size), self.latent, self.channels)
 
 
-_OWN = tuple(f.name for f in fields(Settings) if f.name != "gradient")
+_OWN = tuple(f.name for f in fields(_Settings) if f.name != "gradient")
 """Hyper-parameters beside those of the analytic gradient."""
 
 
-def check(config: Config) -> Settings:
+def check(config: Config) -> _Settings:
     """Return the settings of a configuration.
 
     Raises:
@@ -78,10 +78,10 @@ def check(config: Config) -> Settings:
         raise ValueError(f"expert {config.expert!r} computes on NumPy; rma corrects laws alone, such as backstepping")
     own = {name: value for name, value in config.hyperparameters.items() if name in _OWN}
     rest = {name: value for name, value in config.hyperparameters.items() if name not in _OWN}
-    return Settings(**own, gradient=check_gradient(replace(config, hyperparameters=rest | {"memory": False})))
+    return _Settings(**own, gradient=check_gradient(replace(config, hyperparameters=rest | {"memory": False})))
 
 
-def train(run: Run) -> Agent:
+def train(run: RunFolder) -> Agent:
     """Train teacher and student and return the student that was best on the validation episodes.
 
     Raises:
@@ -89,15 +89,15 @@ def train(run: Run) -> Agent:
         TrainingError: the gradient is not finite any more.
         ValueError: see `check`.
     """
-    return Trainer(run).train()
+    return RmaTrainer(run).train()
 
 
-class Trainer(Descent):
+class RmaTrainer(GradientTrainer):
     """Networks, optimisers and vehicles of a run; goes on from the run's checkpoint, if there is one."""
 
     network: Teacher
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: RunFolder) -> None:
         """Begin a run, or take it up."""
         self.settings, config = check(run.config), run.config
         gradient, sizes = self.settings.gradient, self.settings.network
@@ -139,7 +139,7 @@ class Trainer(Descent):
         """Return a window with vehicles that a network steers, and the way through that network."""
         made: list[Any] = []
 
-        def kept(network: Any, tape: Tape) -> Any:
+        def kept(network: Any, tape: NetworkTape) -> Any:
             made.append(way(network, tape))
             return made[0]
 

@@ -15,7 +15,7 @@ from baselines.training.config import Config
 _ACTIVATIONS: dict[type, str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
 
 
-def exported(policy: Any, config: Config) -> Agent:
+def exported_network(policy: Any, config: Config) -> Agent:
     """Return the agent of a policy network of PPO, recurrent PPO, SAC, TQC, TD3 or ARS, and of others built alike.
 
     Raises:

@@ -27,9 +27,9 @@ from auv_gym.task.policy import preview_of
 from baselines.agents.agent import Agent
 from baselines.tools.files import guarded
 from baselines.training.config import Config, check_integer
-from baselines.training.run_folder import VALIDATIONS, Run, TrainingError
+from baselines.training.run_folder import VALIDATIONS, RunFolder, TrainingError
 from baselines.training.sb3.callbacks import FrozenActor, ZeroCorrection
-from baselines.training.sb3.export import exported
+from baselines.training.sb3.export import exported_network
 from baselines.training.sb3.snapshot import restore, restore_exploration, snapshot
 from baselines.training.sb3.vec_env import SB3VecEnv
 from baselines.training.sb3.vec_features import VecFeatures
@@ -37,9 +37,15 @@ from baselines.training.sb3.vec_reward import VecErrorCost
 
 T = TypeVar("T")
 
-MODELS: Mapping[str, type[BaseAlgorithm]] = {"ppo": PPO, "ppo_lstm": RecurrentPPO, "sac": SAC, "td3": TD3, "tqc": TQC}
+ALGORITHM_CLASSES: Mapping[str, type[BaseAlgorithm]] = {
+    "ppo": PPO,
+    "ppo_lstm": RecurrentPPO,
+    "sac": SAC,
+    "td3": TD3,
+    "tqc": TQC,
+}
 """By algorithm, named as in rl_zoo3."""
-POLICIES = {"ppo_lstm": "MlpLstmPolicy"}
+_POLICIES = {"ppo_lstm": "MlpLstmPolicy"}
 """The policy of an algorithm, where it is not MlpPolicy."""
 _CALLBACKS: Mapping[str, type[BaseCallback]] = {
     f"{cls.__module__}.{cls.__name__}": cls for cls in (ZeroCorrection, FrozenActor)
@@ -59,11 +65,11 @@ _SCHEDULED = ("learning_rate", "clip_range", "clip_range_vf")
 
 def check(config: Config) -> None:
     """Raise ValueError if a configuration cannot be trained."""
-    exported(make_model(config).policy, config)
+    exported_network(make_model(config).policy, config)
     _callbacks(config.hyperparameters.get("callback", []))
 
 
-def train(run: Run) -> Agent:
+def train(run: RunFolder) -> Agent:
     """Train as a run's configuration says, from its checkpoint if it has one; return the agent that validated best.
 
     Raises:
@@ -85,7 +91,7 @@ def train(run: Run) -> Agent:
             if sound(model):
                 raise
             raise TrainingError(f"training diverged after {model.num_timesteps} steps: lower learning_rate") from error
-    return replace(exported(model.policy, config), weights=run.weights)
+    return replace(exported_network(model.policy, config), weights=run.weights)
 
 
 def make_model(config: Config) -> BaseAlgorithm:
@@ -94,9 +100,9 @@ def make_model(config: Config) -> BaseAlgorithm:
     Raises:
         ValueError: a hyper-parameter is unknown or impossible.
     """
-    cls, values = MODELS[config.algo], dict(config.hyperparameters)
+    cls, values = ALGORITHM_CLASSES[config.algo], dict(config.hyperparameters)
     values.pop("callback", None)
-    own = POLICIES.get(config.algo, "MlpPolicy")
+    own = _POLICIES.get(config.algo, "MlpPolicy")
     if (policy := values.pop("policy", own)) != own:
         raise ValueError(f"hyper-parameter policy is {policy!r}; of {config.algo} it must be {own}")
     n_envs, noise = values.pop("n_envs", 1), _noise(values)
@@ -203,7 +209,7 @@ class Tracker(BaseCallback):
         state: the checkpoint that the model has been put back to, if any.
     """
 
-    def __init__(self, run: Run, state: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, run: RunFolder, state: Mapping[str, Any] | None = None) -> None:
         super().__init__()
         self.run = run
         self._validated: int = state["timesteps"] if state else -1
@@ -239,7 +245,7 @@ class Tracker(BaseCallback):
         if not sound(self.model):
             raise TrainingError(f"training diverged after {self.num_timesteps} steps: lower learning_rate")
         self.run.log(self.num_timesteps, **self._learned())
-        self.run.validate(exported(self.model.policy, self.run.config), self.num_timesteps)
+        self.run.validate(exported_network(self.model.policy, self.run.config), self.num_timesteps)
         self._validated = self.num_timesteps
         self.run.save_checkpoint(snapshot(self.model))
 

@@ -11,8 +11,8 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvStepRetu
 
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.task.observation import SIZE, decode_observation
-from baselines.agents.features import BOUND, FEATURES, INTEGRALS, STANDARD
-from baselines.agents.networks import ACTIONS
+from baselines.agents.features import FEATURES, INTEGRALS, LARGEST_FEATURE, STANDARD
+from baselines.agents.networks import OUTPUTS
 
 
 class VecFeatures(VecEnvWrapper):
@@ -29,17 +29,17 @@ class VecFeatures(VecEnvWrapper):
 
     def __init__(self, venv: VecEnv) -> None:
         shape = venv.observation_space.shape or ()
-        if len(shape) != 1 or shape[0] < SIZE + ACTIONS:
-            allowed = f"({SIZE + ACTIONS},), or more with a preview"
+        if len(shape) != 1 or shape[0] < SIZE + OUTPUTS:
+            allowed = f"({SIZE + OUTPUTS},), or more with a preview"
             raise ValueError(f"observations have shape {shape}; those of the residual environment have {allowed}")
-        space = gym.spaces.Box(-BOUND, BOUND, (len(FEATURES),), np.float32)
+        space = gym.spaces.Box(-LARGEST_FEATURE, LARGEST_FEATURE, (len(FEATURES),), np.float32)
         super().__init__(venv, observation_space=space)
-        self._integrals, self._correction = np.zeros((self.num_envs, INTEGRALS)), np.zeros((self.num_envs, ACTIONS))
+        self._integrals, self._correction = np.zeros((self.num_envs, INTEGRALS)), np.zeros((self.num_envs, OUTPUTS))
 
     def reset(self) -> NDArray[np.float32]:
         """Start an episode everywhere; return the features, shape (N, features)."""
         observation = np.asarray(self.venv.reset())
-        self._integrals, self._correction = np.zeros((self.num_envs, INTEGRALS)), np.zeros((self.num_envs, ACTIONS))
+        self._integrals, self._correction = np.zeros((self.num_envs, INTEGRALS)), np.zeros((self.num_envs, OUTPUTS))
         features, self._integrals = _features(observation, self._correction, self._integrals)
         return features
 
@@ -62,6 +62,6 @@ class VecFeatures(VecEnvWrapper):
 
 def _features(observation: Array, correction: Array, integrals: Array) -> tuple[NDArray[np.float32], Array]:
     """Return the features (N, features) and the new integrals (N, INTEGRALS) of observations that end in an action."""
-    o, base = decode_observation(observation), observation[:, -ACTIONS:].T
+    o, base = decode_observation(observation), observation[:, -OUTPUTS:].T
     rows, sums = STANDARD.update(o, (), base, correction.T, integrals.T, ARRAYS)
     return np.array(rows, dtype=np.float32).T, np.array(sums).T

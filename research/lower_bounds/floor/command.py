@@ -22,13 +22,13 @@ from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from research import DATA
 from research.lower_bounds.floor.filter import Located, located
-from research.lower_bounds.floor.model import Model, has_floor
+from research.lower_bounds.floor.model import FloorModel, has_floor
 
 PROGRAM = "python -m research estimation-bound"
 _SUITE = "benchmark-v1"  # whose episodes have a floor
-FILE = DATA / "floor.json"  # what is kept
-AT_ONCE = 52  # episodes that are looked at together: few enough for the memory
-FIRST = 2
+_FILE = DATA / "floor.json"  # what is kept
+_AT_ONCE = 52  # episodes that are looked at together: few enough for the memory
+_FIRST = 2
 """Episodes of each case, the first ones, of which the floor is kept one by one, to be compared with."""
 
 
@@ -41,7 +41,7 @@ class Options:
 
     episodes: int | None = None
     """Of each case, the first ones. Default: all."""
-    out: Path = FILE if checkout() else Path("runs/floor.json")
+    out: Path = _FILE if checkout() else Path("runs/floor.json")
     """File for what is found."""
 
 
@@ -56,17 +56,17 @@ class Floor:
 
     @classmethod
     def of(cls, scenario: Scenario, episodes: Sequence[Episode]) -> Floor:
-        """Return the floor in some episodes of a scenario; raises as `Model.of`."""
-        parts = [episodes[first : first + AT_ONCE] for first in range(0, len(episodes), AT_ONCE)]
+        """Return the floor in some episodes of a scenario; raises as `FloorModel.of`."""
+        parts = [episodes[first : first + _AT_ONCE] for first in range(0, len(episodes), _AT_ONCE)]
         found = [floor_of(scenario, part) for part in parts]
         square, tail = (np.concatenate(column) for column in zip(*found, strict=True))
-        first = tuple(tail[:FIRST].tolist())
+        first = tuple(tail[:_FIRST].tolist())
         return cls(len(tail), float(np.sqrt(square.mean())), float(tail.mean()), first)
 
 
 def floor_of(scenario: Scenario, episodes: Sequence[Episode]) -> Located:
-    """Return how well the vehicles can be located in episodes of a scenario; raises as `Model.of`."""
-    return located(Model.of(scenario, episodes), [episode.noise_seed for episode in episodes])
+    """Return how well the vehicles can be located in episodes of a scenario; raises as `FloorModel.of`."""
+    return located(FloorModel.of(scenario, episodes), [episode.noise_seed for episode in episodes])
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str]) -> int:
     options = parse(Options, arguments, PROGRAM)
     if options.episodes is not None and options.episodes < 1:
         raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more")
-    suite, found = suites.load(_SUITE), {}
+    suite, found = suites.load_suite(_SUITE), {}
     for cell in suite.cells:
         if has_floor(cell.scenario):
             floor = found[cell.scenario.name] = Floor.of(cell.scenario, cell.episodes[: options.episodes])
@@ -89,7 +89,7 @@ def main(arguments: Sequence[str]) -> int:
     return DONE
 
 
-def kept(suite_hash: str, file: Path = FILE) -> Mapping[str, Floor]:
+def recorded_floors(suite_hash: str, file: Path = _FILE) -> Mapping[str, Floor]:
     """Return the floors of the cases of a suite of episodes of that hash, by case; {} where none are kept."""
     record: dict[str, Any] = read_json(file) if file.exists() else {"hash": None}
     if record["hash"] != suite_hash:

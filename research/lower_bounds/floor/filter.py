@@ -1,4 +1,4 @@
-"""How well a vehicle can be located: the Kalman filter of a `Model`, its covariance and its own errors.
+"""How well a vehicle can be located: the Kalman filter of a `FloorModel`, its covariance and its own errors.
 
 It is the best of all estimates of a linear system with Gaussian noise (R. E. Kalman, Journal of Basic Engineering
 82(1):35-45, 1960). The position at an instant depends on commands that were decided on measurements up to the period
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import Array
 from baselines.control.privileged.problem import TAIL
-from research.lower_bounds.floor.model import DRIVEN, Model
+from research.lower_bounds.floor.model import DRIVEN, FloorModel
 
 SAMPLES = 16
 """Sequences of random numbers of each episode: the mean of a root of a mean square is not in the covariance."""
@@ -30,7 +30,7 @@ class Located(NamedTuple):
     tail: Array  # [m] mean over sequences of the root mean square over the tail, shape (N,)
 
 
-def located(model: Model, seeds: NDArray[np.int64] | list[int], samples: int = SAMPLES) -> Located:
+def located(model: FloorModel, seeds: NDArray[np.int64] | list[int], samples: int = SAMPLES) -> Located:
     """Return how well the vehicles of a model can be located in the tails of their episodes.
 
     Args:

@@ -32,8 +32,8 @@ from auv_gym.scenarios.exogenous import WAVE_ROWS, wave_components
 from auv_gym.scenarios.scenario import Scenario, Start
 from auv_gym.task.simulation import CURRENT, LOAD, PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts, moved
 from baselines.control.privileged.clairvoyant import arriving, oracle_actions
-from baselines.control.privileged.problem import ACTIONS, STATES, Course, Problem
-from baselines.control.privileged.solver import solved
+from baselines.control.privileged.problem import COMMAND_ROWS, PLANT_STATES, Problem, Trajectory
+from baselines.control.privileged.solver import best_trajectory
 
 POSE = slice(0, 6)  # the part of z that is the pose
 _GUSTS = slice(6, 10)  # the part of z that is the gusts
@@ -46,7 +46,7 @@ ANY_PHASE = math.pi**2 / 3  # [rad^2] variance of a phase of which nothing is kn
 
 
 @dataclass(frozen=True)
-class Model:
+class FloorModel:
     """N episodes of K control periods with n unknown numbers each."""
 
     pose: Array  # of a period, the pose behind it by the pose before it, shape (K, N, 6, 6)
@@ -60,7 +60,7 @@ class Model:
     noise: Array  # [m], [m], [rad], [m/s], [m/s], [rad/s] standard deviations of the measurements, shape (6,)
 
     @classmethod
-    def of(cls, scenario: Scenario, episodes: Sequence[Episode]) -> Model:
+    def of(cls, scenario: Scenario, episodes: Sequence[Episode]) -> FloorModel:
         """Return the model of N episodes of a scenario.
 
         Raises:
@@ -70,7 +70,7 @@ class Model:
         if not has_floor(scenario):
             raise ValueError(f"{scenario.name} has no floor: its measurements must be noisy, present and prompt")
         problem = Problem.of(scenario, episodes)
-        course = solved(problem, arriving(oracle_actions(scenario, episodes), problem.delay))
+        course = best_trajectory(problem, arriving(oracle_actions(scenario, episodes), problem.delay))
         pose, sea = slopes(problem, course)
         left = [_left(e.current.gust_time, e.current.smoothing, scenario.control_dt) for e in episodes]
         waves = np.stack([_waves(episode, scenario) for episode in episodes], axis=1)
@@ -113,13 +113,13 @@ class Model:
 
 
 def has_floor(scenario: Scenario) -> bool:
-    """Whether a scenario's episodes are of the kind that a `Model` describes, all measurements noisy."""
+    """Whether a scenario's episodes are of the kind that a `FloorModel` describes, all measurements noisy."""
     plain = scenario.parts._replace(substeps=1, weak=False) == Parts()
     return plain and all(deviation > 0 for deviation in scenario.sensors.noise)
 
 
-def slopes(problem: Problem, course: Course) -> tuple[Array, Array]:
-    """Return the derivatives of the pose behind each period by that before it and by the sea, see `Model`."""
+def slopes(problem: Problem, course: Trajectory) -> tuple[Array, Array]:
+    """Return the derivatives of the pose behind each period by that before it and by the sea, see `FloorModel`."""
     steps, _, n = course.commands.shape
     found = np.empty((steps, 6 * (6 + len(_SEA)), n))
     slope_kernel(problem.parts).bound(
@@ -143,7 +143,7 @@ def slope_kernel(parts: Parts) -> Kernel:
         inputs = [*state[:6], *(sample[i] for i in _SEA)]
         return {"slopes": [slope for row in jacobian(list(pose), inputs) for slope in row]}
 
-    rows = {"state": STATES, "command": ACTIONS, "sample": SAMPLE_ROWS, "parameters": PARAMETER_ROWS}
+    rows = {"state": PLANT_STATES, "command": COMMAND_ROWS, "sample": SAMPLE_ROWS, "parameters": PARAMETER_ROWS}
     return Kernel.traced(equation, rows, ("state", "command", "sample", "slopes"), structural=True, blocked=True)
 
 
@@ -173,8 +173,8 @@ def _waves(episode: Episode, scenario: Scenario) -> Array:
     return np.asarray(sines * np.cos(angle)[:, None] - cosines * np.sin(angle)[:, None])
 
 
-def _measured(problem: Problem, course: Course) -> Array:
-    """Return the derivatives of u, v over ground by psi, V_x and V_y, see `Model`."""
+def _measured(problem: Problem, course: Trajectory) -> Array:
+    """Return the derivatives of u, v over ground by psi, V_x and V_y, see `FloorModel`."""
     c, s = np.cos(course.states[:, 2]), np.sin(course.states[:, 2])
     samples = np.concatenate((problem.samples[:1], problem.samples))  # the start's own is not kept: as one period later
     V_x, V_y = samples[:, CURRENT].transpose(1, 0, 2)

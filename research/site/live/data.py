@@ -17,7 +17,7 @@ from auv_gym.planning.paths import PATHS, Path
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.exogenous import (
     GUST_ROWS,
-    MEASURED,
+    MEASUREMENT_NORMALS,
     NORMALS,
     WAVE_ROWS,
     WEATHER,
@@ -31,14 +31,14 @@ from auv_gym.task.kernels import OUTCOMES, STATES
 from auv_gym.task.observation import SIZE
 from auv_gym.task.preview import Preview
 from auv_gym.task.simulation import PARAMETERS, PLANT, PLANT_ROWS, SAMPLE, SAMPLE_ROWS
-from baselines.control.ekf_law import EKF_GAINS, LAW_GAINS
+from baselines.control.ekf_law import EKF_GAINS, EKF_LAW_GAINS
 from baselines.estimation.kalman import ExtendedKalmanFilter, tuning_of
-from baselines.estimation.sea_model import AT
+from baselines.estimation.sea_model import PLACE
 from baselines.export.parts import Exported
 from baselines.gains.loading import load_gains
 from research.site.live.equations import COMPONENTS, shape_of
 
-SPEEDS = {"slow": 0.2, "cruise": 1.0}
+_SPEEDS = {"slow": 0.2, "cruise": 1.0}
 """Speed [m/s] of the page's paths, by regime."""
 _FAMILIES = {"figure_eight": 3, "random_smooth": 8, "circle": 4, "sine": 2, "line": 1}
 """Families of the page's paths, with the seed of the member."""
@@ -52,9 +52,9 @@ TITLES = {
 """Names of the families on the page."""
 _SEEDS = 8
 """Episodes of each regime: starts, true vehicles, waves and a direction of the current."""
-STEPS = 600
+LIVE_STEPS = 600
 """Control steps of an episode."""
-VEHICLES = {"plain": "calm", "mismatch": "mismatch", "actuator": "actuator", "both": "storm"}
+_VEHICLES = {"plain": "calm", "mismatch": "mismatch", "actuator": "actuator", "both": "storm"}
 """Cases whose vehicles the page offers: as known, a wrong model, slow actuators, and both."""
 
 
@@ -66,7 +66,7 @@ def data(agents: Mapping[str, Exported]) -> str:
     """
     ahead = max((max(agent.preview, default=0) for agent in agents.values()), default=0)
     record = {
-        "steps": STEPS,
+        "steps": LIVE_STEPS,
         "sizes": {
             "plant": PLANT_ROWS,
             "seen": SIZE,
@@ -77,9 +77,9 @@ def data(agents: Mapping[str, Exported]) -> str:
             "normals": NORMALS,
             "waveRows": WAVE_ROWS,
         },
-        "at": {"plant": places(PLANT), "sample": places(SAMPLE), "weather": places(WEATHER), "estimate": places(AT)},
+        "at": {"plant": places(PLANT), "sample": places(SAMPLE), "weather": places(WEATHER), "estimate": places(PLACE)},
         "limits": [PARAMETERS.F_u_max, PARAMETERS.F_r_max],
-        "measured": [MEASURED.start, MEASURED.stop],
+        "measured": [MEASUREMENT_NORMALS.start, MEASUREMENT_NORMALS.stop],
         "regimes": {regime: regime_record(regime, ahead) for regime in REGIMES},
         "agents": {name: agent_record(agent) for name, agent in agents.items()},
     }
@@ -100,7 +100,7 @@ def path_of(regime: str, family: str) -> Path:
     """Return a path of the page."""
     drawn = PRESETS[f"{regime}-calm"].path
     rng, cls = np.random.default_rng(_FAMILIES[family]), PATHS[family]
-    path: Path = cls.drawn(SPEEDS[regime], drawn.turn_rate, rng.random)  # type: ignore[union-attr, attr-defined]
+    path: Path = cls.drawn(_SPEEDS[regime], drawn.turn_rate, rng.random)  # type: ignore[union-attr, attr-defined]
     return path
 
 
@@ -116,7 +116,7 @@ def regime_record(regime: str, ahead: int) -> dict[str, Any]:
     line = paths["line"]
     return {
         "dt": calm.control_dt,
-        "speed": SPEEDS[regime],
+        "speed": _SPEEDS[regime],
         "errorScale": calm.error_scale,
         "lost": calm.lost_distance,
         "cases": {case: case_record(regime, case) for case in CASES},
@@ -131,15 +131,15 @@ def regime_record(regime: str, ahead: int) -> dict[str, Any]:
 def _table(regime: str, path: Path) -> Any:
     scenario = scenario_of(regime, "actuator", path)  # whose limits are the tightest
     episode = episode_of(regime, "actuator", path, 0)
-    return reference_tables([episode], *plan_of(replace(scenario, steps=STEPS)))[0]
+    return reference_tables([episode], *plan_of(replace(scenario, steps=LIVE_STEPS)))[0]
 
 
 def path_record(regime: str, path: Path, ahead: int) -> dict[str, Any]:
     """Return a path's reference table and where it goes behind the end, as numbers of double precision in base64."""
     table = _table(regime, path)
-    preview = Preview(1, tuple(range(1, ahead + 1)), STEPS)
+    preview = Preview(1, tuple(range(1, ahead + 1)), LIVE_STEPS)
     preview.load((0,), (path,), (PRESETS[f"{regime}-calm"].control_dt,))
-    beyond = table[-1, :2] + preview.ahead((0,), STEPS)[:, :, 0]
+    beyond = table[-1, :2] + preview.ahead((0,), LIVE_STEPS)[:, :, 0]
     storm = PRESETS[f"{regime}-storm"]
     current = episode_of(regime, "storm", path, 0).current
     weather = weather_of(current, storm.control_dt, table, Errors(*storm.sensors.noise), Errors(*[0.0] * 6))
@@ -176,7 +176,7 @@ def seed_record(regime: str, path: Path, seed: int) -> dict[str, Any]:
     components = wave_components(waves, PRESETS[f"{regime}-waves"].control_dt)
     assert len(components) == COMPONENTS * WAVE_ROWS
     return {
-        "vehicles": {name: _constants(regime, case, path, seed) for name, case in VEHICLES.items()},
+        "vehicles": {name: _constants(regime, case, path, seed) for name, case in _VEHICLES.items()},
         "waves": components.tolist(),
         "start": [*calm.initial_error, calm.surge],
         "direction": float(np.random.default_rng([seed, 2]).uniform(0, 2 * np.pi)),
@@ -197,7 +197,7 @@ def ekf_record(regime: str) -> dict[str, Any]:
     kalman = ExtendedKalmanFilter(vehicle, tuning_of(gains))
     return {
         "filters": [known[:, 0].tolist() for known in kalman.known],  # for a rough sea, for a calm one
-        "law": [*vehicle.coefficients, *(gains[name] for name in LAW_GAINS)],
+        "law": [*vehicle.coefficients, *(gains[name] for name in EKF_LAW_GAINS)],
         "memory": kalman.start(1)[0][0].tolist(),  # of each of them
         "plan": 7,
     }

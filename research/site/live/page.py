@@ -19,12 +19,12 @@ from research.site.live.data import data
 from research.site.live.equations import equations
 
 PROGRAM = "python -m research web-demo"
-FOLDER = Path(__file__).parent / "static"
-AGENTS = ("apg", "apg-preview")
+_FOLDER = Path(__file__).parent / "static"
+_AGENTS = ("apg", "apg-preview")
 """Shipped agents of the page, one for each regime."""
 LINKED = {"Homepage": "Source", "Documentation": "Documentation"}
 """Addresses of the package that the page shows, and what it calls them."""
-LARGEST = 3_000_000
+LARGEST_PAGE = 3_000_000
 """Bytes that all files together may have."""
 
 
@@ -41,13 +41,13 @@ class Options:
 
 def page_agents() -> dict[str, Exported]:
     """Return the page's agents by name and regime, as "apg cruise"."""
-    return {f"{name} {regime}": exported(f"{name}-{regime}") for name in AGENTS for regime in REGIMES}
+    return {f"{name} {regime}": exported(f"{name}-{regime}") for name in _AGENTS for regime in REGIMES}
 
 
 def files() -> dict[str, str]:
     """Return the page's files by name: text that a browser opens from anywhere, a disk too, without a network."""
     agents = page_agents()
-    written = {file.name: file.read_text(encoding="utf-8") for file in sorted(FOLDER.iterdir())}
+    written = {file.name: file.read_text(encoding="utf-8") for file in sorted(_FOLDER.iterdir())}
     printed = {"equations.js": equations([*agents.values()]), "data.js": data(agents) + links()}
     return {**written, **printed}
 
@@ -63,7 +63,7 @@ def links() -> str:
     return f"window.LINKS = {json.dumps(shown)};\n"
 
 
-def write(folder: Path) -> None:
+def write_page(folder: Path) -> None:
     """Write the page into a folder, which is made if it is not there; `index.html` is what a browser opens.
 
     Raises:
@@ -82,7 +82,7 @@ def main(arguments: Sequence[str]) -> int:
         OSError: a file cannot be written.
     """
     options = parse(Options, arguments, PROGRAM)
-    write(options.out)
+    write_page(options.out)
     size = sum(file.stat().st_size for file in options.out.iterdir() if file.is_file())
     print(f"written: {options.out}, {size / 1e6:.2f} MB; open {options.out / 'index.html'} in a browser")
     return DONE

@@ -1,0 +1,45 @@
+"""Tables of published vehicles and of tuned gains, for docs/vehicles.md and docs/controllers.md."""
+
+from __future__ import annotations
+
+from auv_gym.scenarios.names import REGIMES
+from auv_gym.scenarios.vehicles import PAPER, Craft, craft, fleet
+from baselines.gains.loading import GAINS_FOLDER
+from baselines.tools.files import read_json
+from baselines.tuning.tunables import TUNABLES
+from research.pages import table
+
+_HEADS = (
+    "name", "what", "L [m]", "speed [m/s]", "thrust [N]", "torque [N m]", "lag [s]", "m22/m11", "sway drag", "yaw drag",
+    "yaw torque",
+)  # fmt: skip
+
+
+def published_vehicles() -> str:
+    """Return the vehicles with their numbers, and where those come from, as two tables in Markdown."""
+    every = [PAPER, *map(craft, fleet())]
+    sources = [(f"`{c.name}`", c.source, c.left_out, c.ours) for c in every[1:]]
+    numbers = table(_HEADS, map(_row, every), right=False)
+    return f"{numbers}\n\n{table(('name', 'source', 'left out', 'ours'), sources, right=False)}"
+
+
+def _row(c: Craft) -> tuple[str, ...]:
+    v, act, U = c.vehicle, c.actuators, c.vehicle.speed
+    torque = min(act.F_r_max, act.fin * U * U) if act.fin else act.F_r_max
+    lag = 0.2 * v.time / PAPER.vehicle.time if c.lag is None else c.lag
+    _, sway, yaw = c.drag(U)
+    numbers = v.length, U, act.F_u_max, torque, lag, v.m22 / v.m11, sway / v.m22, yaw / v.m33, torque / v.m11 / U**2
+    return f"`{c.name}`", c.about, *(f"{number:.3g}" for number in numbers)
+
+
+def tuned_gains() -> str:
+    """Return what each controller's tuned gains gave on the validation episodes, as a table in Markdown."""
+    rows = []
+    for name in TUNABLES:
+        for regime in REGIMES:
+            record = read_json(GAINS_FOLDER / f"{name}-{regime}.json")
+            v = record["validation"]
+            errors = f"{1e3 * v['error_m']:.3g}", f"{v['score']:.3f}", f"{100 * v['lost']:.1f} %"
+            ratios = f"{v['effort_ratio']:.2f}", f"{v['smoothness_ratio']:.1f}"
+            rows.append((f"`{name}`", regime, len(record["gains"]), *errors, *ratios))
+    return table(("controller", "regime", "gains", "error [mm]", "score", "lost", "effort", "rate"), rows)
