@@ -60,7 +60,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class _Part:
+class DatasetPart:
     """The episodes of one policy with one noise."""
 
     policy: str
@@ -94,7 +94,7 @@ class Noisy:
         return np.clip(noisy, -1.0, 1.0).astype(np.float32), state
 
 
-def content_hash(parts: Sequence[_Part]) -> str:
+def content_hash(parts: Sequence[DatasetPart]) -> str:
     """Return the SHA-256 of all observations, actions, rewards, errors and ends, in order."""
     digest = hashlib.sha256()
     for part in parts:
@@ -106,7 +106,7 @@ def content_hash(parts: Sequence[_Part]) -> str:
 
 def collect(
     policies: Sequence[str], scenario: Scenario, episodes: int, noises: Sequence[float], seed: int
-) -> list[_Part]:
+) -> list[DatasetPart]:
     """Return the episodes of each policy with each noise; no two of them have the same seed.
 
     Raises:
@@ -116,17 +116,17 @@ def collect(
     """
     from baselines.policies import make_policy
 
-    parts: list[_Part] = []
+    parts: list[DatasetPart] = []
     for policy in policies:
         for noise in noises:
             first = seed + episodes * len(parts)
             acting = make_policy(policy, scenario.vehicle)
             acting = Noisy(acting, noise, first) if noise else acting
-            parts.append(_Part(policy, noise, run_episodes(acting, scenario, episodes, first)))
+            parts.append(DatasetPart(policy, noise, run_episodes(acting, scenario, episodes, first)))
     return parts
 
 
-def _write(parts: Sequence[_Part], scenario: Scenario, name: str, folder: Path, card: str) -> Any:
+def _write(parts: Sequence[DatasetPart], scenario: Scenario, name: str, folder: Path, card: str) -> Any:
     """Write episodes as a Minari dataset and return it.
 
     Observations are those of `auv_gym:UnderactuatedAUVTrack-v0`: what a policy sees of the path ahead is left out.
@@ -193,7 +193,7 @@ def _columns(record: EpisodeRecord) -> dict[str, Any]:
     }
 
 
-def dataset_card(parts: Sequence[_Part], scenario: Scenario, name: str, command: str) -> str:
+def dataset_card(parts: Sequence[DatasetPart], scenario: Scenario, name: str, command: str) -> str:
     """Return what a dataset is, as Markdown: its parts, how to make it again, its hash, versions and licence."""
     from baselines.evaluation.metrics import tail_rmse
     from baselines.tools.files import versions

@@ -94,8 +94,9 @@ def _with_parts(page: str) -> str:
         module, _, function = maker.partition(":")
         part: str = getattr(import_module(module), function)()
         begin, end = f"<!-- {name}: made by `{PROGRAM} {page}` -->", f"<!-- end of {name} -->"
-        before, _, rest = text.partition(begin)
-        text = f"{before}{begin}\n\n{part.strip()}\n\n{end}{rest.partition(end)[2]}"
+        before, rest = text.split(begin)  # a page without a mark is an error, not a longer page
+        _, after = rest.split(end)
+        text = f"{before}{begin}\n\n{part.strip()}\n\n{end}{after}"
     return text
 
 

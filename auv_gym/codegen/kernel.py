@@ -7,22 +7,20 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from auv_gym.codegen import native
 from auv_gym.codegen.blocks import c_block_function
 from auv_gym.codegen.elementary import lowered
 from auv_gym.codegen.graph import Graph, Symbol
 from auv_gym.codegen.printing import NUMPY, PYTHON, Arrays, Language, Layout, c_function, python_function
-from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.namespaces import ARRAYS, AnyArray
 
-Array: TypeAlias = NDArray[Any]
 Equation = Callable[..., Mapping[str, Sequence[Any]]]
 """Takes the rows of each array by its name, as symbols, and returns rows by the names of the arrays they are for."""
-_Run = Callable[[int, int], None]
+KernelRun = Callable[[int, int], None]
 """Goes through so many steps from a first one on: `run(first, steps)`."""
 
 _REAL = {name: np.dtype(name) for name in ("float32", "float64")}
@@ -123,7 +121,7 @@ class Kernel:
         function: Callable[..., tuple[Any, ...]] = space[self.name]
         return function
 
-    def bound(self, **arrays: Array) -> _Run:
+    def bound(self, **arrays: AnyArray) -> KernelRun:
         """Return the function that reads these arrays and writes to them.
 
         It is made for speed: that the steps which it is asked for are within the arrays is for the caller to see to.
@@ -143,7 +141,7 @@ class Kernel:
         run.__dict__["kept"] = table, arrays  # alive as long as their addresses are used
         return run
 
-    def _table(self, arrays: Mapping[str, Array], n: int) -> Any:
+    def _table(self, arrays: Mapping[str, AnyArray], n: int) -> Any:
         """Return what the compiled function finds `at` its first argument, see `c_function`."""
         entries, size = [n], _REAL[self.layout.precision].itemsize
         for name, _, axes in self._axes:
@@ -160,7 +158,7 @@ class Kernel:
         """Name, rows and number of axes of each array."""
         return [(name, rows, self.layout.axes(name)) for name, rows in self.rows.items()]
 
-    def _checked(self, arrays: Mapping[str, Array]) -> int:
+    def _checked(self, arrays: Mapping[str, AnyArray]) -> int:
         """Return the number of vehicles of well-formed arrays."""
         if arrays.keys() != self.rows.keys():
             raise ValueError(f"the kernel takes arrays {', '.join(self.rows)}; given are {', '.join(arrays)}")
@@ -186,7 +184,7 @@ class Kernel:
             yield name, values[at : at + len(entries)]
             at += len(entries)
 
-    def _on_one(self, arrays: Mapping[str, Array]) -> _Run:
+    def _on_one(self, arrays: Mapping[str, AnyArray]) -> KernelRun:
         """Return what `bound` does for one vehicle, on floats."""
         function = self._on_floats
 
@@ -209,18 +207,18 @@ class Kernel:
 
         return run
 
-    def _one(self, name: str, array: Array, time: slice) -> Array:
+    def _one(self, name: str, array: AnyArray, time: slice) -> AnyArray:
         """Return what an array holds of the one vehicle."""
         if name in self.layout.shared:
             return array
-        part: Array = array[time, :, 0] if name in self.layout.over_time else array[:, 0]
+        part: AnyArray = array[time, :, 0] if name in self.layout.over_time else array[:, 0]
         return part
 
     def _beyond(self, given: Iterable[Any]) -> tuple[Any, ...]:
         with np.errstate(all="ignore"):
             return tuple(map(float, self._on_rows(*map(np.array, given))))
 
-    def _on_several(self, arrays: Mapping[str, Array]) -> _Run:
+    def _on_several(self, arrays: Mapping[str, AnyArray]) -> KernelRun:
         """Return what `bound` does for several vehicles, on rows."""
         function = self._on_rows
 
@@ -237,7 +235,7 @@ class Kernel:
 
         return run
 
-    def __call__(self, steps: int = 1, /, **arguments: Array) -> dict[str, Array]:
+    def __call__(self, steps: int = 1, /, **arguments: AnyArray) -> dict[str, AnyArray]:
         """Return new arrays with the results of the first `steps` steps, for arguments that stay as they are.
 
         Raises:
@@ -257,7 +255,7 @@ class Kernel:
             function(ctypes.c_void_p(ctypes.addressof(table)), 0, steps)
         return results
 
-    def _empty(self, name: str, steps: int, n: int) -> Array:
+    def _empty(self, name: str, steps: int, n: int) -> AnyArray:
         shape = (steps, self.rows[name], n) if name in self.layout.over_time else (self.rows[name], n)
         return np.empty(shape, dtype=_REAL[self.layout.precision])
 
@@ -270,5 +268,5 @@ def _single_float(x: float) -> float:
     return float(np.float32(x))
 
 
-def _single_rows(x: Array) -> Array:
+def _single_rows(x: AnyArray) -> AnyArray:
     return np.asarray(x, dtype=np.float32).astype(np.float64)

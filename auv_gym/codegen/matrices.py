@@ -10,11 +10,11 @@ from typing import Any
 
 from auv_gym.codegen.graph import Symbol
 
-_Row = Sequence[Any]
-Matrix = Sequence[_Row]
+MatrixRow = Sequence[Any]
+Matrix = Sequence[MatrixRow]
 
 
-def dot(a: _Row, b: _Row) -> Any:
+def dot(a: MatrixRow, b: MatrixRow) -> Any:
     """Return the sum of a_k b_k, 0.0 if nothing is left of it."""
     terms = [x * y for x, y in zip(a, b, strict=True) if not (is_zero(x) or is_zero(y))]
     return sum(terms[1:], start=terms[0]) if terms else 0.0

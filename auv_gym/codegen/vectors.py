@@ -11,15 +11,13 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
-from numpy.typing import NDArray
 
 from auv_gym.codegen.plain import Dialect
-
-Array: TypeAlias = NDArray[Any]
+from auv_gym.physics.namespaces import AnyArray
 
 ELEMENTWISE = ("add", "subtract", "multiply", "maximum", "clip", "tanh")
 """Operations on each entry, named as NumPy's functions; their arguments are nodes, named constants or numbers."""
@@ -41,7 +39,7 @@ class Node:
 class Program:
     """Nodes in the order in which they were recorded, which is one in which they can be computed."""
 
-    constants: Mapping[str, Array]  # matrices (rows, columns) and vectors (rows,), by name
+    constants: Mapping[str, AnyArray]  # matrices (rows, columns) and vectors (rows,), by name
     nodes: list[Node] = field(default_factory=list)
     results: dict[str, int] = field(default_factory=dict)  # nodes by the names of what they are for
 
@@ -49,7 +47,7 @@ class Program:
     def traced(
         cls,
         function: Callable[..., Sequence[Any]],
-        constants: Mapping[str, Array],
+        constants: Mapping[str, AnyArray],
         inputs: Mapping[str, int],
         results: Sequence[str],
     ) -> Program:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from auv_gym.envs.arguments import checked_reset, checked_steps, scenarios_of, seeded
 from auv_gym.envs.vector_api import AutoresetMode, Ends, checked_mode
-from auv_gym.physics.namespaces import ARRAYS, Array
+from auv_gym.physics.namespaces import ARRAYS, Array, Indices
 from auv_gym.physics.rows import leaves
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.planner import plan
@@ -27,7 +27,6 @@ from auv_gym.task.policy import Forces
 from auv_gym.task.preview import Preview, encode_preview
 from auv_gym.task.simulation import PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts
 
-LaneIndices = NDArray[np.int64]
 ScenarioLike = Scenario | str | Mapping[str, Any]
 
 LARGEST_BLOCK = 64  # most control steps of tape that are read at once
@@ -46,7 +45,7 @@ class ReadyEpisode(NamedTuple):
 class Begun(NamedTuple):
     """New episodes in n of the lanes."""
 
-    lanes: LaneIndices  # which, shape (n,)
+    lanes: Indices  # which, shape (n,)
     plant: Array  # rows of their `simulation.Plant`, shape (PLANT_ROWS, n)
     seen: Array  # the first observations without previews, shape (columns, n), see `kernels.begun`
     errors: Array  # [m] position error, shape (n,)
@@ -92,7 +91,7 @@ class Lanes:
         if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
             raise ValueError(f"num_envs is {num_envs!r}; it must be an integer of at least 1")
         self.scenarios = scenarios_of(scenario, num_envs, vehicle, control_dt)
-        self.all: LaneIndices = np.arange(num_envs)
+        self.all: Indices = np.arange(num_envs)
         self.begun = False
         self.forces: Forces | None = None
         self._generators = [seeding.np_random(None)[0] for _ in range(num_envs)]
@@ -109,7 +108,7 @@ class Lanes:
         self.constants = np.ones((PARAMETER_ROWS, num_envs))
         self.parts = reduce(Parts.joined, {s.parts: None for s in self.scenarios})
         self.parameters = Parameters.of(tuple(self.constants), self.parts)
-        self.k: LaneIndices = np.zeros(num_envs, dtype=np.int64)
+        self.k: Indices = np.zeros(num_envs, dtype=np.int64)
 
     @property
     def sample(self) -> Any:
@@ -156,7 +155,7 @@ class Lanes:
             self._generators[i] = generators[i]
         return self.begin(lanes, planned)
 
-    def planned(self, lanes: LaneIndices) -> list[ReadyEpisode]:
+    def planned(self, lanes: Indices) -> list[ReadyEpisode]:
         """Return the next episode of each of the lanes, ready to begin.
 
         Raises:
@@ -165,7 +164,7 @@ class Lanes:
         return self._planned(lanes, self._generators, [{}] * len(self.all))
 
     def _planned(
-        self, lanes: LaneIndices, generators: Sequence[np.random.Generator], choices: Sequence[Mapping[str, Any]]
+        self, lanes: Indices, generators: Sequence[np.random.Generator], choices: Sequence[Mapping[str, Any]]
     ) -> list[ReadyEpisode]:
         """Return an episode for each of the lanes, with every lane's checked options of `reset`."""
         states = [generators[i].bit_generator.state for i in lanes.tolist()]
@@ -186,7 +185,7 @@ class Lanes:
                 generators[i].bit_generator.state = state
             raise
 
-    def begin(self, lanes: LaneIndices, planned: Sequence[ReadyEpisode]) -> Begun:
+    def begin(self, lanes: Indices, planned: Sequence[ReadyEpisode]) -> Begun:
         """Begin these episodes in the lanes."""
         for i, (episode, table, constants) in zip(lanes.tolist(), planned, strict=True):
             self._tape.load(i, self.scenarios[i], episode, table)
@@ -216,7 +215,7 @@ class Lanes:
         given = zip(self.scenarios, episodes, strict=True)
         self.constants[:] = np.array([leaves(scenario.parameters(episode)) for scenario, episode in given]).T
 
-    def with_preview(self, rows: Array, lanes: LaneIndices) -> Array:
+    def with_preview(self, rows: Array, lanes: Indices) -> Array:
         """Return a copy of the observations of n lanes, (SIZE, n), with their previews behind them, (columns, n)."""
         if not self.preview.periods:
             return rows.copy()
@@ -231,7 +230,7 @@ class Lanes:
 
         return (episode, table_of(episode)) if episode else self.scenarios[lane].drawn(rng, table_of)
 
-    def _tables(self, lanes: LaneIndices, episodes: Sequence[Episode]) -> list[Any]:
+    def _tables(self, lanes: Indices, episodes: Sequence[Episode]) -> list[Any]:
         """Return the reference table of each episode, None where it cannot be followed.
 
         Those of one clock and vehicle are planned together, paths of one family side by side.

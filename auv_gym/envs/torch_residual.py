@@ -24,11 +24,11 @@ class TensorExpert(Protocol):
         """Return F_u [N], F_r [N m] for the terms of an observation in SI units, tensors of shape (N,)."""
 
 
-_Law = Callable[[Sequence[Any], Namespace], tuple[Any, Any]]
+TorchLaw = Callable[[Sequence[Any], Namespace], tuple[Any, Any]]
 """`TensorExpert.forces`."""
 
 
-def expert_action(law: _Law, o: Observation) -> tuple[Tensor, Tensor]:
+def expert_action(law: TorchLaw, o: Observation) -> tuple[Tensor, Tensor]:
     """Return the action of a law, surge and yaw, shape (N,) each, for observations in SI units."""
     return action_of(law(o, TENSORS), o, TENSORS)
 

@@ -32,9 +32,9 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
-from auv_gym.envs.lanes import Begun, LaneIndices, Lanes, ScenarioLike
+from auv_gym.envs.lanes import Begun, Lanes, ScenarioLike
 from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
-from auv_gym.physics.namespaces import tensors
+from auv_gym.physics.namespaces import Indices, tensors
 from auv_gym.physics.rows import filled, leaves
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.vehicles import Craft
@@ -52,7 +52,7 @@ CONSTANT_GLOBALS: Any = {"guard_filter_fn": torch.compiler.skip_guard_on_globals
 DTYPES = {"float32": torch.float32, "float64": torch.float64}  # by name
 
 
-class _Transition(NamedTuple):
+class TorchTransition(NamedTuple):
     """What one control step gives; tensors of the state's type."""
 
     state: Tensor  # shape (PLANT_ROWS, N)
@@ -63,7 +63,9 @@ class _Transition(NamedTuple):
     saturated: Tensor  # 1 where an actuator was commanded to its limit, else 0, shape (N,)
 
 
-def simulate(state: Tensor, action: Tensor, sample: Tensor, parameters: Tensor, parts: Parts = _PLAIN) -> _Transition:
+def simulate(
+    state: Tensor, action: Tensor, sample: Tensor, parameters: Tensor, parts: Parts = _PLAIN
+) -> TorchTransition:
     """Return what `simulation.step` makes of N vehicles: a pure function, differentiable in state and action.
 
     Args:
@@ -78,11 +80,13 @@ def simulate(state: Tensor, action: Tensor, sample: Tensor, parameters: Tensor, 
         filled(PLANT, state.unbind()), action.unbind(), sample.unbind(), p, TENSORS
     )
     rows, observation = torch.stack(leaves(plant)), encode(terms, TENSORS, parts.span)
-    return _Transition(rows, observation, reward, lost.to(state.dtype), squared_error, saturated.to(state.dtype))
+    return TorchTransition(rows, observation, reward, lost.to(state.dtype), squared_error, saturated.to(state.dtype))
 
 
 @cache
-def step_function(device: torch.device, dtype: torch.dtype, parts: Parts, compiled: bool) -> Callable[..., _Transition]:
+def step_function(
+    device: torch.device, dtype: torch.dtype, parts: Parts, compiled: bool
+) -> Callable[..., TorchTransition]:
     """Return `simulate` for these constants, compiled if that is wanted and possible on the device.
 
     Compiling takes up to a minute, once a process; torch keeps the result on the disk for the next ones.
@@ -91,7 +95,7 @@ def step_function(device: torch.device, dtype: torch.dtype, parts: Parts, compil
     if not (compiled and can_compile(device)):
         return eager
     logger.info("compiling the simulation step for %s, %s; the first time takes up to a minute", device, dtype)
-    step: Callable[..., _Transition] = torch.compile(eager, dynamic=True, fullgraph=True, options=CONSTANT_GLOBALS)
+    step: Callable[..., TorchTransition] = torch.compile(eager, dynamic=True, fullgraph=True, options=CONSTANT_GLOBALS)
     with torch._dynamo.config.patch(specialize_float=True):  # our floats are constants
         return step if _runs(step, *_ones(device, dtype)) else eager
 
@@ -216,7 +220,7 @@ class TorchSimulator(VectorEnv[Tensor, Tensor, Tensor]):
         self._state = begun if self._state is None else self._state.index_copy(1, where, begun)
         return observation.index_copy(0, where, self._tensor(host.with_preview(beginning.seen, lanes).T))
 
-    def _with_preview(self, rows: Tensor, lanes: LaneIndices) -> Tensor:
+    def _with_preview(self, rows: Tensor, lanes: Indices) -> Tensor:
         """Return the observations (columns, n) of n lanes, whose terms are given, with their previews."""
         host = self._lanes
         if not host.preview.periods:

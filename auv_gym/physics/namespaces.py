@@ -19,6 +19,10 @@ Number: TypeAlias = Any
 """A float, an array, a tensor or a symbol: whatever the namespace beside it computes with."""
 Array: TypeAlias = NDArray[np.float64]
 """An array of double precision."""
+AnyArray: TypeAlias = NDArray[Any]
+"""An array of any kind of numbers."""
+Indices: TypeAlias = NDArray[np.int64]
+"""Whole numbers, such as which vehicles are meant."""
 
 
 class Constants(NamedTuple):

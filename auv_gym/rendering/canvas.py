@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from auv_gym.physics.namespaces import Array
 
 Color = tuple[int, int, int]
-_Box = tuple[float, float, float, float]
+ScreenBox = tuple[float, float, float, float]
 """Left, top, width and height [units] of a rectangle."""
 
 VEHICLE_LENGTH: Final = 2.0  # [m] about right for a neutrally buoyant torpedo of 200 kg
@@ -90,7 +90,7 @@ class Canvas:
         rows = np.frombuffer(self._surface.get_buffer().raw, dtype=np.uint8).reshape(height, pitch)
         return rows[:, : 3 * width].reshape(height, width, 3).copy()
 
-    def part(self, box: _Box) -> Canvas:
+    def part(self, box: ScreenBox) -> Canvas:
         """Return the canvas of a rectangle of this one, its own corner at the origin."""
         x, y, width, height = (round(n * self.unit) for n in box)
         return Canvas(self._pygame, (width, height), self.unit, self._surface.subsurface((x, y, width, height)))
@@ -201,13 +201,13 @@ class Canvas:
         thickness = max(1, round(width * self._factor))
         self._pygame.draw.lines(self._surface, color, True, places.tolist(), thickness)
 
-    def box(self, box: _Box, color: Color, radius: float = 0.0) -> None:
+    def box(self, box: ScreenBox, color: Color, radius: float = 0.0) -> None:
         """A filled rectangle with rounded corners, at least a pixel wide and high."""
         x, y, width, height = (n * self.unit for n in box)
         rectangle = round(x), round(y), max(1, round(x + width) - round(x)), max(1, round(y + height) - round(y))
         self._pygame.draw.rect(self._surface, color, rectangle, border_radius=round(radius * self.unit))
 
-    def card(self, box: _Box, key: Hashable = None, content: Callable[[Canvas], None] = lambda _: None) -> None:
+    def card(self, box: ScreenBox, key: Hashable = None, content: Callable[[Canvas], None] = lambda _: None) -> None:
         """A white card with a thin border, and on it what does not change as long as size and key stay.
 
         Args:

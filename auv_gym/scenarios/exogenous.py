@@ -12,20 +12,17 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.disturbances import Current, Waves
 from auv_gym.physics.errors import to_world
-from auv_gym.physics.namespaces import Array, Namespace, Number
+from auv_gym.physics.namespaces import Array, Indices, Namespace, Number
 from auv_gym.physics.navigation import FixFilter, Reckoning, heading_errors
 from auv_gym.physics.rows import filled, leaves, numbered
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.simulation import REFERENCE, SAMPLE, SAMPLE_ROWS
-
-_Lanes = NDArray[np.int64]
 
 GROUP = 64  # lanes read together: few enough for the cache, many enough to pay for a call
 TILE = 8  # lanes transposed together: one cache line of the result
@@ -185,7 +182,7 @@ class Tape:
             walk = sensors.reckoning.walk
             self._headings[lane] = heading_errors(reckoning.drift, walk, dt, len(table), rng)
 
-    def read(self, lanes: Sequence[int] | _Lanes, n: int, out: Array | None = None) -> Array:
+    def read(self, lanes: Sequence[int] | Indices, n: int, out: Array | None = None) -> Array:
         """Return the next n <= block samples of these lanes, shape (n, SAMPLE_ROWS, len(lanes)), and wind on.
 
         Behind an episode's last instant a lane repeats its last reference. The samples are written to `out`, if given.
@@ -196,7 +193,7 @@ class Tape:
             self._read(np.asarray(lanes[first : first + GROUP]), out[:, :, first : first + GROUP])
         return out
 
-    def _read(self, lanes: _Lanes, out: Array) -> None:
+    def _read(self, lanes: Indices, out: Array) -> None:
         first = self._next[lanes]
         _transpose(self._references(lanes, len(out)), out[:, REFERENCE])
         gust, weather, waves = (rows.take(lanes, axis=1) for rows in (self._gust, self._weather, self._waves))
@@ -213,7 +210,7 @@ class Tape:
                 out[: len(part), SAMPLE.n_psi, i] += part
         self._next[lanes] += len(out)
 
-    def _references(self, lanes: _Lanes, n: int) -> Array:
+    def _references(self, lanes: Indices, n: int) -> Array:
         """Return the next rows of the tables, shape (lanes, n, 8)."""
         rows = np.empty((len(lanes), n, REFERENCE.stop))
         for row, lane, k in zip(rows, lanes.tolist(), self._next[lanes].tolist(), strict=True):
@@ -226,7 +223,7 @@ class Tape:
                 row[max(have, 0) :] = table[-1]
         return rows
 
-    def _normals(self, lanes: _Lanes, n: int) -> Array:
+    def _normals(self, lanes: Indices, n: int) -> Array:
         """Return standard normals, shape (n, NORMALS, lanes), zero where a lane uses none."""
         out = np.zeros((n, NORMALS, len(lanes)))
         normals = np.zeros((len(lanes), n, NORMALS))

@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.physics.errors import to_body
-from auv_gym.physics.namespaces import Array, Namespace, Number
+from auv_gym.physics.namespaces import Array, Indices, Namespace, Number
 from auv_gym.planning.paths import Path, evaluate_paths
 from auv_gym.task.observation import SIZE, L, Observation, bounds
-
-_Indices = NDArray[np.int64]
 
 _FARTHEST = 1000
 """Most control periods that a preview may look ahead."""
@@ -88,7 +86,7 @@ class Preview:
         """How many columns it adds to an observation."""
         return 2 * len(self.periods)
 
-    def load(self, lanes: Sequence[int] | _Indices, paths: Sequence[Path], dt: Sequence[float] | Array) -> None:
+    def load(self, lanes: Sequence[int] | Indices, paths: Sequence[Path], dt: Sequence[float] | Array) -> None:
         """Take up the paths of new episodes, whose control periods are dt [s]."""
         if not self.periods:
             return
@@ -98,7 +96,7 @@ class Preview:
             times = period * np.arange(self._instants, dtype=np.float64)
             self._positions[np.asarray(lanes)[members]] = _positions([paths[j] for j in members], times)
 
-    def ahead(self, lanes: Sequence[int] | _Indices, k: int | _Indices) -> Array:
+    def ahead(self, lanes: Sequence[int] | Indices, k: int | Indices) -> Array:
         """Return the displacements in the world [m] from control step k of n lanes on, shape (P, 2, n)."""
         lanes, k = np.asarray(lanes), np.broadcast_to(k, len(lanes))
         now = self._positions[lanes, k]

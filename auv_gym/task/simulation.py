@@ -20,7 +20,7 @@ from auv_gym.physics.vehicle import Coefficients
 from auv_gym.task.observation import lost, reward
 
 
-class _Memory(NamedTuple):
+class PlantMemory(NamedTuple):
     """What sensors and commands remember; zero where it is not in use."""
 
     x_e: Number  # [m] tracking errors behind the low-pass
@@ -50,7 +50,7 @@ class Plant(NamedTuple):
     F_r: Number  # [N m]
     a_u: Number  # last action
     a_r: Number
-    memory: _Memory
+    memory: PlantMemory
 
 
 class Sample(NamedTuple):
@@ -113,7 +113,7 @@ class Shear(NamedTuple):
         return self.V_x * swing, self.V_y * swing
 
 
-class _Log(NamedTuple):
+class SpeedLog(NamedTuple):
     """What a Doppler log makes of a velocity over ground: floats, or rows of shape (N,)."""
 
     reckons: Number  # 1 where the position is reckoned between fixes, 0 where the last fix stays
@@ -125,12 +125,12 @@ class _Log(NamedTuple):
         return to_world(along, across, self.along, self.across)
 
 
-def log_of(reckoning: Reckoning | None) -> _Log:
+def log_of(reckoning: Reckoning | None) -> SpeedLog:
     """Return the constants of an episode's log; None stands for one that measures exactly and is not reckoned from."""
     if reckoning is None:
-        return _Log(0.0, 1.0, 0.0)
+        return SpeedLog(0.0, 1.0, 0.0)
     share, angle = 1.0 + reckoning.scale, reckoning.misalignment
-    return _Log(1.0, share * math.cos(angle), share * math.sin(angle))
+    return SpeedLog(1.0, share * math.cos(angle), share * math.sin(angle))
 
 
 class Parameters(NamedTuple):
@@ -153,7 +153,7 @@ class Parameters(NamedTuple):
     fin: Number  # [kg] of the fins, see `actuators.Actuators`
     astern: Number  # share of thrust_u astern
     shear: Shear
-    log: _Log
+    log: SpeedLog
     parts: Parts
 
     @classmethod
@@ -180,7 +180,7 @@ Position: TypeAlias = tuple[Number, Number]
 """A place x, y [m] in the world."""
 Terms: TypeAlias = tuple[Number, ...]
 """The observation in SI units, in the order of `task.TERMS`."""
-_Outcome: TypeAlias = tuple[Number, Number, Number, Number]
+StepOutcome: TypeAlias = tuple[Number, Number, Number, Number]
 """Reward; whether the vehicle is lost; squared position error [m^2]; whether an actuator was commanded to its limit."""
 
 
@@ -215,7 +215,7 @@ def moved(
     return state, force
 
 
-_Motion: TypeAlias = Callable[[State, Force, Force, Sequence[Number], Parameters, Namespace], tuple[State, Force]]
+MotionStep: TypeAlias = Callable[[State, Force, Force, Sequence[Number], Parameters, Namespace], tuple[State, Force]]
 """Moves a vehicle by a control period, as `moved` does."""
 
 
@@ -225,8 +225,8 @@ def step(
     sample: Sequence[Number],
     p: Parameters,
     ns: Namespace,
-    move: _Motion = moved,
-) -> tuple[Plant, Terms, _Outcome]:
+    move: MotionStep = moved,
+) -> tuple[Plant, Terms, StepOutcome]:
     """Return the plant one control period later, what is observed of it, and what the task makes of it.
 
     Args:
@@ -266,7 +266,9 @@ def current_at(x: Number, y: Number, current: CurrentVelocity, p: Parameters, ns
     return current[0] + more_x, current[1] + more_y
 
 
-def _late(action: Force, last: Force, memory: _Memory, delay: Number, ns: Namespace) -> tuple[Number, Number, _Memory]:
+def _late(
+    action: Force, last: Force, memory: PlantMemory, delay: Number, ns: Namespace
+) -> tuple[Number, Number, PlantMemory]:
     """Return the action of `delay` control periods ago, and the memory with the last one."""
 
     def chosen(now: Number, one: Number, two: Number, three: Number) -> Number:
@@ -279,8 +281,14 @@ def _late(action: Force, last: Force, memory: _Memory, delay: Number, ns: Namesp
 
 
 def _observe(
-    state: State, before: State, action: Force, memory: _Memory, sample: Sequence[Number], p: Parameters, ns: Namespace
-) -> tuple[_Memory, Terms]:
+    state: State,
+    before: State,
+    action: Force,
+    memory: PlantMemory,
+    sample: Sequence[Number],
+    p: Parameters,
+    ns: Namespace,
+) -> tuple[PlantMemory, Terms]:
     """Return what the sensors remember now, in the plant's memory, and the observation.
 
     `before` is the state one control period ago.

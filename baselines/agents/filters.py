@@ -53,7 +53,7 @@ ACROSS_MEASURED = ("y_e", "psi", "v", "r")
 VECTORS = (("x_e", "y_e"), ("V_x", "V_y"), ("V_x_rate", "V_y_rate"))
 """Entries of an `Estimate` that are vectors in the world."""
 
-_Gains = Sequence[Sequence[Sequence[float]]]
+FilterGainTable = Sequence[Sequence[Sequence[float]]]
 
 
 class Believed(NamedTuple):
@@ -69,7 +69,7 @@ def speed_share(speed: Number) -> Number:
 
 
 @cache
-def gains(regime: str) -> tuple[tuple[_Gains, _Gains], ...]:
+def gains(regime: str) -> tuple[tuple[FilterGainTable, FilterGainTable], ...]:
     """Return for each filter the coefficients of its gains in a regime, in SI units: of `ALONG`, then of `ACROSS`.
 
     A row for each entry holds one for each measurement: the coefficients of 1, s, s^2, ... of s = `speed_share`.
@@ -136,7 +136,7 @@ def _corrected(
     measured: Sequence[Number],
     held: Any,
     o: Observation,
-    tables: Sequence[tuple[_Gains, _Gains]],
+    tables: Sequence[tuple[FilterGainTable, FilterGainTable]],
     share: Number,
     ns: Namespace,
 ) -> Estimate:

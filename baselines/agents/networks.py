@@ -73,7 +73,7 @@ class Gru:
         return encoder, given, own, decoder, head
 
     def forward(self, layers: Layers, x: Array, hidden: Array) -> tuple[Array, Array]:
-        """Return actions in [-1, 1], shape (ACTIONS, N), and the hidden state (memory, N).
+        """Return actions in [-1, 1], shape (OUTPUTS, N), and the hidden state (memory, N).
 
         Args:
             layers: what `prepared` gives.
@@ -134,7 +134,7 @@ class Mlp:
         return _columns(weights, [f"layers.{i}" for i in range(len(self.layers) + 1)], precision)
 
     def forward(self, layers: Layers, x: Array, hidden: Array) -> tuple[Array, Array]:
-        """Return actions in [-1, 1], shape (ACTIONS, N), and `hidden` untouched, as `Gru.forward`."""
+        """Return actions in [-1, 1], shape (OUTPUTS, N), and `hidden` untouched, as `Gru.forward`."""
         *inner, head = layers
         for layer in inner:
             x = ACTIVATIONS[self.activation](_linear(layer, x))
@@ -187,7 +187,7 @@ class Lstm:
         return gates, *self._behind.prepared(weights, precision)
 
     def forward(self, layers: Layers, x: Array, hidden: Array) -> tuple[Array, Array]:
-        """Return actions in [-1, 1], shape (ACTIONS, N), and the hidden state (memory, N), as `Gru.forward`."""
+        """Return actions in [-1, 1], shape (OUTPUTS, N), and the hidden state (memory, N), as `Gru.forward`."""
         gates, *behind = layers
         units = self.hidden
         sums = _linear(gates, np.concatenate((x, hidden[:units])))
@@ -257,7 +257,7 @@ class Rma:
         return _columns(weights, names, precision) + self.acting.prepared(weights, precision)
 
     def forward(self, layers: Layers, x: Array, hidden: Array) -> tuple[Array, Array]:
-        """Return actions in [-1, 1], shape (ACTIONS, N), and the hidden state (memory, N), as `Gru.forward`."""
+        """Return actions in [-1, 1], shape (OUTPUTS, N), and the hidden state (memory, N), as `Gru.forward`."""
         latent, following = self.estimate(layers, x, hidden)
         action, _ = self.acting.forward(layers[1 + len(FILTERS) :], np.concatenate((x, latent)), hidden)
         return action, following

@@ -193,8 +193,8 @@ def trust(errors: Array, region: Array) -> Array:
     """Return the share of a correction that is applied, shape (N,): 1 inside a region, falling to 0 at twice its size.
 
     Args:
-        errors: the first features, `features.ERRORS` rows of shape (N,).
-        region: the largest magnitude of each that the network has learned from, shape (ERRORS,).
+        errors: the first features, `features.ERROR_FEATURES` rows of shape (N,).
+        region: the largest magnitude of each that the network has learned from, shape (ERROR_FEATURES,).
     """
     farthest = (np.abs(errors) / region[:, None]).max(axis=0)
     return np.asarray(np.clip(2.0 - farthest, 0.0, 1.0))

@@ -46,7 +46,7 @@ class AdaptiveGains(NamedTuple):
 
 
 class AdaptiveMemory(NamedTuple):
-    """What is remembered: of the planner in the water frame, see `water_frame.Planned`, and of the adaptation."""
+    """What is remembered: of the planner, see `water_frame.PlannedReference`, and of the adaptation."""
 
     count: Number
     a_x: Number
@@ -80,7 +80,7 @@ AT_LAST = slice(_AT.u_last, _AT.V_x)  # the velocities measured last
 def adaptive(
     o: Observation, before: AdaptiveMemory, g: AdaptiveGains, vehicle: Coefficients, ns: Namespace
 ) -> tuple[AdaptiveMemory, tuple[Number, Number]]:
-    """Return what is remembered, and F_u [N], F_r [N m]; see `traced.Equation`."""
+    """Return what is remembered, and F_u [N], F_r [N m]; see `traced.LawEquation`."""
     c, fresh = vehicle, before.count <= 0.0
     measured = o.u_R + o.u_e, o.v_R + o.v_e, o.r_R + o.r_e
     predicted, sigma = _adapted(o, before, measured, g.predictor, c, ns)

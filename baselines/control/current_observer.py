@@ -39,7 +39,7 @@ class ObserverGains(NamedTuple):
 
 
 class ObserverMemory(NamedTuple):
-    """What is remembered: of the observer, then of the planner in the water frame, see `water_frame.Planned`."""
+    """What is remembered: of the observer, then of the planner, see `water_frame.PlannedReference`."""
 
     begun: Number  # 1 once it has run, 0 before
     u: Number  # [m/s] of the copy, relative to the water
@@ -60,7 +60,7 @@ class ObserverMemory(NamedTuple):
 def current_observer(
     o: Observation, before: ObserverMemory, g: ObserverGains, vehicle: Coefficients, ns: Namespace
 ) -> tuple[ObserverMemory, tuple[Number, Number]]:
-    """Return what is remembered, and F_u [N], F_r [N m]; see `traced.Equation`."""
+    """Return what is remembered, and F_u [N], F_r [N m]; see `traced.LawEquation`."""
     seen = observed(o, before, (g.fast, g.slow), vehicle, ns)
     _, _, _, psi, r, V_x, V_y = seen
     motion = reference_motion(o, vehicle, ns)

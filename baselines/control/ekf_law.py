@@ -49,8 +49,8 @@ EKF_ADVERSE_GAINS = (*EKF_LAW_GAINS, *FAULT_TUNING)
 class EkfLaw:
     """The law with its filter, a `Controller`.
 
-    Its memory is that of the filter, then that of the planner in the water frame, the rows of a `water_frame.Planned`,
-    shape (N, 7).
+    Its memory is that of the filter, then that of the planner in the water frame, the rows of a
+    `water_frame.PlannedReference`, shape (N, 7).
     """
 
     def __init__(self, gains: Mapping[str, float], vehicle: Vehicle) -> None:

@@ -61,7 +61,7 @@ class IlosMemory(NamedTuple):
 def ilos(
     o: Observation, before: IlosMemory, g: IlosGains, vehicle: Coefficients, ns: Namespace
 ) -> tuple[IlosMemory, tuple[Number, Number]]:
-    """Return what is remembered, and F_u [N], F_r [N m]; see `traced.Equation`."""
+    """Return what is remembered, and F_u [N], F_r [N m]; see `traced.LawEquation`."""
     c = vehicle
     m11, m22 = c.m11, c.m22
     U = reference_speed(o.u_R, o.v_R, ns)

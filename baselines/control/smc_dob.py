@@ -60,7 +60,7 @@ class SmcMemory(NamedTuple):
 def smc_dob(
     o: Observation, before: SmcMemory, g: SmcGains, vehicle: Coefficients, ns: Namespace
 ) -> tuple[SmcMemory, tuple[Number, Number]]:
-    """Return what is remembered, and F_u [N], F_r [N m]; see `traced.Equation`."""
+    """Return what is remembered, and F_u [N], F_r [N m]; see `traced.LawEquation`."""
     c = vehicle
     u, v, r = nu = (o.u_R + o.u_e, o.v_R + o.v_e, o.r_R + o.r_e)
     X, Y, N = loads(o, before, nu, (g.observer, g.drift, g.observer), c, ns)

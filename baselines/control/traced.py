@@ -18,7 +18,7 @@ from auv_gym.task.observation import Observation
 from baselines.estimation.kalman import VEHICLE_ROWS, repeated
 from baselines.policy import Memory
 
-_Equation: TypeAlias = Callable[[Observation, Any, Any, Coefficients, Namespace], tuple[Any, tuple[Number, Number]]]
+LawEquation: TypeAlias = Callable[[Observation, Any, Any, Coefficients, Namespace], tuple[Any, tuple[Number, Number]]]
 """Takes the observation in SI units, what is remembered, the gains, the vehicle as it is known and the namespace of the
 numbers; returns what is to be remembered, and F_u [N], F_r [N m]."""
 
@@ -27,7 +27,7 @@ numbers; returns what is to be remembered, and F_u [N], F_r [N m]."""
 class TracedLaw:
     """A law: its equation, and the `NamedTuple` of its gains and of what it remembers, which is zeros at first."""
 
-    equation: _Equation
+    equation: LawEquation
     gains: Any
     memory: Any
 

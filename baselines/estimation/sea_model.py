@@ -26,7 +26,7 @@ BIAS_MEMORY = 10.0  # [s] in which the slowly varying load is forgotten
 SHORTEST_LAG = 1e-3  # [s] least time constant of the actuators: they respond at once, but the derivatives are finite
 LONGEST_LAG = 2.0  # [s] largest time constant of the actuators
 
-_Transition: TypeAlias = tuple[tuple[Number, Number], tuple[Number, Number]]
+WaveTransition: TypeAlias = tuple[tuple[Number, Number], tuple[Number, Number]]
 """A matrix of two rows."""
 
 
@@ -75,7 +75,7 @@ def lag_response(lag: Number, dt: Number, ns: Namespace) -> Response:
     return Response(gain, (1.0 - lag / dt * gain) / gain, math.inf, math.inf)
 
 
-def wave_transition(dt: Number, ns: Namespace) -> _Transition:
+def wave_transition(dt: Number, ns: Namespace) -> WaveTransition:
     """Return the matrix A that takes a wave load and its swing over dt [s] without excitation, as two rows.
 
     White noise that keeps both at the variance s^2 adds the covariance s^2 (1 - A A^T) meanwhile.
@@ -88,7 +88,7 @@ def wave_transition(dt: Number, ns: Namespace) -> _Transition:
     return (decay * (c + a), b), (-b, decay * (c - a))
 
 
-def waves_after(z: Estimate, A: _Transition) -> tuple[Number, ...]:
+def waves_after(z: Estimate, A: WaveTransition) -> tuple[Number, ...]:
     """Return the six wave entries of the state after the time that A, see `wave_transition`, is for."""
     (a, b), (c, d) = A
     pairs = ((z.X_wave, z.X_swing), (z.Y_wave, z.Y_swing), (z.N_wave, z.N_swing))

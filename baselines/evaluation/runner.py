@@ -117,7 +117,7 @@ def run_key(policy: str, digest: str, cell_hash: str) -> str:
 
 
 @dataclass(frozen=True)
-class _Part:
+class TaskPart:
     """What one task gives: a rollout, or the reason why there is none."""
 
     rollout: Rollout | None
@@ -141,7 +141,7 @@ class Task:
     )  # told the task's number and how many steps its vehicles have done
     number: tuple[int, int] = (0, 0)  # of the run, and of the part of it
 
-    def run(self) -> tuple[tuple[int, int], _Part]:
+    def run(self) -> tuple[tuple[int, int], TaskPart]:
         """Return the number and what comes out; an exception of the policy ends it and becomes the `error`."""
         result, error = None, None
         with warnings.catch_warnings(record=True) as caught:
@@ -155,7 +155,7 @@ class Task:
                 error = printable(" ".join(f"{type(exception).__name__}: {exception}".split()))
         self._tell(self.scenario.steps)
         messages = tuple(dict.fromkeys(printable(" ".join(str(warning.message).split())) for warning in caught))
-        return self.number, _Part(result, error, messages)
+        return self.number, TaskPart(result, error, messages)
 
     def _progress(self) -> Callable[[int], None]:
         """Return what tells now and then how many control steps are done."""
@@ -199,7 +199,7 @@ def runs(
         chunks = enumerate(_chunks(cell.episodes))
         tasks += [Task(policy, cell.scenario, chunk, step_limit, note, (i, j)) for j, chunk in chunks]
     missing = Counter(task.number[0] for task in tasks)
-    parts: dict[int, dict[int, _Part]] = {}
+    parts: dict[int, dict[int, TaskPart]] = {}
     for (i, j), part in workers.results(Task.run, [(task,) for task in tasks]):
         parts.setdefault(i, {})[j] = part
         if len(parts[i]) == missing[i]:
@@ -223,7 +223,7 @@ def _chunks(episodes: Sequence[Episode]) -> list[Sequence[Episode]]:
     return [episodes[a:b] for a, b in itertools.pairwise(bounds)]
 
 
-def _joined(policy: str, cell: Cell, parts: Sequence[_Part]) -> Run:
+def _joined(policy: str, cell: Cell, parts: Sequence[TaskPart]) -> Run:
     messages = tuple(dict.fromkeys(message for part in parts for message in part.warnings))
     rollouts = [part.rollout for part in parts if part.rollout is not None]
     if len(rollouts) < len(parts):

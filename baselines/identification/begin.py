@@ -7,10 +7,10 @@ from dataclasses import MISSING, fields, replace
 
 import numpy as np
 
-from auv_gym.physics.namespaces import Array
+from auv_gym.physics.namespaces import Array, Indices
 from auv_gym.physics.stiffness import fastest_rate
 from auv_gym.physics.vehicle import Coefficients, Vehicle
-from baselines.identification.least_squares import _Indices, first_states, fit, leave
+from baselines.identification.least_squares import first_states, fit, leave
 from baselines.identification.log import Log
 from baselines.identification.model import CURRENT_NAMES, FITTED_PARAMETERS, HULL_PARAMETERS, LIMIT_NAMES, LogModel
 from baselines.identification.start import START_WINDOWS, RoughStart, rough_start
@@ -55,7 +55,7 @@ def first_estimates(log: Log, over_ground: bool) -> tuple[RoughStart, Array, set
     roughs = [rough_start(log, NEEDED, window) for window in START_WINDOWS]
     for substeps in _SUBSTEPS:
         model = LogModel(log, starts, substeps, over_ground)
-        found: list[tuple[float, int, RoughStart, Array, _Indices]] = []
+        found: list[tuple[float, int, RoughStart, Array, Indices]] = []
         for rough in roughs:
             free = np.array([FITTED_PARAMETERS.index(name) for name in shown(log, rough, ())])
             for values in _begins(log, rough):
@@ -136,7 +136,7 @@ def segment_length(log: Log, values: Array, segment: float) -> float:
     return segment or min(max(RELAXATIONS * relaxation, SHORTEST_SEGMENT * log.dt), log.duration / FEWEST)
 
 
-def segment_starts(log: Log, length: float) -> _Indices:
+def segment_starts(log: Log, length: float) -> Indices:
     """Return where segments of about a length [s] begin."""
     count = max(FEWEST, round(log.duration / length))
     begins = log.t[0] + log.duration * np.arange(count) / count

@@ -12,14 +12,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from auv_gym.physics.namespaces import Array
+from auv_gym.physics.namespaces import Array, Indices
 from baselines.identification.log import MEASURED_COLUMNS, unwrapped
 from baselines.identification.model import LOG_STATES, LogModel
 
-_Indices = NDArray[np.int64]
 INNER = 5  # most steps to the best first states
 _SETTLED = 1e-6  # [standard deviations] change of the predictions at which they are found
 BLOWN_UP = 1e60  # [standard deviations] error that nothing is learned from
@@ -42,12 +40,12 @@ def first_states(model: LogModel) -> Array:
     return np.asarray(unwrapped(model.log)[model.starts])
 
 
-def leave(model: LogModel, values: Array, free: _Indices, states: Array, noise: Array) -> Left | None:
+def leave(model: LogModel, values: Array, free: Indices, states: Array, noise: Array) -> Left | None:
     """Return what parameters leave, with the best first states near given ones; None where the prediction blows up.
 
     Args:
         model: the simulator on a log.
-        values: of `model.PARAMETERS`, shape (P,).
+        values: of `model.FITTED_PARAMETERS`, shape (P,).
         free: indices of those that the slopes are for, shape (F,).
         states: at the segments' starts, shape (S, 6).
         noise: standard deviations of the measurements, shape (6,).
@@ -83,7 +81,7 @@ def leave(model: LogModel, values: Array, free: _Indices, states: Array, noise: 
 def fit(
     model: LogModel,
     values: Array,
-    free: _Indices,
+    free: Indices,
     bounds: tuple[Array, Array],
     scales: Array,
     states: Array,

@@ -109,7 +109,7 @@ class Validation:
 
 
 def _seen(scaled: Array) -> tuple[float, ...]:
-    """Return what `_SEEN` of each error's magnitudes stay below; shape (K, ERRORS, N), nan where an episode is over."""
+    """Return what `_SEEN` of the magnitudes stay below, for each of `ERROR_FEATURES`; nan where an episode is over."""
     found: list[float] = np.nanquantile(np.abs(scaled), _SEEN, axis=(0, 2)).tolist()
     return tuple(found)
 

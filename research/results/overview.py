@@ -15,7 +15,7 @@ from baselines.evaluation.report.columns import COLUMNS, lost_text
 from baselines.evaluation.report.numbers import Entry
 from baselines.evaluation.score import OPTIMUM_POLICY
 from baselines.tools.figure_style import COLOURS, MARKERS, panels, styled, to_png
-from research.lower_bounds.floor.command import recorded_floors as estimation_bounds
+from research.lower_bounds.floor.command import recorded_floors
 from research.results.collection import Results, results_of
 
 _SUITE = "benchmark-v2"
@@ -94,7 +94,7 @@ def _speeds(regime: str) -> tuple[float, float]:
 
 def _estimation(results: Results, regime: str) -> float:
     """Return the estimation lower bound [m], the mean over cases; where measurements are exact it is the optimum's."""
-    bounds, best = estimation_bounds(results.suite.source[1]), results.tails[OPTIMUM_POLICY]
+    bounds, best = recorded_floors(results.suite.source[1]), results.tails[OPTIMUM_POLICY]
     names = [f"{regime}-{case}" for case in CASES]
     return float(np.mean([max(bounds[name].tail_m, best[name]) if name in bounds else best[name] for name in names]))
 

@@ -76,8 +76,6 @@ def _bound(results: Results) -> str:
     return (
         f"`{OPTIMUM_POLICY}`, the full-information optimum, knows everything in advance and optimises its commands "
         f"over the whole episode. Its mean error is {least:.3f} to {most:.3f} mm, case by case. Policies that "
-        f"are better "
-        f"by more than the {1e3 * ROUNDING:g} mm to which it is solved: {names}. Of all other policies "
-        f"`{ORACLE}` has the "
-        f"smallest mean error in {first} of {len(results.suite.cells)} cases.{held_out}"
+        f"are better by more than the {1e3 * ROUNDING:g} mm to which it is solved: {names}. Of all other policies "
+        f"`{ORACLE}` has the smallest mean error in {first} of {len(results.suite.cells)} cases.{held_out}"
     )

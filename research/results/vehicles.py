@@ -166,8 +166,7 @@ def _introduction(results: Results) -> str:
         f"## {VEHICLES_SUITE}\n\n{len(vehicles_of(results))} published vehicles ([Vehicles](vehicles.md)), none of "
         f"them the paper's, each in the eight cases at its own speeds: {len(cells)} cells, {episodes} episodes, "
         f"SHA-256 `{suite.hash}`. Every policy is made for each vehicle, which it is told as the plan knows "
-        f"it. Recorded: "
-        f"{' and '.join(dates)}.\n\n{_INTRODUCTION}"
+        f"it. Recorded: {' and '.join(dates)}.\n\n{_INTRODUCTION}"
     )
 
 

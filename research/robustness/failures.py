@@ -19,7 +19,7 @@ from baselines.policy import Memory
 SHUFFLE = 0
 """Seed of the order that shuffled weights are in: the same for every agent with a network of that size."""
 _CORRECTION = 1
-"""Which array of an agent's memory is its last correction, shape (N, ACTIONS)."""
+"""Which array of an agent's memory is its last correction, shape (N, OUTPUTS)."""
 
 
 class Forward(Protocol):
@@ -35,7 +35,7 @@ class Told:
     """A network that says what it was told, whatever it sees; its hidden state stays as it is."""
 
     def __init__(self, network: Network, output: Array) -> None:
-        """Take the place of a network for N vehicles, which may come block by block; output has shape (ACTIONS, N)."""
+        """Take the place of a network for N vehicles, which may come block by block; output has shape (OUTPUTS, N)."""
         self.memory, self._output, self._next = network.memory, output, 0
 
     def forward(self, layers: Layers, x: Array, hidden: Array) -> tuple[Array, Array]:
@@ -83,7 +83,7 @@ FAILURES: Mapping[str, Callable[[Agent, Array, str], Forward]] = {
     "stuck at -1": _told(-1.0),
     "shuffled": _shuffled,
 }
-"""What takes the network's place, of the agent, the last correction (ACTIONS, N) and the precision, by failure."""
+"""What takes the network's place, of the agent, the last correction (OUTPUTS, N) and the precision, by failure."""
 SATURATED = ("stuck at +1", "stuck at -1")
 """The failures that ask for all of an authority."""
 

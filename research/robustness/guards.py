@@ -26,7 +26,7 @@ from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import EXPERT, LARGEST_TAIL, capped, is_lost, largest_tail, losses
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.policies import make_policy
-from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.command_line import DONE, UsageError, check_words, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from research import DATA
 from research.robustness.failures import FAILURES, Failing
@@ -119,8 +119,7 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    if unknown := [name for name in options.suite if name not in _SUITES]:
-        raise UsageError(f"--suite is {unknown[0]!r}; allowed are {', '.join(_SUITES)}")
+    check_words("suite", options.suite, _SUITES)
     if options.episodes < 1:
         raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more")
     policies = checked_policies(options.policy)

@@ -25,7 +25,7 @@ class PolicyVerdict:
 
     @classmethod
     def of(cls, recorded: Run, again: Run) -> PolicyVerdict:
-        """Compare two runs of the same episodes as files hold them, see `recorded.table`.
+        """Compare two runs of the same episodes as files hold them, see `recorded.stored_measures`.
 
         Raises:
             ValueError: the policy failed.

@@ -104,7 +104,7 @@ def trainings(agent: str, vehicle: str, timesteps: int | None = None) -> dict[st
     `PIECES`, in one group.
 
     Args:
-        agent: one of `trainings.SHIPPED`.
+        agent: one of `trainings.SHIPPED_TRAININGS`.
         vehicle: its name.
         timesteps: of both, None: what `train.py --from` takes, and `LENGTH`.
     """

@@ -89,7 +89,7 @@ def shares(F_u: Number, F_r: Number, ns: Namespace) -> tuple[Number, Number]:
 
 @dataclass(frozen=True)
 class Otter:
-    """The vehicle as a `worlds.Model`, or one that lacks something of it, to see what that makes."""
+    """The vehicle as a `worlds._Model`, or one that lacks something of it, to see what that makes."""
 
     pushed: float = 1.0  # share of the payload's weight along the pitched boat that acts
     crossed: bool = True  # see `six_dof.cross_flow`

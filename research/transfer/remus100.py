@@ -137,7 +137,7 @@ def pitch_error(s: SpatialMotion, a: _Actuators) -> Number:
 
 @dataclass(frozen=True)
 class Remus100:
-    """The vehicle as a `worlds.Model`, or one that lacks something of it, to see what that makes."""
+    """The vehicle as a `worlds._Model`, or one that lacks something of it, to see what that makes."""
 
     propeller_lag: float = PROPELLER_LAG  # [s]
     side_force: float = 1.0  # share of the rudder's force across the hull that acts

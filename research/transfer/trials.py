@@ -76,7 +76,7 @@ def log(name: str, seed: int = 0, current: CurrentVelocity = EXAMPLE_CURRENT) ->
     Its noise is that of `cruise-noise` for this vehicle, its currents are those of the examples.
 
     Args:
-        name: of the vehicle, one of `worlds.MODELS`.
+        name: of the vehicle, one of `worlds.SIX_DOF_MODELS`.
         seed: of the noise.
         current: that it is in [m/s].
 

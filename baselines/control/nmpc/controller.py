@@ -65,7 +65,7 @@ Solver = Callable[[Plan, Horizon, Integers], Plan]
 class PredictiveControl:
     """The controller with its filter, a `Controller`; its memory is the filter's, then the commands planned last.
 
-    Commands are planned at the stages of `PREVIEW`, shape (N, K, COMMANDS). Behind them is what `fins` remembers.
+    Commands are planned at the stages of `PREVIEW`, shape (N, K, COMMAND_SIZE). Behind them is what `fins` remembers.
     """
 
     preview = PREVIEW

@@ -87,16 +87,16 @@ class Horizon(NamedTuple):
 class Plan(NamedTuple):
     """Commands and what comes of them."""
 
-    commands: Array  # shape (K, COMMANDS, N)
-    states: Array  # shape (K + 1, STATES, N)
+    commands: Array  # shape (K, COMMAND_SIZE, N)
+    states: Array  # shape (K + 1, STATE_ROWS, N)
     cost: Array  # [m^2 s], shape (N,); infinite where no finite states come of them
 
 
 class Improvement(NamedTuple):
     """How commands should change: by `step` + `feedback` (state - state of the plan)."""
 
-    step: Array  # shape (K, COMMANDS, N)
-    feedback: Array  # the rows of K matrices (COMMANDS, STATES) one after the other, shape (K, COMMANDS * STATES, N)
+    step: Array  # shape (K, COMMAND_SIZE, N)
+    feedback: Array  # shape (K, COMMAND_SIZE * STATE_ROWS, N): the rows of K matrices one after the other
     promise: Array  # [m^2 s] how much lower the cost would be if all were linear, shape (N,)
 
 
@@ -225,7 +225,7 @@ class OptimalControl:
         plan: Plan | None = None,
         descent: Improvement | None = None,
     ) -> Plan:
-        """Return what comes of commands, shape (K, COMMANDS, N), from a state, shape (STATES, N).
+        """Return what comes of commands, shape (K, COMMAND_SIZE, N), from a state, shape (STATE_ROWS, N).
 
         With a plan and a descent from it, whose step the commands hold already, its feedback is added to the commands,
         and they are kept within the limits.

@@ -50,10 +50,10 @@ class Problem:
     """N episodes of K control periods, as they are known beforehand."""
 
     parts: Parts  # of the simulation that the commands depend on
-    begun: Array  # state at the start, shape (STATES, N)
+    begun: Array  # state at the start, shape (PLANT_STATES, N)
     samples: Array  # the numbers of a `Sample` at the end of each period, shape (K, SAMPLE_ROWS, N)
     parameters: Array  # the numbers of the `Parameters`, shape (PARAMETER_ROWS, N)
-    limits: Array  # of the commands, zero until the first one arrives, shape (K, ACTIONS, N)
+    limits: Array  # of the commands, zero until the first one arrives, shape (K, COMMAND_ROWS, N)
     weight: Array  # w_k in (1) [1/m^2 of this vehicle], shape (K, 1, N)
     delay: NDArray[np.int64]  # control periods until a command acts, shape (N,)
     unit: Array  # metres of this vehicle that are one of the paper's, shape (N,)
@@ -92,7 +92,7 @@ class Problem:
         return Problem(self.parts, **arrays)
 
     def between(self, first: int, end: int, begun: Array) -> Problem:
-        """Return the problem of the periods from `first` to `end`, which begin in states (STATES, N).
+        """Return the problem of the periods from `first` to `end`, which begin in states (PLANT_STATES, N).
 
         The errors of all its periods count alike.
         """
@@ -156,7 +156,7 @@ class Problem:
         return Way(step, feedback)
 
     def standing(self, commands: Array) -> Trajectory:
-        """Return the course of commands, shape (K, ACTIONS, N), as they are."""
+        """Return the course of commands, shape (K, COMMAND_ROWS, N), as they are."""
         steps, _, n = commands.shape
         return self.played(Trajectory(commands, np.zeros((steps + 1, PLANT_STATES, n)), np.zeros(n), np.zeros(n)))
 
@@ -164,8 +164,8 @@ class Problem:
 class Trajectory(NamedTuple):
     """Commands of N episodes and what comes of them."""
 
-    commands: Array  # that act in each period, shape (K, ACTIONS, N)
-    states: Array  # shape (K + 1, STATES, N)
+    commands: Array  # that act in each period, shape (K, COMMAND_ROWS, N)
+    states: Array  # shape (K + 1, PLANT_STATES, N)
     cost: Array  # (1) [m^2 of the paper's vehicle], shape (N,); infinite where no finite states come of the commands
     tail: Array  # [m of the paper's vehicle] root mean square of the position error in the tail, shape (N,)
 
@@ -173,8 +173,8 @@ class Trajectory(NamedTuple):
 class Way(NamedTuple):
     """How commands should change: by `step` + `feedback` (state - state of the course)."""
 
-    step: Array  # shape (K, ACTIONS, N)
-    feedback: Array  # the rows of K matrices (ACTIONS, STATES) one after the other, shape (K, ACTIONS * STATES, N)
+    step: Array  # shape (K, COMMAND_ROWS, N)
+    feedback: Array  # shape (K, COMMAND_ROWS * PLANT_STATES, N): the rows of K matrices one after the other
 
 
 def _after(state: Sequence[Any], command: Sequence[Any], sample: Any, parameters: Any, parts: Parts) -> list[Any]:

@@ -95,18 +95,18 @@ def _stepped(problem: Problem, course: Trajectory, way: Way) -> tuple[Trajectory
     return best, whole
 
 
-class _Window(NamedTuple):
+class ForesightWindow(NamedTuple):
     """How far is looked ahead."""
 
     ahead: int  # control periods that are optimised
     kept: int  # of them, the first ones, whose commands are taken
 
 
-WINDOWS = _Window(80, 40), _Window(160, 40)
+WINDOWS = ForesightWindow(80, 40), ForesightWindow(160, 40)
 """Windows that are tried in turn: 8 s and 16 s at the cruise of the paper's vehicle."""
 
 
-def foreseeing(window: _Window, problem: Problem) -> Array:
+def foreseeing(window: ForesightWindow, problem: Problem) -> Array:
     """Return the commands, shape (K, ACTIONS, N), that windows through an episode of K periods give."""
     commands, begun, steps = np.zeros_like(problem.limits), problem.begun, len(problem.limits)
     for first in range(0, steps, window.kept):

@@ -30,7 +30,7 @@ from baselines.evaluation.score import (
 )
 
 _Case = Mapping[str, Measures]
-"""What was measured in a scenario, by policy, in metres of the paper's vehicle, see `score.in_paper_units`."""
+"""What was measured in a scenario, by policy, in metres of the paper's vehicle, see `score.in_paper_metres`."""
 _PAPER = "paper"  # names the paper's vehicle where there are others
 
 

@@ -17,7 +17,7 @@ from baselines.control.backstepping import Backstepping, Gains, backstepping_err
 from baselines.control.linearisation import FINE_STEP, Feedback, Linearisation, linearise
 from baselines.similar import SimilarLaw
 
-_Law = Callable[[Sequence[Number], Vehicle, Gains, Namespace], Force]
+ExaminedLaw = Callable[[Sequence[Number], Vehicle, Gains, Namespace], Force]
 """F_u [N], F_r [N m] of the terms of an observation, as `backstepping.tracking_forces`."""
 
 COARSE_STEP = 1e-3
@@ -60,7 +60,7 @@ def feedback_of(policy: Policy, dt: float) -> tuple[Feedback, float]:
 
 
 def closed_loop_eigenvalues(
-    vehicle: Vehicle, gains: Gains, speed: float, turn_rate: float, law: _Law = tracking_forces
+    vehicle: Vehicle, gains: Gains, speed: float, turn_rate: float, law: ExaminedLaw = tracking_forces
 ) -> NDArray[np.complex128]:
     """Return the six eigenvalues [1/s] of the loop about steady motion, the least stable first.
 
@@ -75,7 +75,7 @@ def closed_loop_eigenvalues(
 
 
 def spectral_abscissa(
-    vehicle: Vehicle, gains: Gains, speed: float, turn_rate: float, law: _Law = tracking_forces
+    vehicle: Vehicle, gains: Gains, speed: float, turn_rate: float, law: ExaminedLaw = tracking_forces
 ) -> float:
     """Return the largest real part [1/s] of `closed_loop_eigenvalues`: negative where the loop is stable."""
     return float(closed_loop_eigenvalues(vehicle, gains, speed, turn_rate, law)[0].real)

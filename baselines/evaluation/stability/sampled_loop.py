@@ -139,7 +139,7 @@ class _Loop:
 
     @property
     def on_reference(self) -> Array:
-        """The vehicle's part of z without any error, shape (VEHICLE, 1)."""
+        """The vehicle's part of z without any error, shape (_VEHICLE, 1)."""
         return np.concatenate((np.zeros(6), self.steady_action))[:, None]
 
     def _sample(self, x: Array, y: Array, psi: Array) -> Any:
@@ -152,7 +152,7 @@ class _Loop:
         return sample
 
     def observed(self, own: Array, psi: Array) -> tuple[Any, Any]:
-        """Return plant and observation, (N, columns), of vehicles with z[:VEHICLE] = own, at headings (N,)."""
+        """Return plant and observation, (N, columns), of vehicles with z[:_VEHICLE] = own, at headings (N,)."""
         place = to_world(own[0], own[1], np.cos(psi), np.sin(psi))
         state = (*place, psi + own[2], *(own[3 + i] + self.velocities[i] for i in range(3)))
         nothing = np.zeros(len(psi))
@@ -193,7 +193,7 @@ class _Orbit:
     """Steady motion at some headings: a column for each of them."""
 
     psi: Array  # shape (H,)
-    own: Array  # shape (VEHICLE, H)
+    own: Array  # shape (_VEHICLE, H)
     memory: Memory  # arrays (H, ...)
     offset: float  # [m] see `Steady`
     swing: float  # [m] see `Steady`

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.namespaces import ARRAYS, AnyArray
 from auv_gym.task.observation import SIZE
 from auv_gym.task.simulation import PARAMETERS, PLANT, PLANT_ROWS
 from baselines.agents.networks import OUTPUTS, Network
@@ -19,9 +19,8 @@ from baselines.training.apg.kernels import KNOWN_ROWS, MOVED, LoopKernels, RunCo
 from baselines.training.apg.passes import NetworkTape, Pass, pass_of
 from baselines.training.apg.torch_network import TorchGru, TorchMlp
 
-Array = NDArray[Any]
-Act = Callable[[int, Array], Array]
-"""What an expert that computes on NumPy does at step k on observations (SIZE, N): actions, shape (ACTIONS, N)."""
+Act = Callable[[int, AnyArray], AnyArray]
+"""What an expert that computes on NumPy does at step k on observations (SIZE, N): actions, shape (OUTPUTS, N)."""
 
 
 class Steering(Protocol):
@@ -43,11 +42,11 @@ CARRIED = ("d_state", "d_observation", "d_integrals", "d_correction")
 class Carried(NamedTuple):
     """What goes from one control instant to the next: arrays whose last axis counts the N vehicles."""
 
-    state: Array  # rows of a `simulation.Plant`, shape (PLANT_ROWS, N)
-    observation: Array  # shape (SIZE, N)
-    integrals: Array  # of the features, shape (`Inputs.memory`, N)
-    correction: Array  # the last one, shape (ACTIONS, N)
-    hidden: Array  # of the network, shape (memory, N)
+    state: AnyArray  # rows of a `simulation.Plant`, shape (PLANT_ROWS, N)
+    observation: AnyArray  # shape (SIZE, N)
+    integrals: AnyArray  # of the features, shape (`Inputs.memory`, N)
+    correction: AnyArray  # the last one, shape (OUTPUTS, N)
+    hidden: AnyArray  # of the network, shape (memory, N)
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ class Objective:
     """What a window's gradient is that of."""
 
     loss: Loss  # of a control step; its weights may be of each vehicle, shape (N,)
-    shares: Array | None = None  # what each vehicle's loss counts for in their mean, shape (N,); None: alike
+    shares: AnyArray | None = None  # what each vehicle's loss counts for in their mean, shape (N,); None: alike
     cut: float = 0.0  # medians over the vehicles that a vehicle's derivatives may reach going back; 0: anything
     evenness: float = 0.0  # see `evened`
 
@@ -120,7 +119,7 @@ class Window:
         self._pass = way(network, NetworkTape(*map(torch.from_numpy, (*tensors, *derivatives))))
         self._bind(kernels)
 
-    def _zeros(self, *shape: int) -> Array:
+    def _zeros(self, *shape: int) -> AnyArray:
         return np.zeros(shape, dtype=self._type)
 
     def _bind(self, kernels: LoopKernels) -> None:
@@ -155,13 +154,13 @@ class Window:
     def run(
         self,
         carried: Carried,
-        ahead: Array,
-        samples: Array,
-        parameters: Array,
+        ahead: AnyArray,
+        samples: AnyArray,
+        parameters: AnyArray,
         act: Act | None = None,
         back: bool = True,
-        known: Array | None = None,
-    ) -> tuple[float, float, Carried, Array]:
+        known: AnyArray | None = None,
+    ) -> tuple[float, float, Carried, AnyArray]:
         """Run the window and set the gradients of the network's weights, those of the `objective`.
 
         Args:
@@ -223,7 +222,7 @@ class Window:
             for d in carried if not share.all() else ():
                 d[:, share == 0] = 0.0  # nothing times what is no number is none
 
-    def _errors(self) -> Array:
+    def _errors(self) -> AnyArray:
         """Return each vehicle's mean position error in the window, in units of its scale."""
         with np.errstate(all="ignore"):
             mean = np.sqrt(self._squared[:, 0], dtype=np.float64).mean(axis=0)
@@ -236,7 +235,7 @@ class Window:
         return float(np.mean(of @ self._shares.astype(of.dtype), dtype=np.float64))
 
 
-def evened(shares: Array, errors: Array, evenness: float) -> Array:
+def evened(shares: AnyArray, errors: AnyArray, evenness: float) -> AnyArray:
     """Return shares of the same sum in which vehicles with small errors count for more; what is no number for nothing.
 
     The loss of vehicle i counts for what it did over errors_i^evenness. With 0 errors count as they are, as in a mean;

@@ -10,17 +10,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from auv_gym.physics.errors import to_body
-from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.physics.namespaces import ARRAYS, AnyArray
 from auv_gym.physics.rows import filled
 from auv_gym.physics.vehicle import LIFT, Coefficients, Vehicle
 from auv_gym.task.simulation import SAMPLE, Parameters, Parts
 from baselines.agents.features import LARGEST_FEATURE
 from baselines.policy import reference_speed
-
-Array = NDArray[Any]
 
 EXTRINSICS = (
     *(name for name in Coefficients._fields if name not in LIFT),  # of the true vehicle, against the known one's
@@ -31,7 +28,7 @@ EXTRINSICS = (
 """What the rows are, in their order; each is of the size of 1."""
 
 
-def extrinsics(samples: Array, constants: Array, known: Vehicle) -> Array:
+def extrinsics(samples: AnyArray, constants: AnyArray, known: Vehicle) -> AnyArray:
     """Return the extrinsics of every instant of a window, shape (T, len(EXTRINSICS), N).
 
     Args:

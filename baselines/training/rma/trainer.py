@@ -37,7 +37,7 @@ from baselines.training.run_folder import RunFolder
 
 
 @dataclass(frozen=True)
-class _Settings:
+class RmaSettings:
     """Hyper-parameters: those of the analytic gradient but for `memory` and `groups`, for the teacher, and these."""
 
     latent: int = 8  # numbers that an encoder makes of the extrinsics
@@ -61,11 +61,11 @@ class _Settings:
         return Rma(len(self.gradient.inputs.features), (size, size), self.latent, self.channels)
 
 
-_OWN = tuple(f.name for f in fields(_Settings) if f.name != "gradient")
+_OWN = tuple(f.name for f in fields(RmaSettings) if f.name != "gradient")
 """Hyper-parameters beside those of the analytic gradient."""
 
 
-def check(config: Config) -> _Settings:
+def check(config: Config) -> RmaSettings:
     """Return the settings of a configuration.
 
     Raises:
@@ -78,7 +78,7 @@ def check(config: Config) -> _Settings:
         raise ValueError(f"expert {config.expert!r} computes on NumPy; rma corrects laws alone, such as backstepping")
     own = {name: value for name, value in config.hyperparameters.items() if name in _OWN}
     rest = {name: value for name, value in config.hyperparameters.items() if name not in _OWN}
-    return _Settings(**own, gradient=check_gradient(replace(config, hyperparameters=rest | {"memory": False})))
+    return RmaSettings(**own, gradient=check_gradient(replace(config, hyperparameters=rest | {"memory": False})))
 
 
 def train(run: RunFolder) -> Agent:

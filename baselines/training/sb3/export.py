@@ -62,7 +62,7 @@ def _array(value: Tensor) -> NDArray[Any]:
 
 
 def _actor(policy: Any) -> tuple[list[nn.Module], str]:
-    """Return the layers from the features to the mean action, and what bounds that, see `networks.BOUNDS`."""
+    """Return the layers from the features to the mean action, and what bounds that, see `networks._BOUNDS`."""
     if hasattr(policy, "mlp_extractor"):  # PPO, recurrent or not
         return [*policy.mlp_extractor.policy_net, policy.action_net], "clip"
     actor = getattr(policy, "actor", policy)
