@@ -202,80 +202,8 @@ class Lstm:
         return action, np.concatenate((out, cells))
 
 
-FILTERS = ((8, 1), (5, 4), (5, 4), (3, 4))
-"""Instants that each filter of `Rma` takes together, and control steps between them: 48 steps in all."""
-
-
-@dataclass(frozen=True)
-class Rma:
-    """Rapid motor adaptation (Kumar et al. 2021): filters over the last steps estimate what tanh layers are told.
-
-    A tanh layer takes the inputs of each step to `channels` numbers, and `FILTERS` take those of the last 48 steps, one
-    behind the other and each with a tanh, to `latent` numbers: an estimate of what vehicle and sea are like. Layers
-    without memory see the inputs and that estimate. The filters of the paper skip steps; here they are
-    computed at every step, from what each of them remembers of the one before.
-    """
-
-    kind: ClassVar[str] = "rma"
-    inputs: int
-    layers: tuple[int, ...] = (48, 48)
-    latent: int = 8
-    channels: int = 12
-    bound: str = "tanh"  # one of `_BOUNDS`
-
-    def __post_init__(self) -> None:
-        _check_sizes(inputs=self.inputs, latent=self.latent, channels=self.channels)
-        object.__setattr__(self, "layers", self.acting.layers)
-
-    @property
-    def acting(self) -> Mlp:
-        """What acts on inputs and estimate."""
-        return Mlp(self.inputs + self.latent, self.layers, "tanh", self.bound)
-
-    @property
-    def kept(self) -> tuple[int, ...]:
-        """Numbers that each filter remembers of what it has been given."""
-        return tuple((instants - 1) * apart * self.channels for instants, apart in FILTERS)
-
-    @property
-    def memory(self) -> int:
-        """Numbers that are remembered from one control instant to the next."""
-        return sum(self.kept)
-
-    @property
-    def shapes(self) -> Shapes:
-        """Shapes of the weights, by name; columns of a filter: its instants, the oldest first."""
-        shapes = _layer("embedding", self.inputs, self.channels)
-        for i, (instants, _) in enumerate(FILTERS):
-            outputs = self.channels if i + 1 < len(FILTERS) else self.latent
-            shapes |= _layer(f"filters.{i}", instants * self.channels, outputs)
-        return shapes | self.acting.shapes
-
-    def prepared(self, weights: Weights, precision: str = "float64") -> Layers:
-        """Return weights as `forward` takes them, in a precision."""
-        names = ("embedding", *(f"filters.{i}" for i in range(len(FILTERS))))
-        return _columns(weights, names, precision) + self.acting.prepared(weights, precision)
-
-    def forward(self, layers: Layers, x: Array, hidden: Array) -> tuple[Array, Array]:
-        """Return actions in [-1, 1], shape (OUTPUTS, N), and the hidden state (memory, N), as `Gru.forward`."""
-        latent, following = self.estimate(layers, x, hidden)
-        action, _ = self.acting.forward(layers[1 + len(FILTERS) :], np.concatenate((x, latent)), hidden)
-        return action, following
-
-    def estimate(self, layers: Layers, x: Array, hidden: Array) -> tuple[Array, Array]:
-        """Return the estimate (latent, N) and the hidden state; arguments as of `forward`."""
-        given, first, following = np.tanh(_linear(layers[0], x)), 0, []
-        for (instants, apart), layer, kept in zip(FILTERS, layers[1:], self.kept, strict=False):
-            past = np.concatenate((hidden[first : first + kept], given))
-            steps = (past[k * apart * self.channels :][: self.channels] for k in range(instants))
-            following.append(past[self.channels :])
-            given = np.tanh(_linear(layer, past if apart == 1 else np.concatenate(tuple(steps))))
-            first += kept
-        return given, np.concatenate(following)
-
-
-Network = Gru | Lstm | Mlp | Rma
-NETWORKS: dict[str, type[Gru] | type[Lstm] | type[Mlp] | type[Rma]] = {cls.kind: cls for cls in (Gru, Lstm, Mlp, Rma)}
+Network = Gru | Lstm | Mlp
+NETWORKS: dict[str, type[Gru] | type[Lstm] | type[Mlp]] = {cls.kind: cls for cls in (Gru, Lstm, Mlp)}
 """Kinds of networks by name."""
 
 

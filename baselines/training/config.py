@@ -22,15 +22,13 @@ ALGORITHMS: Mapping[str, str] = {
     "apg": "baselines.training.apg.trainer",
     "ppo": "baselines.training.sb3.trainer",
     "ppo_lstm": "baselines.training.sb3.trainer",
-    "rma": "baselines.training.rma.trainer",
     "sac": "baselines.training.sb3.trainer",
     "td3": "baselines.training.sb3.trainer",
     "tqc": "baselines.training.sb3.trainer",
 }
 """The module of each algorithm: `check(config)` raises ValueError for what it cannot train, `train(run)` does.
 
-apg: analytic policy gradient, back-propagation through the simulator; rma: rapid motor adaptation, whose teacher
-learns so; the others are Stable-Baselines3's.
+apg: analytic policy gradient, back-propagation through the simulator; the others are Stable-Baselines3's.
 """
 LARGEST_SEED = 10_000  # of a run
 _LANES = 2**20  # seeds reserved for the vehicles of one run

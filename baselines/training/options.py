@@ -19,9 +19,8 @@ class Options:
     """
 
     algo: str = "apg"
-    """The algorithm: "apg" (analytic gradient: back-propagation through the simulator), "rma" (rapid motor adaptation:
-    a teacher that knows vehicle and disturbances, and a student that estimates them), or one of Stable-Baselines3:
-    "ppo", "ppo_lstm", "sac", "td3", "tqc"."""
+    """The algorithm: "apg" (analytic gradient: back-propagation through the simulator), or one of
+    Stable-Baselines3: "ppo", "ppo_lstm", "sac", "td3", "tqc"."""
     scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = ()
     """What to train on: names of presets, .toml and .json files, or a regime, "cruise" or "slow", for all of its cases
     (storms three times, noise and slow actuators twice as often), or "cruise-adverse" or "slow-adverse", for these and

@@ -80,7 +80,6 @@ _FAMILIES: Mapping[str, str] = {
     "apg-scratch": "Without an expert: the network commands alone.",
     "ppo": "The expert corrected by a network without memory, which learns from rewards until it gets no better.",
     "ppo-lstm": "The same with long short-term memory.",
-    "rma": "A teacher knows vehicle and sea; a student, which acts, estimates them from the last 48 steps.",
     "sac": "The same from fewer steps, each of which is learned from many times.",
     "td3": "The same from fewer steps, each of which is learned from many times.",
 }

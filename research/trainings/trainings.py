@@ -137,8 +137,6 @@ SHIPPED_TRAININGS: Mapping[str, Options] = {
     },
     "ppo-lstm-cruise": training("ppo_lstm", weighted("cruise", **SPINS), PPO_AUTHORITY["cruise"], None, 6_000_000),
     "ppo-lstm-slow": training("ppo_lstm", weighted("slow", **SPINS), PPO_AUTHORITY["slow"], None, 6_000_000),
-    "rma-cruise": training("rma", "cruise", timesteps=12_000_000),
-    "rma-slow": training("rma", "slow", SLOW_AUTHORITY, None, 12_000_000, SLOW_TRAINING),
     "sac-cruise": training("sac", "cruise"),
     "sac-slow": training("sac", "slow", (0.6, 1.0)),
     "td3-cruise": training("td3", "cruise"),

@@ -23,7 +23,7 @@ from auv_gym.task.policy import corrected
 from baselines import list_policies, make_policy
 from baselines.agents.agent import Agent
 from baselines.agents.features import FEATURES, Inputs
-from baselines.agents.networks import Gru, Lstm, Mlp, Rma, network_of, network_record
+from baselines.agents.networks import Gru, Lstm, Mlp, network_of, network_record
 from baselines.tools.command_line import UsageError
 
 N = len(FEATURES)
@@ -103,7 +103,6 @@ LAYERS = st.lists(st.integers(1, 9), max_size=3).map(tuple)
 CHOICES = st.sampled_from(["tanh", "relu"]), st.sampled_from(["tanh", "clip"])
 NETWORKS |= st.builds(Mlp, st.integers(1, 30), LAYERS, *CHOICES)
 NETWORKS |= st.builds(Lstm, st.integers(1, 30), st.integers(1, 9), LAYERS, *CHOICES)
-NETWORKS |= st.builds(Rma, st.integers(1, 30), LAYERS, st.integers(1, 9), st.integers(1, 4), CHOICES[1])
 
 
 @given(NETWORKS, st.integers(0, 9), st.floats(0.0, 30.0))
@@ -121,7 +120,7 @@ def test_networks_are_bounded_alike_in_batches_and_described_in_json(network, se
     assert network_of(json.loads(json.dumps(network_record(network)))) == network
 
 
-@pytest.mark.parametrize("network", [SIZES, Mlp(N, (16,), "relu", "tanh"), Lstm(N, 6, (5,)), Rma(N, (6,), 3, 2)])
+@pytest.mark.parametrize("network", [SIZES, Mlp(N, (16,), "relu", "tanh"), Lstm(N, 6, (5,))])
 def test_round_trip(network, tmp_path):
     mine = agent(network)
     mine.save(tmp_path / "a", curve=b"png")
@@ -195,7 +194,7 @@ REFUSALS = {
     "format": (edited(format=1), "its format is 1"),
     "features": (edited(features=[["e_x", "1 m"]]), "other features"),
     "observation": (edited(observation=[]), "other observation"),
-    "network kind": (edited(network={"kind": "cnn"}), "one of gru, lstm, mlp, rma"),
+    "network kind": (edited(network={"kind": "cnn"}), "one of gru, lstm, mlp"),
     "network sizes": (edited(network={"kind": "gru", "inputs": N, "hidden": -1}), "network hidden is -1"),
     "network size unknown": (edited(network={"kind": "gru", "inputs": N, "depth": 2}), "its sizes are"),
     "network inputs": (edited(network={"kind": "gru", "inputs": 3}), "has 3 inputs"),

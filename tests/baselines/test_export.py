@@ -32,7 +32,7 @@ from research.deployment.page import page
 from research.deployment.players import HeaderPolicy, onnx_policy
 
 DOCS = Path(__file__).parents[2] / "docs"
-KINDS = ("apg-cruise", "apg-preview-slow", "apg-scratch-slow", "ppo-cruise", "sac-slow", "ppo-lstm-slow", "rma-cruise")
+KINDS = ("apg-cruise", "apg-preview-slow", "apg-scratch-slow", "ppo-cruise", "sac-slow", "ppo-lstm-slow")
 KINDS += ("helm",)
 """An agent of each kind: recurrent, filters, a preview, no expert, tanh and relu layers, long memory, a student."""
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wshadow", "-Wmissing-prototypes", "-O2")
@@ -133,7 +133,7 @@ def test_one_observation_is_decided_as_a_batch_is_and_memory_begins_anew():
 def test_headers_compile_without_a_warning(tmp_path, compiler, precision, weights):
     needed(compiler)
     large = compiler == "gcc" and precision == weights  # takes longer
-    names = ("apg-preview-slow" if large else "apg-slow", "sac-slow", "ppo-lstm-slow", "rma-cruise")
+    names = ("apg-preview-slow" if large else "apg-slow", "sac-slow", "ppo-lstm-slow")
     for i, name in enumerate(names):  # all in one program
         (tmp_path / f"{name}.h").write_text(c_header(exported(name), precision, weights, f"agent{i}"), encoding="utf-8")
     both = [f'#define AGENT{i}_IMPLEMENTATION\n#include "{name}.h"\n' for i, name in enumerate(names)]

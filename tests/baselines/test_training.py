@@ -49,7 +49,6 @@ TINY = {
     "apg": {"n_steps": 5, "hidden_size": 8},
     "ppo": {"n_steps": 16, "batch_size": 32, "learning_rate": "lin_0.01", "use_sde": True, "sde_sample_freq": 4},
     "ppo_lstm": {"n_steps": 16, "batch_size": 32, "use_sde": True, "policy_kwargs": {"lstm_hidden_size": 8}},
-    "rma": {"n_steps": 5, "hidden_size": 8, "adaptation_batches": 2},
     "sac": OFF_POLICY | SMOOTH | {"callback": [{"baselines.training.sb3.callbacks.ZeroCorrection": {"std": 0.1}}]},
     "td3": OFF_POLICY | {"noise_type": "ornstein-uhlenbeck", "noise_std": 0.1},
     "tqc": OFF_POLICY | {"callback": [{"baselines.training.sb3.callbacks.FrozenActor": {"steps": 100}}]},

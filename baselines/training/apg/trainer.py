@@ -16,9 +16,9 @@ from torch import nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from baselines.agents.agent import Agent
-from baselines.agents.networks import Network, Weights
+from baselines.agents.networks import Weights
 from baselines.training.apg.groups import Groups
-from baselines.training.apg.settings import Settings, check
+from baselines.training.apg.settings import check
 from baselines.training.apg.torch_network import put, torch_network, weights_of
 from baselines.training.beginning import loaded
 from baselines.training.run_folder import RunFolder, TrainingError
@@ -39,61 +39,37 @@ def train(run: RunFolder) -> Agent:
         return ApgTrainer(run, groups).train()
 
 
-class GradientTrainer:
-    """A run that follows the gradient of windows; a trainer fills in what it learns, and what it is made of.
+class ApgTrainer:
+    """Network, optimisers and vehicles of a run; goes on from the run's checkpoint, if there is one."""
 
-    Args:
-        run: which is gone on with from its checkpoint, if there is one, once the trainer calls `resume`.
-        settings: hyper-parameters of the gradient.
-        network: that follows the gradient.
-        sizes: of the agent's network.
-        total: updates of the whole run.
-        following: how many of them follow the gradient.
-        more: other modules and optimisers of the run, by name.
-    """
-
-    def __init__(
-        self,
-        run: RunFolder,
-        settings: Settings,
-        network: nn.Module,
-        sizes: Network,
-        total: int,
-        following: int,
-        **more: Any,
-    ) -> None:
-        self.run, self.gradient, self.network, self.sizes, self.total = run, settings, network, sizes, total
-        kept = 1 - 1 / max(1.0, settings.average * following)
-        self.averaged = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(kept))  # type: ignore[no-untyped-call]
-        self.optimizers = settings.optimizers(network)
+    def __init__(self, run: RunFolder, groups: Groups) -> None:
+        """Begin a run with these vehicles, or continue it."""
+        self.run, self.groups, self.settings, config = run, groups, groups.settings, run.config
+        run.keeps_last = self.settings.draws_vehicles(config.vehicle)  # validations are of that vehicle alone
+        torch.manual_seed(config.seed)
+        self.network, self.total = torch_network(self.settings.network), self.settings.windows(config.timesteps)
+        if config.origin:
+            put(loaded(config.origin).weights, self.network)
+        kept = 1 - 1 / max(1.0, self.settings.average * self.total)
+        average = get_ema_multi_avg_fn(kept)  # type: ignore[no-untyped-call]
+        self.averaged = AveragedModel(self.network, multi_avg_fn=average)
+        self.optimizers = self.settings.optimizers(self.network)
         self._rates = [group["lr"] for optimizer in self.optimizers for group in optimizer.param_groups]
-        self._modules = {"network": network, "averaged": self.averaged, **more}
+        self._modules: dict[str, Any] = {"network": self.network, "averaged": self.averaged}
         self._modules |= {f"optimizer {i}": optimizer for i, optimizer in enumerate(self.optimizers)}
         self.updates = 0  # so far
         self.skipped = 0  # updates in a row whose gradient was not finite
-
-    def learn(self) -> Mapping[str, float]:
-        """Run one window, learn from it and return what is to be logged."""
-        raise NotImplementedError
+        self._resume()
 
     @property
     def weights(self) -> Weights:
-        """The agent's weights as they are now."""
-        raise NotImplementedError
-
-    @property
-    def vehicles(self) -> Any:
-        """What it takes the vehicles to go on, to be pickled at once."""
-        raise NotImplementedError
-
-    @vehicles.setter
-    def vehicles(self, state: Any) -> None:
-        raise NotImplementedError
+        """The agent's weights: an average over the last updates."""
+        return weights_of(self.averaged.module)
 
     @property
     def timesteps(self) -> int:
         """Control steps so far, summed over vehicles."""
-        return self.updates * self.gradient.n_envs * self.gradient.n_steps
+        return self.updates * self.settings.n_envs * self.settings.n_steps
 
     def train(self) -> Agent:
         """Go on to the end of the run and return the agent that is kept."""
@@ -107,7 +83,7 @@ class GradientTrainer:
         """Learn from one window, and log, validate and save where it is time to."""
         learned = self.learn()
         self.updates += 1
-        validates = self._due(self.gradient.validations)
+        validates = self._due(self.settings.validations)
         if validates or self._due(LOGS):
             self.run.log(self.timesteps, **learned)
         if validates:
@@ -120,8 +96,8 @@ class GradientTrainer:
 
     def agent(self, weights: Weights) -> Agent:
         """Return the agent of these weights."""
-        config, inputs = self.run.config, self.gradient.inputs
-        return Agent(self.sizes, weights, config.expert, config.authority, config.names, inputs=inputs)
+        config, inputs = self.run.config, self.settings.inputs
+        return Agent(self.settings.network, weights, config.expert, config.authority, config.names, inputs=inputs)
 
     def save(self) -> None:
         """Save a checkpoint."""
@@ -131,20 +107,29 @@ class GradientTrainer:
                 "updates": self.updates,
                 "skipped": self.skipped,
                 "modules": {name: part.state_dict() for name, part in self._modules.items()},
-                "vehicles": self.vehicles,
+                "vehicles": self.groups.state(),
                 "generator": torch.get_rng_state(),
             }
         )
 
-    def resume(self) -> None:
+    def _resume(self) -> None:
         """Go on from the run's checkpoint, if there is one."""
         if (state := self.run.load_checkpoint()) is None:
             return
         with self.run.restoring():
-            self.updates, self.skipped, self.vehicles = state["updates"], state["skipped"], state["vehicles"]
+            self.updates, self.skipped = state["updates"], state["skipped"]
+            self.groups.restore(state["vehicles"])
             for name, part in self._modules.items():
                 part.load_state_dict(state["modules"][name])
             torch.set_rng_state(state["generator"])
+
+    def learn(self) -> Mapping[str, float]:
+        """Follow the gradient of a window of all groups and return what is to be logged."""
+        self._set_rates(self.updates / self.total)
+        learned = self.groups.learn(weights_of(self.network))
+        for name, p in self.network.named_parameters():
+            p.grad = torch.from_numpy(learned.gradients[name])
+        return {"loss": learned.loss, "window_error_m": learned.error, "gradient_norm": self._follow()}
 
     def _due(self, times: int) -> bool:
         """Return whether one of so many moments, spread evenly over the run, has come; the last one is its end."""
@@ -152,7 +137,7 @@ class GradientTrainer:
 
     def _set_rates(self, progress: float) -> None:
         """Set the learning rates of a share `progress` of the updates that follow the gradient."""
-        share = self.gradient.share_at(progress)
+        share = self.settings.share_at(progress)
         groups = [group for optimizer in self.optimizers for group in optimizer.param_groups]  # new ones after `resume`
         for group, rate in zip(groups, self._rates, strict=True):
             group["lr"] = rate * share
@@ -163,7 +148,7 @@ class GradientTrainer:
         Raises:
             TrainingError: too many in a row were not finite.
         """
-        norm = float(nn.utils.clip_grad_norm_(self.network.parameters(), self.gradient.max_grad_norm))
+        norm = float(nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.max_grad_norm))
         if math.isfinite(norm):
             for optimizer in self.optimizers:
                 optimizer.step()
@@ -174,40 +159,3 @@ class GradientTrainer:
         else:
             self.skipped += 1
         return norm
-
-
-class ApgTrainer(GradientTrainer):
-    """Network, optimiser and vehicles of a run; goes on from the run's checkpoint, if there is one."""
-
-    def __init__(self, run: RunFolder, groups: Groups) -> None:
-        """Begin a run with these vehicles, or take it up."""
-        self.groups, settings, config = groups, groups.settings, run.config
-        run.keeps_last = settings.draws_vehicles(config.vehicle)  # of validations, which are of that vehicle alone
-        torch.manual_seed(config.seed)
-        network, total = torch_network(settings.network), settings.windows(config.timesteps)
-        if config.origin:
-            put(loaded(config.origin).weights, network)
-        super().__init__(run, settings, network, settings.network, total, total)
-        self.resume()
-
-    @property
-    def weights(self) -> Weights:
-        """The agent's weights: an average over the last updates."""
-        return weights_of(self.averaged.module)
-
-    @property
-    def vehicles(self) -> Any:
-        """What it takes the groups of vehicles to go on."""
-        return self.groups.state()
-
-    @vehicles.setter
-    def vehicles(self, state: Any) -> None:
-        self.groups.restore(state)
-
-    def learn(self) -> Mapping[str, float]:
-        """Follow the gradient of a window of all groups."""
-        self._set_rates(self.updates / self.total)
-        learned = self.groups.learn(weights_of(self.network))
-        for name, p in self.network.named_parameters():
-            p.grad = torch.from_numpy(learned.gradients[name])
-        return {"loss": learned.loss, "window_error_m": learned.error, "gradient_norm": self._follow()}

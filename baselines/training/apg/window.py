@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -13,22 +13,14 @@ from numpy.typing import NDArray
 from auv_gym.physics.namespaces import ARRAYS, AnyArray
 from auv_gym.task.observation import SIZE
 from auv_gym.task.simulation import PARAMETERS, PLANT, PLANT_ROWS
-from baselines.agents.networks import OUTPUTS, Network
+from baselines.agents.networks import OUTPUTS
 from baselines.training.apg.closed_loop import Loss
 from baselines.training.apg.kernels import KNOWN_ROWS, MOVED, LoopKernels, RunConstants
-from baselines.training.apg.passes import NetworkTape, Pass, pass_of
+from baselines.training.apg.passes import NetworkTape, pass_of
 from baselines.training.apg.torch_network import TorchGru, TorchMlp
 
 Act = Callable[[int, AnyArray], AnyArray]
 """What an expert that computes on NumPy does at step k on observations (SIZE, N): actions, shape (OUTPUTS, N)."""
-
-
-class Steering(Protocol):
-    """A network as a window sees it; `Window` gets the way through it as an argument."""
-
-    @property
-    def sizes(self) -> Network:
-        """What it is on NumPy."""
 
 
 SMALLEST = 0.002
@@ -76,18 +68,16 @@ class Window:
         steps: T.
         authority: largest corrections of surge and yaw.
         objective: of what the gradient is.
-        way: makes the way through the network, if it is none of those that `pass_of` knows.
     """
 
     def __init__(
         self,
         kernels: LoopKernels,
-        network: TorchGru | TorchMlp | Steering,
+        network: TorchGru | TorchMlp,
         n: int,
         steps: int,
         authority: Sequence[float],
         objective: Objective,
-        way: Callable[[Any, NetworkTape], Pass] = pass_of,
     ) -> None:
         self.steps, self.objective, self._type = steps, objective, np.dtype(kernels.precision)
         inputs, self._substeps = kernels.loop.inputs, kernels.loop.parts.substeps
@@ -116,7 +106,7 @@ class Window:
         }
         tensors = (self._features, self._carried.hidden, self._carried.correction)
         derivatives = (self._d["d_features"], self._d["d_correction"])
-        self._pass = way(network, NetworkTape(*map(torch.from_numpy, (*tensors, *derivatives))))
+        self._pass = pass_of(network, NetworkTape(*map(torch.from_numpy, (*tensors, *derivatives))))
         self._bind(kernels)
 
     def _zeros(self, *shape: int) -> AnyArray:
@@ -158,7 +148,6 @@ class Window:
         samples: AnyArray,
         parameters: AnyArray,
         act: Act | None = None,
-        back: bool = True,
         known: AnyArray | None = None,
     ) -> tuple[float, float, Carried, AnyArray]:
         """Run the window and set the gradients of the network's weights, those of the `objective`.
@@ -169,7 +158,6 @@ class Window:
             samples: the rows of `simulation.Sample`s, shape (T, SAMPLE_ROWS, N).
             parameters: the rows of `simulation.Parameters`, shape (PARAMETER_ROWS, N).
             act: the expert, if it does not compute in the kernels.
-            back: whether gradients are wanted.
             known: the known models of the vehicles, shape (KNOWN_ROWS, N), if the network sees them.
 
         Returns:
@@ -183,10 +171,9 @@ class Window:
             mine[:] = known
         with torch.no_grad():
             self._forward(act)
-            if back:
-                if evenness := self.objective.evenness:
-                    self._chosen[_SHARE] = evened(self._shares, self._errors(), evenness) / self.steps
-                self._backward()
+            if evenness := self.objective.evenness:
+                self._chosen[_SHARE] = evened(self._shares, self._errors(), evenness) / self.steps
+            self._backward()
         with np.errstate(all="ignore"):  # of vehicles that are lost altogether
             mean, error = self._mean_loss(), float(np.sqrt(self._squared, dtype=np.float64).mean())
         return mean, error, Carried(*(x[-1] for x in self._carried)), self._squared[-1, 0]
