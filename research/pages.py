@@ -49,6 +49,12 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     "training": {"fine-tuning": "research.trainings.fine_tuning:fine_tuning_section"},
     "identify": {"coverage": "research.vehicles.coverage:coverage_section"},
     "controllers": {"tuned gains": "research.vehicles.tables:tuned_gains"},
+    "export": {
+        "agreement": "research.deployment.page:agreement_section",
+        "rounded weights": "research.deployment.page:rounded_section",
+        "speed on a computer": "research.deployment.page:speed_section",
+        "cost on a Cortex-M4": "research.deployment.page:cortex_m4_section",
+    },
 }
 """Pages that are written by hand but for some parts: `module:function` that returns a part, by page and name."""
 

@@ -97,15 +97,15 @@ def words_of(options: Any, defaults: Any) -> list[str]:
     return words
 
 
-def check_words(option: str, given: Sequence[str], allowed: Iterable[str]) -> None:
-    """Check the words of an option.
+def check_words(kind: str, given: Iterable[str], allowed: Iterable[str]) -> None:
+    """Check words that the user has typed, of a kind such as "policy".
 
     Raises:
         UsageError: one is not allowed; the first of them is named, with what is.
     """
     known = tuple(allowed)
     if unknown := [word for word in given if word not in known]:
-        raise UsageError(f"--{option} is {unknown[0]!r}; allowed are {', '.join(known)}")
+        raise UsageError(f"unknown {kind} {unknown[0]!r}; allowed are {', '.join(known)}")
 
 
 def called(program: str) -> str:

@@ -24,11 +24,10 @@ from baselines.evaluation.score import Score, capped, fixed, fixed_ends, largest
 from baselines.export.c_header import c_header
 from baselines.export.onnx_model import onnx_model
 from baselines.export.parts import Exported, exported
-from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.command_line import DONE, UsageError, check_words, parse
 from baselines.tools.files import json_text, write_atomically
-from research import DOCS
 from research.deployment.emulator import emulated
-from research.deployment.page import page
+from research.deployment.page import MEASURED_FILE
 from research.deployment.players import HeaderPolicy, onnx_policy
 
 PROGRAM = "python -m research deployment"
@@ -49,10 +48,8 @@ class Options:
     """Which of the agents that ship with the package; without any, all."""
     episodes: int = 64
     """Episodes of each cell of the suite that the score is of."""
-    out: Path = Path("runs/export")
-    """Folder of export.json and export.md."""
-    record: bool = False
-    """Write them into docs/ as well."""
+    out: Path = MEASURED_FILE
+    """File for what was measured; `python -m research pages export` shows it."""
 
 
 @dataclass(frozen=True)
@@ -187,8 +184,7 @@ def main(arguments: Sequence[str]) -> int:
         OSError: a compiler or the emulator is missing.
     """
     options = parse(Options, arguments, PROGRAM)
-    if unknown := [name for name in options.name if name not in shipped_agents()]:
-        raise UsageError(f"no agent {unknown[0]!r} ships with the package; allowed are {', '.join(shipped_agents())}")
+    check_words("agent", options.name, shipped_agents())
     found = []
     for name in options.name or shipped_agents():
         try:
@@ -199,9 +195,6 @@ def main(arguments: Sequence[str]) -> int:
         lost = f"{fixed(last.lost32[0], 6)} ({fixed_ends(last.lost32[1:], 6)})"
         print(f"{name}: {last.c_us:.1f} us, {last.instructions:,.0f} instructions, score lost {lost}", flush=True)
     record = {"episodes": options.episodes, "agents": [asdict(m) for m in found]}
-    files = {"export.json": json_text(record), "export.md": page(record)}
-    for folder in (options.out, DOCS) if options.record else (options.out,):
-        folder.mkdir(parents=True, exist_ok=True)
-        for file, content in files.items():
-            write_atomically(folder / file, content)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(options.out, json_text(record))
     return DONE

@@ -23,7 +23,7 @@ from baselines.evaluation.runner import drawn, run_all
 from baselines.evaluation.score import ADVERSE_RIVAL, EXPERT, FORESIGHTED, RIVAL
 from baselines.evaluation.suites import Suite
 from baselines.policies import list_policies
-from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, check_words, parse
 from baselines.tools.files import versions
 from baselines.tools.workers import Workers
 from research import DATA
@@ -95,10 +95,8 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    if unknown := [policy for policy in options.policy if policy not in list_policies()]:
-        raise UsageError(f"{unknown[0]!r} is not the name of a policy; allowed are {', '.join(list_policies())}")
-    if unknown := [suite for suite in options.suite if suite not in HELD_OUT_EPISODES]:
-        raise UsageError(f"{unknown[0]!r} is no suite to draw from; allowed are {', '.join(HELD_OUT_EPISODES)}")
+    check_words("policy", options.policy, list_policies())
+    check_words("suite", options.suite, HELD_OUT_EPISODES)
     if options.episodes is not None and options.episodes < 1:
         raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more")
     try:

@@ -15,7 +15,7 @@ from baselines.evaluation.progress import run_and_show
 from baselines.evaluation.runner import STEP_LIMIT, Cell, Run
 from baselines.evaluation.suites.yardsticks import write_yardsticks
 from baselines.policies import list_policies
-from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, check_words, parse
 from baselines.tools.files import versions
 from baselines.tools.workers import Workers
 from research.suites import sealed
@@ -65,12 +65,10 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    if unknown := [name for name in options.name if name not in (*BUILDERS, *SHARED)]:
-        raise UsageError(f"unknown suite {unknown[0]!r}; allowed are {', '.join((*BUILDERS, *SHARED))}")
+    check_words("suite", options.name, (*BUILDERS, *SHARED))
     if not options.name and options.action in ("build", "seal", "open", "yardsticks", "record"):
         raise UsageError(f"name the suite to {options.action}: {', '.join((*BUILDERS, *SHARED))}")
-    if unknown := [policy for policy in options.policy if policy not in list_policies()]:
-        raise UsageError(f"{unknown[0]!r} is not the name of a policy; allowed are {', '.join(list_policies())}")
+    check_words("policy", options.policy, list_policies())
     if options.episodes is not None and (options.episodes < 1 or options.action != "record"):
         raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more, and is for record")
     if (options.secret is None) == (options.action == "open"):

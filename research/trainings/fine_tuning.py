@@ -29,7 +29,7 @@ from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import EXPERT, RIVAL, capped, in_paper_metres, largest_tail, losses, relative_error
 from baselines.policies import make_policy
-from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.command_line import DONE, UsageError, check_words, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tools.workers import DEFAULT_JOBS
 from baselines.training.beginning import ALGO, weights_digest
@@ -151,8 +151,7 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    if unknown := [name for name in options.vehicle if name not in fleet()]:
-        raise UsageError(f"{unknown[0]!r} is no published vehicle; allowed are {', '.join(fleet())}")
+    check_words("vehicle", options.vehicle, fleet())
     if options.agent not in SHIPPED_TRAININGS:
         raise UsageError(f"--agent {options.agent} does not ship; allowed are {', '.join(SHIPPED_TRAININGS)}")
     if options.episodes < 2:

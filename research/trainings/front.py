@@ -23,7 +23,7 @@ from auv_gym.task.policy import Policy
 from baselines.evaluation.rollout import EpisodeLog, Repeatable, Watch, beginning
 from baselines.evaluation.runner import Cell, Run
 from baselines.policies import make_policy
-from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.command_line import DONE, UsageError, check_words, parse
 from baselines.training.command import train
 from baselines.training.hyperparameters import changes_of, hyperparameter_words
 from baselines.training.options import Options as TrainOptions
@@ -77,8 +77,7 @@ def main(arguments: Sequence[str]) -> int:
     if options.episodes < 1:
         raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more")
     cases = [cell.scenario.name for regime in options.regime for cell in suite_cells(FRONT_SUITE, regime)]
-    if unknown := [case for case in options.case if case not in cases]:
-        raise UsageError(f"{unknown[0]!r} is no case of {FRONT_SUITE} here; allowed are {', '.join(cases)}")
+    check_words("case", options.case, cases)
     for name in options.name:
         if name not in CONTROLLERS:
             _check_family(name)

@@ -29,7 +29,7 @@ from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.request import checked
 from baselines.evaluation.score import EXPERT, RIVAL
 from baselines.policies import list_policies
-from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.command_line import DONE, UsageError, check_words, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from baselines.tools.workers import Workers
 from baselines.training.command import train
@@ -132,8 +132,7 @@ def main(arguments: Sequence[str]) -> int:
     """
     options = parse(Options, arguments, PROGRAM)
     known = (*_SETTINGS, STUCK, *list_policies())
-    if unknown := [name for name in options.name if name not in known]:
-        raise UsageError(f"{unknown[0]!r} is no agent of the study and no policy; allowed are {', '.join(known)}")
+    check_words("policy", options.name, known)
     for option, value in (("seeds", options.seeds), ("episodes", options.episodes), ("timesteps", options.timesteps)):
         if value is not None and value < 1:
             raise UsageError(f"--{option} is {value}; it must be 1 or more")

@@ -13,7 +13,7 @@ from auv_gym.installation import found
 from baselines.agents.agent import Agent
 from baselines.agents.model_card import CURVE_FILE
 from baselines.agents.names import SHIPPED_FOLDER
-from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.command_line import DONE, check_words, parse
 from baselines.tools.workers import DEFAULT_JOBS
 from baselines.training.command import train
 from baselines.training.run_folder import AGENT_FOLDER
@@ -46,8 +46,7 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    if unknown := [name for name in options.name if name not in SHIPPED_TRAININGS]:
-        raise UsageError(f"no agent {unknown[0]!r} ships with the package; allowed are {', '.join(SHIPPED_TRAININGS)}")
+    check_words("agent", options.name, SHIPPED_TRAININGS)
     for name in options.name or SHIPPED_TRAININGS:
         print(f"{name}:", flush=True)
         training = replace(SHIPPED_TRAININGS[name], timesteps=options.timesteps or SHIPPED_TRAININGS[name].timesteps)

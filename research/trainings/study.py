@@ -20,7 +20,7 @@ from baselines.evaluation import suites
 from baselines.evaluation.progress import run_and_show
 from baselines.evaluation.recorded import RECORDED_SUITES
 from baselines.evaluation.runner import Cell, Run
-from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.command_line import DONE, check_words, parse
 from baselines.tools.workers import Workers
 from baselines.training.command import train
 from baselines.training.options import Options as TrainOptions
@@ -150,8 +150,7 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    if unknown := [name for name in options.name if name not in VARIANTS]:
-        raise UsageError(f"the study has no {unknown[0]!r}; allowed are {', '.join(VARIANTS)}")
+    check_words("training", options.name, VARIANTS)
     for name in options.name or VARIANTS:
         variant = VARIANTS[name]
         agent = variant.runs or name

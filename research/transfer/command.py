@@ -17,7 +17,7 @@ from tyro.conf import arg
 from auv_gym.scenarios.names import CASES as KNOWN
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.policies import list_policies
-from baselines.tools.command_line import DONE, UsageError, parse
+from baselines.tools.command_line import DONE, UsageError, check_words, parse
 from baselines.tools.files import json_text, write_atomically
 from baselines.tools.workers import Workers
 from research.transfer import trials
@@ -100,13 +100,9 @@ def main(arguments: Sequence[str]) -> int:
 
 def _check(options: Options) -> None:
     """Raise UsageError if the options do not make sense."""
-    for what, given, allowed in (
-        ("policy", options.policy, tuple(list_policies())),
-        ("vehicle", options.vehicle, tuple(SIX_DOF_MODELS)),
-        ("case", options.case, KNOWN),
-    ):
-        if unknown := [name for name in given if name not in allowed]:
-            raise UsageError(f"--{what} {unknown[0]!r} is unknown; allowed are {', '.join(allowed)}")
+    check_words("policy", options.policy, list_policies())
+    check_words("vehicle", options.vehicle, SIX_DOF_MODELS)
+    check_words("case", options.case, KNOWN)
     if options.episodes < 2 or options.seed < 0 or options.jobs < 1:
         raise UsageError("--episodes must be 2 or more, --seed 0 or more and --jobs 1 or more")
     if len(options.policy) < 2 and options.log is None:

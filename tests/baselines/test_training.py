@@ -556,7 +556,7 @@ def test_shipped_agents_are_installed_and_unknown_ones_refused(call, monkeypatch
     monkeypatch.setattr(request, "shipped", lambda algo: tmp_path / f"{algo}.yml")
     assert shipped.main(["--timesteps", "64", "--install"]) == 0
     assert same(weights("agents/ppo-small"), weights("runs/shipped/ppo-small/agent"))
-    with pytest.raises(UsageError, match="no agent 'dqn-small' ships with the package; allowed are ppo-small"):
+    with pytest.raises(UsageError, match="unknown agent 'dqn-small'; allowed are ppo-small"):
         shipped.main(["dqn-small"])
 
 

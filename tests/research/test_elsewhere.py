@@ -196,7 +196,7 @@ def test_the_command_compares_and_keeps(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--vehicle", "canoe"], "--vehicle 'canoe' is unknown; allowed are remus100, otter"),
+        (["--vehicle", "canoe"], "unknown vehicle 'canoe'; allowed are remus100, otter"),
         (["--policy", "ekf"], "--policy names 1; a ranking needs 2 or more"),
         (["--episodes", "1"], "--episodes must be 2 or more"),
     ],

@@ -70,8 +70,8 @@ def test_command_keeps_rows_that_are_found_again(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--policy", "nobody"], "'nobody' is not the name of a policy; allowed are backstepping"),
-        (["--suite", "paper"], "'paper' is no suite to draw from; allowed are benchmark-v2, unmodelled-v1"),
+        (["--policy", "nobody"], "unknown policy 'nobody'; allowed are backstepping"),
+        (["--suite", "paper"], "unknown suite 'paper'; allowed are benchmark-v2, unmodelled-v1"),
         (
             ["--case", "slow-tea", "--suite", "benchmark-v2"],
             "'slow-tea' is no case of benchmark-v2; allowed are slow-calm",

@@ -128,7 +128,7 @@ def test_weights_of_both_regimes_are_replaced():
         (["oracle"], "'oracle' has no front; allowed are lqi, ekf, nmpc, apg, apg-adverse, apg-preview, apg-scratch"),
         (
             ["lqi", "--case", "slow-fog"],
-            "'slow-fog' is no case of benchmark-v1 here; allowed are slow-calm",
+            "unknown case 'slow-fog'; allowed are slow-calm",
         ),
         (["lqi", "--episodes", "0"], "--episodes is 0; it must be 1 or more"),
     ],

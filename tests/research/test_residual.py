@@ -298,7 +298,7 @@ def test_seeds_that_are_not_finished_are_left_out(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["nobody"], "'nobody' is no agent of the study and no policy; allowed are residual-0.1-cruise"),
+        (["nobody"], "unknown policy 'nobody'; allowed are residual-0.1-cruise"),
         (["--episodes", "0"], "--episodes is 0; it must be 1 or more"),
         (["--jobs", "0"], "--jobs is 0"),
     ],
