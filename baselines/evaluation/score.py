@@ -25,7 +25,7 @@ from baselines.evaluation.metrics import RESAMPLES, Ended, Measures, resamplings
 
 EXPERT = "backstepping"  # the policy that scores 0
 ORACLE = "oracle"  # the policy that knows plant and sea, and regulates; it scores 1 in the oldest suites
-OPTIMUM_POLICY = "clairvoyant"  # the policy that nobody can be better than; it scores 1 in the others
+OPTIMUM_POLICY = "clairvoyant"  # the full-information optimum; it scores 1 in the others
 FORESIGHTED = (ORACLE, OPTIMUM_POLICY)
 """Policies that know what no competitor may know."""
 RIVAL = "nmpc"  # the strongest policy that does not learn, where sensors and actuators are as told

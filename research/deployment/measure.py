@@ -25,7 +25,7 @@ from baselines.export.c_header import c_header
 from baselines.export.onnx_model import onnx_model
 from baselines.export.parts import Exported, exported
 from baselines.tools.command_line import DONE, UsageError, check_words, parse
-from baselines.tools.files import json_text, write_atomically
+from baselines.tools.files import json_text, read_json, write_atomically
 from research.deployment.emulator import emulated
 from research.deployment.page import MEASURED_FILE
 from research.deployment.players import HeaderPolicy, onnx_policy
@@ -194,7 +194,21 @@ def main(arguments: Sequence[str]) -> int:
         last = found[-1]
         lost = f"{fixed(last.lost32[0], 6)} ({fixed_ends(last.lost32[1:], 6)})"
         print(f"{name}: {last.c_us:.1f} us, {last.instructions:,.0f} instructions, score lost {lost}", flush=True)
-    record = {"episodes": options.episodes, "agents": [asdict(m) for m in found]}
+    agents = _kept(options.out, options.episodes) | {m.name: asdict(m) for m in found}
+    record = {"episodes": options.episodes, "agents": [agents[name] for name in shipped_agents() if name in agents]}
     options.out.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(options.out, json_text(record))
     return DONE
+
+
+def _kept(file: Path, episodes: int) -> dict[str, Any]:
+    """Return what was measured before with as many episodes, by agent.
+
+    Raises:
+        UsageError: the file holds something else.
+    """
+    try:
+        record = read_json(file) if file.exists() else {}
+        return {own["name"]: own for own in record["agents"]} if record.get("episodes") == episodes else {}
+    except (ValueError, TypeError, KeyError, AttributeError):
+        raise UsageError(f"{file} does not hold what {PROGRAM} writes; delete it, or name another with --out") from None

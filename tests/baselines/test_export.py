@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,13 +27,12 @@ from baselines.export.c_header import c_header
 from baselines.export.onnx_model import onnx_model
 from baselines.export.parts import exported, network_program, quantised
 from baselines.tools.command_line import UsageError
-from research.deployment import emulator
+from research.deployment import emulator, measure
 from research.deployment.page import MEASURED_FILE
 from research.deployment.players import HeaderPolicy, onnx_policy
 
-KINDS = ("apg-cruise", "apg-preview-slow", "apg-scratch-slow", "ppo-cruise", "sac-slow", "ppo-lstm-slow")
-KINDS += ("helm",)
-"""An agent of each kind: recurrent, filters, a preview, no expert, tanh and relu layers, long memory, a student."""
+KINDS = ("apg-cruise", "apg-preview-slow", "apg-scratch-slow", "ppo-cruise", "sac-slow", "ppo-lstm-slow", "helm")
+"""An agent of each kind: recurrent, filters, a preview, no expert, tanh and relu layers, long memory."""
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wshadow", "-Wmissing-prototypes", "-O2")
 
 
@@ -259,6 +259,23 @@ def test_a_missing_library_is_named(tmp_path, monkeypatch):
     with pytest.raises(UsageError, match=r"pip install .*\[export\]'"):
         command.main(["sac-slow", "--out", str(tmp_path)])
     assert command.main(["sac-slow", "--format", "c", "--out", str(tmp_path)]) == 0
+
+
+def test_agents_that_are_not_measured_keep_their_entries(tmp_path, monkeypatch):
+    kept = json.loads(MEASURED_FILE.read_text(encoding="utf-8"))
+    own = {entry["name"]: measure.Measured(**entry) for entry in kept["agents"]}
+    monkeypatch.setattr(measure, "_measured", lambda name, episodes: replace(own[name], c_us=float(episodes)))
+    out = tmp_path / "deployment.json"
+    out.write_text(json.dumps(kept))
+    assert measure.main(["helm", "--episodes", str(kept["episodes"]), "--out", str(out)]) == 0
+    found = json.loads(out.read_text())
+    assert [entry["name"] for entry in found["agents"]] == shipped_agents()
+    changed = [new["name"] for new, old in zip(found["agents"], kept["agents"], strict=True) if new != old]
+    assert changed == ["helm"]
+    assert (
+        measure.main(["helm", "--episodes", "2", "--out", str(out)]) == 0
+    )  # of another number of episodes: all begins anew
+    assert [entry["name"] for entry in json.loads(out.read_text())["agents"]] == ["helm"]
 
 
 def test_the_measurements_that_the_page_shows_are_of_all_agents_and_small():

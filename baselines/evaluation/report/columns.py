@@ -92,7 +92,7 @@ COLUMNS = (
            lambda _, s: s.tail_rmse_m.cvar95, digits(3), 3),
     Column("score.mean", "score",
            "(E_expert - E_policy) / (E_expert - E_best), E the mean tail over the same episodes: 0 is the paper's law, "
-           f"1 in benchmark-v2 the optimum of whom all is known, {OPTIMUM_POLICY}, in older suites the {ORACLE}, a "
+           f"1 in benchmark-v2 the full-information optimum, {OPTIMUM_POLICY}, in older suites the {ORACLE}, a "
            "regulator that knows plant, current, waves and lag; errors are pooled over cases before dividing",
            lambda e, _: e.score and e.score.mean, fixed, 7),
     Column("score.ci95", "95 % of score", "95 % interval of the score, by bootstrap over paired episodes",
