@@ -148,8 +148,7 @@ def main(arguments: Sequence[str]) -> int:
             if not options.check:
                 file.parent.mkdir(parents=True, exist_ok=True)
                 write_atomically(file, text)
-        module = import_module(PAGES[page]) if page in PAGES else None
-        if not options.check and module is not None and hasattr(module, "figures"):
+        if not options.check and page in PAGES and hasattr(module := import_module(PAGES[page]), "figures"):
             for name, png in module.figures(page).items():
                 (options.out / "images").mkdir(parents=True, exist_ok=True)
                 write_atomically(options.out / "images" / name, png)

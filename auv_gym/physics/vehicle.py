@@ -30,7 +30,7 @@ class Coefficients(NamedTuple):
     @property
     def without_lift(self) -> tuple[Number, ...]:
         """What is left for a hull whose lift is zero: `dynamics.rates` then does not compute it."""
-        return self[: len(self) - len(LIFT)]
+        return self[: len(self) - len(_LIFT)]
 
     @property
     def slip_mass(self) -> Number:
@@ -38,7 +38,7 @@ class Coefficients(NamedTuple):
         return self.m22 - (self.m11 - self.Y_ur)
 
 
-LIFT = Coefficients._fields[-4:]
+_LIFT = Coefficients._fields[-4:]
 """The parameters of the lift, which grow with the surge velocity."""
 _SPEEDS = (1e-2, 16.0)
 """Least and largest design speed of a vehicle [m/s]."""
@@ -61,7 +61,7 @@ class Vehicle:
     Raises:
         ValueError: a parameter is not finite or too large, one but Y_ur or N_uv is negative, a mass or linear drag is
             zero, m22 is not above m11 and m11 - Y_ur, since the section III planner and the sideslip it describes need
-            a slender hull, or the design speed is outside of `_SPEEDS`.
+            a slender body, or the design speed is outside of `_SPEEDS`.
     """
 
     m11: float  # [kg] surge inertia, added mass included
@@ -110,7 +110,7 @@ class Vehicle:
     @property
     def has_lift(self) -> bool:
         """Whether lift acts on it."""
-        return any(getattr(self, name) for name in LIFT)
+        return any(getattr(self, name) for name in _LIFT)
 
     @property
     def coefficients(self) -> Coefficients:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from auv_gym.physics.namespaces import Array
 
 OUTPUTS = 2  # outputs: the corrections of surge and yaw
-LARGEST_LAYER = 4096
+_LARGEST_LAYER = 4096
 """Most units of a layer."""
 Weights = Mapping[str, NDArray[Any]]
 Shapes = dict[str, tuple[int, ...]]
@@ -263,8 +263,8 @@ def _linear(layer: tuple[Array, Array], x: Array) -> Array:
 
 def _check_sizes(**sizes: Any) -> None:
     for name, size in sizes.items():
-        if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= LARGEST_LAYER:
-            raise ValueError(f"network {name} is {size!r}; it must be an integer in [1, {LARGEST_LAYER}]")
+        if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= _LARGEST_LAYER:
+            raise ValueError(f"network {name} is {size!r}; it must be an integer in [1, {_LARGEST_LAYER}]")
 
 
 def _check_choice(name: str, value: Any, allowed: Mapping[str, Any]) -> None:

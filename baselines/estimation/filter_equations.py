@@ -202,7 +202,7 @@ def foreseen(
 ) -> tuple[Sequence[Any], _Matrix]:
     """Return state and covariance one control period later, without excitation.
 
-    The hull's motion depends on eleven things alone: its covariance goes by way of theirs.
+    The vehicle's motion depends on eleven things alone: its covariance goes by way of theirs.
 
     Args:
         z: the state.
@@ -223,8 +223,8 @@ def foreseen(
     others = [*(x for i, x in enumerate(after) if not MOTION_STATES.start <= i < MOTION_STATES.stop), *wrong]
     moving = [*estimate[MOTION_STATES], *load, *after[CURRENT_STATES]]
     P = congruence(jacobian([*moving, *others], [*estimate, *wrong]), P)
-    hull = [[*row, *[0.0] * len(others)] for row in jacobian(after[MOTION_STATES], moving)]
-    return [*after, *wrong], congruence([*hull, *diagonal([1.0] * len(P))[len(moving) :]], P)
+    motion = [[*row, *[0.0] * len(others)] for row in jacobian(after[MOTION_STATES], moving)]
+    return [*after, *wrong], congruence([*motion, *diagonal([1.0] * len(P))[len(moving) :]], P)
 
 
 def excitation(dt: Number, units: FilterUnits, tuning: Any, size: int = STATE_SIZE) -> _Matrix:

@@ -12,14 +12,14 @@ from auv_gym.physics.stiffness import fastest_rate
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from baselines.identification.least_squares import first_states, fit, leave
 from baselines.identification.log import Log
-from baselines.identification.model import CURRENT_NAMES, FITTED_PARAMETERS, HULL_PARAMETERS, LIMIT_NAMES, LogModel
+from baselines.identification.model import COEFFICIENTS, CURRENT_NAMES, FITTED_PARAMETERS, LIMIT_NAMES, LogModel
 from baselines.identification.start import START_WINDOWS, RoughStart, rough_start
 from baselines.identification.uncertainty import rough_noise
 
-NEEDED = tuple(f.name for f in fields(Vehicle) if f.name in HULL_PARAMETERS and f.default is MISSING)
-"""Parameters of the hull that every vehicle has."""
-OPTIONAL = tuple(name for name in HULL_PARAMETERS if name not in NEEDED)
-"""Parameters of the hull that are kept where the log tells them from 0."""
+NEEDED = tuple(f.name for f in fields(Vehicle) if f.name in COEFFICIENTS and f.default is MISSING)
+"""Parameters of the vehicle that every vehicle has."""
+OPTIONAL = tuple(name for name in COEFFICIENTS if name not in NEEDED)
+"""Parameters of the vehicle that are kept where the log tells them from 0."""
 RELAXATIONS = 3.0  # length of a segment, in the longest time constant of the drag
 FEWEST = 3  # segments of a log
 SHORTEST_SEGMENT = 20  # rows
@@ -28,7 +28,7 @@ _PIECES = 10  # segments of a log in which it is looked for what shows at all
 EVIDENCE = 30.0  # [variances of the noise] by which limits must explain the log better than none do
 _FAINT = 8.0  # [standard deviations] effect below which nothing shows
 TRIED = 3  # rough starts that are fitted from, the best ones
-FINEST = 1.0  # largest product of an integration step and the hull's fastest rate
+FINEST = 1.0  # largest product of an integration step and the vehicle's fastest rate
 _SUBSTEPS = (1, 2, 4)  # integration steps that a row may have
 
 LOST = (
@@ -76,19 +76,19 @@ def first_estimates(log: Log, over_ground: bool) -> tuple[RoughStart, Array, set
                 fits.append((float(np.sum(left.errors**2)) + price, len(fits), rough, done, held | unlimited))
         if fits:
             *_, rough, values, held = min(fits, key=lambda entry: entry[:2])
-            return replace(rough, hull=values[: len(HULL_PARAMETERS)]), values, held
+            return replace(rough, coefficients=values[: len(COEFFICIENTS)]), values, held
     raise ValueError(LOST)
 
 
 def _hidden(model: LogModel, values: Array, scales: Array) -> set[str]:
-    """Return the parameters of the hull whose whole force would hardly be seen: noise is all that it acts on."""
-    every = np.arange(len(HULL_PARAMETERS))
+    """Return the parameters of the vehicle whose whole force would hardly be seen: noise is all that it acts on."""
+    every = np.arange(len(COEFFICIENTS))
     left = leave(model, values, every, first_states(model), rough_noise(model.log))
     if left is None:
         return set()
     seen = np.linalg.norm(left.slopes, axis=(0, 1)) * scales[every]
     seen[len(NEEDED) :] *= 10  # the scale of what is optional is a tenth of all forces
-    return {name for name, size in zip(HULL_PARAMETERS, seen, strict=True) if size < _FAINT}
+    return {name for name, size in zip(COEFFICIENTS, seen, strict=True) if size < _FAINT}
 
 
 def _begins(log: Log, rough: RoughStart) -> list[Array]:
@@ -96,7 +96,7 @@ def _begins(log: Log, rough: RoughStart) -> list[Array]:
     peaks, begins = np.abs(log.commands).max(axis=0), []
     for lag, limits in ((rough.lag, rough.limits), (0.0, peaks)):
         shares = np.minimum(np.where(peaks > 0, limits / np.maximum(peaks, 1e-300), 1.0), 0.97)
-        own = dict(zip(HULL_PARAMETERS, rough.hull, strict=True)) | dict.fromkeys(CURRENT_NAMES, 0.0)
+        own = dict(zip(COEFFICIENTS, rough.coefficients, strict=True)) | dict.fromkeys(CURRENT_NAMES, 0.0)
         own |= {name: share * (peak or 1.0) for name, share, peak in zip(LIMIT_NAMES, shares, peaks, strict=True)}
         own["lag"] = min(max(lag, log.dt), 0.05 * log.duration)
         begins.append(np.array([own[name] for name in FITTED_PARAMETERS]))
@@ -104,18 +104,16 @@ def _begins(log: Log, rough: RoughStart) -> list[Array]:
 
 
 def shown(log: Log, rough: RoughStart, terms: Sequence[str]) -> list[str]:
-    """Return the parameters that a log may say something about, the hull's optional `terms` among them."""
-    hull = [*NEEDED, *(name for name in terms if rough.shares[HULL_PARAMETERS.index(name)] > 0)]
-    return [*hull, *(n for n, F in zip(LIMIT_NAMES, log.commands.T, strict=True) if F.any()), *CURRENT_NAMES, "lag"]
+    """Return the parameters that a log may say something about, the vehicle's optional `terms` among them."""
+    own = [*NEEDED, *(name for name in terms if rough.shares[COEFFICIENTS.index(name)] > 0)]
+    return [*own, *(n for n, F in zip(LIMIT_NAMES, log.commands.T, strict=True) if F.any()), *CURRENT_NAMES, "lag"]
 
 
 def scales_of(log: Log, rough: RoughStart) -> Array:
     """Return changes of the parameters that matter, shape (P,)."""
     speed, peaks = float(np.abs(log.measured[:, 3:5]).max()), np.abs(log.commands).max(axis=0)
-    scales = {
-        name: 0.1 / share if share > 0 else 1.0 for name, share in zip(HULL_PARAMETERS, rough.shares, strict=True)
-    }
-    scales |= {name: float(value) for name, value in zip(NEEDED, rough.hull[: len(NEEDED)], strict=True)}
+    scales = {name: 0.1 / share if share > 0 else 1.0 for name, share in zip(COEFFICIENTS, rough.shares, strict=True)}
+    scales |= {name: float(value) for name, value in zip(NEEDED, rough.coefficients[: len(NEEDED)], strict=True)}
     scales |= {name: float(peak) or 1.0 for name, peak in zip(LIMIT_NAMES, peaks, strict=True)}
     scales |= dict.fromkeys(CURRENT_NAMES, 0.1 * speed or 1.0) | {"lag": max(rough.lag, log.dt)}
     return np.array([scales[name] for name in FITTED_PARAMETERS])
@@ -146,6 +144,6 @@ def segment_starts(log: Log, length: float) -> Indices:
 def substeps_for(log: Log, values: Array) -> int:
     """Return how many integration steps a row needs at the speeds of the log."""
     peaks = np.abs(log.measured[:, 3:]).max(axis=0).tolist()
-    hull = Coefficients(*np.abs(values[: len(HULL_PARAMETERS)]))
-    rate = float(fastest_rate(hull, (0.0, 0.0, 0.0), tuple(peaks)))
+    coefficients = Coefficients(*np.abs(values[: len(COEFFICIENTS)]))
+    rate = float(fastest_rate(coefficients, (0.0, 0.0, 0.0), tuple(peaks)))
     return next((n for n in _SUBSTEPS if log.dt * rate <= FINEST * n), _SUBSTEPS[-1])

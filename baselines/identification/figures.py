@@ -17,7 +17,7 @@ from auv_gym.physics.dynamics import State, rk4_step
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Coefficients
 from baselines.identification.fit import Identified
-from baselines.identification.model import HULL_PARAMETERS
+from baselines.identification.model import COEFFICIENTS
 from baselines.identification.uncertainty import NORMAL_QUANTILE
 
 _DRAWS = 200  # vehicles that the fit does not tell apart, for the intervals
@@ -78,16 +78,16 @@ def figures(found: Identified, begin: Approach, seed: int = 0) -> tuple[_Figure,
 
 def _drawn(found: Identified, rng: np.random.Generator) -> tuple[Coefficients, Array]:
     """Return the fitted vehicle and those that the log does not tell from it, rows of shape (1 + DRAWS,), and lags."""
-    at = [found.free.index(name) for name in (*HULL_PARAMETERS, "lag") if name in found.free]
+    at = [found.free.index(name) for name in (*COEFFICIENTS, "lag") if name in found.free]
     names = [found.free[i] for i in at]
     spread = found.covariance[np.ix_(at, at)]
     noise = np.vstack((np.zeros(len(at)), rng.multivariate_normal(np.zeros(len(at)), spread, _DRAWS, method="eigh")))
-    rows = {name: np.full(1 + _DRAWS, found[name].value) for name in (*HULL_PARAMETERS, "lag")}
+    rows = {name: np.full(1 + _DRAWS, found[name].value) for name in (*COEFFICIENTS, "lag")}
     rows = {name: np.where(np.isnan(row), 0.0, row) for name, row in rows.items()}
     for name, own in zip(names, noise.T, strict=True):
         least = 1e-3 * abs(found[name].value) if name[0] in "mdl" else -math.inf
         rows[name] = np.maximum(rows[name] + own, least)
-    return Coefficients(*(rows[name] for name in HULL_PARAMETERS)), rows["lag"]
+    return Coefficients(*(rows[name] for name in COEFFICIENTS)), rows["lag"]
 
 
 def _interval(row: Array) -> tuple[float, float, float]:

@@ -19,14 +19,14 @@ from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.scenario import RandomPath, Scenario
 from baselines.identification import Identified, ParameterEstimate
 from baselines.identification.fit import UNKNOWN
-from baselines.identification.model import CURRENT_NAMES, HULL_PARAMETERS, LIMIT_NAMES
+from baselines.identification.model import COEFFICIENTS, CURRENT_NAMES, LIMIT_NAMES
 
 _TURN = 0.3  # turn rate of a scenario's paths, as a share of the log's root mean square
 
 
 @cache
 def meanings() -> dict[str, tuple[str, str]]:
-    """Return unit and meaning of each parameter that is fitted; those of the hull stand beside its fields."""
+    """Return unit and meaning of each parameter that is fitted; those of the vehicle stand beside its fields."""
     found = {
         m[1]: (m[2], m[3])
         for m in re.finditer(r"^    (\w+): float.*?# \[(.*?)\] (.*)$", inspect.getsource(Vehicle), re.MULTILINE)
@@ -55,7 +55,7 @@ def vehicle_text(found: Identified, vehicle: Vehicle, log: str) -> str:
 
     Args:
         found: the fit.
-        vehicle: its hull.
+        vehicle: that was fitted.
         log: name of the log.
     """
     missing = ", ".join(found.unknown) or "nothing"
@@ -69,7 +69,7 @@ def vehicle_text(found: Identified, vehicle: Vehicle, log: str) -> str:
     if found["lag"].value > 0:
         lines.append(f"lag = {found['lag'].value:.6g}  # [s] {interval(found['lag'])}")
     lines.append("\n[vehicle]")
-    for name in HULL_PARAMETERS:
+    for name in COEFFICIENTS:
         estimate, value = found[name], getattr(vehicle, name)
         known = "not from the log" if estimate.verdict == UNKNOWN else interval(estimate)
         if value or estimate.verdict != UNKNOWN:

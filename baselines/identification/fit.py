@@ -26,7 +26,7 @@ from baselines.identification.begin import (
 )
 from baselines.identification.least_squares import Left, first_states, fit
 from baselines.identification.log import Log, unwrapped
-from baselines.identification.model import CURRENT_NAMES, FITTED_PARAMETERS, HULL_PARAMETERS, LIMIT_NAMES, LogModel
+from baselines.identification.model import COEFFICIENTS, CURRENT_NAMES, FITTED_PARAMETERS, LIMIT_NAMES, LogModel
 from baselines.identification.start import RoughStart
 from baselines.identification.uncertainty import NORMAL_QUANTILE, covariance, found_noise, rough_noise
 
@@ -80,7 +80,7 @@ class Identified:
         """
         if self.unknown and like is None:
             raise ValueError(f"the log does not show {', '.join(self.unknown)}; {advice(self.unknown)}")
-        values = {name: self[name].value for name in HULL_PARAMETERS}
+        values = {name: self[name].value for name in COEFFICIENTS}
         for name, value in values.items():
             if math.isnan(value):
                 values[name] = getattr(like, name) if name in NEEDED else 0.0
@@ -93,7 +93,7 @@ class Identified:
 
 
 def advice(names: Sequence[str]) -> str:
-    """Return which manoeuvre would show parameters of the hull, in half a sentence."""
+    """Return which manoeuvre would show parameters of the vehicle, in half a sentence."""
     if any(name[-1] in "23vr" for name in names):
         return "a zig-zag or a turning circle under way would"
     return "steps of the surge force would"
@@ -106,7 +106,7 @@ def identify(
 
     Args:
         log: what was measured and commanded.
-        terms: names of the optional parameters of the hull that may differ from 0; None: all that there are. Each is
+        terms: names of the optional parameters of the vehicle that may differ from 0; None: all that there are. Each is
             dropped where the log does not tell it from 0, one after the other, the least certain one first.
         over_ground: whether u, v are measured over ground; else through the water.
         segment: length [s] of the pieces that are predicted from a first state; 0: by the vehicle's time constants.
@@ -226,7 +226,7 @@ class _Search:
         if name not in CURRENT_NAMES and not (name in OPTIONAL and may_be_negative(name)):
             low, high = max(low, 0.0), max(high, 0.0)
         verdict = IDENTIFIED
-        if name in HULL_PARAMETERS and half > abs(value) and half * self.rough.shares[HULL_PARAMETERS.index(name)] > 1:
+        if name in COEFFICIENTS and half > abs(value) and half * self.rough.shares[COEFFICIENTS.index(name)] > 1:
             verdict = UNKNOWN
         return ParameterEstimate(name, value, low, high, verdict)
 

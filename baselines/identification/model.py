@@ -2,7 +2,7 @@
 
 The log is cut into segments. Each begins at a state of its own and is predicted from there by the commands alone; the
 actuators go on from segment to segment. Short segments keep the fit good-natured where the vehicle itself is not: a
-slender hull turns away from a straight course by itself, and over a minute a small error would grow beyond all bounds.
+slender body turns away from a straight course by itself, and over a minute a small error would grow beyond all bounds.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Coefficients
 from baselines.identification.log import Log
 
-HULL_PARAMETERS = Coefficients._fields  # the parameters of the vehicle
+COEFFICIENTS = Coefficients._fields  # names of the parameters of the vehicle
 LIMIT_NAMES = ("F_u_max", "F_r_max")  # [N], [N m] of the actuators
 CURRENT_NAMES = ("V_x", "V_y")  # [m/s] in the world, constant
-FITTED_PARAMETERS = (*HULL_PARAMETERS, *LIMIT_NAMES, *CURRENT_NAMES, "lag")
+FITTED_PARAMETERS = (*COEFFICIENTS, *LIMIT_NAMES, *CURRENT_NAMES, "lag")
 """All that is fitted besides the states at which the segments begin. The current is that of the log, the lag is one for
 both actuators, as in `auv_gym.physics.actuators.Actuators`."""
 LOG_STATES = 6  # of a `dynamics.State`
@@ -46,7 +46,10 @@ def _kernel(substeps: int, over_ground: bool) -> Kernel:
 
     def equation(plant: Any, tangent: Any, times: Any, values: Any, seed: Any) -> Mapping[str, Sequence[Any]]:
         command_u, command_r, dt, gain, mean, d_gain, d_mean, begins, *first = times
-        hull, (F_u_max, F_r_max, *current) = values[: len(HULL_PARAMETERS)], values[len(HULL_PARAMETERS) :]
+        coefficients, (F_u_max, F_r_max, *current) = (
+            values[: len(COEFFICIENTS)],
+            values[len(COEFFICIENTS) :],
+        )
         state = [SYMBOLS.where(begins > 0.5, a, b) for a, b in zip(first, plant[:LOG_STATES], strict=True)]
         command = SYMBOLS.clip(command_u, -F_u_max, F_u_max), SYMBOLS.clip(command_r, -F_r_max, F_r_max)
         response = Response(gain, mean, math.inf, math.inf)
@@ -54,7 +57,7 @@ def _kernel(substeps: int, over_ground: bool) -> Kernel:
         moved = tuple(state)
         for _ in range(substeps):
             load = (acting[0], 0.0, acting[1])
-            moved = rk4_step(moved, load, Coefficients(*hull), dt * (1 / substeps), tuple(current), SYMBOLS)
+            moved = rk4_step(moved, load, Coefficients(*coefficients), dt * (1 / substeps), tuple(current), SYMBOLS)
         x, y, psi, u, v, r = state
         V_u, V_v = to_body(current[0], current[1], SYMBOLS.cos(psi), SYMBOLS.sin(psi)) if over_ground else (0.0, 0.0)
         seen, following = [x, y, psi, u + V_u, v + V_v, r], [*moved, *after]
@@ -108,13 +111,13 @@ class LogModel:
         times[:, 2:7] = self._responses(float(values[-1]))
         times[self.starts, 7] = 1.0
         times[self.starts, _TIMES:] = states
-        limits = values[len(HULL_PARAMETERS) : len(HULL_PARAMETERS) + len(LIMIT_NAMES)]
+        limits = values[len(COEFFICIENTS) : len(COEFFICIENTS) + len(LIMIT_NAMES)]
         plant = np.zeros((_PLANT, _LANES))
         plant[LOG_STATES:] = np.clip(self.log.commands[0], -limits, limits)[:, None]
         tangent = np.zeros((_PLANT, _LANES))
         for row, most in enumerate(limits):  # a command beyond a limit begins at the limit
             if abs(plant[LOG_STATES + row, 0]) == most:
-                tangent[LOG_STATES + row, LOG_STATES + len(HULL_PARAMETERS) + row] = np.sign(plant[LOG_STATES + row, 0])
+                tangent[LOG_STATES + row, LOG_STATES + len(COEFFICIENTS) + row] = np.sign(plant[LOG_STATES + row, 0])
         results = _kernel(self.substeps, self.over_ground)(
             T,
             plant=plant,

@@ -21,7 +21,7 @@ from auv_gym.physics.dynamics import rates
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Coefficients
 from baselines.identification.log import Log
-from baselines.identification.model import HULL_PARAMETERS
+from baselines.identification.model import COEFFICIENTS
 
 _LAGS = (0.0, 1.0, 3.0, 8.0, 20.0)  # candidates of the lag, in time steps
 _SHARES = (1.0, 0.8, 0.6, 0.4)  # candidates of a limit, as shares of the largest command
@@ -34,39 +34,39 @@ SIMPLER = 0.03
 class RoughStart:
     """Rough values from equations that hold at each instant."""
 
-    hull: Array  # of `HULL_PARAMETERS`, what is optional 0, shape (H,)
+    coefficients: Array  # of `COEFFICIENTS`, what is optional 0, shape (H,)
     lag: float  # [s]
     limits: Array  # [N], [N m], shape (2,)
-    shares: Array  # force that a unit of each hull parameter makes, as a share of all forces, shape (H,)
+    shares: Array  # force that a unit of each parameter makes, as a share of all forces, shape (H,)
 
 
 @cache
 def _equations() -> Kernel:
     """Return the kernel of how the forces that do not balance depend on each parameter: the equations are linear."""
 
-    def equation(motion: Any, hull: Any) -> Mapping[str, Sequence[Any]]:
+    def equation(motion: Any, coefficients: Any) -> Mapping[str, Sequence[Any]]:
         u, v, r, a_u, a_v, a_r, X, N = motion
-        _, _, *found = rates(0.0, u, v, r, (X, 0.0, N), Coefficients(*hull), SYMBOLS)
-        left = [m * (a - b) for m, a, b in zip(hull[:3], (a_u, a_v, a_r), found, strict=True)]
-        return {"terms": [entry for row in jacobian(left, hull) for entry in row]}
+        _, _, *found = rates(0.0, u, v, r, (X, 0.0, N), Coefficients(*coefficients), SYMBOLS)
+        left = [m * (a - b) for m, a, b in zip(coefficients[:3], (a_u, a_v, a_r), found, strict=True)]
+        return {"terms": [entry for row in jacobian(left, coefficients) for entry in row]}
 
-    return Kernel.traced(equation, {"motion": 8, "hull": len(HULL_PARAMETERS)}, shared=["hull"])
+    return Kernel.traced(equation, {"motion": 8, "coefficients": len(COEFFICIENTS)}, shared=["coefficients"])
 
 
 def rough_start(log: Log, needed: Sequence[str], window: int) -> RoughStart:
-    """Return rough values for a log: what is `needed` of the hull, and the likeliest lag and limits.
+    """Return rough values for a log: what is `needed` of the vehicle, and the likeliest lag and limits.
 
     Args:
         log: what was measured and commanded.
-        needed: names of the hull's parameters that are not taken as 0.
+        needed: names of the vehicle's parameters that are not taken as 0.
         window: rows that speeds are smoothed over.
     """
     speeds, accelerations = _smoothed(log, window)
     motion = np.concatenate((speeds, accelerations, np.zeros((2, len(log.t)))))
-    terms = _equations()(motion=motion, hull=np.ones(len(HULL_PARAMETERS)))["terms"].reshape(
-        3, len(HULL_PARAMETERS), -1
+    terms = _equations()(motion=motion, coefficients=np.ones(len(COEFFICIENTS)))["terms"].reshape(
+        3, len(COEFFICIENTS), -1
     )
-    columns = [HULL_PARAMETERS.index(name) for name in needed]
+    columns = [COEFFICIENTS.index(name) for name in needed]
     best: tuple[float, Array, float, Array] | None = None
     peaks = np.abs(log.commands).max(axis=0)
     for lag, *shares in product(_LAGS, _SHARES, _SHARES):
@@ -79,10 +79,10 @@ def rough_start(log: Log, needed: Sequence[str], window: int) -> RoughStart:
         if best is None or left < best[0] - SIMPLER:
             best = left, values, lag * log.dt, limits
     assert best is not None
-    hull = np.zeros(len(HULL_PARAMETERS))
-    hull[columns] = best[1]
-    _fill(hull, log)
-    return RoughStart(hull, best[2], best[3], _shares(terms, hull))
+    coefficients = np.zeros(len(COEFFICIENTS))
+    coefficients[columns] = best[1]
+    _fill(coefficients, log)
+    return RoughStart(coefficients, best[2], best[3], _shares(terms, coefficients))
 
 
 def _forces(log: Log, lag: float, limits: Array) -> Array:
@@ -122,9 +122,9 @@ def _solved(terms: Array, load: Array) -> tuple[float, Array]:
     return math.log(max(left, 1e-300)), values / norms
 
 
-def _fill(hull: Array, log: Log) -> None:
+def _fill(coefficients: Array, log: Log) -> None:
     """Give masses and linear drags that the equations have left at 0 a value of a likely order, in place."""
-    masses, drags = hull[:3], hull[3:6]
+    masses, drags = coefficients[:3], coefficients[3:6]
     speed = max(float(np.abs(log.measured[:, 3]).max()), 1e-6)
     length = max(speed * log.duration / 20, 1e-6)
     masses[0] = masses[0] or drags[0] * log.duration / 10 or float(np.abs(log.commands).max()) * log.duration / speed
@@ -133,8 +133,8 @@ def _fill(hull: Array, log: Log) -> None:
     np.copyto(drags, masses / log.duration, where=drags <= 0)
 
 
-def _shares(terms: Array, hull: Array) -> Array:
+def _shares(terms: Array, coefficients: Array) -> Array:
     """Return the force of a unit of each parameter as a share of all forces, in the equation where that is largest."""
     sizes = np.sqrt(np.mean(terms**2, axis=2))  # (3, H)
-    total = np.maximum((sizes * np.abs(hull)).sum(axis=1), 1e-300)
+    total = np.maximum((sizes * np.abs(coefficients)).sum(axis=1), 1e-300)
     return np.asarray((sizes / total[:, None]).max(axis=0))

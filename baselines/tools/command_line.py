@@ -12,6 +12,7 @@ import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import fields
+from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 import tyro
@@ -106,6 +107,19 @@ def check_words(kind: str, given: Iterable[str], allowed: Iterable[str]) -> None
     known = tuple(allowed)
     if unknown := [word for word in given if word not in known]:
         raise UsageError(f"unknown {kind} {unknown[0]!r}; allowed are {', '.join(known)}")
+
+
+@contextlib.contextmanager
+def checked_record(file: Path, program: str) -> Iterator[None]:
+    """Read within the block what a program has written to a file, to which it adds.
+
+    Raises:
+        UsageError: the block finds that the file holds something else.
+    """
+    try:
+        yield
+    except (ValueError, TypeError, KeyError, AttributeError):
+        raise UsageError(f"{file} does not hold what {program} writes; delete it, or name another with --out") from None
 
 
 def called(program: str) -> str:

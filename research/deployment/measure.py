@@ -24,7 +24,7 @@ from baselines.evaluation.score import Score, capped, fixed, fixed_ends, largest
 from baselines.export.c_header import c_header
 from baselines.export.onnx_model import onnx_model
 from baselines.export.parts import Exported, exported
-from baselines.tools.command_line import DONE, UsageError, check_words, parse
+from baselines.tools.command_line import DONE, UsageError, check_words, checked_record, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from research.deployment.emulator import emulated
 from research.deployment.page import MEASURED_FILE
@@ -207,8 +207,6 @@ def _kept(file: Path, episodes: int) -> dict[str, Any]:
     Raises:
         UsageError: the file holds something else.
     """
-    try:
+    with checked_record(file, PROGRAM):
         record = read_json(file) if file.exists() else {}
         return {own["name"]: own for own in record["agents"]} if record.get("episodes") == episodes else {}
-    except (ValueError, TypeError, KeyError, AttributeError):
-        raise UsageError(f"{file} does not hold what {PROGRAM} writes; delete it, or name another with --out") from None

@@ -18,9 +18,11 @@ def agreement_section() -> str:
     """Return the largest differences of commands, and the score that is lost, with the number of episodes."""
     heads = ("agent", "ONNX, double", "ONNX, single", "header, double", "header, single", "score", "lost in single")
     keys = ("onnx64", "onnx32", "c64", "c32")
-    rows = [(a["name"], *(f"{a[k]:.1e}" for k in keys), fixed(a["score"]), _loss(a["lost32"], 5)) for a in _agents()]
-    episodes = read_json(MEASURED_FILE)["episodes"]
-    return f"Scores are of the first {episodes} episodes of each cell.\n\n{table(heads, rows)}"
+    record = read_json(MEASURED_FILE)
+    rows = [
+        (a["name"], *(f"{a[k]:.1e}" for k in keys), fixed(a["score"]), _loss(a["lost32"], 5)) for a in record["agents"]
+    ]
+    return f"Scores are of the first {record['episodes']} episodes of each cell.\n\n{table(heads, rows)}"
 
 
 def rounded_section() -> str:

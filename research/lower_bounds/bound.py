@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from auv_gym.installation import checkout
 from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES
 from auv_gym.scenarios.scenario import Scenario
 from baselines.control.privileged.solver import GOOD
@@ -27,7 +26,7 @@ from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import Cell, drawn
 from baselines.evaluation.score import EXPERT, OPTIMUM_POLICY, ORACLE, largest_tail, losses
 from baselines.policies import make_policy
-from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, checked_record, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from research import DATA
 from research.seeds import OPTIMUM
@@ -49,7 +48,7 @@ class Options:
 
     episodes: int = OPTIMUM_EPISODES
     """Of all cases together; those that were run before count."""
-    out: Path = _FILE if checkout() else Path("runs/bound.json")
+    out: Path = _FILE
     """File for the counts, to which episodes are added."""
 
 
@@ -105,18 +104,14 @@ def optimum_counts(file: Path = _FILE) -> dict[str, OptimumCount]:
     """Return what was counted, by case; nothing where the bound has changed since, or nothing was counted.
 
     Raises:
-        ValueError: the file is damaged.
+        UsageError: the file is damaged.
     """
     if not file.exists():
         return {}
-    record = read_json(file)
-    try:
+    with checked_record(file, PROGRAM):
+        record = read_json(file)
         found = {name: OptimumCount(**{**of, "astray": tuple(of["astray"])}) for name, of in record["cases"].items()}
         return found if record["fingerprint"] == fingerprint(OPTIMUM_POLICY) else {}
-    except (TypeError, KeyError, AttributeError) as error:
-        raise ValueError(
-            f"{file} does not hold what {PROGRAM} writes; delete it, or name another with --out"
-        ) from error
 
 
 def all_cases(counts: Mapping[str, OptimumCount]) -> OptimumCount:
@@ -163,10 +158,7 @@ def main(arguments: Sequence[str]) -> int:
     if not (options.episodes >= 1 and OPTIMUM.holds(OPTIMUM.first, share)):
         most = len(SCENARIOS) * (OPTIMUM.end - OPTIMUM.first)
         raise UsageError(f"--episodes is {options.episodes}; it must be in [1, {most}]")
-    try:
-        counts = {scenario.name: OptimumCount() for scenario in SCENARIOS} | optimum_counts(options.out)
-    except ValueError as error:
-        raise UsageError(str(error)) from error
+    counts = {scenario.name: OptimumCount() for scenario in SCENARIOS} | optimum_counts(options.out)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     for scenario in SCENARIOS:
         for first in range(counts[scenario.name].episodes, share, _AT_ONCE):

@@ -16,7 +16,6 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from auv_gym.installation import checkout
 from auv_gym.scenarios.presets import REGIMES
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.runner import drawn, run_all
@@ -66,7 +65,7 @@ class Options:
     """Episodes of each case. Default: 64 of benchmark-v2, 24 of unmodelled-v1."""
     jobs: int = 1
     """Worker processes. With one the time per decision is that of an idle processor."""
-    out: Path = HELD_OUT_FOLDER if checkout() else Path("runs/fresh")
+    out: Path = HELD_OUT_FOLDER
     """Folder for what they did, SUITE/POLICY.npz."""
 
 

@@ -29,7 +29,7 @@ from baselines.evaluation.rollout import PolicyError, rollout
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import largest_tail, losses
 from baselines.policies import make_policy
-from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
+from baselines.tools.command_line import DONE, FAILED, UsageError, called, checked_record, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from research import DATA
 from research.seeds import FAILURE_RATE
@@ -94,13 +94,11 @@ def failure_counts(file: Path = _FILE) -> dict[str, dict[str, Any]]:
     Raises:
         UsageError: the file holds something else.
     """
-    try:
+    with checked_record(file, PROGRAM):
         record: dict[str, dict[str, Any]] = read_json(file) if file.exists() else {}
         for own in record.values():
             together(own["counts"].values())
-    except (ValueError, TypeError, KeyError, AttributeError):
-        raise UsageError(f"{file} does not hold counts of {PROGRAM}; delete it, or name another with --out") from None
-    return record
+        return record
 
 
 def together(counts: Iterable[FailureCount]) -> tuple[int, int, float]:

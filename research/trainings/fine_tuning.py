@@ -17,7 +17,6 @@ from typing import Annotated, Any
 import numpy as np
 from tyro.conf import arg
 
-from auv_gym.installation import checkout
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.units import Units
 from auv_gym.scenarios.presets import CASES
@@ -93,7 +92,7 @@ class Options:
     """Control steps of each training, to try it out."""
     runs: Path = Path("runs/fine-tuning")
     """Folder for the trainings."""
-    out: Path = Path("docs" if checkout() else "runs") / FINE_TUNING_FILE
+    out: Path = DOCS / FINE_TUNING_FILE
     """File for what is measured."""
 
 
@@ -152,8 +151,7 @@ def main(arguments: Sequence[str]) -> int:
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("vehicle", options.vehicle, fleet())
-    if options.agent not in SHIPPED_TRAININGS:
-        raise UsageError(f"--agent {options.agent} does not ship; allowed are {', '.join(SHIPPED_TRAININGS)}")
+    check_words("agent", [options.agent], SHIPPED_TRAININGS)
     if options.episodes < 2:
         raise UsageError(f"--episodes is {options.episodes}; it must be 2 or more")
     names = options.policy or _compared(options.agent)
@@ -222,9 +220,8 @@ def _measured(name: str, vehicle: str, options: Options, weights: str) -> dict[s
     request = request_of(training, folder, DEFAULT_JOBS)
     if status := train(request):
         return {"status": status}
-    from baselines.training.apg.settings import (
-        check,  # here: it takes seconds to load, and --help needs none of it
-    )
+    # Imported here: it takes seconds to load, and --help needs none of it.
+    from baselines.training.apg.settings import check
 
     processors = min(DEFAULT_JOBS, check(request.configs[0]).groups)
     took = {} if there else {"seconds": round(time.monotonic() - begin, 1), "processors": processors}

@@ -3,7 +3,7 @@
 A front is a controller, or a family of agents, at several prices of its commands. One point is what ships with the
 package. The others of a controller have swept or priced gains (`research.vehicles.priced`); the other agents of a
 family are trained with other weights of effort and rate, the same in both regimes. All run the same episodes, and what
-they did is kept in `research/data/fronts/`, or in DIR where there is no checkout, for the page of results.
+they did is kept in `research/data/fronts/` for the page of results.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from typing import Annotated, Literal
 import numpy as np
 from tyro.conf import Positional, arg
 
-from auv_gym.installation import checkout
 from auv_gym.scenarios.presets import REGIMES
 from auv_gym.task.policy import Policy
 from baselines.evaluation.rollout import EpisodeLog, Repeatable, Watch, beginning
@@ -63,7 +62,7 @@ class Options:
     """Control steps of each training."""
     runs: Path = Path("runs/front")
     """Folder of the trainings."""
-    out: Path = FRONTS_FOLDER if checkout() else Path("runs/fronts")
+    out: Path = FRONTS_FOLDER
     """Folder for what the points did, NAME-REGIME.npz."""
 
 

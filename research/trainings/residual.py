@@ -21,7 +21,6 @@ from typing import Annotated, Any
 import numpy as np
 from tyro.conf import Positional, arg
 
-from auv_gym.installation import checkout
 from auv_gym.scenarios.presets import REGIMES
 from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation import recorded
@@ -137,7 +136,7 @@ def main(arguments: Sequence[str]) -> int:
         if value is not None and value < 1:
             raise UsageError(f"--{option} is {value}; it must be 1 or more")
     workers = checked(partial(Workers.of, options.jobs))
-    file = RESIDUAL_FILE if checkout() and not options.tried else options.out / RESIDUAL_FILE.name
+    file = options.out / RESIDUAL_FILE.name if options.tried else RESIDUAL_FILE
     for name in options.name or (*_SETTINGS, STUCK, *POLICIES):
         if name in _SETTINGS:
             status, groups = _trained(name, options, workers)

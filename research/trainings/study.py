@@ -1,7 +1,7 @@
 """Train agents with several seeds, with and without one thing or another: `python -m research study --help`.
 
 Every agent of `VARIANTS` is trained with several seeds and run on the frozen suites; the tail errors of every episode
-are kept in `research/data/studies/`, or in DIR where there is no checkout, for the page of results.
+are kept in `research/data/studies/` for the page of results.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from auv_gym.installation import checkout
 from auv_gym.scenarios.presets import REGIMES
 from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation import suites
@@ -159,7 +158,7 @@ def main(arguments: Sequence[str]) -> int:
             return status
         if options.install and agent in SHIPPED_TRAININGS:
             install_agent(agent, request.folders[0])
-        save_study(name, studied(variant, request, options.jobs), STUDIES_FOLDER if checkout() else options.out)
+        save_study(name, studied(variant, request, options.jobs), STUDIES_FOLDER)
     return DONE
 
 

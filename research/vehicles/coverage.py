@@ -6,7 +6,6 @@ the counts.
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,17 +15,16 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
-from auv_gym.installation import checkout
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.presets import PRESETS
 from baselines.identification import identify
 from baselines.identification.command import EXAMPLE, EXAMPLE_LAG
 from baselines.identification.fit import UNKNOWN
+from baselines.identification.model import COEFFICIENTS, FITTED_PARAMETERS, LIMIT_NAMES
 from baselines.identification.model import CURRENT_NAMES as V
-from baselines.identification.model import FITTED_PARAMETERS, HULL_PARAMETERS, LIMIT_NAMES
 from baselines.identification.trials import EXAMPLE_CURRENT, example
 from baselines.tools.command_line import DONE, UsageError, parse
-from baselines.tools.files import json_text, write_atomically
+from baselines.tools.files import json_text, read_json, write_atomically
 from research import DOCS
 
 PROGRAM = "python -m research identification-coverage"
@@ -48,14 +46,14 @@ class Options:
 
     logs: int = 100
     """Logs of each vehicle."""
-    out: Path = Path("docs" if checkout() else "runs") / _FILE
+    out: Path = DOCS / _FILE
     """File for the counts."""
 
 
 def _counted(name: str, logs: int) -> dict[str, Any]:
     """Return what so many identifications of a vehicle come to: counts, errors and processor time."""
     vehicle, sensors = _VEHICLES[name], PRESETS["cruise-noise"].sensors
-    truth = dict(zip(HULL_PARAMETERS, vehicle.coefficients, strict=True)) | dict(zip(V, EXAMPLE_CURRENT, strict=True))
+    truth = dict(zip(COEFFICIENTS, vehicle.coefficients, strict=True)) | dict(zip(V, EXAMPLE_CURRENT, strict=True))
     truth |= dict(zip(LIMIT_NAMES, (EXAMPLE.F_u_max, EXAMPLE.F_r_max), strict=True)) | {"lag": EXAMPLE_LAG}
     held, near = dict.fromkeys(FITTED_PARAMETERS, 0), dict.fromkeys(FITTED_PARAMETERS, 0)
     errors: dict[str, list[float]] = {n: [] for n in FITTED_PARAMETERS}
@@ -107,7 +105,7 @@ def _table(record: Mapping[str, Any]) -> str:
 
 def coverage_section() -> str:
     """Return what docs/identify.md says about the logs of each vehicle."""
-    return "\n".join(_of_vehicle(*record) for record in load(DOCS / "identify.json").items())
+    return "\n".join(_of_vehicle(*record) for record in read_json(DOCS / _FILE).items())
 
 
 def _of_vehicle(name: str, record: Mapping[str, Any]) -> str:
@@ -146,9 +144,3 @@ def main(arguments: Sequence[str]) -> int:
     options.out.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(options.out, json_text(records))
     return DONE
-
-
-def load(file: Path) -> dict[str, Any]:
-    """Return what `main` has written."""
-    record: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    return record

@@ -18,7 +18,6 @@ import numpy as np
 from scipy import stats
 from tyro.conf import Positional, UseAppendAction, arg
 
-from auv_gym.installation import checkout
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import Vehicle
@@ -39,6 +38,7 @@ from baselines.tuning.command import known_craft
 from baselines.tuning.objective import TuningEpisodes
 from baselines.tuning.search import VALIDATION_SEED, Budget, tune
 from baselines.tuning.tunables import TUNABLES
+from research import DOCS
 
 PROGRAM = "python -m research vehicle-gains"
 VEHICLES_FILE = "vehicles.json"  # of what was measured, in docs/
@@ -75,7 +75,7 @@ class Options:
     """How often episodes are run to find gains."""
     episodes: int = 16
     """Episodes of each such evaluation, a multiple of 8."""
-    out: Path = Path("docs" if checkout() else "runs") / VEHICLES_FILE
+    out: Path = DOCS / VEHICLES_FILE
     """File for what is found."""
 
 

@@ -20,7 +20,7 @@ from baselines.identification.figures import Approach, figures
 from baselines.identification.fit import IDENTIFIED, UNREACHED, ZERO
 from baselines.identification.least_squares import Left
 from baselines.identification.log import LOG_COLUMNS
-from baselines.identification.model import FITTED_PARAMETERS, HULL_PARAMETERS, LogModel
+from baselines.identification.model import COEFFICIENTS, FITTED_PARAMETERS, LogModel
 from baselines.identification.trials import EXAMPLE_CURRENT, Trial, example, recorded
 from baselines.identification.uncertainty import covariance
 from baselines.tools.command_line import run
@@ -31,7 +31,14 @@ NOISE = Sensors(position=0.05, heading=0.015, velocity=0.02, yaw_rate=0.005)
 HULL_TRUE = {"m11": 180.0, "m22": 260.0, "m33": 95.0, "d11": 45.0, "d22": 120.0, "d33": 60.0}
 DRAG_TRUE = {"X_uu": 25.0, "Y_vv": 90.0, "N_rr": 30.0}
 LAG, LIMITS = 0.3, (380.0, 190.0)
-TRUE = {**dict.fromkeys(HULL_PARAMETERS, 0.0), **HULL_TRUE, **DRAG_TRUE, "F_u_max": 380.0, "F_r_max": 190.0, "lag": LAG}
+TRUE = {
+    **dict.fromkeys(COEFFICIENTS, 0.0),
+    **HULL_TRUE,
+    **DRAG_TRUE,
+    "F_u_max": 380.0,
+    "F_r_max": 190.0,
+    "lag": LAG,
+}
 TRUE |= dict(zip(("V_x", "V_y"), EXAMPLE_CURRENT, strict=True))
 
 
@@ -162,7 +169,7 @@ def test_related_residuals_widen_the_intervals():
 
 
 def test_turning_circle_is_that_of_another_integrator(found):
-    begin, p = Approach(0.6, 25.0), {name: found[name].value for name in HULL_PARAMETERS}
+    begin, p = Approach(0.6, 25.0), {name: found[name].value for name in COEFFICIENTS}
     thrust = (p["d11"] + p["X_uu"] * begin.speed) * begin.speed
 
     def slope(t, z):

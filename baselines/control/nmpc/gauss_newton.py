@@ -201,13 +201,13 @@ def feedback_law(
 def stage_jacobian(state: Sequence[Any], command: Sequence[Any], known: Stage, coefficients: Coefficients) -> Matrix:
     """Return the derivative of `stage` by state and command, `STATE_ROWS` rows; on symbols.
 
-    The hull's motion depends on state and command by way of the mean loads.
+    The vehicle's motion depends on state and command by way of the mean loads.
     """
     both, after = [*state, *command], stage(state, command, known, coefficients, SYMBOLS)
     X, N, *_ = actuated(state, command, known)
     acting = [*state[MOTION_STATES], X, N]
-    hull = product(jacobian(after[MOTION_STATES], acting), jacobian(acting, both))
-    return [*hull, *jacobian(after[MOTION_STATES.stop :], both)]
+    motion = product(jacobian(after[MOTION_STATES], acting), jacobian(acting, both))
+    return [*motion, *jacobian(after[MOTION_STATES.stop :], both)]
 
 
 def _error_curvature(after: Sequence[Any], known: Stage, weights: CostWeights) -> Any:

@@ -225,7 +225,7 @@ class OptimalControl:
         plan: Plan | None = None,
         descent: Improvement | None = None,
     ) -> Plan:
-        """Return what comes of commands, shape (K, COMMAND_SIZE, N), from a state, shape (STATE_ROWS, N).
+        """Return what follows from commands, shape (K, COMMAND_SIZE, N), from a state, shape (STATE_ROWS, N).
 
         With a plan and a descent from it, whose step the commands hold already, its feedback is added to the commands,
         and they are kept within the limits.

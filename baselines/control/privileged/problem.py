@@ -106,7 +106,7 @@ class Problem:
         )
 
     def played(self, course: Trajectory, way: Way | None = None, length: float = 1.0) -> Trajectory:
-        """Return what comes of the commands of a course, or of those that lie on the way from it; see `Way`.
+        """Return what follows from the commands of a course, or of those that lie on the way from it; see `Way`.
 
         Args:
             course: the commands, and the states that feedback holds on to.

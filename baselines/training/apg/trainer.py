@@ -33,7 +33,7 @@ def train(run: RunFolder) -> Agent:
     Raises:
         OSError: the run's folder cannot be written to.
         TrainingError: the gradient is not finite any more.
-        ValueError: see `checked_settings`.
+        ValueError: see `settings.check`.
     """
     with closing(Groups(run.config, check(run.config), run.processes)) as groups:
         return ApgTrainer(run, groups).train()

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from auv_gym.installation import checkout
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation import suites
@@ -41,7 +40,7 @@ class Options:
 
     episodes: int | None = None
     """Of each case, the first ones. Default: all."""
-    out: Path = _FILE if checkout() else Path("runs/floor.json")
+    out: Path = _FILE
     """File for what is found."""
 
 
