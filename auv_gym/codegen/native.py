@@ -23,14 +23,16 @@ SWITCH = "AUV_GYM_NATIVE"
 CACHE = "AUV_GYM_CACHE"
 """Environment variable that names another folder for compiled code than that of the user's caches."""
 COMPILERS = ("gcc", "clang", "cc")  # looked for in this order, behind that of the environment variable CC
-_FLAGS = ("-O1", "-std=c99", "-fPIC", "-shared", "-fopenmp-simd")
+_FLAGS = ("-O1", "-std=c99", "-fPIC", "-shared")
 """What every compiler that is used here knows."""
 _EXACT = ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros")
 """A product and a sum are rounded one after the other, as everywhere else; what is not a number stays none."""
+_SIMD = ("-fopenmp-simd",)
+"""For several vehicles at once."""
 TUNED = ("-march=native", "-fno-ivopts")
-"""For this processor; and gcc shall not search for the cheapest counters of long loops. More optimisation than -O1
-takes twice the time and makes the code no faster: the equations are straight lines, and the loops over vehicles are
-marked as parallel. All left out where a compiler does not know them."""
+"""For several vehicles at once, too: for this processor; and gcc shall not search for the cheapest counters of long
+loops. More optimisation than -O1 takes twice the time and makes the code no faster: the equations are straight lines,
+and the loops over vehicles are marked as parallel. All left out where a compiler does not know them."""
 _PATIENCE = 300.0
 """Seconds that a compiler may take."""
 
@@ -57,27 +59,31 @@ def compiler() -> tuple[str, str] | None:
 
 
 @cache
-def library(source: str) -> ctypes.CDLL | None:
-    """Return the library of a C source, from the cache if it is there; None where it cannot be made."""
+def library(source: str, *, many: bool = True) -> ctypes.CDLL | None:
+    """Return the library of a C source, from the cache if it is there; None where it cannot be made.
+
+    Without `many` it is compiled in a fraction of the time, and is as fast for one vehicle.
+    """
     if not wanted() or (found := compiler()) is None:
         return None
     path, version = found
-    key = "\0".join((source, path, version, *_FLAGS, *_EXACT, *TUNED, platform.machine(), sys.platform, _processor()))
+    flags = (*_FLAGS, *_EXACT, *((*_SIMD, *TUNED) if many else ()))
+    key = "\0".join((source, path, version, *flags, platform.machine(), sys.platform, _processor()))
     name = f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
     for folder in cache_folders():
-        if (made := _loaded(path, source, folder / name)) is not None:
+        if (made := _loaded(path, source, folder / name, flags)) is not None:
             return made
     return None
 
 
-def _loaded(path: str, source: str, file: Path) -> ctypes.CDLL | None:
+def _loaded(path: str, source: str, file: Path, flags: tuple[str, ...]) -> ctypes.CDLL | None:
     """Return the library that a file holds or shall hold; None, which is logged, where that cannot be."""
     try:
         try:
-            return ctypes.CDLL(str(_built(path, source, file)))
+            return ctypes.CDLL(str(_built(path, source, file, flags)))
         except OSError:
             file.unlink()  # damaged, else this is the error to report
-            return ctypes.CDLL(str(_built(path, source, file)))
+            return ctypes.CDLL(str(_built(path, source, file, flags)))
     except subprocess.SubprocessError as error:
         logger.info("%s cannot compile the equations, so they run as Python: %s", path, _reason(error))
     except OSError as error:
@@ -118,7 +124,7 @@ def _temporary() -> Path:
 _kept: list[tempfile.TemporaryDirectory[str]] = []
 
 
-def _built(path: str, source: str, file: Path) -> Path:
+def _built(path: str, source: str, file: Path, flags: tuple[str, ...]) -> Path:
     """Return a library's file, compiled if it is not there; two processes at once leave one whole file."""
     if file.exists():
         return file
@@ -126,9 +132,9 @@ def _built(path: str, source: str, file: Path) -> Path:
     with tempfile.TemporaryDirectory(dir=file.parent) as folder:
         made = Path(folder) / file.name
         try:
-            _compile(path, source, made, (*_FLAGS, *_EXACT, *TUNED))
+            _compile(path, source, made, flags)
         except subprocess.CalledProcessError:
-            _compile(path, source, made, (*_FLAGS, *_EXACT))
+            _compile(path, source, made, tuple(flag for flag in flags if flag not in TUNED))
         made.replace(file)
     return file
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from functools import reduce
+from functools import lru_cache, reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from auv_gym.envs.vector_api import AutoresetMode, Ends, checked_mode
 from auv_gym.physics.namespaces import ARRAYS, Array, Indices
 from auv_gym.physics.rows import leaves
 from auv_gym.physics.vehicle import Vehicle
-from auv_gym.planning.planner import plan
+from auv_gym.planning.planner import Planner
 from auv_gym.scenarios.episode import Episode, with_options
 from auv_gym.scenarios.exogenous import Tape
 from auv_gym.scenarios.scenario import Scenario
@@ -31,7 +31,6 @@ ScenarioLike = Scenario | str | Mapping[str, Any]
 
 LARGEST_BLOCK = 64  # most control steps of tape that are read at once
 BLOCK_SAMPLES = 2**18  # most vehicles times control steps that are read at once: it bounds the memory
-PLANNED_AT_ONCE = 64  # most references planned in one batch, so that they stay in the processor's cache
 
 
 class ReadyEpisode(NamedTuple):
@@ -231,28 +230,18 @@ class Lanes:
         return (episode, table_of(episode)) if episode else self.scenarios[lane].drawn(rng, table_of)
 
     def _tables(self, lanes: Indices, episodes: Sequence[Episode]) -> list[Any]:
-        """Return the reference table of each episode, None where it cannot be followed.
-
-        Those of one clock and vehicle are planned together, paths of one family side by side.
-        """
+        """Return the reference table of each episode, None where it cannot be followed."""
         tables: list[Any] = [None] * len(episodes)
-        groups: dict[Any, list[int]] = {}
         for j, (i, episode) in enumerate(zip(lanes.tolist(), episodes, strict=True)):
-            given, path = plan_of(self.scenarios[i]), self.scenarios[i].path
-            if episode.path is path:
-                fixed = (*given, id(path))
+            given = plan_of(self.scenarios[i])
+            if episode.path is self.scenarios[i].path:
+                fixed = (*given, id(episode.path))
                 if fixed not in self._fixed:
                     self._fixed[fixed] = reference_tables([episode], *given)[0]
                 tables[j] = self._fixed[fixed]
             else:
-                groups.setdefault(given, []).append(j)
-        for given, members in groups.items():
-            members.sort(key=lambda j: type(episodes[j].path).__name__)
-            for first in range(0, len(members), PLANNED_AT_ONCE):
-                batch = members[first : first + PLANNED_AT_ONCE]
-                with suppress(ValueError):  # about one of them: all are planned alone then
-                    for j, table in zip(batch, reference_tables([episodes[j] for j in batch], *given), strict=True):
-                        tables[j] = table
+                with suppress(ValueError):
+                    tables[j] = reference_tables([episode], *given)[0]
         return tables
 
 
@@ -288,7 +277,17 @@ def reference_tables(
         InfeasibleReferenceError: an episode's path cannot be followed within these limits.
         ValueError: a reference is beyond what can be observed.
     """
-    paths = [episode.path for episode in episodes]
-    reference = plan(paths, vehicle, dt * np.arange(steps + 1, dtype=np.float64), (F_u_max, F_r_max), fin).table
-    check_reference(reference, span)
-    return list(np.ascontiguousarray(reference.transpose(2, 0, 1)))
+    planner = planner_of(dt, steps, vehicle, F_u_max, F_r_max, fin)
+    tables = []
+    for episode in episodes:
+        if (table := planner.table(episode.path)) is None:
+            table = planner.plan(episode.path).table  # raises the error
+        check_reference(table, span)
+        tables.append(table)
+    return tables
+
+
+@lru_cache(maxsize=64)
+def planner_of(dt: float, steps: int, vehicle: Vehicle, F_u_max: float, F_r_max: float, fin: float) -> Planner:
+    """Return what plans the paths of a scenario; the arguments are those of `reference_tables`."""
+    return Planner(vehicle, dt * np.arange(steps + 1, dtype=np.float64), (F_u_max, F_r_max), fin)

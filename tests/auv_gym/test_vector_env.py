@@ -116,7 +116,7 @@ HARD = {
 def test_draws_that_cannot_be_followed_are_drawn_anew_alike_everywhere():
     scenario, rng = Scenario.from_dict(HARD), np.random.default_rng(0)
     tables = Lanes(40, scenario, None, None)._tables(np.arange(40), [scenario.draw(rng) for _ in range(40)])
-    assert tables == [None] * 40  # as they are planned in one batch, of which some cannot be followed
+    assert 3 < sum(table is None for table in tables) < 20
     n = 12
     scalars = [gym.make(TRACK, scenario=HARD) for _ in range(n)]
     assert assert_equals_scalars(vector(n=n, scenario=HARD), scalars, 80) >= 3 * n
