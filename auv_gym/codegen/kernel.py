@@ -144,7 +144,7 @@ class Kernel:
         if (function := self._native(n)) is None:
             return self._on_one(arrays) if n == 1 else self._on_several(arrays)
         table = self._table(arrays, n)
-        at = ctypes.c_void_p(ctypes.addressof(table))
+        at = ctypes.c_void_p(table.__array_interface__["data"][0])
 
         def run(first: int = 0, steps: int = 1) -> None:
             function(at, first, steps)
@@ -152,14 +152,14 @@ class Kernel:
         run.__dict__["kept"] = table, arrays  # alive as long as their addresses are used
         return run
 
-    def _table(self, arrays: Mapping[str, AnyArray], n: int) -> Any:
+    def _table(self, arrays: Mapping[str, AnyArray], n: int) -> AnyArray:
         """Return what the compiled function finds `at` its first argument, see `c_function`."""
         entries, size = [n], _REAL[self.layout.precision].itemsize
         for name, _, strides in self._axes:
             array = arrays[name]
             entries.append(array.__array_interface__["data"][0])  # half the cost of `array.ctypes`
             entries += [stride // size for stride in array.strides[:strides]]
-        return (ctypes.c_int64 * len(entries))(*entries)
+        return np.array(entries, dtype=np.int64)
 
     @cached_property
     def _axes(self) -> list[tuple[str, int, int]]:
@@ -174,13 +174,14 @@ class Kernel:
         real = _REAL[self.layout.precision]
         for name, rows, _ in self._axes:
             array, own = arrays[name], (rows,) if name in self.layout.shared else (rows, n)
-            shape = ("T", *own) if name in self.layout.over_time else own
-            if array.dtype != real or array.ndim != len(shape) or array.shape[-len(own) :] != own:
+            over_time = name in self.layout.over_time
+            if array.dtype != real or array.shape[over_time:] != own or array.ndim != over_time + len(own):
+                shape = ("T", *own) if over_time else own
                 raise ValueError(
                     f"array {name} is of type {array.dtype} and shape {array.shape}; it must be of type "
                     f"{self.layout.precision} and of shape ({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"
                 )
-            if array.size and array.shape[-1] > 1 and array.strides[-1] != array.itemsize:
+            if array.strides[-1] != array.itemsize and array.size and array.shape[-1] > 1:
                 raise ValueError(f"array {name} must hold the vehicles of a row side by side in memory")
         return n
 
@@ -259,7 +260,7 @@ class Kernel:
             self.bound(**arrays)(0, steps)
         else:  # sooner than by `bound`
             table = self._table(arrays, self._checked(arrays))
-            function(ctypes.c_void_p(ctypes.addressof(table)), 0, steps)
+            function(ctypes.c_void_p(table.__array_interface__["data"][0]), 0, steps)
         return results
 
     def _empty(self, name: str, steps: int, n: int) -> AnyArray:

@@ -115,9 +115,12 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         """Take actions as corrections to a law from now on, and append the law's actions to observations.
 
         It is what `VectorResidualAction` does, in the compiled step; all episodes must begin anew.
+
+        Raises:
+            TypeError: the law branches on what is observed.
         """
-        self._law, self._lanes.forces = law, law.forces
         self._vehicles = self._made(law.forces, authority)
+        self._law, self._lanes.forces = law, law.forces
         self._lanes.begun = False
         self.single_observation_space = with_action(self.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)

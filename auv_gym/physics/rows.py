@@ -19,6 +19,10 @@ from collections.abc import Sequence
 from itertools import count
 from typing import Any, TypeVar, get_type_hints
 
+import numpy as np
+
+from auv_gym.physics.namespaces import Array
+
 T = TypeVar("T", bound=tuple[Any, ...])
 
 
@@ -54,3 +58,13 @@ def filled(places: T, rows: Sequence[Any]) -> T:
     own = tree[: len(tree) - len(tree._field_defaults)]
     made: T = type(tree)(*(filled(place, rows) if isinstance(place, tuple) else rows[place] for place in own))
     return made
+
+
+def spread(numbers: Sequence[Any], n: int) -> Array:
+    """Return numbers, each a float or a row of n, as one array (len(numbers), n)."""
+    if n == 1 and not any(isinstance(number, np.ndarray) for number in numbers):
+        return np.array(numbers, dtype=np.float64)[:, None]
+    rows = np.empty((len(numbers), n))
+    for row, number in zip(rows, numbers, strict=True):
+        row[:] = number
+    return rows

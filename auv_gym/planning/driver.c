@@ -75,8 +75,8 @@ static void sideslip(double *w, const double *along, const double *terms, long n
  * family: its place in `families`, their number for `RandomSmooth`, -1 for derivatives that are given (8, n)
  * pose: that of the path, and behind it its numbers, see `Family`
  * c: coefficients of the vehicle, and behind them first and last time, step h, samples before the first time, instants
- *    T, samples from one to the next, h times the response that is allowed, h/Dm, F_u_max, F_r_max, fin, and the weights
- *    of the sideslip's formulas
+ *    T, samples from one to the next, h times the response that is allowed, h/Dm, the `LIMITS`, and the weights of the
+ *    sideslip's formulas
  * table: x, y, psi, u, v, r, F_u, F_r (8, T)
  * rest: gamma, v_p, omega (3, T), if they are wanted
  */
@@ -113,7 +113,7 @@ int plan(int family, const double *pose, const double *given, const double *c, d
     bends(bend, 0, 1);
     if (any(bad, n - 1)) goto done;
 
-    sideslip(w, along, terms, n, c, s + 11);
+    sideslip(w, along, terms, n, c, s + 8 + LIMITS);
     const int64_t slip[] = {n - lead, AT(w + lead), n, AT(bad), n};
     slips(slip, 0, 1);
     if (any(bad, n - lead)) goto done;

@@ -35,6 +35,7 @@ FAMILIES: list[type] = [f for f in PATHS.values() if issubclass(f, Family) and f
 """Those whose position has a formula, in the order in which the driver has them; `RandomSmooth` comes behind them."""
 FIXED_POINT = 12  # iterations for the first samples, which settle within fewer
 VEHICLE = len(Coefficients._fields)  # how many numbers a vehicle has
+LIMITS = 8  # F_u_max, F_r_max, fin, and the largest |u|, |v|, |r|, |F_u|, |F_r| that may be planned
 
 
 @cache
@@ -59,7 +60,7 @@ def kernels() -> Mapping[str, Kernel]:
 def driver() -> Callable[..., int] | None:
     """Return the compiled `plan` of driver.c; None where there is no compiler."""
     names = ", ".join(family.__name__ for family in FAMILIES)
-    sizes = {"FAMILY_COUNT": len(FAMILIES), "FIXED_POINT": FIXED_POINT, "VEHICLE": VEHICLE}
+    sizes = {"FAMILY_COUNT": len(FAMILIES), "FIXED_POINT": FIXED_POINT, "VEHICLE": VEHICLE, "LIMITS": LIMITS}
     constants = {"FAMILIES": names, **sizes}
     head = "".join(f"#define {name} {value}\n" for name, value in constants.items())
     library = together(kernels(), head + FilePath(__file__).with_name("driver.c").read_text(encoding="utf-8"))
@@ -192,16 +193,18 @@ def _slips() -> Kernel:
 
 
 def _motion() -> Kernel:
-    """Return `in_sideslip`, and whether a force is beyond its limit: F_u_max, F_r_max, fin."""
+    """Return `in_sideslip`, and whether it is beyond one of the `LIMITS`."""
 
     def equation(along: Any, w: Any, coefficients: Any, limits: Any) -> dict[str, Any]:
         *motion, F_u, F_r, gamma = in_sideslip(
             PathRates(*along), w[0], Coefficients(*coefficients), (0.0, 0.0), SYMBOLS
         )
-        refused = ~((abs(F_u) <= limits[0]) & (abs(F_r) <= torque_limit(motion[1], limits, SYMBOLS)))
-        return {"motion": (*motion, F_u, F_r), "gamma": [gamma], "refused": [refused]}
+        valid = (abs(F_u) <= limits[0]) & (abs(F_r) <= torque_limit(motion[1], limits[:3], SYMBOLS))
+        for number, most in zip((*motion[1:], F_u, F_r), limits[3:], strict=True):
+            valid = valid & (abs(number) <= most)
+        return {"motion": (*motion, F_u, F_r), "gamma": [gamma], "refused": [~valid]}
 
-    rows = {"along": len(RATES), "w": 1, "coefficients": VEHICLE, "limits": 3}
+    rows = {"along": len(RATES), "w": 1, "coefficients": VEHICLE, "limits": LIMITS}
     return Kernel.traced(equation, rows, shared=["coefficients", "limits"])
 
 

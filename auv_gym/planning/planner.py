@@ -20,8 +20,8 @@ from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.planning.feasibility import check_forces, check_rates, check_sideslip
-from auv_gym.planning.kernels import FAMILIES, FIXED_POINT, VEHICLE, driver, kernels
-from auv_gym.planning.paths import Path, RandomSmooth
+from auv_gym.planning.kernels import FAMILIES, FIXED_POINT, LIMITS, VEHICLE, driver, kernels
+from auv_gym.planning.paths import Path, RandomSmooth, unstack
 from auv_gym.planning.sideslip import ORDER, RATES, PathRates, formula_weights, in_sideslip
 
 RUN_IN = 12.0  # integrated before the first sample, in memories Dm/d22; the small start error fades by exp(-12)
@@ -32,7 +32,7 @@ MAX_SAMPLES = 2**21  # of a path, which bounds time and memory
 _CODES: dict[type, int] = {family: code for code, family in enumerate([*FAMILIES, RandomSmooth])}
 """What the driver calls the families."""
 _GIVEN = -1  # what it calls a path whose derivatives are given
-_SCALE, _WEIGHTS = VEHICLE + 7, VEHICLE + 11  # where they stand among the settings of the driver
+_SCALE, _WEIGHTS = VEHICLE + 7, VEHICLE + 8 + LIMITS  # where they stand among the settings of the driver
 BETA = RATES.index("beta")  # the place of the path's direction among its rates
 
 
@@ -101,12 +101,18 @@ class Planner:
         times: see `plan`; they are taken as they are.
         force_limits: see `plan`.
         fin: see `plan`.
+        most: largest |u|, |v| [m/s], |r| [rad/s], |F_u| [N] and |F_r| [N m] that `table` may give.
     """
 
     def __init__(
-        self, vehicle: Vehicle, times: Array, force_limits: tuple[float, float] | None = None, fin: float = 0.0
+        self,
+        vehicle: Vehicle,
+        times: Array,
+        force_limits: tuple[float, float] | None = None,
+        fin: float = 0.0,
+        most: Sequence[float] = (math.inf,) * 5,
     ) -> None:
-        self.vehicle, self.times = vehicle, times
+        self.vehicle, self.times, self.most = vehicle, times, most
         self._limits = (math.inf, math.inf, 0.0) if force_limits is None else (*force_limits, fin)
         self._coefficients = np.array(vehicle.coefficients)
         self._slip_mass = vehicle.coefficients.slip_mass
@@ -128,12 +134,35 @@ class Planner:
         return Reference(self.times, *columns, *rest)
 
     def table(self, path: Path) -> Array | None:
-        """Return the `Reference.table` of a path; None where `plan` raises an error."""
+        """Return the `Reference.table` of a path; None where `plan` raises an error, or `most` is exceeded."""
         columns = self._compiled(path)
         if driver() is None:
             with suppress(ValueError):
                 columns, _ = self._in_python(path)
+                if not (np.abs(columns[3:]).max(axis=1) <= self.most).all():
+                    return None
         return None if columns is None else columns.T
+
+    def tables(self, paths: Any, n: int) -> list[Array | None]:
+        """Return the `table` of each of n paths of one family, made by `stack`."""
+        function, code = driver(), _CODES.get(type(paths), _GIVEN)
+        if function is None or code == _GIVEN or self.vehicle.Y_uv or self.times[0] != 0:
+            return [self.table(path) for path in unstack(paths, n)]
+        numbers = (paths.x0, paths.y0, paths.heading, *paths.numbers)
+        given = np.empty((n, len(numbers)))
+        for column, number in zip(given.T, numbers, strict=True):
+            column[:] = number
+        grid = self._grid(paths)
+        if grid.samples > MAX_SAMPLES:
+            return [None] * n
+        found: list[Array | None] = []
+        first, settings = (array.__array_interface__["data"][0] for array in (given, grid.settings))
+        for j in range(n):
+            columns = np.empty((8, len(self.times)))
+            at = columns.__array_interface__["data"][0]
+            result = function(code, first + j * given.strides[0], None, settings, at, None)
+            found.append(columns.T if result == 0 else self.table(unstack(paths, n)[j]) if result > 0 else None)
+        return found
 
     def _compiled(self, path: Path, rest: Array | None = None) -> Array | None:
         """Return the columns of a table, and write gamma, v_p, omega to `rest`.
@@ -166,7 +195,7 @@ class Planner:
         if (grid := self._grids.get((lead, refinement))) is None:
             substeps, scale = self._substeps * refinement, h / self._slip_mass
             numbers = self.times[0], self.times[-1], h, lead, len(self.times), substeps
-            more = h / MAX_RESPONSE if refinement == 1 else 0.0, scale, *self._limits
+            more = h / MAX_RESPONSE if refinement == 1 else 0.0, scale, *self._limits, *self.most
             settings = np.array([*self._coefficients, *numbers, *more, *formula_weights(self.vehicle.d22 * scale)])
             grid = self._grids[lead, refinement] = _Grid(h, lead, substeps, len(self.times), settings)
         return grid
@@ -186,7 +215,7 @@ class Planner:
         turns = k["bends"](beta=beta[:, :-1], next_beta=beta[:, 1:])["turns"]
         beta[:, lead + 1 :] -= 2 * math.pi * np.cumsum(turns[:, lead:], axis=1)
         kept = np.s_[:, lead :: grid.substeps]
-        limits = np.array(self._limits)
+        limits = np.array([*self._limits, *self.most])
         found = k["motion"](along=along[kept], w=w[None][kept], coefficients=self._coefficients, limits=limits)
         _, u, _, _, F_u, F_r = found["motion"]
         check_forces(F_u, F_r, u, self._limits, self.times, position[kept])

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from auv_gym.codegen.graph import SYMBOLS, single
-from auv_gym.codegen.kernel import Kernel
+from auv_gym.codegen.kernel import Kernel, KernelRun
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.rows import filled, leaves
 from auv_gym.task.observation import SIZE, action_of, decode, encode
@@ -167,16 +167,24 @@ class Vehicles:
             parameters: where the rows of `simulation.Parameters` will be, shape (PARAMETER_ROWS, N).
             forces: of a law that actions correct; None: they command.
             authority: largest corrections of surge and yaw.
+
+        Raises:
+            TypeError: the law branches on what is observed.
         """
         n = samples.shape[-1]
         self.parts, self.forces, self.action = parts, forces, np.zeros((ACTIONS, n))
+        self._run: KernelRun
+        self._run_back: KernelRun
         self._samples, self._parameters = samples, parameters
         self._authority = np.repeat(np.array(authority, dtype=np.float64)[:, None], n, axis=1)
         sizes = PLANT_ROWS, columns(forces), OUTCOMES
         self.now, self._other = (Side(*(np.zeros((rows, n)) for rows in sizes)) for _ in range(2))
-        self._bind()
+        self._run = self._run_back = self._begin
+        if forces is not None:
+            step_kernel(parts, forces)  # refuses a law that cannot be traced
 
-    def _bind(self) -> None:
+    def _begin(self, first: int, steps: int) -> None:
+        """Compile the step when it is first taken: until then a law may come, and other vehicles with it."""
         kernel = step_kernel(self.parts, self.forces)
         self._run, self._run_back = (
             kernel.bound(
@@ -192,6 +200,7 @@ class Vehicles:
             )
             for now, after in ((self.now, self._other), (self._other, self.now))
         )
+        self._run(first, steps)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return everything but the addresses of this memory."""
@@ -200,7 +209,7 @@ class Vehicles:
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take everything up, at new addresses."""
         self.__dict__.update(state)
-        self._bind()
+        self._run = self._run_back = self._begin
 
     def place(self, lanes: Any, plant: Array, seen: Array) -> None:
         """Put n of the vehicles, an index of which is given, where `begun` says, now."""

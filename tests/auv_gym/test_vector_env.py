@@ -1,6 +1,7 @@
 """The vector environment, held against scalar environments; its contract with Gymnasium; the residual wrapper."""
 
 import importlib
+import re
 import resource
 import subprocess
 import sys
@@ -11,7 +12,7 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.wrappers import vector as wrappers
 
-from auv_gym.envs.lanes import Lanes
+from auv_gym.envs.lanes import Lanes, plan_of, planner_of, reference_table
 from auv_gym.scenarios.exogenous import Tape
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
@@ -84,11 +85,12 @@ def test_seeds_as_an_integer_a_list_or_none():
         env.reset(seed=[1, 2])
 
 
-def test_fractional_seeds_are_refused_as_by_the_scalar_environment():
+def test_what_is_no_seed_is_refused_alike_everywhere():
     for env in (vector(), gym.make(TRACK)):
-        for seed in (1.7, -1):
-            with pytest.raises(gym.error.Error):
+        for seed in (1.7, -1, True, "a", np.float64(3)):
+            with pytest.raises(ValueError, match=re.escape(f"seed is {seed!r}; it must be an integer of at least 0")):
                 env.reset(seed=seed)
+        env.reset(seed=np.int64(3))
     assert (vector().reset(seed=list(np.arange(3)))[0] == vector().reset(seed=0)[0]).all()
 
 
@@ -115,8 +117,8 @@ HARD = {
 
 def test_draws_that_cannot_be_followed_are_drawn_anew_alike_everywhere():
     scenario, rng = Scenario.from_dict(HARD), np.random.default_rng(0)
-    tables = Lanes(40, scenario, None, None)._tables(np.arange(40), [scenario.draw(rng) for _ in range(40)])
-    assert 3 < sum(table is None for table in tables) < 20
+    planner = planner_of(*plan_of(scenario))
+    assert 3 < sum(planner.table(scenario.draw(rng).path) is None for _ in range(40)) < 20
     n = 12
     scalars = [gym.make(TRACK, scenario=HARD) for _ in range(n)]
     assert assert_equals_scalars(vector(n=n, scenario=HARD), scalars, 80) >= 3 * n
@@ -138,7 +140,7 @@ def test_an_episode_that_can_never_be_followed_changes_nothing(backend, monkeypa
 
     lanes = env.unwrapped._lanes
     with monkeypatch.context() as patch:
-        patch.setattr("auv_gym.envs.lanes.reference_tables", nothing)
+        patch.setattr("auv_gym.envs.lanes.reference_table", nothing)
         time, states = lanes.time, [g.bit_generator.state for g in lanes._generators]
         for _ in range(2):
             with pytest.raises(ValueError, match="cannot be followed"):
@@ -330,10 +332,9 @@ def test_zero_residual_is_the_expert():
 def test_the_tape_does_not_depend_on_its_blocks(name):
     """Nor on what runs beside it, nor on the order of the lanes."""
     scenario = PRESETS[name]
-    lanes = Lanes(3, scenario, None, None)
     rng = np.random.default_rng(0)
     episodes = [scenario.draw(rng) for _ in range(3)]
-    tables = lanes._tables(lanes.all, episodes)
+    tables = [reference_table(episode.path, *plan_of(scenario)) for episode in episodes]
     whole, cut = Tape(3, 64), Tape(1, 64)
     for lane in range(3):
         whole.load(lane, scenario, episodes[lane], tables[lane])

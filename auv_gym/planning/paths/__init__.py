@@ -35,6 +35,7 @@ __all__ = [
     "Spline",
     "evaluate_paths",
     "stack",
+    "unstack",
 ]
 
 PATHS: dict[str, type] = {
@@ -66,6 +67,17 @@ def stack(paths: Sequence[Path]) -> Path:
     for field in fields(family):
         object.__setattr__(stacked, field.name, np.array([getattr(path, field.name) for path in paths]).T)
     return stacked
+
+
+def unstack(paths: Path, n: int) -> list[Path]:
+    """Return the n paths that one of `stack` stands for."""
+    single: list[Path] = [object.__new__(type(paths)) for _ in range(n)]
+    for name, value in vars(paths).items():
+        triple = isinstance(value, tuple) or np.ndim(value) == 2
+        rows = [np.broadcast_to(row, n).tolist() for row in (value if triple else (value,))]
+        for path, own in zip(single, zip(*rows, strict=True), strict=True):
+            object.__setattr__(path, name, own if triple else own[0])
+    return single
 
 
 def evaluate_paths(paths: Sequence[Path], t: Array) -> Array:

@@ -9,8 +9,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from typing_extensions import Self
 
+from auv_gym.physics.intervals import Uniform, by_library, signed
 from auv_gym.physics.namespaces import Namespace, Number
-from auv_gym.planning.paths.base import Family, Pairs, UniformRange, validate
+from auv_gym.planning.paths.base import Family, Pairs, validate
+
+_sqrt = by_library(math.sqrt)
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,7 @@ class Line(Family):
         return (U * t, 0.0), (U, 0.0), (0.0, 0.0), (0.0, 0.0)
 
     @classmethod
-    def drawn(cls, speed: float, turn_rate: float, uniform: UniformRange) -> Self:  # noqa: ARG003, the families share the signature
+    def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:  # noqa: ARG003, the families share the signature
         """Draw a direction; a line does not turn."""
         return cls(speed, heading=2 * math.pi * uniform())
 
@@ -57,10 +60,10 @@ class Circle(Family):
         return (y1 / w, (U - x1) / w), (x1, y1), (-w * y1, w * x1), (-(w**2) * x1, -(w**2) * y1)
 
     @classmethod
-    def drawn(cls, speed: float, turn_rate: float, uniform: UniformRange) -> Self:
+    def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:
         """Draw a direction, a turn rate of .4 ... 1 times the largest one, and its sign."""
         heading, magnitude = 2 * math.pi * uniform(), turn_rate * (0.4 + 0.6 * uniform())
-        return cls(speed, magnitude if uniform() < 0.5 else -magnitude, heading=heading)
+        return cls(speed, signed(magnitude, uniform), heading=heading)
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,7 @@ class Sine(Family):
         return (U * t, A * s), (U, A * w * c), (0.0, -A * w**2 * s), (0.0, -A * (w * w * w) * c)
 
     @classmethod
-    def drawn(cls, speed: float, turn_rate: float, uniform: UniformRange) -> Self:
+    def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:
         """Draw direction, frequency and phase; the largest turn rate, at the crests, is .8 `turn_rate`."""
         heading, w, phase = 2 * math.pi * uniform(), 2 * turn_rate * (0.4 + 0.6 * uniform()), 2 * math.pi * uniform()
         return cls(speed, 0.8 * turn_rate * speed / w**2, w, phase, heading=heading)
@@ -123,12 +126,12 @@ class Ellipse(Family):
         return (x, y), (x1, y1), (-(w**2) * x, -(w**2) * y), (-(w**2) * x1, -(w**2) * y1)
 
     @classmethod
-    def drawn(cls, speed: float, turn_rate: float, uniform: UniformRange) -> Self:
+    def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:
         """Draw direction, b/a in .5 ... 1, largest turn rate |w| a/b in .4 ... 1 `turn_rate`, its sign and phase."""
         heading, ratio = 2 * math.pi * uniform(), 0.5 + 0.5 * uniform()
         w = ratio * turn_rate * (0.4 + 0.6 * uniform())
-        a = speed / (w * math.sqrt(0.5 * (1 + ratio**2)))
-        return cls(a, ratio * a, w if uniform() < 0.5 else -w, 2 * math.pi * uniform(), heading=heading)
+        a = speed / (w * _sqrt(0.5 * (1 + ratio**2)))
+        return cls(a, ratio * a, signed(w, uniform), 2 * math.pi * uniform(), heading=heading)
 
 
 @dataclass(frozen=True)
@@ -163,7 +166,7 @@ class FigureEight(Family):
         return (x, y), (x1, y1), (-(w**2) * x, -4 * w**2 * y), (-(w**2) * x1, -4 * w**2 * y1)
 
     @classmethod
-    def drawn(cls, speed: float, turn_rate: float, uniform: UniformRange) -> Self:
+    def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:
         """Draw direction, frequency and phase; the lobes turn fastest, at 1.22 ... 1.75 `turn_rate`."""
         heading, w = 2 * math.pi * uniform(), 0.55 * turn_rate * (0.7 + 0.3 * uniform())
         return cls(speed / (1.2 * w), w, 2 * math.pi * uniform(), heading=heading)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,8 +17,9 @@ if TYPE_CHECKING:
 
 from auv_gym.codegen.elementary import polynomial
 from auv_gym.physics.errors import to_world
+from auv_gym.physics.intervals import Uniform, signed
 from auv_gym.physics.namespaces import ARRAYS, Array, Indices, Namespace, Number
-from auv_gym.planning.paths.base import Family, Pairs, UniformRange, as_array, placed, validate
+from auv_gym.planning.paths.base import Family, Pairs, as_array, placed, validate
 
 
 def _turn_coefficients() -> Array:
@@ -85,12 +87,12 @@ class Lawnmower(Family):
         return (x, y), (x1, y1), (x2, y2), (x3, y3)
 
     @classmethod
-    def drawn(cls, speed: float, turn_rate: float, uniform: UniformRange) -> Self:
+    def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:
         """Draw direction, largest turn rate .7 ... 1 `turn_rate`, side of the first turn, leg .2 ... 1 spacing."""
         heading, turn_time = 2 * math.pi * uniform(), 15 * math.pi / (8 * turn_rate * (0.7 + 0.3 * uniform()))
         spacing = _TURN_WIDTH * speed * turn_time
-        port = uniform() < 0.5
-        return cls(speed, spacing * (0.2 + 0.8 * uniform()), spacing if port else -spacing, heading=heading)
+        side = signed(spacing, uniform)
+        return cls(speed, spacing * (0.2 + 0.8 * uniform()), side, heading=heading)
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,7 @@ class RandomSmooth(Family):
     def longest_step(self) -> float:
         """Largest step [s] of the position's integral: .02 rad of the fastest sine or turn."""
         rates = (sum(map(abs, self.turn_rates)), *self.frequencies, abs(self.speed_frequency))
-        return 0.02 / float(np.max(rates))
+        return 0.02 / (max(rates) if isinstance(rates[0], float) else reduce(np.maximum, rates))
 
     def formulas(self, t: Number, ns: Namespace) -> Pairs:
         """Return what `Family.formulas` does, but for the position, which is left at 0: it is an integral."""
@@ -158,7 +160,7 @@ class RandomSmooth(Family):
         stays below 1e-12 m over hundreds of metres.
         """
         t = np.asarray(t, dtype=np.float64)
-        grid, rows, origin = _refined(t.ravel(), self.longest_step)
+        grid, rows, origin = _refined(t.ravel(), np.min(self.longest_step))
         grid = grid.reshape(-1, *(1,) * np.ndim(self.speed))
         local: Any = as_array(self.formulas(grid, ARRAYS))
         local[0] = _integral(grid, local[1:], origin)
@@ -166,7 +168,7 @@ class RandomSmooth(Family):
         return curve.take(rows, axis=2).reshape(4, 2, *np.broadcast_shapes(t.shape, np.shape(self.speed)))
 
     @classmethod
-    def drawn(cls, speed: float, turn_rate: float, uniform: UniformRange) -> Self:
+    def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:
         """Draw direction, shares of the three sines in `turn_rate`, frequencies .3 ... 1.2 `turn_rate` and phases."""
 
         def three(low: float, high: float) -> tuple[float, float, float]:
