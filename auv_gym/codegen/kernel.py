@@ -6,7 +6,7 @@ import ctypes
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -144,11 +144,7 @@ class Kernel:
         if (function := self._native(n)) is None:
             return self._on_one(arrays) if n == 1 else self._on_several(arrays)
         table = self._table(arrays, n)
-        at = ctypes.c_void_p(table.__array_interface__["data"][0])
-
-        def run(first: int = 0, steps: int = 1) -> None:
-            function(at, first, steps)
-
+        run = partial(function, ctypes.c_void_p(table.__array_interface__["data"][0]))  # costs less than a function
         run.__dict__["kept"] = table, arrays  # alive as long as their addresses are used
         return run
 
@@ -198,7 +194,7 @@ class Kernel:
         """Return what `bound` does for one vehicle, on floats."""
         function = self._on_floats
 
-        def run(first: int = 0, steps: int = 1) -> None:
+        def run(first: int, steps: int) -> None:
             time = slice(first, first + steps)
             rows = {name: self._one(name, array, time).tolist() for name, array in arrays.items()}
             for k in self._steps(0, steps):
@@ -230,7 +226,7 @@ class Kernel:
         """Return what `bound` does for several vehicles, on rows."""
         function = self._on_rows
 
-        def run(first: int = 0, steps: int = 1) -> None:
+        def run(first: int, steps: int) -> None:
             for k in self._steps(first, steps):
                 at = {name: a[k] if name in self.layout.over_time else a for name, a in arrays.items()}
                 with np.errstate(all="ignore"):

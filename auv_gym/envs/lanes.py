@@ -133,9 +133,7 @@ class Lanes:
     def coming(self) -> Array:
         """Return the samples at the end of the coming control step, an array (SAMPLE_ROWS, N); time stays."""
         if self.row + 1 == len(self.samples):
-            self._before = self.samples[-1].copy()
-            self._tape.read_into(self.samples, self.all, self.all)
-            self.row, self.blocks = -1, self.blocks + 1
+            self.read()
         coming: Array = self.samples[self.row + 1]
         return coming
 
@@ -245,6 +243,12 @@ class Lanes:
 
     def begin(self, lanes: Indices, ready: Sequence[ReadyEpisodes]) -> Begun:
         """Begin these episodes in the lanes."""
+        states, errors = self.load(lanes, ready)
+        given = states, self.sample[:, lanes], self.constants[:, lanes], self.forces
+        return Begun(lanes, *begun(self.parts, *given), errors)
+
+    def load(self, lanes: Indices, ready: Sequence[ReadyEpisodes]) -> tuple[Array, Array]:
+        """Take up these episodes in n lanes; return their first states (STATES, n) and position errors (n,) [m]."""
         states, errors = np.empty((STATES, len(lanes))), np.empty(len(lanes))
         for places, scenario, episodes, tables, noise_seeds, constants, paths in ready:
             own = lanes[places]
@@ -260,9 +264,13 @@ class Lanes:
         if self.row < 0:
             self._before[:, lanes] = self._tape.read(lanes, 1)[0]
         self._tape.read_into(self.samples[max(self.row, 0) :], lanes, lanes)
-        return Begun(
-            lanes, *begun(self.parts, states, self.sample[:, lanes], self.constants[:, lanes], self.forces), errors
-        )
+        return states, errors
+
+    def read(self) -> None:
+        """Read the next block of samples, the last of which is past."""
+        self._before = self.samples[-1].copy()
+        self._tape.read_into(self.samples, self.all, self.all)
+        self.row, self.blocks = -1, self.blocks + 1
 
     def change(self, episodes: Sequence[Episode]) -> None:
         """Put the constants of other episodes in place of those of the running ones; their tapes run on.

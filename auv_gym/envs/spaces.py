@@ -30,8 +30,8 @@ def checked_action(action: Any) -> list[float]:
     Raises:
         ValueError: it is not a numeric array or sequence of shape (2,), or not finite.
     """
-    array = action if isinstance(action, np.ndarray) else np.asarray(action)
-    if array.dtype.kind in "fiu" and array.shape == (2,):
+    array = np.asarray(action)
+    if array.dtype.kind in "fiu" and array.shape == (2,) and not np.ma.is_masked(action):
         command: list[float] = array.tolist()
         if math.isfinite(command[0]) and math.isfinite(command[1]):
             return command
@@ -45,6 +45,8 @@ def checked_actions(actions: Any, num_envs: int) -> Array:
         ValueError: they are no numbers of that shape, or not finite; the first bad sub-environment is named.
     """
     array = np.asarray(actions)
+    if np.ma.is_masked(actions):
+        raise ValueError(f"actions are {actions!r}; none of them may be masked")
     if array.dtype.kind not in "fiu" or array.shape != (num_envs, 2):
         raise ValueError(
             f"actions have shape {array.shape} and type {array.dtype}; they must be numbers of shape ({num_envs}, 2)"

@@ -69,7 +69,7 @@ def episode_in_python(policy, regime, family, case, seed=1):
         action, memory = policy.predict(observation, memory)
         observation, _, lost, _, info = env.step(action)
         samples.append(env._sample)
-        rows.append([*action.tolist(), *env._vehicle.now.plant[:8, 0], info["position_error"]])
+        rows.append([*action.tolist(), *env._vehicle.plant[:8], info["position_error"]])
         if lost:
             break
     parameters = np.nan_to_num(leaves(scenario.parameters(episode)), posinf=np.finfo(float).max).tolist()
