@@ -77,7 +77,7 @@ static void sideslip(double *w, const double *along, const double *terms, long n
  * c: coefficients of the vehicle, and behind them first and last time, step h, samples before the first time, instants
  *    T, samples from one to the next, h times the response that is allowed, h/Dm, the `LIMITS`, and the weights of the
  *    sideslip's formulas
- * table: x, y, psi, u, v, r, F_u, F_r (8, T)
+ * table: x, y, psi, u, v, r, F_u, F_r (T, 8)
  * rest: gamma, v_p, omega (3, T), if they are wanted
  */
 int plan(int family, const double *pose, const double *given, const double *c, double *table, double *rest)
@@ -118,7 +118,8 @@ int plan(int family, const double *pose, const double *given, const double *c, d
     slips(slip, 0, 1);
     if (any(bad, n - lead)) goto done;
 
-    if (!rest) rest = d; /* the derivatives have served */
+    double *moved = d; /* the derivatives have served, and so have the terms */
+    if (!rest) rest = terms;
     double total = 0;
     for (long i = lead + 1; i < n; i++) { /* the direction goes on without jumps by full turns */
         total += turns[i];
@@ -129,13 +130,16 @@ int plan(int family, const double *pose, const double *given, const double *c, d
         for (long i = 0; i < T; i++) row[i] = row[lead + i * substeps];
     }
     for (long i = 0; i < T; i++) w[i] = w[lead + i * substeps];
-    memcpy(table, position, T * sizeof(double));
-    memcpy(table + T, position + n, T * sizeof(double));
     memcpy(rest + T, along, T * sizeof(double));
     memcpy(rest + 2 * T, along + 2 * n, T * sizeof(double));
-    const int64_t go[] = {T, AT(along), n, AT(w), n, AT(c), AT(s + 8), AT(table + 2 * T), T, AT(rest), T, AT(bad), n};
+    const int64_t go[] = {T, AT(along), n, AT(w), n, AT(c), AT(s + 8), AT(moved), n, AT(rest), T, AT(bad), n};
     motion(go, 0, 1);
-    if (!any(bad, T)) result = 0;
+    if (any(bad, T)) goto done;
+    for (long r = 0; r < 8; r++) {
+        const double *row = r < 2 ? position + r * n : moved + (r - 2) * n;
+        for (long i = 0; i < T; i++) table[8 * i + r] = row[i];
+    }
+    result = 0;
 done:
     free(memory);
     return result;

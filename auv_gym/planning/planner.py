@@ -129,19 +129,19 @@ class Planner:
             InfeasibleReferenceError: see `plan`.
         """
         rest = np.empty((3, len(self.times)))
-        if (columns := self._compiled(path, rest)) is None:
-            columns, rest = self._in_python(path)
-        return Reference(self.times, *columns, *rest)
+        if (table := self._compiled(path, rest)) is None:
+            table, rest = self._in_python(path)
+        return Reference(self.times, *table.T, *rest)
 
     def table(self, path: Path) -> Array | None:
         """Return the `Reference.table` of a path; None where `plan` raises an error, or `most` is exceeded."""
-        columns = self._compiled(path)
+        table = self._compiled(path)
         if driver() is None:
             with suppress(ValueError):
-                columns, _ = self._in_python(path)
-                if not (np.abs(columns[3:]).max(axis=1) <= self.most).all():
+                table, _ = self._in_python(path)
+                if not (np.abs(table[:, 3:]).max(axis=0) <= self.most).all():
                     return None
-        return None if columns is None else columns.T
+        return table
 
     def tables(self, paths: Any, n: int) -> list[Array | None]:
         """Return the `table` of each of n paths of one family, made by `stack`."""
@@ -158,14 +158,14 @@ class Planner:
         found: list[Array | None] = []
         first, settings = (array.__array_interface__["data"][0] for array in (given, grid.settings))
         for j in range(n):
-            columns = np.empty((8, len(self.times)))
-            at = columns.__array_interface__["data"][0]
+            table = np.empty((len(self.times), 8))
+            at = table.__array_interface__["data"][0]
             result = function(code, first + j * given.strides[0], None, settings, at, None)
-            found.append(columns.T if result == 0 else self.table(unstack(paths, n)[j]) if result > 0 else None)
+            found.append(table if result == 0 else self.table(unstack(paths, n)[j]) if result > 0 else None)
         return found
 
     def _compiled(self, path: Path, rest: Array | None = None) -> Array | None:
-        """Return the columns of a table, and write gamma, v_p, omega to `rest`.
+        """Return a `Reference.table`, and write gamma, v_p, omega to `rest`.
 
         None without a compiler, and for a path that cannot be followed: `_in_python` says why.
         """
@@ -175,14 +175,14 @@ class Planner:
         if code == len(FAMILIES) and self.times[0] != 0:  # an integral that begins there
             code = _GIVEN
         numbers = np.array([path.x0, path.y0, path.heading, *path.numbers] if code != _GIVEN else [0.0, 0.0, 0.0])  # type: ignore[attr-defined]
-        columns, grid = np.empty((8, len(self.times))), self._grid(path)
+        table, grid = np.empty((len(self.times), 8)), self._grid(path)
         while grid.samples <= MAX_SAMPLES:
             if code == _GIVEN:
                 given = np.ascontiguousarray(path.derivatives(grid.times(self.times)))
-            arrays = numbers, given, grid.settings, columns, rest
+            arrays = numbers, given, grid.settings, table, rest
             result = function(code, *(None if a is None else a.__array_interface__["data"][0] for a in arrays))
             if result <= 0:
-                return None if result else columns
+                return None if result else table
             grid = self._grid(path, min(result, MAX_REFINEMENT))
         return None
 
@@ -220,7 +220,8 @@ class Planner:
         _, u, _, _, F_u, F_r = found["motion"]
         check_forces(F_u, F_r, u, self._limits, self.times, position[kept])
         rates = PathRates(*along[kept])
-        return np.vstack((position[kept], found["motion"])), np.vstack((found["gamma"], rates.v_p, rates.omega))
+        table = np.ascontiguousarray(np.vstack((position[kept], found["motion"])).T)
+        return table, np.vstack((found["gamma"], rates.v_p, rates.omega))
 
     def _looked_along(self, path: Path, grid: _Grid) -> tuple[Array, Array, Array, Array]:
         """Return position, `PathRates`, terms of the sideslip and its response along a path, rows of its samples."""

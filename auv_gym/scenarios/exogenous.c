@@ -33,16 +33,10 @@ void read_ahead(long count, long steps, long most, long time, long row, const in
         for (long l = 0; l < tile; l++) {
             const long lane = lanes[first + l];
             int64_t *entry = entries + lane * ENTRIES;
-            const double *table = (const double *)entry[TABLE];
-            const long T = entry[INSTANTS], next = entry[NEXT], begin = entry[FIRST], width = entry[END] - begin;
+            const long next = entry[NEXT], begin = entry[FIRST], width = entry[END] - begin;
             double *sample = memory + l * SAMPLES * steps, *gust = gusts + lane * GUST;
             const double *weather = weathers + lane * WEATHER, *wave = waves + lane * most * WAVE;
 
-            const long have = next >= T ? 0 : T - next < steps ? T - next : steps;
-            for (long r = 0; r < 8; r++) { /* behind the last instant the last reference stays */
-                memcpy(sample + r * steps, table + r * T + next, have * sizeof(double));
-                for (long j = have; j < steps; j++) sample[r * steps + j] = table[r * T + T - 1];
-            }
             if (width < NORMALS) memset(turned, 0, NORMALS * steps * sizeof(double));
             for (long r = 0; r < width; r++) {
                 const double *from = normals + l * NORMALS * steps + r;
@@ -63,7 +57,15 @@ void read_ahead(long count, long steps, long most, long time, long row, const in
             current_and_noise(see, 0, 1);
             for (long j = 0; j < steps; j++) measured[6 * steps + j] = 1; /* there is a position fix */
         }
-        for (long r = 0; r < SAMPLES; r++)
+        for (long j = 0; j < steps; j++) /* the reference; behind its last instant that stays */
+            for (long l = 0; l < tile; l++) {
+                const int64_t *entry = entries + lanes[first + l] * ENTRIES;
+                const long k = entry[NEXT] - steps + j, last = entry[INSTANTS] - 1;
+                const double *from = (const double *)entry[TABLE] + 8 * (k < last ? k : last);
+                double *to = out + j * time + columns[first + l];
+                for (long r = 0; r < 8; r++, to += row) *to = from[r];
+            }
+        for (long r = 8; r < SAMPLES; r++)
             for (long j = 0; j < steps; j++) {
                 const double *from = memory + r * steps + j;
                 double *to = out + j * time + r * row;

@@ -81,7 +81,7 @@ cosine of the angle so far [N], [N], [N m]."""
 class Entry(NamedTuple):
     """What compiled code finds of a lane besides its numbers; integers."""
 
-    table: Any  # address of the reference's columns
+    table: Any  # address of the reference's table
     generator: Any  # address of the bit generator
     instants: Any  # control instants of the reference
     next: Any  # the coming one
@@ -266,7 +266,7 @@ class Tape:
         gusty = np.any(current.gust)
         end = GUSTS.stop if gusty else MEASUREMENT_NORMALS.stop
         for lane, table, seed in zip(lanes.tolist(), tables, noise_seeds, strict=True):
-            self._tables[lane] = table if table.flags.f_contiguous else np.asfortranarray(table)
+            self._tables[lane] = np.ascontiguousarray(table)
             self._generators[lane] = np.random.Generator(np.random.SFC64(seed)) if first < end else None
             self._locate(lane)
             self._fixes.pop(lane, None)

@@ -191,8 +191,9 @@ def test_batch_is_each_path_alone(names, vehicle, dt):
 def test_the_compiled_form_is_the_python_one(name, vehicle, times):
     """In periods with one sample or several, samples refined or not, a path's integral from 0 on or not."""
     planner, path, rest = Planner(vehicle, times), PATHS[name], np.empty((3, len(times)))
-    compiled = np.vstack((planner._compiled(path, rest), rest))
-    python = np.vstack(planner._in_python(path))
+    compiled = np.vstack((planner._compiled(path, rest).T, rest))
+    table, others = planner._in_python(path)
+    python = np.vstack((table.T, others))
     size = np.abs(python).max(axis=1, keepdims=True)
     np.testing.assert_allclose(compiled / (1e-9 + size), python / (1e-9 + size), rtol=0, atol=1e-11)
     np.testing.assert_array_equal(planner.table(path), compiled[:8].T)
