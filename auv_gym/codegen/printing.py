@@ -205,6 +205,10 @@ def c_opening(name: str, arguments: Arrays, results: Arrays, layout: Layout) -> 
     return lines
 
 
+C_CLOSING = ("#ifdef __AVX__", "__builtin_ia32_vzeroupper();", "#endif")
+"""What stands at the end of a C function: other code waits for the wide registers unless they are zero."""
+
+
 def c_function(name: str, graph: Graph, arguments: Arrays, results: Arrays, layout: Layout) -> str:
     """Return the source of a C function for n vehicles and some steps, one after the other, from step `first` on.
 
@@ -244,4 +248,4 @@ def c_function(name: str, graph: Graph, arguments: Arrays, results: Arrays, layo
             if given.get(value) != target:  # what stays as it is need not be written
                 truth = graph.nodes[entry.index][0] in TRUTHS
                 lines.append(f"{target} = {f'({value} ? (real)1 : (real)0)' if truth else value};")  # vectorises
-    return "\n".join((*lines, "}", "}", "}")) + "\n"
+    return "\n".join((*lines, "}", "}", *C_CLOSING, "}")) + "\n"

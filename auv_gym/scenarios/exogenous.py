@@ -1,7 +1,7 @@
 """The tape: all that the outside supplies to running episodes, drawn ahead in blocks of control steps.
 
 Randomness enters the simulation here and nowhere else, so a step itself is deterministic. Each episode owns a
-generator, and the numbers do not depend on how its tape is cut into blocks.
+generator, `numpy.random.SFC64` of its noise's seed, and the numbers do not depend on how its tape is cut into blocks.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pathlib import Path as FilePath
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel, together
@@ -82,7 +83,6 @@ class Entry(NamedTuple):
     """What compiled code finds of a lane besides its numbers; integers."""
 
     table: Any  # address of the reference's table
-    generator: Any  # address of the bit generator
     instants: Any  # control instants of the reference
     next: Any  # the coming one
     first: Any  # of the normals that are used, of which there are none if `end` is the same
@@ -179,11 +179,19 @@ def kernels() -> Mapping[str, Kernel]:
     }
 
 
+class Compiled(NamedTuple):
+    """What exogenous.c does."""
+
+    sow: Callable[..., None]
+    read_ahead: Callable[..., None]
+    normal: Any  # address of NumPy's standard normals
+
+
 @cache
-def reader() -> Callable[..., None] | None:
-    """Return the compiled `read_ahead` of exogenous.c; None where it cannot be made."""
+def compiled() -> Compiled | None:
+    """Return what exogenous.c does; None where it cannot be made."""
     try:
-        normals = ctypes.CDLL(np.random._generator.__file__).random_standard_normal_fill
+        normal = ctypes.CDLL(np.random._generator.__file__).random_standard_normal
     except (OSError, AttributeError):  # NumPy was built in another way
         return None
     sizes = {"SAMPLES": SAMPLE_ROWS, "NORMALS": NORMALS, "GUSTS": GUSTS.start, "GUST": GUST_ROWS, "TILE": TILE}
@@ -194,15 +202,11 @@ def reader() -> Callable[..., None] | None:
     if library is None:
         return None
     pointer, whole = ctypes.c_void_p, ctypes.c_long
-    function = library.read_ahead
-    function.argtypes = [whole] * 5 + [pointer] * 9
-    function.restype = None
-    address = ctypes.cast(normals, pointer)
-
-    def read(*arguments: int) -> None:
-        function(*arguments, address)
-
-    return read
+    library.sow.argtypes, library.sow.restype = [whole] + [pointer] * 2, None
+    library.read_ahead.argtypes, library.read_ahead.restype = [whole] * 5 + [pointer] * 10, None
+    address = ctypes.cast(normal, pointer)
+    library.learn(address)
+    return Compiled(library.sow, library.read_ahead, address)
 
 
 class Tape:
@@ -212,7 +216,7 @@ class Tape:
         """Make a tape of that many empty lanes, to be read in up to `block` control steps at once."""
         self._memory = np.empty((TILE * (SAMPLE_ROWS + NORMALS) + NORMALS + 3, block))  # that compiled code works in
         self._tables: list[Array] = [np.empty((0, 8))] * lanes
-        self._generators: list[np.random.Generator | None] = [None] * lanes
+        self._states = np.zeros((lanes, 4), dtype=np.uint64)  # of their generators, which are of the type SFC64
         self._entries = np.zeros((lanes, len(_ENTRY)), dtype=np.int64)
         self._fixes: dict[int, Array] = {}  # of the lanes that lack some
         self._headings: dict[int, Array] = {}  # errors [rad] of a gyro that drifts, of the lanes that have one
@@ -230,15 +234,15 @@ class Tape:
             self._locate(lane)
 
     def _locate(self, lane: int) -> None:
-        """Note where the table and the generator of a lane are."""
-        table, generator = self._tables[lane], self._generators[lane]
-        self._entries[lane, _ENTRY.table] = _address(table)
-        self._entries[lane, _ENTRY.generator] = 0 if generator is None else _address_of(generator)
+        """Note where the table of a lane is."""
+        self._entries[lane, _ENTRY.table] = _address(self._tables[lane])
 
     @cached_property
     def _arrays(self) -> list[int]:
         """Where the numbers of all lanes are."""
-        return [_address(a) for a in (self._entries, self._gust, self._weather, self._waves, self._memory)]
+        return [
+            _address(a) for a in (self._entries, self._states, self._gust, self._weather, self._waves, self._memory)
+        ]
 
     def load(self, lane: int, scenario: Scenario, episode: Episode, table: Array) -> None:
         """Wind a new episode into a lane; `table` is its `Reference.table`, one row per control instant."""
@@ -265,9 +269,10 @@ class Tape:
         first = MEASUREMENT_NORMALS.start if any(noise) else GUSTS.start
         gusty = np.any(current.gust)
         end = GUSTS.stop if gusty else MEASUREMENT_NORMALS.stop
-        for lane, table, seed in zip(lanes.tolist(), tables, noise_seeds, strict=True):
+        if first < end:
+            self._states[lanes] = _states_of(noise_seeds)
+        for lane, table in zip(lanes.tolist(), tables, strict=True):
             self._tables[lane] = np.ascontiguousarray(table)
-            self._generators[lane] = np.random.Generator(np.random.SFC64(seed)) if first < end else None
             self._locate(lane)
             self._fixes.pop(lane, None)
             self._headings.pop(lane, None)
@@ -308,12 +313,12 @@ class Tape:
         """Write the next samples of lanes to columns of an array (T, SAMPLE_ROWS, N), T <= block; see `read`."""
         if (n := len(out)) > self._memory.shape[1]:
             raise ValueError(f"{n} samples are asked for; at most {self._memory.shape[1]} are read at once")
-        if (read := reader()) is None:
+        if (code := compiled()) is None:
             self._in_python(out, lanes, columns)
         else:
             time, row = (stride // out.itemsize for stride in out.strides[:2])
             sizes = len(lanes), n, self._waves.shape[1], time, row
-            read(*sizes, _address(lanes), _address(columns), *self._arrays, _address(out))
+            code.read_ahead(*sizes, _address(lanes), _address(columns), *self._arrays, _address(out), code.normal)
         if self._fixes:
             ends = self._entries[lanes, _ENTRY.next].tolist()
             for end, lane, column in zip(ends, lanes.tolist(), columns.tolist(), strict=True):
@@ -332,8 +337,8 @@ class Tape:
             entry, weather = Entry(*self._entries[lane].tolist()), self._weather[lane]
             time, waves = np.arange(entry.next, entry.next + n), self._waves[lane, : entry.waves]
             normals = np.zeros((n, NORMALS))
-            if (generator := self._generators[lane]) is not None:
-                normals[:, entry.first : entry.end] = generator.standard_normal((n, entry.end - entry.first))
+            if entry.first < entry.end:
+                normals[:, entry.first : entry.end] = _drawn(self._states[lane], n, entry.end - entry.first)
             driven, noise = normals[:, GUSTS, None], normals[:, MEASUREMENT_NORMALS].T
             gust = run["gust_recursion"](n, gust=self._gust[lane, :, None], normals=driven, weather=weather)
             self._gust[lane], swing = gust["gust"][:, 0], gust["swing"][:, :, 0].T
@@ -346,19 +351,27 @@ class Tape:
         self._entries[lanes, _ENTRY.next] += n
 
 
-_pointer_of = ctypes.pythonapi.PyCapsule_GetPointer
-_pointer_of.argtypes, _pointer_of.restype = (ctypes.py_object, ctypes.c_char_p), ctypes.c_void_p
-
-
 def _address(array: AnyArray) -> int:
     address: int = array.__array_interface__["data"][0]  # half the cost of `array.ctypes`
     return address
 
 
-def _address_of(generator: np.random.Generator) -> int:
-    """Return where C finds the bit generator of a generator."""
-    address: int = _pointer_of(generator.bit_generator.capsule, b"BitGenerator")
-    return address
+def _states_of(seeds: Sequence[int]) -> NDArray[np.uint64]:
+    """Return the states of the generators SFC64 of some seeds, shape (n, 4)."""
+    if (code := compiled()) is None or max(seeds) >= 2**64:
+        return np.array([np.random.SFC64(seed).state["state"]["state"] for seed in seeds])
+    given, states = np.array(seeds, dtype=np.uint64), np.empty((len(seeds), 4), dtype=np.uint64)
+    code.sow(len(seeds), _address(given), _address(states))
+    return states
+
+
+def _drawn(state: NDArray[np.uint64], n: int, width: int) -> Array:
+    """Return the next standard normals of a generator, shape (n, width), and take its state along."""
+    bits = np.random.SFC64()
+    bits.state = {"bit_generator": "SFC64", "state": {"state": state}, "has_uint32": 0, "uinteger": 0}
+    normals = np.random.Generator(bits).standard_normal((n, width))
+    state[:] = bits.state["state"]["state"]
+    return normals
 
 
 def least_speed(tables: Sequence[Array]) -> Any:
