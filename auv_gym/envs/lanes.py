@@ -113,6 +113,7 @@ class Lanes:
         self.parts = reduce(Parts.joined, {s.parts: None for s in self.scenarios})
         self.parameters = Parameters.of(tuple(self.constants), self.parts)
         self.k: Indices = np.zeros(num_envs, dtype=np.int64)
+        self._left = 0  # control steps for which no episode is truncated, at least
 
     @property
     def sample(self) -> Any:
@@ -127,7 +128,11 @@ class Lanes:
     @property
     def truncating(self) -> NDArray[np.bool_]:
         """Whether the coming control step is the last one of each episode, shape (N,)."""
-        ending: NDArray[np.bool_] = self.k + 1 >= self._lengths
+        if self._left > 0:
+            return np.zeros(len(self.all), dtype=bool)
+        left = self._lengths - self.k - 1
+        self._left = int(left.min())
+        ending: NDArray[np.bool_] = left <= 0
         return ending
 
     def coming(self) -> Array:
@@ -141,6 +146,7 @@ class Lanes:
         """Go on by one control step, whose samples `coming` has returned."""
         self.row += 1
         self.k += 1
+        self._left -= 1
 
     def reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> Begun:
         """Begin new episodes everywhere, or where `options["reset_mask"]` says; lane i gets seed + i.
@@ -214,7 +220,7 @@ class Lanes:
                 tables[j] = table
         refused = [j for j, table in enumerate(tables) if table is None]
         kept = np.delete(np.arange(len(places)), refused)
-        if not len(kept):
+        if len(kept) < FEWEST_ROWS:
             return [], places.tolist()
         episodes = drawing.episodes(kept)
         constants = spread(leaves(scenario.constants(episodes)), len(kept))
@@ -259,7 +265,7 @@ class Lanes:
             states[:, places] = spread(episodes.initial_state(firsts), len(tables))
             errors[places] = np.hypot(*episodes.initial_error[:2])
         self.begun = True
-        self.k[lanes] = 0
+        self.k[lanes], self._left = 0, 0
         self.ends.over[lanes] = False
         if self.row < 0:
             self._before[:, lanes] = self._tape.read(lanes, 1)[0]
