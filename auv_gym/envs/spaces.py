@@ -34,7 +34,8 @@ def checked_action(action: Any) -> list[float]:
         command: list[float] = array.tolist()
         if math.isfinite(command[0]) and math.isfinite(command[1]):
             return command
-    raise ValueError(f"action is {action!r}; it must be two finite numbers in [-1, 1], shape (2,)")
+    shown = " ".join(repr(action).split())  # in one line
+    raise ValueError(f"action is {shown}; it must be two finite numbers in [-1, 1], shape (2,)")
 
 
 def checked_actions(actions: Any, num_envs: int) -> NDArray[Any]:
@@ -48,12 +49,12 @@ def checked_actions(actions: Any, num_envs: int) -> NDArray[Any]:
         raise ValueError(
             f"actions have shape {array.shape} and type {array.dtype}; they must be numbers of shape ({num_envs}, 2)"
         )
-    if type(actions) is not np.ndarray and np.ma.is_masked(actions):
-        raise ValueError(f"actions are {actions!r}; none of them may be masked")
-    finite = np.isfinite(array)
-    if not finite.all():
-        i = int(np.argmin(finite.all(axis=1)))
-        raise ValueError(f"action of sub-environment {i} is {array[i]}; it must be two finite numbers in [-1, 1]")
+    valid = np.isfinite(array)
+    if type(actions) is not np.ndarray:
+        valid = valid & ~np.ma.getmaskarray(actions)
+    if not valid.all():
+        i = int(np.argmin(valid.all(axis=1)))
+        raise ValueError(f"action of sub-environment {i} is {actions[i]}; it must be two finite numbers in [-1, 1]")
     return array
 
 

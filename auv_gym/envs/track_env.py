@@ -322,6 +322,10 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         )
         return self._renderer.draw(view)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return everything but what draws, which a copy makes again."""
+        return {**self.__dict__, "_renderer": None}
+
     def close(self) -> None:
         """Close the window, if any."""
         if self._renderer is not None:

@@ -85,6 +85,43 @@ def test_seeds_as_an_integer_a_list_or_none():
         env.reset(seed=[1, 2])
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("x", "reset options are 'x'; they must be a dict or None"),
+        ({"initial_error": [10**400, 0, 0]}, "reset option initial_error is .* three finite numbers"),
+        ({"wind": 3}, "unknown reset option 'wind'"),
+    ],
+)
+def test_wrong_options_are_refused_in_one_line(options, message):
+    with pytest.raises(ValueError, match=rf"^{message}[^\n]*$"):
+        vector().reset(seed=0, options=options)
+
+
+def test_masked_actions_are_refused():
+    env = vector()
+    env.reset(seed=0)
+    actions = np.ma.array(np.zeros((3, 2)), mask=[[False, False], [False, True], [False, False]])
+    with pytest.raises(ValueError, match=r"^action of sub-environment 1 is [^\n]*; it must be two finite numbers"):
+        env.step(actions)
+    env.step(np.ma.array(np.zeros((3, 2))))
+
+
+@pytest.mark.parametrize("env_id", [TRACK, RESIDUAL])
+@pytest.mark.parametrize("preview", [(), (2, 5)])
+def test_what_is_returned_lies_in_c_order_and_is_nowhere_twice(env_id, preview):
+    options = {"preview": preview} if env_id == TRACK else {}
+    env = vector(env_id, scenario={**SHORT["cruise-storm"], "steps": 3}, **options)
+    returned = [env.reset(seed=0), *(env.step(np.zeros((3, 2), dtype=np.float32)) for _ in range(3))]
+    assert "final_obs" in returned[-1][-1]
+    for observation, *rest, info in returned:
+        assert observation.flags.c_contiguous
+        final = info.get("final_info", {})
+        arrays = [observation, *rest, *info.values(), *final.values()]
+        arrays = [array for array in arrays if isinstance(array, np.ndarray)]
+        assert len(arrays) == len({array.__array_interface__["data"][0] for array in arrays})
+
+
 def test_what_is_no_seed_is_refused_alike_everywhere():
     for env in (vector(), gym.make(TRACK)):
         for seed in (1.7, -1, True, "a", np.float64(3)):
