@@ -104,7 +104,7 @@ class Kernel:
     def _native(self, n: int) -> Any:
         """Return the compiled function for n vehicles; None where there is none.
 
-        That for one vehicle takes a compiler a fraction of the time. That for many does as well if it is there.
+        That for one vehicle takes a compiler a fraction of the time. What is compiled already is preferred to that.
         """
         if not self._compiled or (n > 1 and True not in self._compiled):
             self._compiled[n > 1] = _function(native.library(self.source, many=n > 1), self.name)
@@ -270,7 +270,7 @@ def together(kernels: Mapping[str, Kernel], code: str = "", *, many: bool = True
     Args:
         kernels: by the names of their functions.
         code: further C, which may call these functions and stands behind them.
-        many: whether they are for several vehicles.
+        many: whether they are to be fast for several vehicles; it takes a compiler twice the time.
 
     Returns:
         The library, a `ctypes.CDLL`; None where there is no compiler.
@@ -278,7 +278,9 @@ def together(kernels: Mapping[str, Kernel], code: str = "", *, many: bool = True
     head = next(iter(kernels.values()))._head
     library = native.library("".join((head, *(k._code(name) for name, k in kernels.items()), code)), many=many)
     for name, kernel in kernels.items():
-        kernel._compiled.setdefault(many, _function(library, name))
+        function = _function(library, name)
+        kernel._compiled[many] = function
+        kernel._compiled.setdefault(True, function)
     return library
 
 

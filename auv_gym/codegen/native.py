@@ -128,6 +128,7 @@ def _built(path: str, source: str, file: Path, flags: tuple[str, ...]) -> Path:
     """Return a library's file, compiled if it is not there; two processes at once leave one whole file."""
     if file.exists():
         return file
+    _announce()
     file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     with tempfile.TemporaryDirectory(dir=file.parent) as folder:
         made = Path(folder) / file.name
@@ -137,6 +138,12 @@ def _built(path: str, source: str, file: Path, flags: tuple[str, ...]) -> Path:
             _compile(path, source, made, tuple(flag for flag in flags if flag not in TUNED))
         made.replace(file)
     return file
+
+
+@cache
+def _announce() -> None:
+    """Say in one line why the first use on a machine takes longer."""
+    print("auv_gym: compiling the equations of motion for this machine; this happens once", file=sys.stderr, flush=True)
 
 
 def _compile(path: str, source: str, made: Path, flags: tuple[str, ...]) -> None:

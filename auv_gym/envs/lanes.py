@@ -235,8 +235,9 @@ class Lanes:
         """Return the episode of one lane, the one that is chosen or one that can be followed."""
 
         def table_of(episode: Episode) -> Array:
-            fixed = episode.path is scenario.path
-            return self.fixed_table(scenario) if fixed else reference_table(episode.path, *plan_of(scenario))
+            if episode.path is scenario.path:
+                return self.fixed_table(scenario)
+            return reference_table(episode.path, *plan_of(scenario), many=len(self.all) > 1)
 
         if chosen := options.get("episode"):
             episode, table = chosen, table_of(chosen)
@@ -305,7 +306,7 @@ class Lanes:
         assert not isinstance(scenario.path, RandomPath)
         key = id(scenario.path), plan_of(scenario)
         if key not in self._fixed:
-            self._fixed[key] = reference_table(scenario.path, *plan_of(scenario))
+            self._fixed[key] = reference_table(scenario.path, *plan_of(scenario), many=len(self.all) > 1)
         return self._fixed[key]
 
 
@@ -316,7 +317,16 @@ def plan_of(scenario: Scenario) -> tuple[float, int, Vehicle, float, float, floa
 
 
 def reference_table(
-    path: Path, dt: float, steps: int, vehicle: Vehicle, F_u_max: float, F_r_max: float, fin: float, span: int
+    path: Path,
+    dt: float,
+    steps: int,
+    vehicle: Vehicle,
+    F_u_max: float,
+    F_r_max: float,
+    fin: float,
+    span: int,
+    *,
+    many: bool = True,
 ) -> Array:
     """Return the reference table of a path, shape (steps + 1, 8).
 
@@ -329,12 +339,13 @@ def reference_table(
         F_r_max: largest |F_r| [N m].
         fin: of the fins [kg], see `actuators.Actuators`.
         span: of the scenario, see `task.bounds`.
+        many: see `planning.kernels.driver`.
 
     Raises:
         InfeasibleReferenceError: the path cannot be followed within these limits.
         ValueError: the reference is beyond what can be observed.
     """
-    planner = planner_of(dt, steps, vehicle, F_u_max, F_r_max, fin, span)
+    planner = planner_of(dt, steps, vehicle, F_u_max, F_r_max, fin, span, many=many)
     table = planner.table(path)
     if table is None:  # for a reason that there is an error for
         table = planner.plan(path).table
@@ -349,8 +360,8 @@ def reference_tables(episodes: Sequence[Episode], *given: Any) -> list[Array]:
 
 @lru_cache(maxsize=64)
 def planner_of(
-    dt: float, steps: int, vehicle: Vehicle, F_u_max: float, F_r_max: float, fin: float, span: int
+    dt: float, steps: int, vehicle: Vehicle, F_u_max: float, F_r_max: float, fin: float, span: int, *, many: bool = True
 ) -> Planner:
     """Return what plans the paths of a scenario; the arguments are those of `reference_table`."""
     times: Array = dt * np.arange(steps + 1, dtype=np.float64)
-    return Planner(vehicle, times, (F_u_max, F_r_max), fin, reference_bounds(span))
+    return Planner(vehicle, times, (F_u_max, F_r_max), fin, reference_bounds(span), many=many)

@@ -102,6 +102,7 @@ class Planner:
         force_limits: see `plan`.
         fin: see `plan`.
         most: largest |u|, |v| [m/s], |r| [rad/s], |F_u| [N] and |F_r| [N m] that `table` may give.
+        many: see `kernels.driver`.
     """
 
     def __init__(
@@ -111,8 +112,10 @@ class Planner:
         force_limits: tuple[float, float] | None = None,
         fin: float = 0.0,
         most: Sequence[float] = (math.inf,) * 5,
+        *,
+        many: bool = True,
     ) -> None:
-        self.vehicle, self.times, self.most = vehicle, times, most
+        self.vehicle, self.times, self.most, self.many = vehicle, times, most, many
         self._limits = (math.inf, math.inf, 0.0) if force_limits is None else (*force_limits, fin)
         self._coefficients = np.array(vehicle.coefficients)
         self._slip_mass = vehicle.coefficients.slip_mass
@@ -136,7 +139,7 @@ class Planner:
     def table(self, path: Path) -> Array | None:
         """Return the `Reference.table` of a path; None where `plan` raises an error, or `most` is exceeded."""
         table = self._compiled(path)
-        if driver() is None:
+        if driver(self.many) is None:
             with suppress(ValueError):
                 table, _ = self._in_python(path)
                 if not (np.abs(table[:, 3:]).max(axis=0) <= self.most).all():
@@ -145,7 +148,7 @@ class Planner:
 
     def tables(self, paths: Any, n: int) -> list[Array | None]:
         """Return the `table` of each of n paths of one family, made by `stack`."""
-        function, code = driver(), _CODES.get(type(paths), _GIVEN)
+        function, code = driver(self.many), _CODES.get(type(paths), _GIVEN)
         if function is None or code == _GIVEN or self.vehicle.Y_uv or self.times[0] != 0:
             return [self.table(path) for path in unstack(paths, n)]
         numbers = (paths.x0, paths.y0, paths.heading, *paths.numbers)
@@ -169,7 +172,7 @@ class Planner:
 
         None without a compiler, and for a path that cannot be followed: `_in_python` says why.
         """
-        if (function := driver()) is None:
+        if (function := driver(self.many)) is None:
             return None
         code, given = _CODES.get(type(path), _GIVEN), None
         if code == len(FAMILIES) and self.times[0] != 0:  # an integral that begins there

@@ -188,8 +188,8 @@ class Compiled(NamedTuple):
 
 
 @cache
-def compiled() -> Compiled | None:
-    """Return what exogenous.c does; None where it cannot be made."""
+def compiled(many: bool = True) -> Compiled | None:
+    """Return what exogenous.c does, to be fast for `many` lanes or compiled in half the time; None if it cannot be."""
     try:
         normal = ctypes.CDLL(np.random._generator.__file__).random_standard_normal
     except (OSError, AttributeError):  # NumPy was built in another way
@@ -198,7 +198,7 @@ def compiled() -> Compiled | None:
     sizes |= {"WEATHER": WEATHER_ROWS, "WAVE": WAVE_ROWS, "ENTRIES": len(_ENTRY)}
     sizes |= {name.upper(): place for name, place in _ENTRY._asdict().items()}
     head = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
-    library = together(kernels(), head + FilePath(__file__).with_suffix(".c").read_text(encoding="utf-8"))
+    library = together(kernels(), head + FilePath(__file__).with_suffix(".c").read_text(encoding="utf-8"), many=many)
     if library is None:
         return None
     pointer, whole = ctypes.c_void_p, ctypes.c_long
@@ -232,6 +232,10 @@ class Tape:
         self.__dict__.update(state)
         for lane in range(len(self._tables)):
             self._locate(lane)
+
+    @property
+    def _code(self) -> Compiled | None:
+        return compiled(many=len(self._tables) > 1)
 
     def _locate(self, lane: int) -> None:
         """Note where the table of a lane is."""
@@ -270,7 +274,7 @@ class Tape:
         gusty = np.any(current.gust)
         end = GUSTS.stop if gusty else MEASUREMENT_NORMALS.stop
         if first < end:
-            self._states[lanes] = _states_of(noise_seeds)
+            self._states[lanes] = _states_of(noise_seeds, self._code)
         for lane, table in zip(lanes.tolist(), tables, strict=True):
             self._tables[lane] = np.ascontiguousarray(table)
             self._locate(lane)
@@ -313,7 +317,7 @@ class Tape:
         """Write the next samples of lanes to columns of an array (T, SAMPLE_ROWS, N), T <= block; see `read`."""
         if (n := len(out)) > self._memory.shape[1]:
             raise ValueError(f"{n} samples are asked for; at most {self._memory.shape[1]} are read at once")
-        if (code := compiled()) is None:
+        if (code := self._code) is None:
             self._in_python(out, lanes, columns)
         else:
             time, row = (stride // out.itemsize for stride in out.strides[:2])
@@ -356,9 +360,9 @@ def _address(array: AnyArray) -> int:
     return address
 
 
-def _states_of(seeds: Sequence[int]) -> NDArray[np.uint64]:
+def _states_of(seeds: Sequence[int], code: Compiled | None) -> NDArray[np.uint64]:
     """Return the states of the generators SFC64 of some seeds, shape (n, 4)."""
-    if (code := compiled()) is None or max(seeds) >= 2**64:
+    if code is None or max(seeds) >= 2**64:
         return np.array([np.random.SFC64(seed).state["state"]["state"] for seed in seeds])
     given, states = np.array(seeds, dtype=np.uint64), np.empty((len(seeds), 4), dtype=np.uint64)
     code.sow(len(seeds), _address(given), _address(states))

@@ -304,6 +304,29 @@ def cache(tmp_path, monkeypatch):
 SOURCE = "double auv_test(void) { return 3; }\n"
 
 
+FIRST_USE = """
+import gymnasium as gym
+env = gym.make("auv_gym:UnderactuatedAUVTrackResidual-v0", scenario="cruise-storm")
+for seed in range(3):
+    env.reset(seed=seed)
+    env.step(env.action_space.sample())
+"""
+
+
+@needs_compiler
+def test_the_first_use_says_in_one_line_that_it_compiles_and_the_next_says_nothing(cache):
+    """Three libraries: the planner's, that of the exogenous inputs, and that of the vehicle with its law."""
+    environment = {**os.environ, native.CACHE: str(cache)}
+    said = []
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, "-c", FIRST_USE], env=environment, capture_output=True, text=True, check=True
+        )
+        said.append(done.stderr)
+        assert len([*cache.iterdir()]) == 3
+    assert said == ["auv_gym: compiling the equations of motion for this machine; this happens once\n", ""]
+
+
 @needs_compiler
 def test_a_library_is_built_once(cache, monkeypatch):
     assert native.library(SOURCE) is not None
