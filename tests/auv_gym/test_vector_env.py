@@ -161,23 +161,25 @@ def test_draws_that_cannot_be_followed_are_drawn_anew_alike_everywhere():
     assert assert_equals_scalars(vector(n=n, scenario=HARD), scalars, 80) >= 3 * n
 
 
+@pytest.mark.parametrize("n", [3, 7])  # drawn one by one, and as rows
 @pytest.mark.parametrize("backend", ["numpy", "torch"])
-def test_an_episode_that_can_never_be_followed_changes_nothing(backend, monkeypatch):
+def test_an_episode_that_can_never_be_followed_changes_nothing(backend, n, monkeypatch):
     if backend == "torch":
         pytest.importorskip("torch")
     options = {"dtype": "float64"} if backend == "torch" else {}
-    env = vector(scenario={**SHORT["cruise-storm"], "steps": 70}, backend=backend, **options)
+    env = vector(n=n, scenario={**SHORT["cruise-storm"], "steps": 70}, backend=backend, **options)
     env.reset(seed=0)
-    actions = np.full((3, 2), 0.05)
+    actions = np.full((n, 2), 0.05)
     for _ in range(69):
         env.step(actions)
 
-    def nothing(*_):
+    def nothing(*_, **__):
         raise ValueError("cannot be followed")
 
     lanes = env.unwrapped._lanes
     with monkeypatch.context() as patch:
         patch.setattr("auv_gym.envs.lanes.reference_table", nothing)
+        patch.setattr("auv_gym.planning.planner.Planner.tables", lambda _, __, count: [None] * count)
         time, states = lanes.time, [g.bit_generator.state for g in lanes._generators]
         for _ in range(2):
             with pytest.raises(ValueError, match="cannot be followed"):
@@ -185,7 +187,7 @@ def test_an_episode_that_can_never_be_followed_changes_nothing(backend, monkeypa
         assert (lanes.time == time).all()
         assert [g.bit_generator.state for g in lanes._generators] == states
         with pytest.raises(ValueError, match="cannot be followed"):
-            env.reset(options={"reset_mask": np.array([True, False, False])})
+            env.reset(options={"reset_mask": np.arange(n) == 0})
     *_, truncated, _ = env.step(actions)
     assert truncated.all()
 
