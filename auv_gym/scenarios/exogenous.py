@@ -215,9 +215,10 @@ class Tape:
     def __init__(self, lanes: int, block: int) -> None:
         """Make a tape of that many empty lanes, to be read in up to `block` control steps at once."""
         self._memory = np.empty((TILE * (SAMPLE_ROWS + NORMALS) + NORMALS + 3, block))  # that compiled code works in
-        self._tables: list[Array] = [np.empty((0, 8))] * lanes
+        nothing: Array = np.zeros((1, REFERENCE.stop))
+        self._tables = [nothing] * lanes
         self._states = np.zeros((lanes, 4), dtype=np.uint64)  # of their generators, which are of the type SFC64
-        self._entries = np.zeros((lanes, len(_ENTRY)), dtype=np.int64)
+        self._entries = np.tile(np.array(Entry(_address(nothing), 1, 0, 0, 0, 0), dtype=np.int64), (lanes, 1))
         self._fixes: dict[int, Array] = {}  # of the lanes that lack some
         self._headings: dict[int, Array] = {}  # errors [rad] of a gyro that drifts, of the lanes that have one
         self._gust, self._weather = np.zeros((lanes, GUST_ROWS)), np.zeros((lanes, WEATHER_ROWS))
@@ -317,6 +318,7 @@ class Tape:
         """Write the next samples of lanes to columns of an array (T, SAMPLE_ROWS, N), T <= block; see `read`."""
         if (n := len(out)) > self._memory.shape[1]:
             raise ValueError(f"{n} samples are asked for; at most {self._memory.shape[1]} are read at once")
+        lanes, columns = (np.ascontiguousarray(places, dtype=np.int64) for places in (lanes, columns))
         if (code := self._code) is None:
             self._in_python(out, lanes, columns)
         else:
