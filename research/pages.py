@@ -36,7 +36,7 @@ PAGES: Mapping[str, str] = {
     "results/studies": "research.results.studies",
     "safety": "research.robustness.page",
     "elsewhere": "research.transfer.page",
-    "speed": "research.throughput.page",
+    "speed": "research.throughput.measure",
     "sensitivity": "research.sensitivity.page",
 }
 """The module of each page: `context(page)` returns the values of its template, `figures(page)`, if there is one, its

@@ -219,7 +219,7 @@ class Lanes:
             for j, table in zip(members.tolist(), planner.tables(paths, len(members)), strict=True):
                 tables[j] = table
         refused = [j for j, table in enumerate(tables) if table is None]
-        kept = np.delete(np.arange(len(places)), refused)
+        kept = np.array([j for j, table in enumerate(tables) if table is not None])
         if len(kept) < FEWEST_ROWS:
             return [], places.tolist()
         episodes = drawing.episodes(kept)

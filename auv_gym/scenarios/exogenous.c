@@ -132,6 +132,21 @@ int learn(normal numpys)
     return 1;
 }
 
+/* Find the least speed of the references (T, 8) of some lanes. */
+void slowest(long count, const int64_t *lanes, const int64_t *entries, double *speeds)
+{
+    for (long i = 0; i < count; i++) {
+        const int64_t *entry = entries + lanes[i] * ENTRIES;
+        const double *velocity = (const double *)entry[TABLE] + 3;
+        double least = INFINITY;
+        for (long k = 0; k < entry[INSTANTS]; k++, velocity += 8) {
+            const double square = velocity[0] * velocity[0] + velocity[1] * velocity[1];
+            least = square < least ? square : least;
+        }
+        speeds[i] = sqrt(least);
+    }
+}
+
 /* Read the next `steps` samples of `count` lanes and wind on.
  *
  * most: components of the waves of which `waves` has room

@@ -183,6 +183,7 @@ class Compiled(NamedTuple):
     """What exogenous.c does."""
 
     sow: Callable[..., None]
+    slowest: Callable[..., None]
     read_ahead: Callable[..., None]
     normal: Any  # address of NumPy's standard normals
 
@@ -203,10 +204,11 @@ def compiled(many: bool = True) -> Compiled | None:
         return None
     pointer, whole = ctypes.c_void_p, ctypes.c_long
     library.sow.argtypes, library.sow.restype = [whole] + [pointer] * 2, None
+    library.slowest.argtypes, library.slowest.restype = [whole] + [pointer] * 3, None
     library.read_ahead.argtypes, library.read_ahead.restype = [whole] * 5 + [pointer] * 10, None
     address = ctypes.cast(normal, pointer)
     library.learn(address)
-    return Compiled(library.sow, library.read_ahead, address)
+    return Compiled(library.sow, library.slowest, library.read_ahead, address)
 
 
 class Tape:
@@ -272,8 +274,7 @@ class Tape:
         """
         noise, current, dt = scenario.sensors.noise, episodes.current, scenario.control_dt
         first = MEASUREMENT_NORMALS.start if any(noise) else GUSTS.start
-        gusty = np.any(current.gust)
-        end = GUSTS.stop if gusty else MEASUREMENT_NORMALS.stop
+        end = GUSTS.stop if np.any(current.gust) else MEASUREMENT_NORMALS.stop
         if first < end:
             self._states[lanes] = _states_of(noise_seeds, self._code)
         for lane, table in zip(lanes.tolist(), tables, strict=True):
@@ -281,18 +282,26 @@ class Tape:
             self._locate(lane)
             self._fixes.pop(lane, None)
             self._headings.pop(lane, None)
-        slowest = least_speed(tables) if math.isfinite(current.cap) else 0.0
+        waves = wave_components(episodes.waves, dt)
+        self._entries[lanes, _ENTRY.instants :] = len(tables[0]), 0, first, max(first, end), len(waves)
+        slowest = self._least_speed(lanes) if math.isfinite(current.cap) else 0.0
         weather = weather_of(current, dt, slowest, Errors(*noise), Errors(*episodes.bias))
         self._weather[lanes] = spread(leaves(weather), len(lanes)).T
-        waves = wave_components(episodes.waves, dt)
         if (more := len(waves) - self._waves.shape[1]) > 0:
             self._waves = np.pad(self._waves, ((0, 0), (0, more), (0, 0)))
             self.__dict__.pop("_arrays", None)
         self._waves[lanes, : len(waves)] = waves if waves.ndim == 2 else waves.transpose(2, 0, 1)
         self._gust[lanes] = 0.0
-        self._entries[lanes, _ENTRY.instants :] = len(tables[0]), 0, first, max(first, end), len(waves)
         if episodes.outages or episodes.reckoning:
             self._navigate(int(lanes[0]), scenario, episodes, tables[0])
+
+    def _least_speed(self, lanes: Indices) -> Any:
+        """Return the least speed [m/s] of the references of lanes, a row; of a single one, a number."""
+        if (code := self._code) is None:
+            return least_speed([self._tables[lane] for lane in lanes.tolist()])
+        own, speeds = np.ascontiguousarray(lanes, dtype=np.int64), np.empty(len(lanes))
+        code.slowest(len(own), _address(own), self._arrays[0], _address(speeds))
+        return speeds if len(lanes) > 1 else float(speeds[0])
 
     def _navigate(self, lane: int, scenario: Scenario, episode: Episode, table: Array) -> None:
         """Wind in which position fixes an episode has, and how its gyro drifts."""

@@ -7,9 +7,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import fields
 from numbers import Real
-from typing import Any, ClassVar, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 from auv_gym.physics.errors import to_world
 from auv_gym.physics.intervals import is_float
@@ -61,36 +64,17 @@ def is_number(value: Any, kind: str) -> bool:
 
 def validate(path: Any, positive: Sequence[str] = (), nonzero: Sequence[str] = (), triples: Sequence[str] = ()) -> None:
     """Raise ValueError for the first field that is not finite, positive, not zero or three numbers, as it must be."""
-    rows_valid = _valid_rows(path, positive, nonzero)
     for name in (field.name for field in fields(path)):
         value = getattr(path, name)
         kind = "positive" if name in positive else "not zero" if name in nonzero else ""
         if name in triples:
             valid = isinstance(value, Sequence | np.ndarray) and len(value) == 3
-            valid = valid and all(
-                (rows_valid and isinstance(entry, np.ndarray)) or is_number(entry, kind) for entry in value
-            )
+            valid = valid and all(is_number(entry, kind) for entry in value)
         else:
-            valid = (rows_valid and isinstance(value, np.ndarray)) or is_number(value, kind)
+            valid = is_number(value, kind)
         if not valid:
             rule = ("three numbers, each " if name in triples else "") + "finite" + (f" and {kind}" if kind else "")
             raise ValueError(f"{type(path).__name__}: {name} must be {rule}, got {value!r}")
-
-
-def _valid_rows(path: Any, positive: Sequence[str], nonzero: Sequence[str]) -> bool:
-    """Return whether all fields that are rows of one length hold what they must, in one look at all of them."""
-    rows, least, other = [], [], []
-    for name, value in vars(path).items():
-        for row in value if isinstance(value, tuple) else (value,):
-            if isinstance(row, np.ndarray):
-                rows.append(row)
-                if name in positive:
-                    least.append(row)
-                elif name in nonzero:
-                    other.append(row)
-    if not rows or any(row.shape != rows[0].shape for row in rows):
-        return False
-    return bool(np.isfinite(rows).all() and (not least or np.min(least) > 0) and (not other or np.all(other)))
 
 
 POSE = ("x0", "y0", "heading")
@@ -115,6 +99,14 @@ class Family(ABC):
     def numbers(self) -> Sequence[float]:
         """What its compiled formulas take of it besides its pose."""
         return list(vars(self).values())[: -len(POSE)]
+
+    @classmethod
+    def member(cls, *numbers: Number, **others: Number) -> Self:
+        """Return the path of these fields without a check, which a distribution that has been checked need not have."""
+        path, kinds = object.__new__(cls), fields(cls)  # type: ignore[arg-type]
+        path.__dict__.update((field.name, field.default) for field in kinds)
+        path.__dict__.update(zip((field.name for field in kinds), numbers, strict=False), **others)
+        return path
 
     @abstractmethod
     def formulas(self, t: Number, ns: Namespace) -> Pairs:

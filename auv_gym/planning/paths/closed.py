@@ -36,7 +36,7 @@ class Line(Family):
     @classmethod
     def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:  # noqa: ARG003, the families share the signature
         """Draw a direction; a line does not turn."""
-        return cls(speed, heading=2 * math.pi * uniform())
+        return cls.member(speed, heading=2 * math.pi * uniform())
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Circle(Family):
     def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:
         """Draw a direction, a turn rate of .4 ... 1 times the largest one, and its sign."""
         heading, magnitude = 2 * math.pi * uniform(), turn_rate * (0.4 + 0.6 * uniform())
-        return cls(speed, signed(magnitude, uniform), heading=heading)
+        return cls.member(speed, signed(magnitude, uniform), heading=heading)
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Sine(Family):
     def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:
         """Draw direction, frequency and phase; the largest turn rate, at the crests, is .8 `turn_rate`."""
         heading, w, phase = 2 * math.pi * uniform(), 2 * turn_rate * (0.4 + 0.6 * uniform()), 2 * math.pi * uniform()
-        return cls(speed, 0.8 * turn_rate * speed / w**2, w, phase, heading=heading)
+        return cls.member(speed, 0.8 * turn_rate * speed / w**2, w, phase, heading=heading)
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class Ellipse(Family):
         heading, ratio = 2 * math.pi * uniform(), 0.5 + 0.5 * uniform()
         w = ratio * turn_rate * (0.4 + 0.6 * uniform())
         a = speed / (w * _sqrt(0.5 * (1 + ratio**2)))
-        return cls(a, ratio * a, signed(w, uniform), 2 * math.pi * uniform(), heading=heading)
+        return cls.member(a, ratio * a, signed(w, uniform), 2 * math.pi * uniform(), heading=heading)
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ class FigureEight(Family):
     def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:
         """Draw direction, frequency and phase; the lobes turn fastest, at 1.22 ... 1.75 `turn_rate`."""
         heading, w = 2 * math.pi * uniform(), 0.55 * turn_rate * (0.7 + 0.3 * uniform())
-        return cls(speed / (1.2 * w), w, 2 * math.pi * uniform(), heading=heading)
+        return cls.member(speed / (1.2 * w), w, 2 * math.pi * uniform(), heading=heading)
 
 
 PAPER_CIRCLE = Circle(speed=0.1, turn_rate=-0.01, y0=10.0)

@@ -92,7 +92,7 @@ class Lawnmower(Family):
         heading, turn_time = 2 * math.pi * uniform(), 15 * math.pi / (8 * turn_rate * (0.7 + 0.3 * uniform()))
         spacing = _TURN_WIDTH * speed * turn_time
         side = signed(spacing, uniform)
-        return cls(speed, spacing * (0.2 + 0.8 * uniform()), side, heading=heading)
+        return cls.member(speed, spacing * (0.2 + 0.8 * uniform()), side, heading=heading)
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ class RandomSmooth(Family):
         a, b, c = three(0.2, 1.0)
         scale = turn_rate / (a + b + c)
         frequencies, phases = three(0.3 * turn_rate, 1.2 * turn_rate), three(0.0, 2 * math.pi)
-        return cls(
+        return cls.member(
             speed,
             (scale * a, scale * b, scale * c),
             frequencies,

@@ -28,7 +28,7 @@ _SEED = 7  # of the episodes
 
 
 class Setting:
-    """Vehicles, and a window of control steps that they run through with a network; told drawn hulls if it wants them.
+    """Vehicles, with drawn models if a network wants them, and a window of control steps that they run through with it.
 
     Args:
         names: of the presets, one for each vehicle.
