@@ -28,11 +28,11 @@ _FLAGS = ("-O1", "-std=c99", "-fPIC", "-shared")
 _EXACT = ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros")
 """A product and a sum are rounded one after the other, as everywhere else; what is not a number stays none."""
 _SIMD = ("-fopenmp-simd",)
-"""For several vehicles at once."""
+"""For several vehicles at once, which takes twice the time."""
 TUNED = ("-march=native", "-fno-ivopts")
-"""For several vehicles at once, too: for this processor; and gcc shall not search for the cheapest counters of long
-loops. More optimisation than -O1 takes twice the time and makes the code no faster: the equations are straight lines,
-and the loops over vehicles are marked as parallel. All left out where a compiler does not know them."""
+"""For this processor; and gcc shall not search for the cheapest counters of long loops. More optimisation than -O1
+takes twice the time and makes the code no faster: the equations are straight lines, and the loops over vehicles are
+marked as parallel. All left out where a compiler does not know them."""
 _PATIENCE = 300.0
 """Seconds that a compiler may take."""
 
@@ -67,7 +67,7 @@ def library(source: str, *, many: bool = True) -> ctypes.CDLL | None:
     if not wanted() or (found := compiler()) is None:
         return None
     path, version = found
-    flags = (*_FLAGS, *_EXACT, *((*_SIMD, *TUNED) if many else ()))
+    flags = (*_FLAGS, *_EXACT, *TUNED, *(_SIMD if many else ()))
     key = "\0".join((source, path, version, *flags, platform.machine(), sys.platform, _processor()))
     name = f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
     for folder in cache_folders():
