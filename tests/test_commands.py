@@ -71,7 +71,6 @@ ELSEWHERE = {
     r"auv-gym tune .*": "test_tuning.py, with few evaluations",
     r"python -m rl_zoo3\.train .*": "test_sb3.py reads its format; rl_zoo3 itself is no dependency",
     r"(python evaluate\.py --suite presets|python -m research paper)": "`make demo`, below",
-    r"python evaluate\.py --stability .*": "test_stability.py",
     r"python evaluate\.py .*--submit .*": "test_submission.py::test_the_tutorial_leads_to_the_leaderboard",
     r"(auv-gym submit|python -m research leaderboard) .*": "test_submission.py::"
     "test_the_tutorial_leads_to_the_leaderboard",

@@ -42,9 +42,6 @@ class Options:
     """Also write the report's charts as PNG files."""
     step_limit: float = 0.1
     """Seconds that a policy may take for a decision, on average; a slower one fails."""
-    stability: bool = False
-    """Instead of running scenarios, examine where the policies are stable about steady motion in still water, and
-    certify it for references that vary."""
     submit: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")] = None
     """Also write what the policy did in the whole suite as a submission, NAME.npz in the folder, to enter the
     leaderboard with; see docs/enter.md."""

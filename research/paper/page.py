@@ -10,8 +10,8 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.planning.paths import PAPER_CIRCLE
 from auv_gym.planning.planner import plan
 from baselines.evaluation.report.page import render_report
-from baselines.evaluation.stability.closed_loop import Response
 from baselines.tools.figure_style import COLOURS
+from research.paper.closed_loop import Response
 from research.paper.noise_study import TRANSIENT, NoiseRun, noise_scenario
 from research.paper.numbers import CHOSEN, SIGNS, Reproduction
 

@@ -70,7 +70,6 @@ def _evaluated(pages: Path) -> None:
     """Make the pages that are missing."""
     wanted = {
         "suite": ("--suite", "benchmark-v2", "--episodes", "40", "--policy", *_POLICIES),
-        "stability": ("--stability", "--policy", "backstepping-paper", "lqi"),
     }
     for name, words in wanted.items():
         page = "report" if name == "suite" else name
@@ -97,7 +96,6 @@ def _pictures(program: str, pages: Path) -> dict[str, bytes]:
         _at(phone, 0.6)
         phone.locator("#player").scroll_into_view_if_needed()
         found["telephone"] = phone.screenshot()
-        found["stability"] = _opened(browser, pages / "stability" / "stability.html").screenshot()
         found["paper"] = _opened(browser, pages / "paper" / "paper.html").screenshot()
         browser.close()
     return found

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.units import Units
 from auv_gym.scenarios.vehicles import PAPER, Craft, craft, fleet
+from baselines.control.linearisation import linearise
 from baselines.evaluation.score import RIVAL, Score, relative_error
-from baselines.evaluation.stability.analysis import linearise_policy
 from baselines.policies import make_policy
 from baselines.tools.files import read_json
 from research import DOCS
@@ -39,7 +40,7 @@ def worst_growth(vehicle: Craft, policy: str = "backstepping") -> float:
         for turn in (0.0, 0.5, 1.0)
         if share * top >= vehicle.slowest
     ]
-    loops = (linearise_policy(vehicle.vehicle, law, U, w, 0.1 * time) for U, w in motions)
+    loops = (linearise(vehicle.vehicle, lambda o: law.forces(o, ARRAYS), U, w) for U, w in motions)
     return max(float(loop.eigenvalues[0].real) for loop in loops)
 
 

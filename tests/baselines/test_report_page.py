@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 from browser import opened
 
-import evaluate
 from baselines import list_policies
 from baselines.evaluation.options import Options
 from baselines.evaluation.report.html import report_html
@@ -174,18 +173,13 @@ def test_the_same_run_makes_the_same_page(pages, tmp_path):
 
 @pytest.fixture(scope="module")
 def others(pages, paper):
-    """The pages about stability and about the paper."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("baselines.evaluation.stability.report.STARTS", 2)
-        patch.setattr("baselines.evaluation.stability.report.SPEEDS", (0.2, 1.0))
-        words = ["--stability", "--policy", "open-loop", "integral", "--out", str(pages / "stability")]
-        assert evaluate.main(words) == 0
+    """The page about the paper."""
     shutil.copytree(paper, pages / "paper")
     return pages
 
 
 def test_other_pages(browser, others):
-    for name, charts in (("stability", 1), ("paper", 19)):
+    for name, charts in (("paper", 19),):
         file = others / name / f"{name}.html"
         assert file.stat().st_size < LARGEST
         with opened(browser, file, 390, mobile=True) as page:

@@ -8,7 +8,7 @@ import pytest
 
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from baselines.control.backstepping import GAINS
-from baselines.evaluation.stability.analysis import (
+from baselines.control.stability import (
     closed_loop_eigenvalues,
     derived_sign_forces,
     first_instability,

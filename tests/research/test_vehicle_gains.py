@@ -14,7 +14,7 @@ from auv_gym.physics.units import POWERS, Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.vehicles import PAPER, craft, fleet
 from baselines import make_policy
-from baselines.evaluation.stability.analysis import linearise_policy
+from baselines.control.stability import linearise_policy
 from baselines.tools.command_line import run
 from baselines.tuning.objective import TuningEpisodes, rewound_scenarios
 from baselines.tuning.search import TUNING_SEED

@@ -9,54 +9,13 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from auv_gym.physics.dynamics import Force
-from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
+from auv_gym.physics.namespaces import ARRAYS, Namespace, Number
 from auv_gym.physics.vehicle import Vehicle
-from auv_gym.task.observation import encode
-from auv_gym.task.policy import Policy
-from baselines.control.backstepping import Backstepping, Gains, backstepping_errors, tracking_forces
-from baselines.control.linearisation import FINE_STEP, Feedback, Linearisation, linearise
-from baselines.similar import SimilarLaw
+from baselines.control.backstepping import Gains, backstepping_errors, tracking_forces
+from baselines.control.linearisation import linearise
 
 ExaminedLaw = Callable[[Sequence[Number], Vehicle, Gains, Namespace], Force]
 """F_u [N], F_r [N m] of the terms of an observation, as `backstepping.tracking_forces`."""
-
-COARSE_STEP = 1e-3
-"""Half width of the differences of a policy, whose actions have single precision: an error of about 1e-4."""
-_LIMITS = 1024.0
-"""Limits [N] and [N m] that a policy is told where it is to be linearised: far from any force."""
-
-
-def linearise_policy(vehicle: Vehicle, policy: Policy, speed: float, turn_rate: float, dt: float) -> Linearisation:
-    """Return the loop of a policy without memory, see `linearise`; dt is the control period that it is told [s].
-
-    Raises:
-        ValueError: the policy has a memory, which this linearisation does not describe.
-    """
-    feedback, step = feedback_of(policy, dt)
-    return linearise(vehicle, feedback, speed, turn_rate, step)
-
-
-def feedback_of(policy: Policy, dt: float) -> tuple[Feedback, float]:
-    """Return the forces of a policy without memory, and the half width of differences that suits its precision.
-
-    Args:
-        policy: the policy; the forces raise ValueError where it has a memory.
-        dt: control period that it is told [s].
-    """
-    if isinstance(policy, (Backstepping, SimilarLaw)):  # in double precision
-        return lambda o: policy.forces(o, ARRAYS), FINE_STEP
-
-    def feedback(o: Sequence[Array]) -> Force:
-        n = len(o[0])
-        one, zero, limit = np.ones(n), np.zeros(n), np.full(n, _LIMITS)
-        rest = (one, zero, limit, limit, o[9] / _LIMITS, o[10] / _LIMITS, np.full(n, dt))
-        actions, memory = policy.predict(encode((*o, *rest), ARRAYS, span=1).T, None, np.ones(n, dtype=bool))
-        if memory is not None:
-            raise ValueError("it has a memory; the map is of policies without one")
-        F_u, F_r = _LIMITS * np.asarray(actions, dtype=np.float64).T
-        return F_u, F_r
-
-    return feedback, COARSE_STEP
 
 
 def closed_loop_eigenvalues(
