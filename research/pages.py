@@ -6,7 +6,6 @@ Rendering is deterministic: a page that differs from its template and data is st
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -29,11 +28,7 @@ PAGES: Mapping[str, str] = {
     "results": "research.results.overview",
     **{f"results/{suite}": "research.results.suite_page" for suite in SUITE_PAGES},
     "results/vehicles-v1": "research.results.vehicles",
-    "results/learning": "research.results.findings",
-    "results/leads": "research.results.robust",
-    "results/fronts": "research.results.fronts",
-    "results/residual": "research.results.residual_figure",
-    "results/studies": "research.results.studies",
+    "results/learning": "research.results.learning",
     "safety": "research.robustness.page",
     "elsewhere": "research.transfer.page",
     "speed": "research.throughput.page",
@@ -81,15 +76,10 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[Any]], right: bool = Tru
 
 
 def render(page: str) -> str:
-    """Return a page as its template and the measurements make it.
-
-    A module whose context has a `body`, the text of a section that links to other pages of docs/, needs no template.
-    """
+    """Return a page as its template and the measurements make it."""
     if page in PARTS:
         return _with_parts(page)
-    context = dict(import_module(PAGES[page]).context(page))
-    if "body" in context:
-        context |= {"template": "body", "body": _moved(context["body"], page)}
+    context = import_module(PAGES[page]).context(page)
     return fill(context.get("template", page), context)
 
 
@@ -109,13 +99,6 @@ def _with_parts(page: str) -> str:
 def fill(template: str, values: Mapping[str, Any]) -> str:
     """Return the text of templates/TEMPLATE.md.jinja with these values."""
     return _environment().get_template(f"{template}.md.jinja").render(values)
-
-
-def _moved(text: str, page: str) -> str:
-    """Return the text of a section as a page of its own: headings one level up, links from its folder."""
-    title, _, rest = re.sub(r"^#(#+ )", r"\1", text, flags=re.MULTILINE).partition("\n")
-    rest = re.sub(r"\]\((?!https?:|#|\.\./)", "](" + "../" * page.count("/"), rest)
-    return f"{title}\n\n<!-- Made by `{PROGRAM} {page}`; do not edit. -->\n{rest}"
 
 
 @cache

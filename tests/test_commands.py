@@ -31,7 +31,7 @@ QUICK = {
     "bench": "--quick --out bench",
     "train": f"{TINY} --out run",
     "train-all": "ppo-cruise --timesteps 512",
-    "pages": "results/leads --check",
+    "pages": "results/learning --check",
     "verify": "unmodelled-v1 --policy open-loop --cells slow-everything",
     "examples": "--help",
     "docs": "-t quick -D toc_object_entries=0 -D html_show_search_summary=0",
@@ -40,7 +40,6 @@ QUICK = {
 """Options of the verbs that are run here."""
 CALM = ("--suite", "benchmark-v2", "--case", "cruise-calm", "--episodes", "1", "--out", "new")
 """Options of the shortest run of fresh episodes."""
-BRIEF = ("--seeds", "1", "--timesteps", "6400", "--episodes", "1", "--jobs", "1")
 """Options of the shortest study of residuals."""
 BY_CI = {"test", "lint", "typecheck"}
 """Verbs that `.ci/run` itself runs."""
@@ -111,10 +110,6 @@ def quick(line):
         return [*chosen, *policies, *CALM]
     if name == "estimation-bound":
         return [*words, "--episodes", "1", "--out", "floor.json"]
-    if name == "residual" and "--help" not in words:
-        return [*words, *(["residual-0.5-cruise"] if words[3:] == [] else []), *BRIEF]
-    if name == "front":
-        return [*words[:3], "lqi", "--case", "slow-calm", "--episodes", "1", "--out", "fronts"]
     if name == "dataset":
         return [*words, "--episodes", "1"]
     if name == "video":
