@@ -32,7 +32,7 @@ PAGES: Mapping[str, str] = {
     "safety": "research.robustness.page",
     "elsewhere": "research.transfer.page",
     "speed": "research.throughput.page",
-    "sensitivity": "research.sensitivity.page",
+    "sensitivity": "research.robustness.model_error",
 }
 """The module of each page: `context(page)` returns the values of its template, `figures(page)`, if there is one, its
 figures as PNG by name."""

@@ -58,7 +58,7 @@ ELSEWHERE = {
     "test_search_finds_a_sea_that_loses_the_policy_and_writes_it",
     r"auv-gym --help": "test_package.py::test_the_command",
     r"auv-gym train .*": "test_training.py::test_documented_commands_run",
-    r"python -m research sensitivity .*": "test_sensitivity.py::test_command_in_a_quick_form",
+    r"python -m research model-error .*": "test_model_error.py::test_command_keeps_what_it_measures",
     r"python -m research suites check .*": "test_suites.py::test_episodes_generate_what_they_did",
     r"python -m research transfer .*": "test_elsewhere.py::test_the_command_compares_and_keeps",
     r"python -m research throughput .*": "`make bench`, below",
