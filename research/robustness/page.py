@@ -26,15 +26,9 @@ def context(page: str) -> dict[str, Any]:
         "seas": [_sea(name, found) for name, found in sorted(falsification.found_seas().items(), key=_place)],
         "suites": [
             [f"`{policy}`", suite, *(row[key] for key in guards.COUNTS), *(f"{row[k]:.2f}" for k in guards.TAILS)]
-            for policy, own in kept["suites"].items()
+            for policy, own in kept.items()
             for suite, row in own.items()
             if suite != guards.FINGERPRINT
-        ],
-        "failures": [
-            [policy, failure, row["episodes"], row["lost"], row["guarded_lost"]]
-            for policy, own in kept["failures"].items()
-            for failure, row in own.items()
-            if failure != guards.FINGERPRINT
         ],
     }
 
