@@ -18,13 +18,3 @@ def browser():
     """A headless browser, started once a worker; `browser.opened` opens a page in it."""
     with browser_of_tests.browser() as started:
         yield started
-
-
-@pytest.fixture(scope="session")
-def paper(tmp_path_factory):
-    """The folder of the recomputed paper, made once a worker; no test writes into it."""
-    from research.paper.command import main
-
-    out = tmp_path_factory.mktemp("paper")
-    assert main(["--out", str(out)]) == 0
-    return out

@@ -180,7 +180,7 @@ def test_help_lists_the_verbs(copy):
 
 def test_demo_recomputes_the_paper_runs_every_preset_and_shows_what_an_agent_wins(copy):
     printed = made(copy, "demo").splitlines()[-3:]
-    for page in ("paper/paper.html", "scenarios/report.html", "storm/report.html"):
+    for page in ("paper/paper.json", "paper/fig3_trajectory.png", "scenarios/report.html", "storm/report.html"):
         assert (copy / "runs" / "demo" / page).exists()
     assert re.fullmatch(r"helm keeps 0\.\d+ m where backstepping keeps 0\.\d+ m \(1 paired episode .*", printed[0])
     assert printed[1].startswith("written: runs/demo/storm/video.webp")

@@ -1,7 +1,6 @@
 """The pages of an evaluation in a browser: on a desk, on a telephone, in print, without a script, and under attack."""
 
 import re
-import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -171,31 +170,10 @@ def test_the_same_run_makes_the_same_page(pages, tmp_path):
     assert report_html(request, compare(runs), pool(runs)) == report_html(request, compare(runs), pool(runs))
 
 
-@pytest.fixture(scope="module")
-def others(pages, paper):
-    """The page about the paper."""
-    shutil.copytree(paper, pages / "paper")
-    return pages
-
-
-def test_other_pages(browser, others):
-    for name, charts in (("paper", 19),):
-        file = others / name / f"{name}.html"
-        assert file.stat().st_size < LARGEST
-        with opened(browser, file, 390, mobile=True) as page:
-            ready(page)
-            assert page.evaluate("document.documentElement.scrollWidth") <= 390
-            assert page.locator(".chart svg.marks").count() == charts
-            before = page.locator(".chart svg.marks").first.inner_html()
-            page.locator("[data-param] button").last.click()
-            changed = "before => document.querySelector('.chart svg.marks').innerHTML !== before"
-            page.wait_for_function(changed, arg=before, timeout=PATIENCE)
-
-
-def test_pictures_of_the_pages(browser, others, tmp_path):
+def test_pictures_of_the_pages(browser, pages, tmp_path):
     """In a process of its own: Playwright runs once in each."""
     del browser  # it is there
-    words = ["-m", "research", "screenshots", "--pages", str(others), "--out", str(tmp_path)]
+    words = ["-m", "research", "screenshots", "--pages", str(pages), "--out", str(tmp_path)]
     subprocess.run([sys.executable, *words], check=True, cwd=ROOT)
     shown = re.findall(r"images/(report-.+?\.png)", (ROOT / "docs" / "report.md").read_text(encoding="utf-8"))
     assert sorted(shown) == sorted(file.name for file in tmp_path.iterdir())

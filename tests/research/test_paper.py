@@ -14,6 +14,7 @@ from baselines.control.stability import (
     first_instability,
     spectral_abscissa,
 )
+from research.paper.command import main
 
 STARTS = {
     # signs: to 5 cm [s], to 1 deg [s], peak |F_u| [N], peak |F_r| [N m]
@@ -45,6 +46,14 @@ ABSCISSAS = {
     ],
 }
 NAMES = ("fig3_trajectory", "fig4_forces", "fig5_velocity_errors", "fig6_tracking_errors", "noise_study")
+
+
+@pytest.fixture(scope="module")
+def paper(tmp_path_factory):
+    """The folder of the recomputed paper."""
+    out = tmp_path_factory.mktemp("paper")
+    assert main(["--out", str(out)]) == 0
+    return out
 
 
 @pytest.fixture(scope="module")
