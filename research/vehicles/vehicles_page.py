@@ -11,9 +11,11 @@ import numpy as np
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.units import Units
 from auv_gym.scenarios.vehicles import PAPER, Craft, craft, fleet
+from baselines.control.backstepping import Backstepping
 from baselines.control.linearisation import linearise
 from baselines.evaluation.score import RIVAL, Score, relative_error
 from baselines.policies import make_policy
+from baselines.similar import SimilarLaw
 from baselines.tools.files import read_json
 from research import DOCS
 from research.vehicles.vehicles import MEASURED_AGENT, NEAR_SEARCHED, SEARCHED_SCENARIO, SIDES, VEHICLES_FILE
@@ -40,6 +42,7 @@ def worst_growth(vehicle: Craft, policy: str = "backstepping") -> float:
         for turn in (0.0, 0.5, 1.0)
         if share * top >= vehicle.slowest
     ]
+    assert isinstance(law, Backstepping | SimilarLaw)
     loops = (linearise(vehicle.vehicle, lambda o: law.forces(o, ARRAYS), U, w) for U, w in motions)
     return max(float(loop.eigenvalues[0].real) for loop in loops)
 
