@@ -1,7 +1,6 @@
 """The documentation: its Python runs and prints what it shows, its names and links exist, its table is measured."""
 
 import importlib
-import json
 import re
 import sys
 import types
@@ -159,42 +158,6 @@ def test_page_says_how_long_the_shipped_agents_took():
         card = (agent_folder(name) / "card.md").read_text(encoding="utf-8")
         taken = round(float(re.search(r"\| seconds \| `([\d.]+)` \|", card)[1]) / 60)
         assert int(minutes) == taken
-
-
-def table(names, rows):
-    lines = [names, ["---"] * len(names), *([cell.replace("|", "\\|") for cell in row] for row in rows)]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
-
-
-def shown(value):
-    return "-" if value is None else f"{value:.4g}"
-
-
-def test_page_about_the_paper_is_what_is_recomputed(paper):
-    """Its tables stand behind comments that name them."""
-    page = ROOT / "docs" / "paper.md"
-    found = json.loads((paper / "paper.json").read_text(encoding="utf-8"))
-    verdict = {True: "yes", False: "no", None: "-"}
-    rows = [
-        (r["quantity"], r["place"], shown(r["paper"]), shown(r["measured"]), r["unit"], verdict[r["agrees"]], r["note"])
-        for r in found["rows"]
-    ]
-    starts = [(f"`{s['signs']}`", *(f"{v:.3g}" for v in tuple(s.values())[1:])) for s in found["starts"]]
-    remarks = [
-        (r["place"], r["quantity"], shown(r["paper"]), shown(r["measured"]), r["unit"], r["note"])
-        for r in found["remarks"]
-    ]
-    tables = {
-        "rows": table(("quantity", "place", "printed", "recomputed", "unit", "agrees", "note"), rows),
-        "starts": table(
-            ("signs of x_e, y_e, psi_e", "within 5 cm [s]", "within 1 deg [s]", "peak F_u [N]", "peak F_r [N m]",
-             "error at 100 s [m]"), starts),
-        "remarks": table(("place", "what", "printed", "what holds", "unit", "why"), remarks),
-    }  # fmt: skip
-    for name, made in tables.items():
-        text = page.read_text(encoding="utf-8")
-        written = re.search(rf"<!-- {name} -->(?:\n\n\|.*?(?=\n\n))?", text, re.DOTALL)[0]
-        assert written == f"<!-- {name} -->\n\n{made}"
 
 
 def test_columns_are_documented_as_they_are_defined():

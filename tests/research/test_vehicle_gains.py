@@ -10,11 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.units import POWERS, Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.vehicles import PAPER, craft, fleet
 from baselines import make_policy
-from baselines.control.stability import linearise_policy
+from baselines.control.linearisation import linearise
 from baselines.tools.command_line import run
 from baselines.tuning.objective import TuningEpisodes, rewound_scenarios
 from baselines.tuning.search import TUNING_SEED
@@ -51,7 +52,7 @@ def test_expert_is_stable_on_random_hulls_of_any_size(ratio, surge, sway, yaw, l
     for U in (0.1, 0.39, 0.41, 1.5):
         turn_rate = min(0.14 if U < 0.4 else 0.21, SLIP * own[4] / 215.0)
         for w in (0.0, turn_rate / units.time):
-            assert linearise_policy(hull, law, U, w, 0.1 * units.time).eigenvalues[0].real < 0
+            assert linearise(hull, lambda o: law.forces(o, ARRAYS), U, w).eigenvalues[0].real < 0
 
 
 def test_a_course_of_another_vehicle_is_in_the_papers_units():
