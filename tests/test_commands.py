@@ -43,7 +43,7 @@ CALM = ("--suite", "benchmark-v2", "--case", "cruise-calm", "--episodes", "1", "
 """Options of the shortest study of residuals."""
 BY_CI = {"test", "lint", "typecheck"}
 """Verbs that `.ci/run` itself runs."""
-BY_WORKFLOW = {"package", "test-all"}
+BY_WORKFLOW = {"package", "test-all", "oldest"}
 """Verbs that have jobs of their own in the workflow: they build and install in environments of their own."""
 MADE = {"api", "scenarios"}  # folders of pages that the build writes
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]

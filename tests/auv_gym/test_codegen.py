@@ -307,6 +307,7 @@ def test_without_a_compiler_one_line_says_so(cache, caplog, monkeypatch):
     np.testing.assert_array_equal(kernel(a=np.array([[1.5, 2.5]]))["out"], [[3.0, 5.0]])
 
 
+@pytest.mark.skipif(os.name != "posix", reason="needs a shell")
 def test_a_broken_compiler_is_as_good_as_none(cache, caplog, monkeypatch, tmp_path):
     broken = tmp_path / "broken-cc"
     broken.write_text('#!/bin/sh\n[ "$1" = --version ] && echo 1.0 && exit 0\necho "no disk" >&2\nexit 1\n')
