@@ -48,5 +48,5 @@ class Options:
     about: Annotated[About, OmitArgPrefixes] = NOTHING
     """What is said of a submission, all of it optional."""
     resume: bool = False
-    """Use the finished runs that an interrupted evaluation has left in the folder; a policy whose file has changed
-    since runs again."""
+    """Use the finished runs that an interrupted evaluation has left in the folder; where the policy's file or the
+    simulator has changed since, or it is too slow for --step-limit, it runs again."""

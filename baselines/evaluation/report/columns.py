@@ -119,7 +119,7 @@ COLUMNS = (
     Column("saturation", "saturated", "share of the steps with an actuator commanded to its limit",
            lambda _, s: s.saturation, percent),
     Column("return_mean", "", "mean sum of rewards", lambda _, s: s.return_mean),
-    Column("decision_ms", "ms", "time of the policy for one decision of one vehicle, many vehicles side by side",
+    Column("decision_ms", "ms", "wall time of the policy for one decision of one vehicle, many side by side",
            lambda e, _: 1e3 * e.decision_seconds, digits(2)),
 )  # fmt: skip
 """What is told of every policy, in the order of the tables."""
