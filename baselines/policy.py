@@ -133,9 +133,9 @@ class Batched(ABC):
         if rows.ndim != 2 or rows.shape[1] < SIZE + 2 * len(self.preview):
             decoded_terms(observation)  # both say what is wrong
             columns_behind(rows, self.preview)
-        if state and state[-1].dtype.kind == "b":  # whose episodes have begun without a usable observation
-            begins = state[-1] if episode_start is None else state[-1] | episode_start
-            state, episode_start = state[:-1], begins
+        if state and isinstance(state[-1], _Waiting):
+            episode_start = state[-1] if episode_start is None else state[-1] | episode_start
+            state = state[:-1]
         if not measured(rows):
             action, memory = self._decided(rows, state, episode_start, deterministic)
             return (action[0] if observation.ndim == 1 else action), memory
@@ -157,13 +157,9 @@ class Batched(ABC):
     def _decided(
         self, rows: NDArray[Any], state: Memory | None, episode_start: Starts, deterministic: bool
     ) -> tuple[NDArray[np.float32], Memory | None]:
-        """Return what `predict` does, vehicle by vehicle, where a number is none.
-
-        If the episodes of some vehicles have begun without a usable observation, the last array of the memory says of
-        which: they begin with the next one.
-        """
+        """Return what `predict` does, vehicle by vehicle, where a number is none."""
         n, begins = len(rows), state is None or (False if episode_start is None else episode_start)
-        starts, good = np.broadcast_to(np.asarray(begins, dtype=bool), n), usable(rows)
+        starts, good = np.broadcast_to(np.array(begins, dtype=bool), n), usable(rows)
         action, done, memory = last_commands(rows), np.zeros(n, dtype=bool), state
         if good.any():
             # What is decided for the others is not used; they stay in the batch, whose size may change last digits.
@@ -185,7 +181,7 @@ class Batched(ABC):
         waiting = starts & ~done
         if waiting.all():
             return action, None
-        return action, memory and ((*memory, waiting) if waiting.any() else memory)
+        return action, memory and ((*memory, waiting.view(_Waiting)) if waiting.any() else memory)
 
     def _warn_of_speed(self, rows: NDArray[Any]) -> None:
         """Warn once where a reference's speed is none of `speeds`."""
@@ -197,6 +193,13 @@ class Batched(ABC):
                 f"at {speed.min():.2g} to {speed.max():.2g} m/s: choose the agent of that regime",
                 stacklevel=3,
             )
+
+
+class _Waiting(np.ndarray[Any, Any]):
+    """Which vehicles' episodes have begun without a usable observation: the last array of a memory, if there are any.
+
+    With their next observation they begin.
+    """
 
 
 def is_finite(array: NDArray[Any]) -> bool:
