@@ -90,7 +90,8 @@ class Law(ABC):
             rows = np.atleast_2d(terms)
             action, good = last_commands(rows), usable(rows)
             if good.any():
-                action[good] = np.atleast_2d(self.predict(rows[good])[0])
+                o = decoded_terms(rows[good])
+                action[good] = np.stack(action_of(self.forces(o, ARRAYS), o, ARRAYS), axis=1)
             return action.reshape(*observation.shape[:-1], 2), state
         self.check(o)
         if observation.ndim == 1:

@@ -42,8 +42,8 @@ REMEMBERED = tuple(name for name in Estimate._fields if name != "lag")
 LARGEST_ESTIMATE = dict.fromkeys(REMEMBERED, 1e6) | dict.fromkeys(("u", "v", "r"), 100.0)
 """Magnitude [SI units] beyond which an entry of an estimate is none: the filter begins again.
 
-Where observations are held back or wrong the model may run away. In the frozen suites, with the filters' own units, no
-velocity is above 5 m/s, no yaw rate above 3 rad/s and no load above 2000 N."""
+Where observations are held back or wrong the model may run away. In six episodes or more of each case of the frozen
+suites, in the filters' own units, no velocity was above 5 m/s, no yaw rate above 3 rad/s and no load above 2000 N."""
 SHARED = 3  # rows that both filters remember: the age, and the last fix x_e, y_e [m]
 ROWS = SHARED + len(LAGS) * len(REMEMBERED)
 """Rows that the filters remember, all zero at an episode's start."""

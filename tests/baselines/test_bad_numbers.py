@@ -211,6 +211,17 @@ def test_what_is_usable():
     assert [TERMS[i].name for i in range(SIZE)][LAST] == ["a_u", "a_r"]
 
 
+@pytest.mark.parametrize("name", ["backstepping", "helm", "ekf", "apg-cruise:guard=ekf"])
+def test_large_numbers_that_can_be_measured_are_acted_on(name):
+    """Their squares add up to more than that of the largest one: whether each is usable is looked at one by one."""
+    policy, memory, observation, _ = begun(name)
+    observation[1, :2] = 0.9 * LARGEST
+    assert not measured(observation)
+    action, _ = policy.predict(observation, memory)
+    assert np.isfinite(action).all()
+    assert (action[1] != last_commands(observation)[1]).any()
+
+
 def test_every_vehicle_is_observed_within_what_is_usable():
     for preset in PRESETS.values():
         assert (bounds(preset.span) < LARGEST).all()
