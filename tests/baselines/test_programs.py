@@ -338,6 +338,21 @@ def test_its_name_is_no_path_of_another_kind():
         make_policy("cmd:true", gains="paper")
 
 
+def test_a_program_is_not_asked_what_to_do_with_no_number():
+    """It has seen nothing of it: its next question is the next good observation."""
+    text = LOOP + "    answer = {'actions': [[k / 64, -k / 64]]}\n" + TELL
+    policy = make_policy(program(text))
+    row = make_env(PRESETS["slow-calm"]).reset(seed=0)[0]
+    action, memory = policy.predict(row)
+    np.testing.assert_array_equal(action, [1 / 64, -1 / 64])
+    row[15:17] = action
+    bad = row.copy()
+    bad[2] = np.nan
+    held, memory = policy.predict(bad, memory)
+    np.testing.assert_array_equal(held, action)
+    np.testing.assert_array_equal(policy.predict(row, memory)[0], [2 / 64, -2 / 64])
+
+
 def test_a_large_batch_passes_through_the_pipes():
     """Larger than any pipe's buffer, both ways, and in the digits that were sent."""
     text = LOOP + "    answer = {'actions': [row[:2] for row in json.loads(line)['observations']]}\n" + TELL
