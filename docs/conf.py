@@ -67,12 +67,12 @@ def linkcode_resolve(_domain: str, info: dict[str, str]) -> str | None:
 
 
 def optional(_app: Sphinx, _name: str, source: list[str]) -> None:
-    """Leave out of a toctree the pages whose names end in a question mark if they are not there."""
+    """Leave out of a toctree the pages whose names end in a question mark if they do not exist."""
 
     def kept(match: re.Match[str]) -> str:
         return f"{match[1]}\n" if (HERE / f"{match[1]}.md").exists() else ""
 
-    source[0] = re.sub(r"^(\w+)\?\n", kept, source[0], flags=re.MULTILINE)
+    source[0] = re.sub(r"^([\w-]+)\?\n", kept, source[0], flags=re.MULTILINE)
 
 
 def inside(_app: Sphinx, _name: str, source: list[str]) -> None:

@@ -3,6 +3,7 @@
 import importlib
 import json
 import re
+import shutil
 import sys
 import types
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from baselines.evaluation.report import terminal
 from baselines.evaluation.report.columns import COLUMNS
 
 ROOT = Path(__file__).parents[1]
+TUTORIALS = ROOT / "docs" / "tutorials"
 MADE = {"api", "scenarios"}  # folders of pages that the build writes
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 PAGES += [p for p in sorted((ROOT / "docs").rglob("*.md")) if p.parent.name not in MADE]
@@ -65,6 +67,7 @@ def test_python_runs_and_prints_what_is_shown(page, tmp_path, monkeypatch, capsy
     A `text` block right behind a Python block is what that prints; functions called `test_...` are run as tests.
     """
     monkeypatch.chdir(tmp_path)
+    shutil.copytree(TUTORIALS, TUTORIALS.relative_to(ROOT))  # with the log that one of them reads
     module = types.ModuleType("page")
     monkeypatch.setitem(sys.modules, "page", module)  # where dataclasses look for their module
     page_text, found, outputs = page.read_text(encoding="utf-8"), blocks(page), []
