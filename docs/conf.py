@@ -28,6 +28,7 @@ extensions = [
     "myst_parser",
     "paper_figures",
     "scenario_pages",
+    "search",
     "sphinx.ext.autodoc",
     "sphinx.ext.linkcode",
     "sphinx_copybutton",
@@ -42,6 +43,7 @@ myst_heading_anchors = 3
 html_theme = "furo"
 html_title = f"{project} {version}"
 html_static_path = ["_static"]
+html_search_scorer = str(HERE / "_ext" / "scorer.js")
 html_css_files = ["site.css"]
 html_math_renderer = "mathml"  # what browsers draw themselves: no script, no network
 html_show_sourcelink = False
