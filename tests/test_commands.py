@@ -305,7 +305,8 @@ def folder(tmp_path_factory):
             name = text.split("\n", 1)[0].removeprefix("# ")
             if re.fullmatch(r"\w+\.(py|toml|yml)", name) and language in ("python", "toml", "yaml"):
                 (folder / name).write_text(text, encoding="utf-8")
-    for run, agent in (("apg-cruise", "apg-cruise"), ("ppo-slow", "ppo-slow"), ("helm-any-vehicle", "helm-any")):
+    trained = {"ppo-cruise-storm": "ppo-cruise", "helm-any-vehicle": "helm-any"}
+    for run, agent in {"apg-cruise": "apg-cruise", "ppo-slow": "ppo-slow", **trained}.items():
         shutil.copytree(agent_folder(agent), folder / "runs" / "train" / run / "agent")
     shutil.copytree(ROOT / "docs" / "seas", folder / "docs" / "seas")
     (folder / "runs" / "ppo").mkdir()
