@@ -28,6 +28,7 @@ extensions = [
     "myst_parser",
     "paper_figures",
     "scenario_pages",
+    "search",
     "sphinx.ext.autodoc",
     "sphinx.ext.linkcode",
     "sphinx_copybutton",
@@ -42,6 +43,7 @@ myst_heading_anchors = 3
 html_theme = "furo"
 html_title = f"{project} {version}"
 html_static_path = ["_static"]
+html_search_scorer = str(HERE / "_ext" / "scorer.js")
 html_css_files = ["site.css"]
 html_math_renderer = "mathml"  # what browsers draw themselves: no script, no network
 html_show_sourcelink = False
@@ -67,12 +69,12 @@ def linkcode_resolve(_domain: str, info: dict[str, str]) -> str | None:
 
 
 def optional(_app: Sphinx, _name: str, source: list[str]) -> None:
-    """Leave out of a toctree the pages whose names end in a question mark if they are not there."""
+    """Leave out of a toctree the pages whose names end in a question mark if they do not exist."""
 
     def kept(match: re.Match[str]) -> str:
         return f"{match[1]}\n" if (HERE / f"{match[1]}.md").exists() else ""
 
-    source[0] = re.sub(r"^(\w+)\?\n", kept, source[0], flags=re.MULTILINE)
+    source[0] = re.sub(r"^([\w-]+)\?\n", kept, source[0], flags=re.MULTILINE)
 
 
 def inside(_app: Sphinx, _name: str, source: list[str]) -> None:

@@ -57,15 +57,14 @@ ELSEWHERE = {
     r"python -m research falsification .*": "test_safety.py::"
     "test_search_finds_a_sea_that_loses_the_policy_and_writes_it",
     r"auv-gym --help": "test_package.py::test_the_command",
-    r"auv-gym train .*": "test_training.py::test_documented_commands_run",
     r"python -m research model-error .*": "test_model_error.py::test_command_keeps_what_it_measures",
     r"python -m research suites check .*": "test_suites.py::test_episodes_generate_what_they_did",
     r"python -m research transfer .*": "test_elsewhere.py::test_the_command_compares_and_keeps",
-    r"python -m research throughput .*": "`make bench`, below",
+    r"python -m research throughput.*": "`make bench`, below",
     r"python -m venv .*": "the environment that runs the tests",
     r"pip install .*": "`make`'s stamps, and the extras exist, below",
-    r"python train\.py .*--(from|vehicle) .*": "test_beginning.py::test_documented_commands_run",
-    r"python train\.py.*": "test_training.py::test_documented_commands_run",
+    r"(python train\.py|auv-gym train) .*--(from|vehicle) .*": "test_beginning.py::test_documented_commands_run",
+    r"(python train\.py|auv-gym train).*": "test_training.py::test_documented_commands_run",
     r"python -m research bound": "test_bound.py::test_a_run_goes_on_where_the_last_one_ended",
     r"auv-gym tune .*": "test_tuning.py, with few evaluations",
     r"python -m rl_zoo3\.train .*": "test_sb3.py reads its format; rl_zoo3 itself is no dependency",
@@ -306,7 +305,8 @@ def folder(tmp_path_factory):
             name = text.split("\n", 1)[0].removeprefix("# ")
             if re.fullmatch(r"\w+\.(py|toml|yml)", name) and language in ("python", "toml", "yaml"):
                 (folder / name).write_text(text, encoding="utf-8")
-    for run, agent in (("apg-cruise", "apg-cruise"), ("ppo-slow", "ppo-slow"), ("helm-any-vehicle", "helm-any")):
+    trained = {"ppo-cruise-storm": "ppo-cruise", "helm-any-vehicle": "helm-any"}
+    for run, agent in {"apg-cruise": "apg-cruise", "ppo-slow": "ppo-slow", **trained}.items():
         shutil.copytree(agent_folder(agent), folder / "runs" / "train" / run / "agent")
     shutil.copytree(ROOT / "docs" / "seas", folder / "docs" / "seas")
     (folder / "runs" / "ppo").mkdir()

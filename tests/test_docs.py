@@ -1,7 +1,9 @@
 """The documentation: its Python runs and prints what it shows, its names and links exist, its table is measured."""
 
 import importlib
+import json
 import re
+import shutil
 import sys
 import types
 from dataclasses import dataclass
@@ -19,6 +21,7 @@ from baselines.evaluation.report import terminal
 from baselines.evaluation.report.columns import COLUMNS
 
 ROOT = Path(__file__).parents[1]
+TUTORIALS = ROOT / "docs" / "tutorials"
 MADE = {"api", "scenarios"}  # folders of pages that the build writes
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 PAGES += [p for p in sorted((ROOT / "docs").rglob("*.md")) if p.parent.name not in MADE]
@@ -64,6 +67,7 @@ def test_python_runs_and_prints_what_is_shown(page, tmp_path, monkeypatch, capsy
     A `text` block right behind a Python block is what that prints; functions called `test_...` are run as tests.
     """
     monkeypatch.chdir(tmp_path)
+    shutil.copytree(TUTORIALS, TUTORIALS.relative_to(ROOT))  # with the log that one of them reads
     module = types.ModuleType("page")
     monkeypatch.setitem(sys.modules, "page", module)  # where dataclasses look for their module
     page_text, found, outputs = page.read_text(encoding="utf-8"), blocks(page), []
@@ -135,18 +139,36 @@ def test_pages_name_every_policy_and_scenario():
         assert f"| `{name}` |" in scenarios or f"| `{name.split('-', 1)[1]}` |" in scenarios
 
 
-def test_table_of_a_comparison_is_what_the_command_prints(tmp_path, capsys, monkeypatch):
-    """As a terminal of 80 columns shows it."""
-    monkeypatch.setattr(terminal, "_WIDTH", 80)
-    page = ROOT / "docs" / "quickstart.md"
-    text = page.read_text(encoding="utf-8")
-    arguments = re.search(r"^python evaluate.py (--policy .+)$", text, re.MULTILINE)[1].split()
-    assert evaluate.main([*arguments, "--jobs", "1", "--out", str(tmp_path)]) == 0
+def compared(page, width, tmp_path, capsys, monkeypatch):
+    """Run the first comparison of a page; the table that it shows must be what a terminal of that width shows."""
+    monkeypatch.setattr(terminal, "_WIDTH", width)
+    command = re.search(
+        r"^(?:python evaluate\.py|auv-gym evaluate) (--policy .+)$", page.read_text("utf-8"), re.MULTILINE
+    )
+    assert evaluate.main([*command[1].split(), "--jobs", "1", "--out", str(tmp_path)]) == 0
     lines = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
-    first = next(i for i, line in enumerate(lines) if "tail [m]" in line)
-    table = "\n".join(lines[first : lines.index("", lines.index("", first) + 1)]) + "\n"
-    block = next(b for b in blocks(page) if "tail [m]" in b.text)
-    assert block.text == table
+    (block,) = (block for block in blocks(page) if "tail [m]" in block.text)
+    assert block.text in "\n".join(lines)
+    results = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))["results"]
+    return {result["policy"]: result["tail_rmse_m"] for result in results}
+
+
+def test_table_of_the_quickstart_is_what_the_command_prints(tmp_path, capsys, monkeypatch):
+    compared(ROOT / "docs" / "quickstart.md", 80, tmp_path, capsys, monkeypatch)
+
+
+def test_numbers_of_the_readme_are_what_its_command_prints(tmp_path, capsys, monkeypatch):
+    errors = compared(ROOT / "README.md", 100, tmp_path, capsys, monkeypatch)
+    own = [errors[policy] for policy in ("backstepping", "nmpc", "helm")]
+    means, medians = ([f"{100 * error[key]:.3g}" for error in own] for key in ("mean", "median"))
+    said = "mean errors are {}, {} and {} cm, their medians are {}, {} and {} cm".format(*means, *medians)
+    assert said in " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+
+
+def test_the_readme_is_short():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 130
+    assert len(re.findall(r"(?<!!)\[(?:!\[[^\]]*\]\([^)]*\)|[^\]!])*\]\(", text)) <= 12
 
 
 def test_page_says_how_long_the_shipped_agents_took():

@@ -79,6 +79,7 @@ class Spread:
 
     mean: float
     ci95: tuple[float, float]  # of the mean
+    median: float
     p95: float  # 95th percentile over episodes
     cvar95: float  # mean of the worst 5 %
 
@@ -174,9 +175,10 @@ def cvar(values: Array) -> float:
 
 
 def distribution(values: Array, interval: bool = True) -> Spread:
-    """Return mean, interval of the mean, 95th percentile and mean of the worst 5 % of one value per episode."""
+    """Return mean, its interval, median, 95th percentile and mean of the worst 5 % of one value per episode."""
     ends = bootstrap_interval(values) if interval else (math.nan, math.nan)
-    return Spread(float(np.mean(values)), ends, float(np.quantile(values, 0.95)), cvar(values))
+    median, p95 = np.quantile(values, (0.5, 0.95))
+    return Spread(float(np.mean(values)), ends, float(median), float(p95), cvar(values))
 
 
 def most_lost(lost: int, episodes: int) -> float:

@@ -20,7 +20,7 @@ from research.pages import table
 from research.results.collection import ROUNDING, Results, better_than, results_of
 from research.results.navigation import navigation
 
-_LEFT_OUT = ("tail_rmse_m.p95", "capped.mean", "error_ratio", "settling_s", "saturation")
+_LEFT_OUT = ("tail_rmse_m.median", "tail_rmse_m.p95", "capped.mean", "error_ratio", "settling_s", "saturation")
 """Columns of the report that the page does not show; results.csv of an evaluation has them."""
 LOWEST = -1.0
 """Score below which a point is drawn at the edge, its value beside it."""

@@ -239,7 +239,11 @@ def test_documented_commands_run(page, call, monkeypatch):
         re.search(r"^```toml\n(.*?)^```$", tutorial, re.MULTILINE | re.DOTALL)[1], encoding="utf-8"
     )
     text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
-    lines = [line for line in re.findall(r"^python train.py ([^#\n]*)", text, re.MULTILINE) if "--vehicle" in line]
+    lines = [
+        line
+        for line in re.findall(r"^(?:python train.py|auv-gym train) ([^#\n]*)", text, re.MULTILINE)
+        if "--vehicle" in line
+    ]
     assert lines
     for line in lines:
         scenario = () if "--scenario" in line else ("--scenario", "small.toml")

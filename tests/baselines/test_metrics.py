@@ -44,6 +44,7 @@ def measures(tail, lost=None, steps=600):
 def test_summary_by_hand():
     s = metrics.summarise(Measures.joined([measures([1.0]), measures([3.0], [True], 200)]))
     assert s.tail_rmse_m.mean == s.rmse_m == 2
+    assert s.tail_rmse_m.median == 2
     assert s.tail_rmse_m.p95 == pytest.approx(2.9)
     assert s.tail_rmse_m.cvar95 == 3
     assert (s.episodes, s.saturation) == (2, 0.5)

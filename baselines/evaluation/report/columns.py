@@ -85,6 +85,8 @@ COLUMNS = (
            lambda _, s: s.tail_rmse_m.mean, digits(3), 9),
     Column("tail_rmse_m.ci95", "95 % of tail", "95 % interval of that mean, by bootstrap over episodes",
            lambda _, s: list(s.tail_rmse_m.ci95), ends, 6),
+    Column("tail_rmse_m.median", "median [m]", "median of the tail over episodes",
+           lambda _, s: s.tail_rmse_m.median, digits(3), 5),
     Column("tail_rmse_m.p95", "p95 [m]", "95th percentile of the tail over episodes",
            lambda _, s: s.tail_rmse_m.p95, digits(3), 4),
     Column("tail_rmse_m.cvar95", "worst 5 % [m]",
