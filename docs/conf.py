@@ -43,6 +43,7 @@ html_theme = "furo"
 html_title = f"{project} {version}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+html_js_files = ["tables.js"]
 html_math_renderer = "mathml"  # what browsers draw themselves: no script, no network
 html_show_sourcelink = False
 exclude_patterns = ["_build"]

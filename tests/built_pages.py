@@ -1,8 +1,8 @@
-"""What a reader of the built documentation must find: tables that fit, equations with a size, a search that works."""
+"""What a reader of the built documentation must find: tables that fit and sort, equations, a search that works."""
 
 from browser import opened
 
-WIDE = ("index", "theory", "results")
+WIDE = ("index", "theory", "results", "results/deep-v1")
 NARROW = ("index", "theory", "paper", "policies", "scenarios/cruise-storm", "environments/track", "api/auv_gym.physics")
 TOO_WIDE = """() => [...document.querySelectorAll("table, pre, .formula, img, dl")].filter(part => {
   const box = part.parentElement, scrolls = getComputedStyle(box).overflowX !== "visible";
@@ -29,6 +29,19 @@ def check_pages(started, folder):
                 assert page.evaluate(TOO_WIDE) == [], (name, width)
                 assert page.evaluate(FLAT) == 0, name
                 assert all(page.evaluate("() => [...document.images].map(image => image.naturalWidth)")), name
+
+
+def check_sorting(started, folder):
+    """Sort a table by its errors, in both directions, and by its names."""
+    with opened(started, folder / "results" / "benchmark-v2.html") as page:
+        first = page.locator("table.sortable").first.locator("tbody tr td").first
+        heading = page.locator("table.sortable").first.locator("th", has_text="error [mm]")
+        heading.click()
+        assert first.inner_text() == "clairvoyant"
+        heading.press("Enter")
+        assert first.inner_text() == "open-loop"
+        page.locator("table.sortable").first.locator("th", has_text="policy").click()
+        assert first.inner_text() == "adaptive"
 
 
 def check_search(started, folder):

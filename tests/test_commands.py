@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 import pytest
-from built_pages import check_links, check_pages, check_search
+from built_pages import check_links, check_pages, check_search, check_sorting
 
 import evaluate
 from auv_gym.scenarios.presets import PRESETS
@@ -251,6 +251,7 @@ def test_docs_are_built_without_a_warning(copy, browser):
     assert "\\frac" not in html
     check_links(built)
     check_pages(browser, built)
+    check_sorting(browser, built)
     check_search(browser, built)
 
 

@@ -127,10 +127,10 @@ def in_words(counts: Mapping[str, OptimumCount]) -> str:
     every = all_cases(counts)
     at_most = 100 * most_lost(every.lost, every.episodes)
     return (
-        f"{every.lost} of {every.episodes} episodes lost (at most {at_most:.2g} %, one-sided, 95 %); mean tail "
-        f"{1e3 * every.tails_m / every.episodes:.3f} mm, the largest {1e3 * every.largest_tail_m:.3f} mm, the largest "
-        f"distance at any instant of a tail {1e3 * every.largest_error_m:.3f} mm; {len(every.astray)} with a tail of "
-        f"{1e3 * GOOD:g} mm and more"
+        f"{every.lost} of {every.episodes} episodes failed (95 % upper confidence bound {at_most:.2g} %); steady-state "
+        f"error: mean {1e3 * every.tails_m / every.episodes:.3f} mm, largest {1e3 * every.largest_tail_m:.3f} mm; "
+        f"largest error at any time after the first third: {1e3 * every.largest_error_m:.3f} mm; episodes with a "
+        f"steady-state error of {1e3 * GOOD:g} mm or more: {len(every.astray)}"
     )
 
 
