@@ -43,7 +43,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     },
     "training": {"fine-tuning": "research.trainings.fine_tuning:fine_tuning_section"},
     "identify": {"coverage": "research.vehicles.coverage:coverage_section"},
-    "controllers": {"tuned gains": "research.vehicles.tables:tuned_gains"},
+    "policies": {"tuned gains": "research.vehicles.tables:tuned_gains"},
     "export": {
         "agreement": "research.deployment.page:agreement_section",
         "rounded weights": "research.deployment.page:rounded_section",

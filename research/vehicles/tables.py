@@ -1,4 +1,4 @@
-"""Tables of published vehicles and of tuned gains, for docs/vehicles.md and docs/controllers.md."""
+"""Tables of published vehicles and of tuned gains, for docs/vehicles.md and docs/policies.md."""
 
 from __future__ import annotations
 
@@ -42,4 +42,4 @@ def tuned_gains() -> str:
             errors = f"{1e3 * v['error_m']:.3g}", f"{v['score']:.3f}", f"{100 * v['lost']:.1f} %"
             ratios = f"{v['effort_ratio']:.2f}", f"{v['smoothness_ratio']:.1f}"
             rows.append((f"`{name}`", regime, len(record["gains"]), *errors, *ratios))
-    return table(("controller", "regime", "gains", "error [mm]", "score", "lost", "effort", "rate"), rows)
+    return table(("controller", "speed range", "gains", "error [mm]", "score", "failures", "effort", "command rate"), rows)

@@ -295,7 +295,7 @@ def test_who_keeps_its_estimate_on_the_reference_has_the_error_of_the_navigation
 
 
 def test_the_page_tells_the_instruments():
-    text = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "suites.md").read_text(encoding="utf-8")
     s, r = INSTRUMENTS, INSTRUMENTS.reckoning
     for words in (
         f"every {r.interval[0]:g} to {r.interval[1]:g} s, {s.position:g} m on each axis",
@@ -306,7 +306,7 @@ def test_the_page_tells_the_instruments():
         f"walks {r.walk:g} rad/sqrt(s)",
         f"in storms {OUTAGES:g} a minute, each {OUTAGE_TIME[0]:g} to {OUTAGE_TIME[1]:g} s long",
         f"in missions of {MISSION['slow']:g} s and {MISSION['cruise']:g} s",
-        f"from a tail of {LARGEST_TAIL['deep']:g} m",
+        f"from a steady-state error of {LARGEST_TAIL['deep']:g} m",
     ):
         assert words in text
 
