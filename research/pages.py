@@ -41,7 +41,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "published vehicles": "research.vehicles.tables:published_vehicles",
         "gains": "research.vehicles.vehicles_page:gains_section",
     },
-    "training": {"fine-tuning": "research.trainings.fine_tuning:fine_tuning_section"},
+    "fine-tuning": {"fine-tuning": "research.trainings.fine_tuning:fine_tuning_section"},
     "identify": {"coverage": "research.vehicles.coverage:coverage_section"},
     "policies": {"tuned gains": "research.vehicles.tables:tuned_gains"},
     "export": {

@@ -42,4 +42,6 @@ def tuned_gains() -> str:
             errors = f"{1e3 * v['error_m']:.3g}", f"{v['score']:.3f}", f"{100 * v['lost']:.1f} %"
             ratios = f"{v['effort_ratio']:.2f}", f"{v['smoothness_ratio']:.1f}"
             rows.append((f"`{name}`", regime, len(record["gains"]), *errors, *ratios))
-    return table(("controller", "speed range", "gains", "error [mm]", "score", "failures", "effort", "command rate"), rows)
+    return table(
+        ("controller", "speed range", "gains", "error [mm]", "score", "failures", "effort", "command rate"), rows
+    )
