@@ -37,10 +37,8 @@ PAGES: Mapping[str, str] = {
 """The module of each page: `context(page)` returns the values of its template, `figures(page)`, if there is one, its
 figures as PNG by name."""
 PARTS: Mapping[str, Mapping[str, str]] = {
-    "vehicles": {
-        "published vehicles": "research.vehicles.tables:published_vehicles",
-        "gains": "research.vehicles.vehicles_page:gains_section",
-    },
+    "vehicles": {"published vehicles": "research.vehicles.tables:published_vehicles"},
+    "vehicle-gains": {"gains": "research.vehicles.vehicles_page:gains_section"},
     "fine-tuning": {"fine-tuning": "research.trainings.fine_tuning:fine_tuning_section"},
     "identify": {"coverage": "research.vehicles.coverage:coverage_section"},
     "policies": {"tuned gains": "research.vehicles.tables:tuned_gains"},

@@ -16,7 +16,7 @@ _HEADS = (
 
 
 def published_vehicles() -> str:
-    """Return the vehicles with their numbers, and where those come from, as two tables in Markdown."""
+    """Return the vehicles with their numbers and the sources of these, as two tables in Markdown."""
     every = [PAPER, *map(craft, fleet())]
     sources = [(f"`{c.name}`", c.source, c.left_out, c.ours) for c in every[1:]]
     numbers = table(_HEADS, map(_row, every), right=False)

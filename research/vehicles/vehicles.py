@@ -1,9 +1,9 @@
-"""What gains from the vehicle's parameters are worth: `python -m research vehicle-gains`; docs/vehicles.md shows it.
+"""What gains from the vehicle's parameters are worth: `python -m research vehicle-gains`, docs/vehicle-gains.md.
 
-`scaling` compares policies that are made for a vehicle in its own units with the same ones that are told the vehicle
-and left with the gains of the paper's. `search` compares those gains with what a search for that vehicle finds, on
-episodes that the search has not seen. `agent` runs an agent beside predictive control with either gains. Errors are
-mean tail RMSE, capped as in the score, as a share of the vehicle's length scale.
+`scaling` compares policies that are made for a vehicle in its own units with policies that have the vehicle model and
+the gains of the paper's vehicle. `search` compares the gains from the parameters with those of a search for the
+vehicle, on episodes that the search has not seen. `agent` runs an agent and predictive control with either gains.
+Errors are mean steady-state errors, capped as in the score, as a share of the vehicle's length scale.
 """
 
 from __future__ import annotations
