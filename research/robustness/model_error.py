@@ -64,8 +64,6 @@ _EPISODES = 12
 """Episodes of each case, the first ones of the suite."""
 LESS: Mapping[str, tuple[int, int]] = {RIVAL: (4, 6)}
 """Models and episodes of a policy that takes its time, the first ones too; and the largest size alone."""
-BEARABLE = 0.01
-"""What a score may be lower where a vehicle model is wrong."""
 KEPT_EPISODES = 3
 """Episodes of each case whose errors are kept one by one, with the true model and the first wrong one."""
 
@@ -257,22 +255,24 @@ def context(_: str = "", folder: Path = MODEL_ERROR_FOLDER) -> dict[str, Any]:
     """
     found = {file.stem: read_json(file) for file in folder.glob("*.json")}
     own = dict(sorted(found.items(), key=lambda item: (item[0] == EXPERT, item[0] == RIVAL, item[0])))
-    robust: dict[bool, list[str]] = {True: [], False: []}
-    for name, record in own.items():
-        for regime, of in record.items():
-            for key, way in WAYS.items():
-                last = max(of["wrong"][key], key=lambda at: float(at["size"]))
-                robust[last["above"][0] >= -BEARABLE].append(f"`{name}` with {way.says} ({regime})")
+    places = [(regime, key) for regime in REGIMES for key in WAYS]
     return {
         "records": {
             regime: [row for name, record in own.items() if regime in record for row in _rows(name, record[regime])]
             for regime in REGIMES
         },
-        "bearable": f"{BEARABLE:g}",
-        "robust": "; ".join(robust[True]) or "none",
-        "others": "; ".join(robust[False]) or "none",
-        "sizes": [f"by {100 * size:.0f} % at most" for size in ERROR_SIZES],
+        "sizes": [f"up to {100 * size:.0f} %" for size in ERROR_SIZES],
+        "largest": f"{100 * ERROR_SIZES[-1]:.0f} %",
+        "columns": [f"{regime}: {WAYS[key].says}" for regime, key in places],
+        "summary": [[f"`{name}`", *(_at_most(record, *place) for place in places)] for name, record in own.items()],
     }
+
+
+def _at_most(record: Mapping[str, Any], regime: str, key: str) -> str:
+    """Return the mean change of the score with the largest errors."""
+    if regime not in record:
+        return "-"
+    return f"{max(record[regime]['wrong'][key], key=lambda at: float(at['size']))['above'][0]:+.3f}"
 
 
 def _rows(name: str, of: Mapping[str, Any]) -> Iterator[list[str]]:
