@@ -42,7 +42,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
     "fine-tuning": {"fine-tuning": "research.trainings.fine_tuning:fine_tuning_section"},
     "identify": {"coverage": "research.vehicles.coverage:coverage_section"},
     "policies": {"tuned gains": "research.vehicles.tables:tuned_gains"},
-    "export": {
+    "export-cost": {
         "agreement": "research.deployment.page:agreement_section",
         "rounded weights": "research.deployment.page:rounded_section",
         "speed on a computer": "research.deployment.page:speed_section",
