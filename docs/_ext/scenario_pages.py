@@ -45,8 +45,8 @@ draws its own value from an interval.
 STANDINGS = """
 ## Results
 
-All policies on the episodes of this case in `{suite}`. [Evaluation](../metrics.md#what-is-measured) defines the columns.
-A score means little where the expert is already accurate, as in still water.
+All policies on the episodes of this case in `{suite}`. [Evaluation](../metrics.md#what-is-measured) defines the
+columns. A score means little where the expert is already accurate, as in still water.
 
 {table}
 """
