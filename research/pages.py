@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+from textwrap import TextWrapper
 from typing import Annotated, Any
 
 import jinja2
@@ -23,6 +24,8 @@ from research import DOCS
 
 PROGRAM = "python -m research pages"
 TEMPLATES = Path(__file__).parent / "templates"
+WIDTH = 120
+"""Characters of a line of prose."""
 SUITE_PAGES = ("benchmark-v2", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v1")
 PAGES: Mapping[str, str] = {
     "results": "research.results.overview",
@@ -78,7 +81,21 @@ def render(page: str) -> str:
     if page in PARTS:
         return _with_parts(page)
     context = import_module(PAGES[page]).context(page)
-    return fill(context.get("template", page), context)
+    return _wrapped(fill(context.get("template", page), context))
+
+
+def _wrapped(text: str) -> str:
+    """Return a page without lines of prose that are longer than `WIDTH`."""
+    lines, code = [], False
+    for line in text.split("\n"):
+        code ^= line.startswith("```")
+        if len(line) <= WIDTH or code or line.startswith(("|", "#", "<!--", "!")):
+            lines.append(line)
+        else:
+            indent = "  " if line.startswith(("- ", "  ")) else ""
+            wrap = TextWrapper(WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+            lines += wrap.wrap(line)
+    return "\n".join(lines)
 
 
 def _with_parts(page: str) -> str:
@@ -90,7 +107,7 @@ def _with_parts(page: str) -> str:
         begin, end = f"<!-- {name}: made by `{PROGRAM} {page}` -->", f"<!-- end of {name} -->"
         before, rest = text.split(begin)  # a page without a mark is an error, not a longer page
         _, after = rest.split(end)
-        text = f"{before}{begin}\n\n{part.strip()}\n\n{end}{after}"
+        text = f"{before}{begin}\n\n{_wrapped(part.strip())}\n\n{end}{after}"
     return text
 
 
