@@ -52,7 +52,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "cost on a Cortex-M4": "research.deployment.page:cortex_m4_section",
     },
 }
-"""Pages that are written by hand but for some parts: `module:function` that returns a part, by page and name."""
+"""Pages that are written by hand except for some parts: `module:function` that returns a part, by page and name."""
 
 
 @dataclass(frozen=True)

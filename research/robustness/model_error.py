@@ -115,16 +115,16 @@ def wrong(vehicle: Vehicle, mistaken: Mapping[str, float], size: float, way: _Wa
 
 
 def cells_of(regime: str, episodes: int) -> list[Cell]:
-    """Return the first episodes of each cell of a regime in the suite."""
+    """Return the first episodes of each cell of a speed range in the suite."""
     return [Cell(cell.scenario, cell.episodes[:episodes]) for cell in load_suite(_SUITE).cells_in((regime,))]
 
 
 def with_wrong_models(name: str, regime: str, episodes: int | None = None) -> dict[str, Any]:
-    """Return what a policy's capped score loses where its vehicle model is wrong, as plain numbers.
+    """Return the loss of a policy's capped score with wrong vehicle models, as plain numbers.
 
     Args:
         name: of the policy; none that uses more than the observation.
-        regime: "slow" or "cruise".
+        regime: the speed range, "slow" or "cruise".
         episodes: of each case. None: `_EPISODES`, or fewer of one that takes its time.
 
     Raises:
@@ -160,14 +160,14 @@ def with_wrong_models(name: str, regime: str, episodes: int | None = None) -> di
 
 
 def _recorded(policy: str, regime: str, cells: Sequence[Cell]) -> list[Array]:
-    """Return the capped tails [m] that are recorded of a policy in episodes of the suite, cell by cell."""
+    """Return the recorded capped errors [m] of a policy in episodes of the suite, cell by cell."""
     runs = {run.scenario.name: run.measures for run in recorded.read_recorded(load_suite(_SUITE), policy)}
     rows = ((runs[cell.scenario.name], len(cell.episodes)) for cell in cells)
     return [capped(row[:count], LARGEST_TAIL[regime]) for row, count in rows if row is not None]
 
 
 def _tails(name: str, model: Vehicle, there: SideBySide, regime: str) -> tuple[list[Array], int]:
-    """Return the capped tails [m] of a policy with a vehicle model, cell by cell, and how many episodes it lost."""
+    """Return the capped errors [m] of a policy with a vehicle model, cell by cell, and the number of failures."""
     cap = LARGEST_TAIL[regime]
     with warnings.catch_warnings():  # that its law may be unstable for such a model is a part of the price
         warnings.simplefilter("ignore", StabilityWarning)
@@ -176,7 +176,7 @@ def _tails(name: str, model: Vehicle, there: SideBySide, regime: str) -> tuple[l
 
 
 def _compared(zero: Sequence[Array], right: Sequence[Array], each: Sequence[Array], one: Sequence[Array]) -> Any:
-    """Return what the tails with wrong models, shape (models, M) in each cell, are beside those with the true one."""
+    """Compare the errors with wrong models, shape (models, M) in each cell, to those with the true one."""
     above = partial(lead, zero, right, one=one)
     return {
         "score": _ends(seeds_score(zero, each, one)),

@@ -73,10 +73,10 @@ SAYS = {
 
 @dataclass(frozen=True)
 class Options:
-    """Tune an agent to vehicles, train one for each alone, and compare them on fresh episodes.
+    """Tune an agent to vehicles, train one for each alone, and compare them on held-out episodes.
 
-    What is in the file already is not measured again, but for the agent and what was tuned from it once its weights are
-    others; trainings go on where they were interrupted.
+    Rows in the file are not measured again, except those of the agent and of what was tuned from it when its weights
+    have changed. Interrupted trainings continue.
 
     Exit status: 0 done, 1 a training failed, 2 wrong usage.
     """
@@ -128,10 +128,10 @@ def recipe(name: str, agent: str, vehicle: str, timesteps: int | None = None) ->
 
 
 def errors(policy: str, vehicle: str, episodes: int) -> dict[str, Any]:
-    """Return what a policy does in the cruise cases of a vehicle.
+    """Return the errors of a policy in the cruise cases of a vehicle.
 
     Returns:
-        tails, the tail errors in lengths of the paper's vehicle [m], of lost episodes the cap; and which were lost.
+        `tails`, the steady-state errors in metres of the paper's vehicle, failures at the error cap; `lost`, failures.
     """
     tails, lost = [], []
     for case in CASES:
@@ -231,7 +231,7 @@ def _measured(name: str, vehicle: str, options: Options, weights: str) -> dict[s
 
 
 def error_ratio(policy: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[float, float, float]:
-    """Return the geometric mean over paired episodes of one's tail error over another's, with its 95 % interval."""
+    """Return the geometric mean over paired episodes of one policy's error over another's, with its 95 % interval."""
     logs = [np.log(np.array(a) / np.array(b)) for a, b in zip(policy["tails"], other["tails"], strict=True)]
     drawn_again = resamplings(tuple(map(len, logs)))
     sums: Array = sum((w @ own / len(own) for w, own in zip(drawn_again, logs, strict=True)), np.zeros(1))
