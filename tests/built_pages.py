@@ -59,7 +59,7 @@ def check_search(started, folder):
 
 def check_links(folder):
     """See that names in the pages lead into the reference."""
-    equations = (folder / "equations.html").read_text(encoding="utf-8")
+    equations = (folder / "paper.html").read_text(encoding="utf-8")
     assert 'href="api/auv_gym.physics.html#auv_gym.physics.dynamics.rates"' in equations
     vehicle = (folder / "api" / "auv_gym.physics.html").read_text(encoding="utf-8")
     assert "[kg] surge inertia, added mass included" in vehicle
