@@ -78,16 +78,16 @@ def _regime(results: Results, regime: str, additional: Mapping[str, str]) -> tup
     for column in COLUMNS:
         if column.key in _COLUMNS:
             heading, factor = _COLUMNS[column.key]
-            columns[heading] = [_cell(column, factor, entry) for entry in entries]
+            columns[heading] = [_cell(column, factor, entry, interval=not additional) for entry in entries]
     if additional:
         columns[ADDITIONAL] = [additional.get(entry.policy, NONE) for entry in entries]
     episodes = sum(len(cell.episodes) for cell in results.suite.cells if regime_of(cell.scenario.name) == regime)
     return regime, episodes, table(list(columns), zip(*columns.values(), strict=True))
 
 
-def _cell(column: Column, factor: float, entry: Entry) -> str:
+def _cell(column: Column, factor: float, entry: Entry, *, interval: bool) -> str:
     """Return a cell of the table: a score with its interval, a value in other units, or what the report has."""
-    if column.key == "score.mean":
+    if column.key == "score.mean" and interval:
         digits = 3 if abs(column.of(entry) or 0.0) < 2 else 1
         return f"{score_text(entry.score, digits)} ({interval_text(entry.score, digits)})"
     if factor == 1.0 or entry.summary is None:

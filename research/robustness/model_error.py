@@ -284,7 +284,8 @@ def _rows(name: str, of: Mapping[str, Any]) -> Iterator[list[str]]:
         worse = [after - before for before, after in zip(right["error_m"], last["error_m"], strict=True)]
         i = worse.index(max(worse))
         growth = f"{of['cases'][i]}, {1e3 * right['error_m'][i]:.1f} -> {1e3 * last['error_m'][i]:.1f} mm"
-        above = [_spread(sizes[size]["above"]) if size in sizes else "-" for size in ERROR_SIZES]
+        less = [f"{sizes[size]['above'][0]:+.3f}" if size in sizes else "-" for size in ERROR_SIZES[:-1]]
+        above = [*less, _spread(last["above"])]
         lost = f"{sum(last['lost'])} of {len(last['lost']) * episodes}; {right['lost']} of {episodes}"
         yield [f"`{name}`", f"{right['score'][0]:.3f}", way.says, *above, f"{min(last['hulls']):+.3f}", growth, lost]
 

@@ -36,10 +36,11 @@ def _vehicle(name: str, record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _policy(name: str, own: Mapping[str, Any], cases: list[str]) -> list[Any]:
-    growth = f"{own['growth']:.2f} ({_ends(own['ci95'])})"
-    by_case = (f"{own['growth_by_case'][case]:.2f}" for case in cases)
+    low, high = own["ci95"]
+    growth = f"{own['growth']:.2g} ({low:.2g} ... {high:.2g})"
+    by_case = (f"{own['growth_by_case'][case]:.2g}" for case in cases)
     errors = f"{own['plane_m']:.3g}", f"{own['space_m']:.3g}"
-    return [f"`{name}`", *errors, growth, own["lost_plane"], own["lost_space"], *by_case]
+    return [f"`{name}`", *errors, growth, f"{own['lost_plane']} / {own['lost_space']}", *by_case]
 
 
 def _ends(interval: tuple[float, float]) -> str:
