@@ -1,10 +1,10 @@
-"""What a reader of the built documentation must find: tables that fit, equations with a size, a search that works."""
+"""What a reader of the built documentation must find: tables that fit and sort, equations, a search that works."""
 
 import re
 
 from browser import opened
 
-WIDE = ("index", "theory", "results")
+WIDE = ("index", "theory", "results", "results/deep-v1")
 NARROW = ("index", "theory", "paper", "policies", "scenarios/cruise-storm", "environments/track", "api/auv_gym.physics")
 TOO_WIDE = """() => [...document.querySelectorAll("table, pre, .formula, img, dl")].filter(part => {
   const box = part.parentElement, scrolls = getComputedStyle(box).overflowX !== "visible";
@@ -47,6 +47,19 @@ def check_pages(started, folder):
                 assert all(page.evaluate("() => [...document.images].map(image => image.naturalWidth)")), name
 
 
+def check_sorting(started, folder):
+    """Sort a table by its errors, in both directions, and by its names."""
+    with opened(started, folder / "results" / "benchmark-v2.html") as page:
+        first = page.locator("table.sortable").first.locator("tbody tr td").first
+        heading = page.locator("table.sortable").first.locator("th", has_text="error [mm]")
+        heading.click()
+        assert first.inner_text() == "clairvoyant"
+        heading.press("Enter")
+        assert first.inner_text() == "open-loop"
+        page.locator("table.sortable").first.locator("th", has_text="policy").click()
+        assert first.inner_text() == "adaptive"
+
+
 def check_search(started, folder):
     """Type words into the search of the site: the first hit is the page that answers them, and it can be followed."""
     for words, name in FIRST_HITS.items():
@@ -61,8 +74,8 @@ def check_search(started, folder):
 
 def check_links(folder):
     """See that names in the pages lead into the reference."""
-    theory = (folder / "theory.html").read_text(encoding="utf-8")
-    assert 'href="api/auv_gym.physics.html#auv_gym.physics.dynamics.rates"' in theory
+    equations = (folder / "paper.html").read_text(encoding="utf-8")
+    assert 'href="api/auv_gym.physics.html#auv_gym.physics.dynamics.rates"' in equations
     vehicle = (folder / "api" / "auv_gym.physics.html").read_text(encoding="utf-8")
     assert "[kg] surge inertia, added mass included" in vehicle
     assert 'id="auv_gym.physics.vehicle.Vehicle.m11"' in vehicle

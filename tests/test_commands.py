@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 import pytest
-from built_pages import check_links, check_pages, check_search
+from built_pages import check_links, check_pages, check_search, check_sorting
 
 import evaluate
 from auv_gym.scenarios.presets import PRESETS
@@ -69,10 +69,10 @@ ELSEWHERE = {
     r"auv-gym tune .*": "test_tuning.py, with few evaluations",
     r"python -m rl_zoo3\.train .*": "test_sb3.py reads its format; rl_zoo3 itself is no dependency",
     r"(python evaluate\.py --suite presets|python -m research paper)": "`make demo`, below",
-    r"python evaluate\.py .*--submit .*": "test_submission.py::test_the_tutorial_leads_to_the_leaderboard",
+    r"auv-gym evaluate .*--submit .*": "test_submission.py::test_the_tutorial_leads_to_the_leaderboard",
     r"(auv-gym submit|python -m research leaderboard) .*": "test_submission.py::"
     "test_the_tutorial_leads_to_the_leaderboard",
-    r'python evaluate\.py --policy "cmd:.*': "test_programs.py::test_the_examples_do_what_the_class_does",
+    r'auv-gym evaluate --policy "cmd:.*': "test_programs.py::test_the_examples_do_what_the_class_does",
     r"python -m research screenshots": "test_report_page.py::test_pictures_of_the_pages",
 }
 """Lines of the pages that do not run one by one here, and where they do."""
@@ -250,6 +250,7 @@ def test_docs_are_built_without_a_warning(copy, browser):
     assert "\\frac" not in html
     check_links(built)
     check_pages(browser, built)
+    check_sorting(browser, built)
     check_search(browser, built)
 
 

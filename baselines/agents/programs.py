@@ -1,7 +1,7 @@
 """Policies that are programs of their own, in any language: `cmd:./my_controller --option`, asked line by line.
 
 The program gets one line of JSON on its standard input and answers with one on its standard output: first a greeting,
-then a batch of observations at each control instant. `docs/enter.md` has the protocol and examples.
+then a batch of observations at each control instant. `docs/programs.md` has the protocol and examples.
 """
 
 from __future__ import annotations

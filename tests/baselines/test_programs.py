@@ -29,7 +29,7 @@ from baselines.evaluation.runner import drawn, run_all
 from baselines.tools.command_line import UsageError
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "enter.md").read_text(encoding="utf-8")
+PAGE, SUBMIT = ((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("programs.md", "enter.md"))
 PYTHON = shlex.quote(sys.executable)
 COMPILED = ("cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-O2", "-o", "my_controller", "my_controller.c", "-lm")
 EXAMPLES = {
@@ -51,8 +51,8 @@ TELL = "    print(json.dumps(answer), flush=True)\n"
 
 
 def written():
-    """Write the named blocks of the page into the working directory."""
-    for _, text in re.findall(r"^```(\w+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL):
+    """Write the named blocks of the pages into the working directory."""
+    for _, text in re.findall(r"^```(\w+)\n(.*?)^```$", PAGE + SUBMIT, re.MULTILINE | re.DOTALL):
         if name := re.match(r"(?:#|//|/\*) (\w+\.\w+)", text):
             Path(name[1]).write_text(text, encoding="utf-8")
 

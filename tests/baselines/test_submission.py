@@ -94,7 +94,7 @@ def typed(line):
         if option in words:
             words[words.index(option) + 1] = value
     for before, main in (
-        (["python", "evaluate.py"], evaluate.main),
+        (["auv-gym", "evaluate"], evaluate.main),
         (["auv-gym", "submit"], submit.main),
         (["python", "-m", "research", "leaderboard"], command.main),
     ):
@@ -107,8 +107,7 @@ def typed(line):
 def test_the_tutorial_leads_to_the_leaderboard(capsys):
     """Its lines, one after the other: in the end the controller is on the page, with the scores of evaluate.py."""
     for line in LINES:
-        if "cmd:" not in line:  # a program, see test_programs.py
-            assert typed(line) == DONE, line
+        assert typed(line) == DONE, line
     out = capsys.readouterr().out
     assert Path("runs/evaluate/my-controller.npz").stat().st_size < LARGEST_SUBMISSION
     assert "Reproduced: all 24 numbers" in out

@@ -218,6 +218,7 @@ def kept():
 
 def test_what_the_page_says_in_words_holds(kept):
     remus, boat = kept["remus100"], kept["otter"]
+    assert max(remus["tau"]["all"], boat["tau"]["all"]) < comparison.TAU
     for turn in remus["trials"]["turns"]:
         assert 1.6 < turn["space"] / turn["plane"] < 2.2
     for policy in remus["causes"]["policies"]:

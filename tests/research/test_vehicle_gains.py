@@ -123,7 +123,7 @@ def test_an_agent_runs_beside_predictive_control_of_either_gains(tmp_path, capsy
     assert tails["parameters"] == tails["searched"] != tails["helm-any"]
     assert [len(own) for own in tails["helm-any"].values()] == [1] * 8
     says, rows = vehicles_page._agent(record)
-    assert "over all 1 vehicles" in says
+    assert "Over all 1 vehicles" in says
     own, theirs = (np.concatenate(list(tails[side].values())) for side in ("helm-any", "parameters"))
     assert rows.splitlines()[-1].count(f" {np.exp(np.log(own / theirs).mean()):.2f} (") == 2
 
@@ -137,7 +137,7 @@ def test_the_papers_vehicle_is_the_same_before_and_after():
 def test_the_readme_says_how_the_agent_does_beside_searched_gains():
     """One seed of it, tuned to no vehicle."""
     pattern = r"(\d\.\d\d \(\d\.\d\d \.\.\. \d\.\d\d\))"
-    measured = re.search(f"{pattern} of that with searched ones", (ROOT / "docs/vehicles.md").read_text("utf-8"))[1]
+    measured = re.search(f"{pattern} times that with searched", (ROOT / "docs/vehicle-gains.md").read_text("utf-8"))[1]
     said = rf"searched for each vehicle it has {pattern} times the error at cruise"
     [shown] = re.findall(said, (ROOT / "README.md").read_text(encoding="utf-8"))
     assert shown == measured
