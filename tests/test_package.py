@@ -160,10 +160,9 @@ def test_what_to_type_for_an_extra(monkeypatch, tmp_path):
 
 
 def test_every_hint_is_made_in_one_place():
-    """But for one in a file that recorded rows stand on, see `fingerprints.ROOMS`."""
     files = (p for room in ("auv_gym", "baselines") for p in (package.ROOT / room).rglob("*.py"))
     saying = {p.name for p in files if "pip install" in p.read_text(encoding="utf-8")}
-    assert saying == {"installation.py", "casadi_solver.py"}
+    assert saying == {"installation.py"}
 
 
 def test_without_a_checkout_it_says_where_rows_are(monkeypatch, tmp_path, capsys):
