@@ -187,7 +187,7 @@ def test_a_memory_that_gives_no_number_begins_again(law):
 
 
 class Fails(Batched):
-    """A policy without memory that gives what it is told to give."""
+    """A policy without memory that gives no number."""
 
     def actions(self, rows, state, episode_start, deterministic):
         return np.full((len(rows), 2), math.nan, dtype=np.float32), state
