@@ -1,4 +1,4 @@
-"""Error dynamics linearised about steady motion: the one copy, for regulators, stability maps and certificates."""
+"""Error dynamics linearised about steady motion: the one copy, for regulators and local stability."""
 
 from __future__ import annotations
 
@@ -19,8 +19,6 @@ Feedback = Callable[[Sequence[Array]], Force]
 
 FINE_STEP = 1e-6
 """Half width of the central differences of a feedback, in SI units: their error is about 1e-10."""
-LONGEST_PERIOD = 5.0
-"""Longest control period [s] that is looked at."""
 
 
 def error_dynamics(vehicle: Vehicle, u_R: float, v_R: float, r_R: float) -> tuple[Array, Array]:
@@ -68,31 +66,6 @@ class Linearisation:
         """The six eigenvalues [1/s] of the continuous loop, the least stable first."""
         values = np.linalg.eigvals(self.A + self.B @ self.K).astype(np.complex128)
         return values[np.lexsort((values.imag, -values.real))]
-
-    def held(self, period: float) -> Array:
-        """Return the matrix from one control instant to the next, shape (6, 6), with the forces held in between."""
-        from scipy.linalg import expm
-
-        block = np.zeros((8, 8))
-        block[:6] = np.hstack((self.A, self.B))
-        step = expm(block * period)
-        return np.asarray(step[:6, :6] + step[:6, 6:] @ self.K)
-
-    def largest_period(self) -> float:
-        """Return the period [s] at which the held loop turns unstable first; 0 if it always is, inf if not by 5 s."""
-        from scipy.optimize import brentq
-
-        def growth(period: float) -> float:
-            return float(np.abs(np.linalg.eigvals(self.held(period))).max()) - 1
-
-        if self.eigenvalues[0].real >= 0:
-            return 0.0
-        grid = np.linspace(0.02, LONGEST_PERIOD, 250)
-        unstable = np.flatnonzero([growth(T) > 0 for T in grid.tolist()])
-        if len(unstable) == 0:
-            return float("inf")
-        k = int(unstable[0])
-        return 0.0 if k == 0 else float(brentq(growth, grid[k - 1], grid[k], xtol=1e-6))
 
 
 def linearise(

@@ -18,11 +18,6 @@ def main(arguments: Sequence[str]) -> int:
     """
     options, command = parse(Options, arguments, PROGRAM), typed(PROGRAM, arguments)
     from baselines.evaluation.command import evaluate
-    from baselines.evaluation.request import Request, checked_folder, checked_policies
-    from baselines.evaluation.score import EXPERT
+    from baselines.evaluation.request import Request
 
-    if options.stability:
-        from baselines.evaluation.stability.report import report
-
-        return report(checked_policies(options.policy or (EXPERT,)), checked_folder(options.out), command)
     return evaluate(Request.of(options, command))

@@ -22,7 +22,7 @@ class Options:
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
     """Policies, compared with the expert; without any, the expert alone. By name; FILE.py:FACTORY; a FILE.zip of
     Stable-Baselines3; a FILE.onnx; "cmd:COMMAND", a program in any language that is asked line by line, see
-    docs/enter.md; the folder of a trained agent, or of the run that trained it. ":fade" behind an agent's name or
+    docs/programs.md; the folder of a trained agent, or of the run that trained it. ":fade" behind an agent's name or
     folder makes its corrections fade where it leaves what it has seen."""
     suite: Annotated[str | None, arg(metavar="S", help_behavior_hint="")] = None
     """Frozen: "benchmark-v2" (the default), "benchmark-v1" (the same episodes; the score's 1 is the oracle's),
@@ -42,14 +42,11 @@ class Options:
     """Also write the report's charts as PNG files."""
     step_limit: float = 0.1
     """Seconds that a policy may take for a decision, on average; a slower one fails."""
-    stability: bool = False
-    """Instead of running scenarios, examine where the policies are stable about steady motion in still water, and
-    certify it for references that vary."""
     submit: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")] = None
     """Also write what the policy did in the whole suite as a submission, NAME.npz in the folder, to enter the
     leaderboard with; see docs/enter.md."""
     about: Annotated[About, OmitArgPrefixes] = NOTHING
     """What is said of a submission, all of it optional."""
     resume: bool = False
-    """Use the finished runs that an interrupted evaluation has left in the folder; a policy whose file has changed
-    since runs again."""
+    """Use the finished runs that an interrupted evaluation has left in the folder; where the policy's file or the
+    simulator has changed since, or it is too slow for --step-limit, it runs again."""

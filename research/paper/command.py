@@ -12,18 +12,17 @@ from rich.table import Table
 
 from baselines.evaluation.report.terminal import LOOK, console
 from baselines.evaluation.request import checked_folder
-from baselines.tools.command_line import DONE, FAILED, parse, typed
+from baselines.tools.command_line import DONE, FAILED, parse
 from baselines.tools.files import json_text, write_atomically
 from research.paper.figures import paper_figures
 from research.paper.numbers import Reproduction, Row, reproduce_paper
-from research.paper.page import paper_html
 
 PROGRAM = "python -m research paper"
 
 
 @dataclass(frozen=True)
 class Options:
-    """Print the paper's numbers beside those recomputed; write paper.html, paper.json and the figures 3 to 6.
+    """Print the paper's numbers beside those recomputed; write paper.json and the figures 3 to 6.
 
     Exit status: 0 done, 1 the files cannot be written, 2 wrong usage.
     """
@@ -43,7 +42,7 @@ def main(arguments: Sequence[str]) -> int:
     for table in tables(found):
         out.print(table)
     files: dict[str, str | bytes] = {f"{name}.png": png for name, png in paper_figures(found).items()}
-    files |= {"paper.html": paper_html(found, typed(PROGRAM, arguments)), "paper.json": json_text(found.to_dict())}
+    files["paper.json"] = json_text(found.to_dict())
     try:
         for name, content in files.items():
             write_atomically(folder / name, content)

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.planning.paths import PAPER_CIRCLE
 from auv_gym.planning.planner import plan
-from baselines.evaluation.stability.closed_loop import Response
 from baselines.tools.figure_style import COLOURS, REFERENCE_STYLE, panels, styled, to_png
+from research.paper.closed_loop import Response
 from research.paper.noise_study import POSITION_NOISE, TRANSIENT, NoiseRun, noise_scenario
 from research.paper.numbers import CHOSEN, SIGNS, Reproduction
 

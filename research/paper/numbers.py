@@ -22,13 +22,13 @@ from auv_gym.planning.paths import PAPER_CIRCLE, Circle
 from auv_gym.planning.planner import plan, printed_surge_rate
 from auv_gym.planning.sideslip import path_rates
 from baselines.control.backstepping import GAINS
-from baselines.evaluation.stability.analysis import (
+from baselines.control.stability import (
     closed_loop_eigenvalues,
     derived_sign_forces,
     first_instability,
     spectral_abscissa,
 )
-from baselines.evaluation.stability.closed_loop import Response, closed_loop_response, last_outside
+from research.paper.closed_loop import Response, closed_loop_response, last_outside
 from research.paper.noise_study import POSITION_NOISE, NoiseRun, noise_study
 
 PAPER_GAINS = GAINS["paper"]  # those printed in the paper

@@ -1,7 +1,6 @@
-"""What a guard saves, in the frozen suites and where a network fails: `python -m research guards`.
+"""Failures of agents with a guard and without in the frozen suites: `python -m research guards`.
 
-In the suites policies run with a guard; what they do without one, and what the expert does, is recorded. Networks fail
-after a third of each episode, see `research.robustness.failures`; the guard is not told.
+Agents run with a guard; what they and the expert do without one is recorded.
 """
 
 from __future__ import annotations
@@ -15,22 +14,17 @@ import numpy as np
 from tyro.conf import arg
 
 from auv_gym.physics.namespaces import Array
-from auv_gym.scenarios.presets import REGIMES
-from baselines.agents.agent import Agent
-from baselines.agents.guard import Guarded, bounded_law
-from baselines.agents.names import GUARD, agent_folder
+from baselines.agents.names import GUARD
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.request import checked_policies
 from baselines.evaluation.runner import Cell
-from baselines.evaluation.score import EXPERT, LARGEST_TAIL, capped, is_lost, largest_tail, losses
+from baselines.evaluation.score import EXPERT, capped, is_lost, largest_tail
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, check_words, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from research import DATA
-from research.robustness.failures import FAILURES, Failing
-from research.robustness.situations import AS_TRAINED, situation_episodes
 
 PROGRAM = "python -m research guards"
 GUARDS_FILE = DATA / "guards.json"  # what guards did
@@ -38,14 +32,13 @@ FINGERPRINT = "fingerprint"  # entry beside the rows of a policy
 COUNTS = "episodes", "lost", "guarded_lost", "expert_keeps", "guarded_expert_keeps"
 TAILS = "tail_mm", "guarded_tail_mm"
 _SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1", "sealed-v1")
-"""Suites in which somebody is lost."""
+"""Suites in which policies fail."""
 _AT_ONCE = 520  # episodes side by side
-PER_CASE = 6  # episodes of each case in which networks fail
 
 
 @dataclass(frozen=True)
 class Options:
-    """Run agents with a guard in frozen suites, and with networks that fail; keep what each does.
+    """Run agents with a guard in frozen suites and keep what each does.
 
     Exit status: 0 done, 2 wrong usage.
     """
@@ -53,9 +46,7 @@ class Options:
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ("helm",)
     """Agents by name."""
     suite: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = _SUITES
-    """Frozen suites; none but `failures` for those alone."""
-    failures: bool = False
-    """Let networks fail, too."""
+    """Frozen suites."""
     episodes: int = 10_000
     """Most episodes of each cell of a suite, the first ones."""
     out: Path = GUARDS_FILE
@@ -95,23 +86,6 @@ def _with_guard(policy: str, cell: Cell, cap: float) -> tuple[Array, Any]:
     return np.concatenate(tails), np.concatenate(lost)
 
 
-def failing(policy: str, regime: str) -> dict[str, dict[str, int]]:
-    """Return how many episodes an agent loses whose network fails, with a guard and without, by failure.
-
-    Raises:
-        ValueError: it is no agent.
-    """
-    if (folder := agent_folder(policy)) is None:
-        raise ValueError(f"{policy!r} is no agent, so no network of it can fail")
-    agent, place, cap = Agent.load(folder), situation_episodes(regime, AS_TRAINED, PER_CASE), LARGEST_TAIL[regime]
-    third, found = place.steps // 3, {}
-    for failure in FAILURES:
-        bare, inner = (Failing(agent, failure, third) for _ in range(2))
-        lost = [sum(losses(e, cap) for e in place.run(who)) for who in (bare, Guarded(inner, bounded_law()))]
-        found[failure] = {"episodes": len(place.of), "lost": lost[0], "guarded_lost": lost[1]}
-    return found
-
-
 def main(arguments: Sequence[str]) -> int:
     """Run as the arguments say and return the exit status.
 
@@ -130,23 +104,16 @@ def main(arguments: Sequence[str]) -> int:
             if policy not in recorded.recorded_policies(suite):
                 raise UsageError(f"nothing is recorded of {policy} in {name}; record it first")
             row = in_suite(policy, suite, options.episodes)
-            _add(options.out, "suites", policy, {name: row})
+            _add(options.out, policy, {name: row})
             print(f"{policy}, {name}: {row}", flush=True)
-        for regime in (own for own in REGIMES if options.failures and own in recorded.regimes_of(policy)):
-            try:
-                rows = failing(policy, regime)
-            except ValueError as error:
-                raise UsageError(str(error)) from error
-            _add(options.out, "failures", f"{policy}, {regime}", rows)
-            print(f"{policy}, {regime}: {rows}", flush=True)
     return DONE
 
 
-def _add(file: Path, part: str, policy: str, rows: Mapping[str, Any]) -> None:
+def _add(file: Path, policy: str, rows: Mapping[str, Any]) -> None:
     """Add rows of a policy to a file; those of another fingerprint go."""
     record = read_json(file) if file.exists() else {}
-    own = record.setdefault(part, {}).get(policy, {})
-    digest = fingerprint(f"{policy.partition(',')[0]}{GUARD}")
+    own = record.get(policy, {})
+    digest = fingerprint(f"{policy}{GUARD}")
     rest = own if own.get(FINGERPRINT) == digest else {}
-    record[part][policy] = {**rest, FINGERPRINT: digest, **rows}
+    record[policy] = {**rest, FINGERPRINT: digest, **rows}
     write_atomically(file, json_text(record))

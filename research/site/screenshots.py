@@ -17,7 +17,6 @@ from baselines.evaluation import entry
 from baselines.tools.command_line import DONE, FAILED, UsageError, parse
 from baselines.tools.files import write_atomically
 from research import DOCS
-from research.paper import command as paper
 
 PROGRAM = "python -m research screenshots"
 IMAGES = DOCS / "images"  # folder of the pictures
@@ -67,17 +66,10 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _evaluated(pages: Path) -> None:
-    """Make the pages that are missing."""
-    wanted = {
-        "suite": ("--suite", "benchmark-v2", "--episodes", "40", "--policy", *_POLICIES),
-        "stability": ("--stability", "--policy", "backstepping-paper", "lqi"),
-    }
-    for name, words in wanted.items():
-        page = "report" if name == "suite" else name
-        if not (pages / name / f"{page}.html").exists():
-            entry.main([*words, "--out", str(pages / name)])
-    if not (pages / "paper" / "paper.html").exists():
-        paper.main(["--out", str(pages / "paper")])
+    """Make the page where it is missing."""
+    if not (pages / "suite" / "report.html").exists():
+        words = ("--suite", "benchmark-v2", "--episodes", "40", "--policy", *_POLICIES)
+        entry.main([*words, "--out", str(pages / "suite")])
 
 
 def _pictures(program: str, pages: Path) -> dict[str, bytes]:
@@ -97,8 +89,6 @@ def _pictures(program: str, pages: Path) -> dict[str, bytes]:
         _at(phone, 0.6)
         phone.locator("#player").scroll_into_view_if_needed()
         found["telephone"] = phone.screenshot()
-        found["stability"] = _opened(browser, pages / "stability" / "stability.html").screenshot()
-        found["paper"] = _opened(browser, pages / "paper" / "paper.html").screenshot()
         browser.close()
     return found
 

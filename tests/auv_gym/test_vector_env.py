@@ -2,7 +2,6 @@
 
 import importlib
 import re
-import resource
 import subprocess
 import sys
 
@@ -10,7 +9,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
-from gymnasium.wrappers import vector as wrappers
 
 from auv_gym.envs.lanes import Lanes, plan_of, planner_of, reference_table
 from auv_gym.scenarios.exogenous import Tape
@@ -19,6 +17,7 @@ from auv_gym.scenarios.scenario import Scenario
 from baselines import make_policy
 from baselines.control.backstepping import Backstepping
 
+wrappers = pytest.importorskip("gymnasium.wrappers.vector")  # since Gymnasium 1.0
 TRACK = "auv_gym:UnderactuatedAUVTrack-v0"
 RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"
 SHORT = {name: {**scenario.to_dict(), "steps": 100} for name, scenario in PRESETS.items()}
@@ -424,6 +423,7 @@ def test_16384_vehicles_fit_in_a_gibibyte():
 
 
 def test_memory_does_not_grow():
+    resource = pytest.importorskip("resource")  # not on Windows
     env = vector(n=64, scenario={**PRESETS["cruise-storm"].to_dict(), "steps": 20})
     env.reset(seed=0)
     actions = np.zeros((64, 2), dtype=np.float32)

@@ -1,7 +1,6 @@
 """The pages of an evaluation in a browser: on a desk, on a telephone, in print, without a script, and under attack."""
 
 import re
-import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -10,11 +9,11 @@ from pathlib import Path
 import pytest
 from browser import opened
 
-import evaluate
 from baselines import list_policies
 from baselines.evaluation.options import Options
 from baselines.evaluation.report.html import report_html
 from baselines.evaluation.report.numbers import compare, pool
+from baselines.evaluation.report.page import _library, _packed
 from baselines.evaluation.report.page_data import FEW
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import run_all
@@ -172,38 +171,29 @@ def test_the_same_run_makes_the_same_page(pages, tmp_path):
     assert report_html(request, compare(runs), pool(runs)) == report_html(request, compare(runs), pool(runs))
 
 
-@pytest.fixture(scope="module")
-def others(pages, paper):
-    """The pages about stability and about the paper."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("baselines.evaluation.stability.report.STARTS", 2)
-        patch.setattr("baselines.evaluation.stability.report.SPEEDS", (0.2, 1.0))
-        words = ["--stability", "--policy", "open-loop", "integral", "--out", str(pages / "stability")]
-        assert evaluate.main(words) == 0
-    shutil.copytree(paper, pages / "paper")
-    return pages
-
-
-def test_other_pages(browser, others):
-    for name, charts in (("stability", 1), ("paper", 19)):
-        file = others / name / f"{name}.html"
-        assert file.stat().st_size < LARGEST
-        with opened(browser, file, 390, mobile=True) as page:
-            ready(page)
-            assert page.evaluate("document.documentElement.scrollWidth") <= 390
-            assert page.locator(".chart svg.marks").count() == charts
-            before = page.locator(".chart svg.marks").first.inner_html()
-            page.locator("[data-param] button").last.click()
-            changed = "before => document.querySelector('.chart svg.marks').innerHTML !== before"
-            page.wait_for_function(changed, arg=before, timeout=PATIENCE)
-
-
-def test_pictures_of_the_pages(browser, others, tmp_path):
+def test_pictures_of_the_pages(browser, pages, tmp_path):
     """In a process of its own: Playwright runs once in each."""
     del browser  # it is there
-    words = ["-m", "research", "screenshots", "--pages", str(others), "--out", str(tmp_path)]
+    words = ["-m", "research", "screenshots", "--pages", str(pages), "--out", str(tmp_path)]
     subprocess.run([sys.executable, *words], check=True, cwd=ROOT)
     shown = re.findall(r"images/(report-.+?\.png)", (ROOT / "docs" / "report.md").read_text(encoding="utf-8"))
     assert sorted(shown) == sorted(file.name for file in tmp_path.iterdir())
     for name in shown:
         assert 5_000 < (ROOT / "docs" / "images" / name).stat().st_size < 250_000
+
+
+def test_charts_code_of_others_is_not_used(tmp_path, monkeypatch):
+    """Where others may write to the cache, what lies in it could be any script."""
+    monkeypatch.setenv("AUV_GYM_CACHE", str(tmp_path))
+    tmp_path.chmod(0o700)
+    _library.cache_clear()
+    code = _library()
+    (file,) = tmp_path.iterdir()
+    assert file.read_text() == code
+    planted = _packed("window.caught = 1")
+    file.write_text(planted)
+    for mode, expected in ((0o700, planted), (0o777, code)):
+        tmp_path.chmod(mode)
+        _library.cache_clear()
+        assert _library() == expected
+    _library.cache_clear()

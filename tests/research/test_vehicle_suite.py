@@ -194,29 +194,19 @@ def test_the_section_tells_what_the_rows_say(suite):
             Run(policy, cell.scenario, cell.hash, measures(f * base), recorded=when) for policy, f in factors.items()
         ]
     results = Results.of(suite, runs)
-    text = vehicles.vehicles_section(results, {})
-    half = "| `ekf` | 0.50 (0.50 ... 0.50) | 0.50 (0.50 ... 0.50) | 0.50 | 0.96 (0.96 ... 0.96) | 0 of "
-    assert [text.count(f"{half}{episodes} ") for episodes in (2304, 2048, 256)] == [1, 1, 1]
-    assert text.count("| `ekf` |") == 2 * 3
-    assert "Nobody is." in text
-    assert "`backstepping` loses 0 of 2304 episodes" in text
+    pairs = vehicles.pairs_of(results)
+    assert list(pairs) == ["clairvoyant", "ekf", "nmpc", "backstepping"]
+    for regime, episodes in (("", 2304), ("cruise", 2048), ("slow", 256)):
+        pair = vehicles.pairs_of(results, regime)["ekf"]
+        assert (pair.error.mean, pair.lost, pair.episodes) == (pytest.approx(0.5), 0, episodes)
     studies = {}
     for regime in ("cruise", "slow"):
         own = [run for run in runs if run.policy == "ekf" and run.scenario.name.startswith(regime)]
         studies[f"any-{regime}"] = Study.of("", regime, "", {vehicles.VEHICLES_SUITE: [own, own]}, [[], []])
-    pairs = [vehicles.pairs_of(results, regime)["nmpc"] for regime in ("cruise", "slow")]
-    for pair, known, lost in (
-        (pairs[0], studies, "0 of 4096"),
-        (pairs[1], studies, "0 of 512"),
-        (vehicles.Pair.joined(pairs), studies, "0 of 4608"),
-        (pairs[1], {"any-slow": studies["any-slow"]}, "0 of 512"),
-    ):
-        _, rows = vehicles.of_seeds(pair.own, known)
-        assert f"| `any` | 2 | 0.50 (0.50 ... 0.50) | 0.50 (0.50 ... 0.50) | {lost}" in rows
-    assert vehicles.of_seeds(pairs[1].own, {"any-cruise": studies["any-cruise"]}) == []
-    ekf = vehicles.pairs_of(results, "slow")["ekf"]
-    assert ekf.error_above(1.0) == 1.0  # nobody errs by a metre
-    assert ekf.error_above(1e-9) == pytest.approx(ekf.error.mean)
+    half = "0.50 (0.50 ... 0.50)"
+    (row,) = vehicles.seed_rows(pairs["nmpc"].own, studies)
+    assert row == ["`any`", "2", half, half, "0 of 4608 (<= 0.065 %)"]
+    assert vehicles.seed_rows(pairs["nmpc"].own, {"any-cruise": studies["any-cruise"]}) == []
     assert vehicles.nearer_than_optimum(results) == []
     first = next(i for i, run in enumerate(runs) if run.policy == "ekf")
     better = runs[first].measures.tail.copy()
@@ -224,8 +214,6 @@ def test_the_section_tells_what_the_rows_say(suite):
     runs[first] = replace(runs[first], measures=measures(better))
     ((name, episode, policy, _),) = vehicles.nearer_than_optimum(Results.of(suite, runs))
     assert (name, episode, policy) == (suite.cells[0].scenario.name, 3, "ekf")
-    assert vehicles.vehicles_figure(results).startswith(b"\x89PNG")
-    assert "Not recorded yet" in vehicles.vehicles_section(None, {})
 
 
 def test_nobody_is_nearer_than_the_bound_in_what_is_recorded(suite):
@@ -240,23 +228,18 @@ def test_nobody_is_nearer_than_the_bound_in_what_is_recorded(suite):
 
 
 def test_the_readme_says_how_the_agent_for_every_vehicle_compares(suite):
-    """Of several training seeds, in each regime; and who loses more."""
+    """Of several training seeds, over all cells; and on how many vehicles with fins it fails more often."""
     results, studies = Results.of(suite, recorded.load_recorded(suite).runs), load_studies()
-    pairs = {regime: vehicles.pairs_of(results, regime) for regime in ("cruise", "slow")}
-    told = {}
-    for regime, own in pairs.items():
-        _, text = vehicles.of_seeds(own["nmpc"].own, studies)
-        (row,) = (line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("| `helm-any`"))
-        assert row[1] == "5"
-        told[regime] = row[2]
+    pairs = vehicles.pairs_of(results)
+    (row,) = (row for row in vehicles.seed_rows(pairs["nmpc"].own, studies) if row[0] == "`helm-any`")
     readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
     assert (
-        f"`helm-any` has {told['cruise']} times the error of `nmpc` at cruise and {told['slow']} times in slow motion, "
-        "five training seeds; on three of four with fins it loses more episodes"
+        f"`helm-any` has {row[2]} times the error of `nmpc`, but it fails more often on three of the four vehicles "
+        "with fins"
     ) in readme
     finned = [name for name in fleet() if craft(name).actuators.fin]
     own, rival = (
-        [pairs["cruise"][policy].among(lambda cell, name=name: vehicle_of(cell) == name).lost for name in finned]
+        [pairs[policy].among(lambda cell, name=name: vehicle_of(cell) == name).lost for name in finned]
         for policy in ("helm-any", "nmpc")
     )
     assert (len(finned), sum(a > b for a, b in zip(own, rival, strict=True))) == (4, 3)

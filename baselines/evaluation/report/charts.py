@@ -28,26 +28,6 @@ def charts(policies: Sequence[str]) -> dict[str, Spec]:
     }
 
 
-def rate_chart(policies: Sequence[str]) -> Spec:
-    """Return the growth of small errors over the speed, a line for each policy, for the turn rate that is chosen."""
-    looks, told = _Looks(policies), _told(("policy", "policy"), ("speed", "m/s"), ("rate", "1/s"))
-    x = _number("speed", "path speed [m/s]", zero=True)
-    y = _number("rate", "growth of small errors [1/s]", nice=True, zero=True)
-    return _frame(
-        [
-            {"mark": {"type": "rule", "color": QUIET}, "encoding": {"y": {"datum": 0}}},
-            {"mark": _LINE, "encoding": {"x": x, "y": y, **looks.of("color", "strokeDash")}},
-            {
-                "mark": {"type": "point", "filled": True, "size": 45, "opacity": 1},
-                "encoding": {"x": x, "y": y, **looks.of("color", "shape"), "tooltip": told},
-            },
-        ],
-        params=[{"name": "turn", "value": 0}],
-        transform=[{"filter": "datum.turn === turn"}],
-        height=280,
-    )
-
-
 class _Looks:
     """The scales that give each policy its colour, its dash and its marker."""
 

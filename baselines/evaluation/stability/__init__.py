@@ -1,1 +1,0 @@
-"""Where a policy is stable about steady motion."""

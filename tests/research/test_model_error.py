@@ -1,0 +1,94 @@
+"""Sensitivity to model error: the wrong models, what they cost, the command and its records."""
+
+import json
+
+import numpy as np
+import pytest
+
+from auv_gym.physics.vehicle import PAPER_VEHICLE
+from baselines.evaluation.side_by_side import SideBySide
+from baselines.tools.command_line import run
+from baselines.tools.files import read_json
+from research.robustness import model_error
+
+
+def test_wrong_models_are_wrong_in_their_parameters_and_within_their_size():
+    """Shares are spread over what there is; what `ratios` leaves right is right; each model has mistakes of its own."""
+    drawn = [model_error.mistakes(k) for k in range(40)]
+    assert all(abs(share) <= 1 for own in drawn for share in own.values())
+    assert min(own["d11"] for own in drawn) < -0.9
+    assert max(own["d11"] for own in drawn) > 0.9
+    by = {name: model_error.wrong(PAPER_VEHICLE, drawn[0], 0.6, way) for name, way in model_error.WAYS.items()}
+    assert (by["ratios"].m11, by["ratios"].m33, by["ratios"].speed) == (215, 80, PAPER_VEHICLE.speed)
+    assert by["all"].m33 / 80 - 1 == pytest.approx(0.6 * drawn[0]["m33"])
+    assert by["all"].d22 == by["ratios"].d22 == pytest.approx(100 * (1 + 0.6 * drawn[0]["d22"]))
+    assert model_error.wrong(PAPER_VEHICLE, drawn[0], 0.0, model_error.WAYS["all"]) == PAPER_VEHICLE
+    assert model_error.mistakes(3) == drawn[3] != drawn[4]
+
+
+@pytest.fixture
+def few(monkeypatch):
+    """Make the measurement short: two cases, two models, one size."""
+    whole = model_error.cells_of
+    monkeypatch.setattr(model_error, "cells_of", lambda regime, n: [whole(regime, n)[i] for i in (0, 1)])
+    monkeypatch.setattr(model_error, "_MODELS", 2)
+    monkeypatch.setattr(model_error, "ERROR_SIZES", (0.6,))
+
+
+def test_a_policy_that_does_not_use_its_model_loses_nothing(few, tmp_path):
+    """The plan's own forces depend on no model; the paper's law cancels what its model says."""
+    without = model_error.with_wrong_models("open-loop", "cruise", 6)
+    assert without["wrong"]["ratios"][0]["above"] == [0, 0, 0]
+    assert without["wrong"]["ratios"][0]["error_m"] == without["right"]["error_m"]
+    found = model_error.with_wrong_models("backstepping", "cruise", 6)
+    assert found["right"]["score"][0] == pytest.approx(0, abs=1e-3)  # the suite's own zero, run again
+    for rows in found["wrong"].values():
+        mean, low, high = rows[0]["above"]
+        assert low <= mean <= high
+        assert mean == pytest.approx(np.mean(rows[0]["hulls"]), abs=1e-4)
+        assert rows[0]["score"][0] == pytest.approx(found["right"]["score"][0] + mean, abs=1e-4)
+        assert rows[0]["error_m"] != found["right"]["error_m"]
+    (tmp_path / "backstepping.json").write_text(json.dumps({"cruise": found}))
+    row = model_error.context("", tmp_path)["records"]["cruise"][1]
+    mean, low, high = found["wrong"]["all"][0]["above"]
+    shown = ["`backstepping`", "0.000", "m22, drag, m11, m33", f"{mean:+.3f} [{low:+.3f}, {high:+.3f}]"]
+    assert [cell for cell in row if cell != "-"][:4] == shown
+
+
+def test_command_keeps_what_it_measures(few, tmp_path):
+    words = ["--policy", "open-loop", "--regime", "cruise", "--episodes", "2", "--out", str(tmp_path)]
+    assert run(model_error.main, model_error.PROGRAM, words) == 0
+    assert list(read_json(tmp_path / "open-loop.json")) == ["cruise"]
+    assert run(model_error.main, model_error.PROGRAM, [*words[:2], "--regime", "slow", *words[4:]]) == 0
+    assert sorted(read_json(tmp_path / "open-loop.json")) == ["cruise", "slow"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--policy", "helmet"], "'helmet'"),
+        (["--regime", "fast"], "'fast'"),
+        (["--episodes", "1"], "--episodes is 1; it must be 2 or more"),
+        (["--policy", "oracle"], "oracle uses more than the observation"),
+    ],
+)
+def test_wrong_usage(arguments, says, capsys):
+    assert run(model_error.main, model_error.PROGRAM, arguments) == 2
+    error = capsys.readouterr().err
+    assert says in error
+    assert error.count("\n") == 1
+
+
+def test_kept_errors_of_wrong_models_are_those_of_today():
+    """Three episodes in still water, with the true model and the first wrong one."""
+    kept = read_json(model_error.MODEL_ERROR_FOLDER / "helm-any.json")["cruise"]
+    cell = model_error.cells_of("cruise", model_error.KEPT_EPISODES)[0]
+    way, size = model_error.WAYS["ratios"], model_error.ERROR_SIZES[-1]
+    first = model_error.wrong(cell.scenario.vehicle, model_error.mistakes(0), size, way)
+    there = SideBySide([cell])
+    for vehicle, errors in (
+        (cell.scenario.vehicle, kept["right"]["first_m"][0]),
+        (first, kept["wrong"]["ratios"][-1]["first_m"][0]),
+    ):
+        tails = there.run(model_error.acting("helm-any", vehicle))[0].tail
+        np.testing.assert_allclose(tails, errors, rtol=1e-2, atol=1e-5)
