@@ -20,7 +20,7 @@ from auv_gym.scenarios.drawing import Drawing, drawn_side_by_side
 from auv_gym.scenarios.episode import Episode, with_options
 from auv_gym.scenarios.exogenous import Tape
 from auv_gym.scenarios.scenario import RandomPath, Scenario
-from auv_gym.scenarios.vehicles import Craft
+from auv_gym.scenarios.vehicles import VehicleModel
 from auv_gym.task.kernels import STATES, begun
 from auv_gym.task.observation import Observation, check_reference, decode, reference_bounds
 from auv_gym.task.policy import Forces
@@ -86,7 +86,7 @@ class Lanes:
         self,
         num_envs: int,
         scenario: ScenarioLike | Sequence[ScenarioLike],
-        vehicle: Vehicle | Craft | str | Mapping[str, Any] | None,
+        vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None,
         control_dt: float | None,
         preview: Sequence[int] = (),
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,

@@ -26,7 +26,7 @@ from auv_gym.scenarios.episode import checked_options
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.scenarios.vehicles import Craft
+from auv_gym.scenarios.vehicles import VehicleModel
 from auv_gym.task.kernels import OneVehicle
 from auv_gym.task.observation import Observation, decoded_terms
 from auv_gym.task.policy import Law
@@ -124,7 +124,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     def __init__(
         self,
         scenario: Scenario | str | Mapping[str, Any] = "paper-circle",
-        vehicle: Vehicle | Craft | str | Mapping[str, Any] | None = None,
+        vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None = None,
         control_dt: float | None = None,
         render_mode: str | None = None,
         preview: Sequence[int] = (),
@@ -264,8 +264,8 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         vehicle = self._vehicle
         vehicle.action[0], vehicle.action[1] = surge, yaw
         vehicle.step(row, 1)
-        reward, lost, error, saturated = vehicle.outcome.tolist()
-        truncated, terminated = k >= self._steps, lost > 0.0
+        reward, failed, error, saturated = vehicle.outcome.tolist()
+        truncated, terminated = k >= self._steps, failed > 0.0
         self._over = truncated or terminated
         self._info = {"position_error": error, "saturated": saturated > 0.0, "time": k * self._dt}
         if self.render_mode is not None:

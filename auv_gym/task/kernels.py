@@ -37,7 +37,7 @@ class Outcome(NamedTuple):
     """What the task makes of a control step: floats, or rows of shape (N,)."""
 
     reward: Any
-    lost: Any  # 1 where the vehicle is lost, else 0
+    failed: Any  # 1 where the vehicle is lost, else 0
     error: Any  # [m] of the position
     saturated: Any  # 1 where an actuator was commanded to its limit, else 0
 
@@ -72,8 +72,10 @@ def step_kernel(parts: Parts, forces: Forces | None = None, *, carried: bool = F
             base = seen[SIZE:]
             action = [corrected(*three, SYMBOLS) for three in zip(base, authority, action, strict=True)]
         p = Parameters.of(parameters, parts)
-        moved, terms, (reward, lost, squared_error, saturated) = step(filled(PLANT, plant), action, samples, p, SYMBOLS)
-        outcome = Outcome(reward, lost, SYMBOLS.sqrt(squared_error), saturated)
+        moved, terms, (reward, failed, squared_error, saturated) = step(
+            filled(PLANT, plant), action, samples, p, SYMBOLS
+        )
+        outcome = Outcome(reward, failed, SYMBOLS.sqrt(squared_error), saturated)
         return {f"{after}plant": leaves(moved), f"{after}seen": _observed(terms, forces, parts), "outcome": outcome}
 
     rows = {"plant": PLANT_ROWS, "seen": columns(forces), "action": ACTIONS, "authority": ACTIONS}
