@@ -31,7 +31,7 @@ TRIED = 3  # rough starts that are fitted from, the best ones
 FINEST = 1.0  # largest product of an integration step and the vehicle's fastest rate
 _SUBSTEPS = (1, 2, 4)  # integration steps that a row may have
 
-LOST = (
+FAILED_START = (
     "the simulator follows this log from no values that were tried; are commands in [N] and [N m], do they hold until "
     "the next row, and are rows close enough for the vehicle?"
 )
@@ -77,7 +77,7 @@ def first_estimates(log: Log, over_ground: bool) -> tuple[RoughStart, Array, set
         if fits:
             *_, rough, values, held = min(fits, key=lambda entry: entry[:2])
             return replace(rough, coefficients=values[: len(COEFFICIENTS)]), values, held
-    raise ValueError(LOST)
+    raise ValueError(FAILED_START)
 
 
 def _hidden(model: LogModel, values: Array, scales: Array) -> set[str]:

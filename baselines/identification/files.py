@@ -51,7 +51,7 @@ def interval(estimate: ParameterEstimate) -> str:
 
 
 def vehicle_text(found: Identified, vehicle: Vehicle, log: str) -> str:
-    """Return vehicle.toml, a file of `auv_gym.scenarios.vehicles.Craft`, with intervals as comments.
+    """Return vehicle.toml, a file of `auv_gym.scenarios.vehicles.VehicleModel`, with intervals as comments.
 
     Args:
         found: the fit.

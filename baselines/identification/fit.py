@@ -11,8 +11,8 @@ import numpy as np
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from baselines.identification.begin import (
+    FAILED_START,
     FIRST_SEGMENT,
-    LOST,
     NEEDED,
     OPTIONAL,
     bounds_of,
@@ -134,7 +134,7 @@ def identify(
             break
         rows *= LONGER
     if search is None:
-        raise ValueError(LOST)
+        raise ValueError(FAILED_START)
     return search.run()
 
 

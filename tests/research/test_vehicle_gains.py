@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.units import POWERS, Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
-from auv_gym.scenarios.vehicles import PAPER, craft, fleet
+from auv_gym.scenarios.vehicles import PAPER, vehicle_model, vehicle_names
 from baselines import make_policy
 from baselines.control.linearisation import linearise
 from baselines.tools.command_line import run
@@ -26,10 +26,10 @@ ROOT = Path(__file__).parents[2]
 SLIP = 0.25  # [rad] largest sideslip of the turns in which random hulls are looked at
 
 
-@pytest.mark.parametrize("name", fleet())
+@pytest.mark.parametrize("name", vehicle_names())
 def test_expert_and_normalised_law_are_stable_on_the_fleet(name):
-    assert vehicles_page.worst_growth(craft(name)) < 0
-    assert vehicles_page.worst_growth(craft(name), "backstepping-normalised") < 0
+    assert vehicles_page.worst_growth(vehicle_model(name)) < 0
+    assert vehicles_page.worst_growth(vehicle_model(name), "backstepping-normalised") < 0
 
 
 SIZES = st.floats(-1.5, 1.5).map(lambda x: 10**x)
@@ -56,18 +56,19 @@ def test_expert_is_stable_on_random_hulls_of_any_size(ratio, surge, sway, yaw, l
 
 
 def test_a_course_of_another_vehicle_is_in_the_papers_units():
-    plain, own = rewound_scenarios("cruise", "plain"), rewound_scenarios("cruise", "plain", craft("otter"))
+    plain, own = rewound_scenarios("cruise", "plain"), rewound_scenarios("cruise", "plain", vehicle_model("otter"))
     assert [s.name for s in own] == [s.name for s in plain]
     assert {s.vehicle.speed for s in own} == {1.5}
     assert {s.control_dt for s in own} == {0.1}
     assert len({s.substeps for s in own}) == 1
     assert rewound_scenarios("slow", "plain", PAPER) is not plain
-    tails, lost, commands = TuningEpisodes("cruise", 8, TUNING_SEED, craft=craft("otter")).tails(
+    episodes = TuningEpisodes("cruise", 8, TUNING_SEED, vehicle_model=vehicle_model("otter"))
+    steady_rmses, failed, commands = episodes.steady_rmses(
         TUNABLES["los-pid"].factory(vehicles.load_gains("los-pid", "cruise", TUNABLES["los-pid"].names),
-                                    vehicle=craft("otter").in_paper_units.vehicle)
+                                    vehicle=vehicle_model("otter").in_paper_units.vehicle)
     )  # fmt: skip
-    assert tails.shape == lost.shape == commands.shape[1:2] == (8,)
-    assert np.median(tails) < 0.2
+    assert steady_rmses.shape == failed.shape == commands.shape[1:2] == (8,)
+    assert np.median(steady_rmses) < 0.2
 
 
 def test_the_ratio_of_means_and_its_interval():
@@ -98,7 +99,7 @@ def test_mistakes_are_told_in_a_line(arguments, says, capsys):
 def test_the_command_keeps_what_it_finds_beside_what_there_is(tmp_path):
     out = tmp_path / "found.json"
     out.write_text(json.dumps({"search": {"otter": {"lqi": {"ratio": 1.0}}}}))
-    few = ["--vehicle", "otter", "--policy", "los-pid", "--fresh", "8", "--out", str(out)]
+    few = ["--vehicle", "otter", "--policy", "los-pid", "--held-out", "8", "--out", str(out)]
     assert run(vehicles.main, vehicles.PROGRAM, ["search", "--evaluations", "0", "--episodes", "8", *few]) == 0
     assert run(vehicles.main, vehicles.PROGRAM, ["scaling", *few]) == 0
     record = json.loads(out.read_text())
@@ -112,19 +113,19 @@ def test_the_command_keeps_what_it_finds_beside_what_there_is(tmp_path):
 def test_an_agent_runs_beside_predictive_control_of_either_gains(tmp_path, capsys):
     """Told to keep the gains from the parameters, both sides of predictive control are the same."""
     out = tmp_path / "found.json"
-    few = ["--vehicle", "otter", "--fresh", "8", "--out", str(out)]
+    few = ["--vehicle", "otter", "--held-out", "8", "--out", str(out)]
     assert run(vehicles.main, vehicles.PROGRAM, ["agent", *few]) == 2
     assert f"no gains of nmpc are searched for otter: run {vehicles.PROGRAM} search" in capsys.readouterr().err
     gains = vehicles.load_gains("nmpc", "cruise", TUNABLES["nmpc"].names)
     out.write_text(json.dumps({"search": {"otter": {"nmpc": {"gains": gains, "budget": [60, 16]}}}}))
     assert run(vehicles.main, vehicles.PROGRAM, ["agent", *few]) == 0
     record = json.loads(out.read_text())
-    tails = record["agent"]["otter"]["tails"]
-    assert tails["parameters"] == tails["searched"] != tails["helm-any"]
-    assert [len(own) for own in tails["helm-any"].values()] == [1] * 8
+    steady_rmses = record["agent"]["otter"]["steady_rmses"]
+    assert steady_rmses["parameters"] == steady_rmses["searched"] != steady_rmses["helm-any"]
+    assert [len(own) for own in steady_rmses["helm-any"].values()] == [1] * 8
     says, rows = vehicles_page._agent(record)
     assert "Over all 1 vehicles" in says
-    own, theirs = (np.concatenate(list(tails[side].values())) for side in ("helm-any", "parameters"))
+    own, theirs = (np.concatenate(list(steady_rmses[side].values())) for side in ("helm-any", "parameters"))
     assert rows.splitlines()[-1].count(f" {np.exp(np.log(own / theirs).mean()):.2f} (") == 2
 
 
@@ -137,7 +138,8 @@ def test_the_papers_vehicle_is_the_same_before_and_after():
 def test_the_readme_says_how_the_agent_does_beside_searched_gains():
     """One seed of it, tuned to no vehicle."""
     pattern = r"(\d\.\d\d \(\d\.\d\d \.\.\. \d\.\d\d\))"
-    measured = re.search(f"{pattern} times that with searched", (ROOT / "docs/vehicle-gains.md").read_text("utf-8"))[1]
+    page = " ".join((ROOT / "docs/vehicle-gains.md").read_text(encoding="utf-8").split())
+    measured = re.search(f"{pattern} times that with searched", page)[1]
     said = rf"searched for each vehicle it has {pattern} times the error at cruise"
-    [shown] = re.findall(said, (ROOT / "README.md").read_text(encoding="utf-8"))
+    [shown] = re.findall(said, " ".join((ROOT / "README.md").read_text(encoding="utf-8").split()))
     assert shown == measured
