@@ -146,10 +146,10 @@ def test_the_pages_sea_is_that_of_the_tape(bench, speed_range, monkeypatch):
 
 
 def test_the_page_draws_its_own_sea_from_a_seed(bench):
-    run = """([regime, seed, loud]) => {
-        const path = DATA.regimes[regime].paths.line, reference = ENGINE.referenceOf(path);
+    run = """([speedRange, seed, loud]) => {
+        const path = DATA.speed_ranges[speedRange].paths.line, reference = ENGINE.referenceOf(path);
         const settings = { current: 0.2, direction: 1, gusts: 0.1, waves: 1, noise: loud };
-        const sea = ENGINE.seaOf(DATA.regimes[regime], path, seed, settings);
+        const sea = ENGINE.seaOf(DATA.speed_ranges[speedRange], path, seed, settings);
         return Array.from({ length: 600 }, (_, k) => [...sea.next(reference.row(k))]);
     }"""
     once, again, other = (np.array(bench.evaluate(run, ["cruise", seed, 1])) for seed in (4, 4, 5))
