@@ -122,7 +122,7 @@ def _library(command: str, version: str, source: str, flags: tuple[str, ...]) ->
             return made, "".join(reasons[:1])
         try:
             if folder not in _refused:
-                if source != _TRIAL:
+                if source != _TRIAL and not _refused:
                     _announce()
                 made = _built(command, f"{source}\nint {mark}(void) {{ return 1; }}\n", file, mark, flags)
                 return made, "".join(reasons[:1])

@@ -181,18 +181,19 @@ class Lanes:
         alone: list[int] = []  # places in `lanes`
         together: dict[int, list[int]] = {}  # places of those that are drawn side by side, by scenario
         for place, i in enumerate(states):
-            if (choices and choices[i]) or not drawn_side_by_side(self.scenarios[i]):
+            if choices and choices[i]:
                 alone.append(place)
             else:
                 together.setdefault(id(self.scenarios[i]), []).append(place)
         found: list[ReadyEpisodes] = []
         try:
             for places in map(np.array, together.values()):
-                if len(places) < FEWEST_ROWS:
+                scenario = self.scenarios[int(lanes[places[0]])]
+                if len(places) < FEWEST_ROWS or not drawn_side_by_side(scenario):
                     alone += places.tolist()
                     continue
                 own = [generators[i] for i in lanes[places].tolist()]
-                rows, refused = self._side_by_side(self.scenarios[int(lanes[places[0]])], places, own)
+                rows, refused = self._side_by_side(scenario, places, own)
                 for place in refused:
                     generators[lanes[place]].bit_generator.state = states[int(lanes[place])]
                 found += rows

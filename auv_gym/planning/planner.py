@@ -79,8 +79,8 @@ def plan(
         The reference, its fields of shape (T,), or (T, N) for a sequence of paths.
 
     Raises:
-        ValueError: the times are not an evenly spaced, increasing, finite grid inside the path's domain, or the plan
-            would need more than `MAX_SAMPLES` samples.
+        ValueError: the times are not an evenly spaced, increasing, finite grid inside the path's domain, the plan would
+            need more than `MAX_SAMPLES` samples, or a path's derivatives have another shape than `Path` says.
         InfeasibleReferenceError: the speed passes through zero, braking is faster than the sway drag allows, the
             sideslip exceeds `MAX_SIDESLIP`, or the open-loop forces exceed their limits.
     """
@@ -181,7 +181,7 @@ class Planner:
         table, grid = np.empty((len(self.times), 8)), self._grid(path)
         while grid.samples <= MAX_SAMPLES:
             if code == _GIVEN:
-                given = np.ascontiguousarray(path.derivatives(grid.times(self.times)))
+                given = _derivatives(path, grid.times(self.times))
             arrays = numbers, given, grid.settings, table, rest
             result = function(code, *(None if a is None else a.__array_interface__["data"][0] for a in arrays))
             if result <= 0:
@@ -234,8 +234,7 @@ class Planner:
                 "a path that turns more slowly, or a vehicle with a longer memory (m22 - m11)/d22 need fewer"
             )
         times = grid.times(self.times)
-        derivatives = path.derivatives(times).reshape(8, -1)
-        scale = grid.settings[_SCALE : _SCALE + 1]
+        derivatives, scale = _derivatives(path, times), grid.settings[_SCALE : _SCALE + 1]
         found = kernels()["look_along"](
             derivatives=derivatives, pose=np.zeros(3), scale=scale, coefficients=self._coefficients
         )
@@ -286,6 +285,17 @@ class _Grid(NamedTuple):
         return times
 
 
+def _derivatives(path: Path, times: Array) -> Array:
+    """Return what a path gives for T times as rows of numbers, shape (8, T)."""
+    given = np.asarray(path.derivatives(times), dtype=np.float64)
+    if given.shape != (4, 2, len(times)):
+        raise ValueError(
+            f"{type(path).__name__}.derivatives gives an array of shape {given.shape} for {len(times)} times; "
+            f"it must be (4, 2, {len(times)})"
+        )
+    return np.ascontiguousarray(given.reshape(8, -1))
+
+
 def _checked_times(times: Array, paths: Sequence[Path]) -> Array:
     times = np.asarray(times, dtype=np.float64)
     if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all():
@@ -313,7 +323,7 @@ def assemble(
         along: speed, direction and their rates along the paths, of shape (T, N).
         w: sine of the sideslip, shape (T, N).
         vehicle: whose `coefficients` are those of N vehicles, rows of shape (N,).
-        sway_load: external force Y on the hull along its sway axis [N], in (2b), and its rate [N/s], shape (T, N).
+        sway_load: external force Y on the vehicle along its sway axis [N], in (2b), and its rate [N/s], shape (T, N).
     """
     rows = np.array([getattr(along, name) for name in RATES])
     turns = np.round(np.diff(rows[BETA], axis=0) / (2 * math.pi))

@@ -8,7 +8,7 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from auv_gym.physics.namespaces import Array, Indices
-from auv_gym.planning.paths import Path, unstack
+from auv_gym.planning.paths import PATHS, Family, Path, unstack
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import DRAWS, RandomPath, Scenario
 
@@ -87,5 +87,7 @@ class _Speed(NamedTuple):
 
 
 def drawn_side_by_side(scenario: Scenario) -> bool:
-    """Return whether a scenario's episodes are made of `Scenario.episode` alone."""
-    return not scenario.sensors.outages and scenario.sensors.reckoning is None
+    """Return whether a scenario's episodes are made of `Scenario.episode` alone, on paths that can be one."""
+    names = scenario.path.families if isinstance(scenario.path, RandomPath) else ()
+    alike = all(issubclass(PATHS[name], Family) for name in names)
+    return alike and not scenario.sensors.outages and scenario.sensors.reckoning is None

@@ -278,7 +278,7 @@ class Tape:
         if first < end:
             self._states[lanes] = _states_of(noise_seeds, self._code)
         for lane, table in zip(lanes.tolist(), tables, strict=True):
-            self._tables[lane] = np.ascontiguousarray(table)
+            self._tables[lane] = np.ascontiguousarray(table, dtype=np.float64)
             self._locate(lane)
             self._fixes.pop(lane, None)
             self._headings.pop(lane, None)

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from native_cache import forget
 
 from auv_gym.codegen import cache as kept
 from auv_gym.codegen import native
@@ -25,24 +26,6 @@ needs_compiler = pytest.mark.skipif(
 )
 SOURCE = "double auv_test(void) { return 3; }\n"
 OTHERS = 65533  # a user who is not there
-
-
-def forget():
-    """Forget what this process knows of compilers, folders and libraries, as a new process."""
-    for function in (native.library, native.compiler):
-        function.cache_clear()
-    for found in (native._hung, native._refused, native._said):
-        found.clear()
-
-
-@pytest.fixture
-def cache(tmp_path, monkeypatch):
-    """An empty cache of compiled code."""
-    monkeypatch.setenv(native.CACHE, str(tmp_path / "cache"))
-    monkeypatch.delenv(native.SWITCH, raising=False)
-    forget()
-    yield tmp_path / "cache"
-    forget()
 
 
 def libraries(folder):

@@ -311,6 +311,29 @@ def test_force_beyond_its_limit_is_refused_where_it_first_is(name, unit):
     assert caught.value.place == (R.x[k], R.y[k])
 
 
+@pytest.mark.parametrize("shape", [(4, 2, 1), (3, 2, 50), (8, 50)])
+def test_derivatives_of_another_shape_are_refused(shape):
+    class Wrong:
+        speed, start, end = 1.0, -math.inf, math.inf
+
+        def derivatives(self, t):
+            return np.ones(shape)
+
+    with pytest.raises(ValueError, match=r"Wrong.derivatives gives an array of shape .* it must be \(4, 2, \d+\)"):
+        plan(Wrong(), PAPER_VEHICLE, 0.1 * np.arange(50))
+
+
+def test_derivatives_may_be_whole_numbers():
+    class Whole:
+        speed, start, end = 1.0, 0.0, math.inf
+
+        def derivatives(self, t):
+            zero = np.zeros(len(t), dtype=int)
+            return np.array([[zero, zero], [zero + 1, zero], [zero, zero], [zero, zero]])
+
+    np.testing.assert_allclose(plan(Whole(), PAPER_VEHICLE, 0.1 * np.arange(50)).F_u, PAPER_VEHICLE.d11)
+
+
 def test_refusal_reaches_another_process():
     error = pickle.loads(pickle.dumps(InfeasibleReferenceError("too fast", 1.5, (2.0, 3.0))))
     assert (error.condition, error.time, error.place) == ("too fast", 1.5, (2.0, 3.0))
