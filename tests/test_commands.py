@@ -31,7 +31,7 @@ QUICK = {
     "bench": "--quick",
     "train": f"{TINY} --out run",
     "train-all": "ppo-cruise --timesteps 512",
-    "pages": "results/learning --check",
+    "pages": "vehicle-gains --check",
     "verify": "unmodelled-v1 --policy open-loop --cells slow-everything",
     "examples": "--help",
     "docs": "-t quick -D toc_object_entries=0 -D html_show_search_summary=0",
@@ -40,10 +40,9 @@ QUICK = {
 """Options of the verbs that are run here."""
 CALM = ("--suite", "benchmark-v2", "--case", "cruise-calm", "--episodes", "1", "--out", "new")
 """Options of the shortest run of fresh episodes."""
-"""Options of the shortest study of residuals."""
-BY_CI = {"test", "lint", "typecheck"}
+BY_CI = {"test-all", "test", "lint", "typecheck"}
 """Verbs that `.ci/run` itself runs."""
-BY_WORKFLOW = {"package", "test-all", "oldest"}
+BY_WORKFLOW = {"package", "oldest"}
 """Verbs that have jobs of their own in the workflow: they build and install in environments of their own."""
 MADE = {"api", "scenarios"}  # folders of pages that the build writes
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
@@ -169,7 +168,8 @@ def test_every_verb_is_run():
     assert set(re.findall(r"^      - run: make ([\w-]+)$", workflow, re.MULTILINE)) >= BY_WORKFLOW
     assert set(re.findall(r"^([a-z-]+):.*## ", MAKEFILE, re.MULTILINE)) == set(VERBS)
     assert re.search(r"^test: lint typecheck ##", MAKEFILE, re.MULTILINE)
-    assert (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()[-1] == "exec make test"
+    assert re.search(r"^test-all: test ##", MAKEFILE, re.MULTILINE)
+    assert (ROOT / ".ci" / "run").read_text(encoding="utf-8").splitlines()[-1] == "exec make test-all"
 
 
 def test_help_lists_the_verbs(copy):
@@ -177,6 +177,7 @@ def test_help_lists_the_verbs(copy):
     assert called(copy, "make") == made(copy, "help")
 
 
+@pytest.mark.slow
 def test_demo_recomputes_the_paper_runs_every_preset_and_shows_what_an_agent_wins(copy):
     printed = made(copy, "demo").splitlines()[-3:]
     for page in ("paper/paper.json", "paper/fig3_trajectory.png", "scenarios/report.html", "storm/report.html"):
@@ -187,23 +188,27 @@ def test_demo_recomputes_the_paper_runs_every_preset_and_shows_what_an_agent_win
     assert (copy / "runs" / "demo" / "storm" / "video.webp").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_video_is_made_in_a_quick_form(copy):
     printed = made(copy, "video").splitlines()[-3:]
     assert [line.split()[0] for line in printed] == ["nmpc", "helm", "written:"]
     assert (copy / "video.webp").exists()
 
 
+@pytest.mark.slow
 def test_bench_measures_in_a_quick_form(copy):
     text = made(copy, "bench")
     for case in ("with resets", "staggered", "of eleven", "first use", "decision of one vehicle: nmpc"):
         assert case in text
 
 
+@pytest.mark.slow
 def test_train_makes_an_agent(copy):
     made(copy, "train")
     assert (copy / "run" / "agent" / "agent.json").exists()
 
 
+@pytest.mark.slow
 def test_train_all_trains_those_that_are_named(copy):
     made(copy, "train-all")
     assert [run.name for run in (copy / "runs" / "shipped").iterdir()] == ["ppo-cruise"]
@@ -213,6 +218,7 @@ def test_pages_are_up_to_date(copy):
     assert made(copy, "pages").splitlines()[-1] == "all pages are up to date"
 
 
+@pytest.mark.slow
 def test_verify_says_what_is_equal(copy):
     assert re.search(r"^equal +open-loop in unmodelled-v1: \d+ numbers of 1 cells$", made(copy, "verify"), re.MULTILINE)
 
@@ -221,6 +227,7 @@ def test_examples_are_listed(copy):
     assert "rl_zoo" in made(copy, "examples")
 
 
+@pytest.mark.slow
 def test_docs_are_built_without_a_warning(copy, browser):
     pytest.importorskip("sphinx")
     pytest.importorskip("furo")

@@ -157,6 +157,7 @@ def test_table_of_the_quickstart_is_what_the_command_prints(tmp_path, capsys, mo
     compared(ROOT / "docs" / "quickstart.md", 80, tmp_path, capsys, monkeypatch)
 
 
+@pytest.mark.slow
 def test_numbers_of_the_readme_are_what_its_command_prints(tmp_path, capsys, monkeypatch):
     errors = compared(ROOT / "README.md", 100, tmp_path, capsys, monkeypatch)
     own = [errors[policy] for policy in ("backstepping", "nmpc", "helm")]

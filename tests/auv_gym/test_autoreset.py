@@ -63,8 +63,8 @@ def assert_same(native, own):
         (TASKS[0], "numpy", {}),
         (TASKS[1], "numpy", {"authority": 0.3}),
         (TASKS[1], "numpy", {"expert": "integral"}),  # an expert with memory
-        (TASKS[0], "torch", {}),
-        (TASKS[1], "torch", {"authority": 0.3}),
+        pytest.param(TASKS[0], "torch", {}, marks=pytest.mark.slow),
+        pytest.param(TASKS[1], "torch", {"authority": 0.3}, marks=pytest.mark.slow),
     ],
 )
 def test_equals_gymnasiums_own_in_every_mode(task, backend, options, mode):

@@ -282,6 +282,7 @@ print(sum("C++ compiler" in str(w.message) for w in caught))
 """
 
 
+@pytest.mark.slow
 def test_without_a_compiler_one_warning_and_an_eager_step(tmp_path):
     kept = {k: v for k, v in os.environ.items() if k not in ("CXX", "CC")}
     hidden = {**kept, "PATH": str(tmp_path), "TORCHINDUCTOR_CACHE_DIR": str(tmp_path)}

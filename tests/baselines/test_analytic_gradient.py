@@ -289,6 +289,7 @@ def rows(run):
     return [{k: v for k, v in row.items() if k != "seconds"} for row in run._rows]
 
 
+@pytest.mark.slow
 def test_training_improves(trained):
     run, _ = trained
     scores = [row["score"] for row in rows(run) if "score" in row]

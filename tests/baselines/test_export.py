@@ -65,7 +65,9 @@ def commands(repeatable, policy):
     return np.array([moment.command for moment in repeatable.play(policy, 600)])
 
 
-@pytest.mark.parametrize("name", shipped_agents())
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow if n.startswith("helm-") else ()) for n in shipped_agents()]
+)
 def test_the_model_and_the_header_steer_whole_episodes_as_the_agent_does(name):
     compiled()
     agent, run = exported(name), episodes(name)

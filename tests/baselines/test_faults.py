@@ -152,6 +152,7 @@ def test_a_start_far_off_at_any_heading_is_survived():
         assert run.measures.steady_rmse.max() < 0.2
 
 
+@pytest.mark.slow
 def test_faults_that_are_believed_in_cost_less():
     world = adverse("slow")
     late = replace(world, actuators=replace(world.actuators, delay=3.0, reach=1.0))

@@ -120,6 +120,7 @@ def test_gains_of_the_files(name):
     np.testing.assert_allclose(forces_over_time(make_policy(name).controller)[-1], CONTROLLERS[name], rtol=tolerance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_no_gain_of_the_files_is_idle(name):
     """At some instant of the history each of them tells; but in it no sea is calm for long enough."""

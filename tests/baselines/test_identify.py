@@ -293,6 +293,7 @@ def test_speeds_through_the_water_serve_too():
     assert found["m22"].value == pytest.approx(265, rel=0.02)
 
 
+@pytest.mark.slow
 def test_coverage_counts(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(coverage, "_VEHICLES", {"the paper's vehicle": PAPER_VEHICLE})

@@ -151,6 +151,7 @@ def test_workers_that_still_import_leave_an_interrupt_to_the_first_process(tmp_p
         process.communicate()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 @pytest.mark.parametrize("program", ["train.py", "evaluate.py"])
 def test_output_to_a_full_device_is_one_line(program, tmp_path):

@@ -273,6 +273,7 @@ def test_the_time_of_an_answer_is_bounded_where_a_child_holds_the_pipes(rows, mo
     assert gone(*pids)
 
 
+@pytest.mark.slow
 def test_none_is_left_where_evaluate_is_ended(tmp_path):
     """By SIGTERM, with the program in a worker process."""
     name = program(LOOP.replace("hello =", "import os; open(f'pid{os.getpid()}', 'w'); hello =", 1) + TELL)

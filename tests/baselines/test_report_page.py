@@ -64,6 +64,7 @@ def test_looks_differ_for_thirty_policies():
     assert len({(look.colour, look.marker) for look in LOOKS}) == len(LOOKS)
 
 
+@pytest.mark.slow
 def test_the_whole_benchmark_is_small(pages):
     text = (pages / "suite" / "report.html").read_text(encoding="utf-8")
     assert len(text.encode()) < LARGEST

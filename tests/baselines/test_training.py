@@ -87,7 +87,9 @@ def same(a, b):
     return a.keys() == b.keys() and all(np.array_equal(a[name], b[name]) for name in a)
 
 
-@pytest.mark.parametrize("algo", ALGORITHMS)
+@pytest.mark.parametrize(
+    "algo", [pytest.param(a, marks=() if a in ("apg", "ppo") else pytest.mark.slow) for a in ALGORITHMS]
+)
 def test_every_algorithm_trains_and_goes_on_after_an_interruption_as_if_there_had_been_none(
     algo, call, capsys, monkeypatch
 ):
@@ -235,6 +237,7 @@ def test_divergence_is_one_line(algo, call, capsys):
     assert "Traceback" not in err
 
 
+@pytest.mark.slow
 def test_full_disk_is_one_line_and_leaves_the_last_checkpoint_whole(call, capsys, monkeypatch):
     replace_file, count = Path.replace, 0
 
@@ -254,6 +257,7 @@ def test_full_disk_is_one_line_and_leaves_the_last_checkpoint_whole(call, capsys
     assert same(weights("out/agent"), weights("other/agent"))
 
 
+@pytest.mark.slow
 def test_kill_in_the_middle_of_a_write_leaves_a_folder_to_go_on_with(call, capsys):
     assert call(*tiny("ppo")) == 0
     (Path("out/agent")).rename("agent")
@@ -268,6 +272,7 @@ def test_kill_in_the_middle_of_a_write_leaves_a_folder_to_go_on_with(call, capsy
     assert "cannot go on from out/checkpoint.pt" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_seeds_differ_and_each_has_a_folder(call, capsys):
     assert call(*tiny("ppo"), "--seed", 3, "--seeds", 2, "--jobs", 1) == 0
     assert "seed-3: 100%" in capsys.readouterr().err
@@ -560,6 +565,7 @@ def test_shipped_agents_are_installed_and_unknown_ones_refused(call, monkeypatch
         shipped.main(["dqn-small"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "page", ["install", "training", "training-options", "tutorials/first-agent", "tutorials/vehicle"]
 )

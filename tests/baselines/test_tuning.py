@@ -95,6 +95,7 @@ def courses(record):
     return make
 
 
+@pytest.mark.slow
 def test_search_improves_within_its_evaluations_and_repeats():
     law, start, asked = TUNABLES["backstepping-tuned"], {name: getattr(GAINS["paper"], name) for name in LAW_GAINS}, []
     runs = []

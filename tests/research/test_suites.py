@@ -63,6 +63,7 @@ def test_the_benchmark_is_what_it_says():
     assert len(set(seeds)) == len(seeds)  # no episode of a test is one of the validation split
 
 
+@pytest.mark.slow
 def test_benchmark_v2_has_the_same_episodes_and_the_bound_as_its_one(tmp_path):
     old, new = suites.load_suite("benchmark-v1"), suites.load_suite("benchmark-v2")
     assert new.cells is old.cells

@@ -143,6 +143,7 @@ def test_the_bound_of_a_similar_vehicle_is_the_similar_one():
     np.testing.assert_allclose(steady_rmses[1] / 16, steady_rmses[0], atol=2 * TOLERANCE)
 
 
+@pytest.mark.slow
 def test_where_limits_bind_foresight_leads_farther_than_the_oracle():
     """A torpedo with lift and small fins in a storm: steps from the commands of the oracle end in a poor optimum."""
     scenario = as_scenario("cruise-storm@eca-a9")
