@@ -30,5 +30,5 @@ def test_workers_of_a_command_line():
 def test_words_that_are_no_text_are_refused(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["evaluate.py", "--out", "a\udcff"])
     assert run(evaluate.main, evaluate.PROGRAM) == 2
-    says = "evaluate.py: 'a\\udcff' holds characters that cannot be printed; leave them out\n"
+    says = "evaluate.py: 'a\\udcff' contains characters that cannot be printed; leave them out\n"
     assert capsys.readouterr().err == says
