@@ -69,9 +69,8 @@ ELSEWHERE = {
     r"auv-gym tune .*": "test_tuning.py, with few evaluations",
     r"python -m rl_zoo3\.train .*": "test_sb3.py reads its format; rl_zoo3 itself is no dependency",
     r"(python evaluate\.py --suite presets|python -m research paper)": "`make demo`, below",
-    r"auv-gym evaluate .*--submit .*": "test_submission.py::test_the_tutorial_leads_to_the_leaderboard",
-    r"(auv-gym submit|python -m research leaderboard) .*": "test_submission.py::"
-    "test_the_tutorial_leads_to_the_leaderboard",
+    r"auv-gym evaluate .*--submit .*": "test_submission.py::test_commands_of_the_tutorial",
+    r"(auv-gym submit|python -m research leaderboard) .*": "test_submission.py::test_commands_of_the_tutorial",
     r'auv-gym evaluate --policy "cmd:.*': "test_programs.py::test_the_examples_do_what_the_class_does",
     r"python -m research screenshots": "test_report_page.py::test_pictures_of_the_pages",
 }

@@ -1,9 +1,9 @@
 "use strict";
-// What every page does: unpack its data and the library of charts, sort tables, show one of several panels.
+// Shared code of all pages: unpacks the data and the library of charts, sorts tables, switches between panels.
 
 document.documentElement.classList.add("js");
 
-/** Return the text that an element holds compressed. */
+/** Return the text of an element whose content is compressed. */
 async function unpacked(id) {
   const text = document.getElementById(id).textContent.trim();
   const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
@@ -14,12 +14,12 @@ async function unpacked(id) {
 async function loaded() {
   const [code, data] = await Promise.all([unpacked("library"), unpacked("data")]);
   const script = document.createElement("script");
-  script.textContent = `(() => {${code}})();`; // its names are its own
+  script.textContent = `(() => {${code}})();`; // a function, so that its names are not global
   document.head.append(script);
   return JSON.parse(data);
 }
 
-/** Give the page's data to what draws its charts, or say that they cannot be drawn. */
+/** Call a function with the page's data, or show a message that the charts cannot be drawn. */
 function shown(draw) {
   loaded().then(draw).catch((error) => {
     const note = document.createElement("p");
@@ -49,7 +49,7 @@ async function drawn(element, spec) {
   return view;
 }
 
-/** Make the headings of a table sort it; what has no value comes last. */
+/** Make a table sortable by its headings; missing values come last. */
 function sortable(table) {
   const headings = [...table.tHead.rows[0].cells];
   const key = (row, i) => row.cells[i].dataset.key ?? row.cells[i].textContent;
@@ -75,7 +75,7 @@ function sortable(table) {
   });
 }
 
-/** Show one of the panels of a name. */
+/** Show one of the panels in the holder of this name. */
 function turned(name, index) {
   const holder = document.querySelector(`[data-panels="${name}"]`);
   if (!holder) return;
