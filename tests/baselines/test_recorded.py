@@ -105,7 +105,7 @@ def test_outdated_rows_are_used_after_verification(rows, monkeypatch, capsys):
 def test_changed_rows_and_rows_of_another_policy_are_not_used(rows):
     suite, folder = suites.load_suite("ood-v1"), rows / "ood-v1"
     shutil.copy(folder / "open-loop.npz", folder / "backstepping.npz")
-    assert "holds the rows of open-loop" in recorded.load_recorded(suite, rows).refused["backstepping"]
+    assert "has the rows of open-loop" in recorded.load_recorded(suite, rows).refused["backstepping"]
     with reading(folder / "open-loop.npz") as kept:
         write(folder / "open-loop.npz", Stored(kept.record, {"measures": kept.arrays["measures"] * 1.5}))
     assert "the rows have" in recorded.load_recorded(suite, rows).refused["open-loop"]

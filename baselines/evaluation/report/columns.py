@@ -137,7 +137,7 @@ def used(entries: Sequence[Entry]) -> list[Column]:
 
 
 def record(entry: Entry) -> dict[str, Any]:
-    """Return an entry's values as they stand in results.json; None where there is none."""
+    """Return the values of an entry by the keys of results.json; a missing value is None."""
     values: dict[str, Any] = {}
     for column in COLUMNS:
         table, _, name = column.key.partition(".")

@@ -31,16 +31,16 @@ function report(data) {
   async function scores() {
     const box = $("scores");
     if (!box) return;
-    for (const speed_range of new Set(data.scenarios.map((s) => s.speed_range).filter(Boolean))) {
-      const own = data.scenarios.filter((s) => s.speed_range === speed_range);
+    for (const speedRange of new Set(data.scenarios.map((s) => s.speed_range).filter(Boolean))) {
+      const own = data.scenarios.filter((s) => s.speed_range === speedRange);
       const rows = own.flatMap((s) => visible(s.rows).filter((r) => r.score && !["backstepping", "oracle", "clairvoyant"].includes(r.policy)).map((r) => ({ policy: r.policy, case: s.case, failed: r.failed, ...r.score })));
-      let element = $(`scores-${speed_range}`);
+      let element = $(`scores-${speedRange}`);
       if (!element) {
         const figure = document.createElement("figure");
         const caption = document.createElement("figcaption");
-        caption.textContent = `${speed_range}: scores with their 95 % intervals`;
+        caption.textContent = `${speedRange}: scores with their 95 % intervals`;
         element = document.createElement("div");
-        element.id = `scores-${speed_range}`;
+        element.id = `scores-${speedRange}`;
         element.className = "chart";
         figure.append(caption, element);
         box.append(figure);
