@@ -124,7 +124,7 @@ def test_switch_a_policy_off_and_play(browser, pages):
         page.wait_for_function("document.querySelectorAll('#errors .mark-line path').length === 2", timeout=TIMEOUT)
         assert "lqi" not in policies_of(page.locator("#steady_rmses"))
         assert page.locator("#now div").count() == 2
-        image = "document.getElementById('scene').toDataURL()"
+        image = "document.getElementById('sea').toDataURL()"
         before = page.evaluate(image)
         page.click("#play")
         page.wait_for_function("Number(document.getElementById('time').value) > 5", timeout=TIMEOUT)

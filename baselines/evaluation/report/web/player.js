@@ -1,8 +1,8 @@
-// The player of an episode: draws reference, vehicles with their trails, and the current on a canvas.
+// Animation of an episode on a canvas: reference, vehicles with their trajectories, and the current.
 
-/** Return the player; `chart` shows the errors and the time, `shown` returns the policies that are switched on. */
+/** Return the player. `chart` draws the errors and the time; `shown()` returns the set of selected policies. */
 function player(looks, chart, shown) {
-  const canvas = document.getElementById("scene");
+  const canvas = document.getElementById("sea");
   const pen = canvas.getContext("2d");
   const slider = document.getElementById("time");
   const [clock, button, now] = ["clock", "play", "now"].map((id) => document.getElementById(id));
@@ -12,18 +12,18 @@ function player(looks, chart, shown) {
   const vehicles = () => episode.vehicles.filter((v) => shown().has(v.policy));
 
   /** Return x, y [m], heading [rad] of a trajectory at a time [s], interpolated. */
-  function pose(track, time) {
-    const k = Math.min(time / episode.dt, track.x.length - 1);
-    const i = Math.min(Math.floor(k), track.x.length - 2);
-    if (i < 0) return { x: track.x[0] / 100, y: track.y[0] / 100, psi: track.psi[0] / 100 };
+  function pose(way, time) {
+    const k = Math.min(time / episode.dt, way.x.length - 1);
+    const i = Math.min(Math.floor(k), way.x.length - 2);
+    if (i < 0) return { x: way.x[0] / 100, y: way.y[0] / 100, psi: way.psi[0] / 100 };
     const s = k - i;
     const mix = (a) => (a[i] + s * (a[i + 1] - a[i])) / 100;
-    return { x: mix(track.x), y: mix(track.y), psi: track.psi[i] / 100 + s * wrapped((track.psi[i + 1] - track.psi[i]) / 100) };
+    return { x: mix(way.x), y: mix(way.y), psi: way.psi[i] / 100 + s * wrapped((way.psi[i + 1] - way.psi[i]) / 100) };
   }
   const wrapped = (angle) => Math.atan2(Math.sin(angle), Math.cos(angle));
   const over = (v) => t > (v.x.length - 1) * episode.dt + 1e-9;
 
-  /** Return the scale and the map from metres to pixels, for the whole path or for the surroundings of the reference. */
+  /** Return the scale and the function from metres to pixels, for the whole path or near the reference. */
   function view(width, height) {
     let [x, y, scale] = [0, 0, 1];
     if (document.getElementById("close").checked) {
@@ -32,8 +32,8 @@ function player(looks, chart, shown) {
       const far = Math.max(2, ...vehicles().map((v) => Math.hypot(pose(v, t).x - x, pose(v, t).y - y)));
       scale = (0.4 * Math.min(width, height)) / Math.min(far, 8);
     } else {
-      const tracks = [episode.reference, ...vehicles()];
-      const span = (key) => [Math.min(...tracks.flatMap((w) => w[key])) / 100, Math.max(...tracks.flatMap((w) => w[key])) / 100];
+      const ways = [episode.reference, ...vehicles()];
+      const span = (key) => [Math.min(...ways.flatMap((w) => w[key])) / 100, Math.max(...ways.flatMap((w) => w[key])) / 100];
       const [[x0, x1], [y0, y1]] = [span("x"), span("y")];
       [x, y] = [(x0 + x1) / 2, (y0 + y1) / 2];
       scale = 0.84 * Math.min(width / Math.max(x1 - x0, 1), height / Math.max(y1 - y0, 1));
@@ -41,13 +41,13 @@ function player(looks, chart, shown) {
     return { scale, to: (p) => [width / 2 + scale * (p.x - x), height / 2 - scale * (p.y - y)] };
   }
 
-  function line(track, to, until, style) {
+  function line(way, to, until, style) {
     Object.assign(pen, { strokeStyle: style.colour, lineWidth: style.width, lineCap: "round", lineJoin: "round" });
     pen.setLineDash(style.dash ?? []);
     pen.beginPath();
-    const k = Math.min(until / episode.dt, track.x.length - 1);
-    for (let i = 0; i <= k; i++) pen.lineTo(...to({ x: track.x[i] / 100, y: track.y[i] / 100 }));
-    pen.lineTo(...to(pose(track, until)));
+    const k = Math.min(until / episode.dt, way.x.length - 1);
+    for (let i = 0; i <= k; i++) pen.lineTo(...to({ x: way.x[i] / 100, y: way.y[i] / 100 }));
+    pen.lineTo(...to(pose(way, until)));
     pen.stroke();
     pen.setLineDash([]);
   }
@@ -136,7 +136,7 @@ function player(looks, chart, shown) {
     writeErrors();
   }
 
-  /** Write the errors at this time next to the names of the policies. */
+  /** Write the present errors next to the names of the policies. */
   function writeErrors() {
     for (const item of now.children) {
       const v = episode.vehicles[item.dataset.index];
@@ -229,7 +229,7 @@ function player(looks, chart, shown) {
       }));
       await show(0);
     },
-    /** Draw again after a change of the shown policies. */
+    /** Draw again after a change of the selected policies. */
     async refresh() {
       if (!episode) return;
       named();

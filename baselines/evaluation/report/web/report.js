@@ -1,4 +1,4 @@
-// The page of an evaluation: the choice of policies and of the scenario, and their charts.
+// The report of an evaluation: the selected policies, the selected scenario, and their charts.
 
 const $ = (id) => document.getElementById(id);
 
@@ -9,7 +9,7 @@ function report(data) {
   let scenario = 0;
   const visible = (rows) => rows.filter((row) => chosen.has(row.policy));
 
-  /** Make a chart, or update its data. */
+  /** Draw a chart, or replace the rows of a chart that exists. */
   async function chart(id, element, rows, others = {}, values = {}) {
     const key = element.id || id;
     if (!views[key]) {
@@ -27,20 +27,20 @@ function report(data) {
     await view.runAsync();
   }
 
-  /** Draw the scores of all cases, one chart for each speed range. */
+  /** Draw the scores of all cases, a chart for each speed range. */
   async function scores() {
     const box = $("scores");
     if (!box) return;
-    for (const speedRange of new Set(data.scenarios.map((s) => s.speed_range).filter(Boolean))) {
-      const own = data.scenarios.filter((s) => s.speed_range === speedRange);
+    for (const speed_range of new Set(data.scenarios.map((s) => s.speed_range).filter(Boolean))) {
+      const own = data.scenarios.filter((s) => s.speed_range === speed_range);
       const rows = own.flatMap((s) => visible(s.rows).filter((r) => r.score && !["backstepping", "oracle", "clairvoyant"].includes(r.policy)).map((r) => ({ policy: r.policy, case: s.case, failed: r.failed, ...r.score })));
-      let element = $(`scores-${speedRange}`);
+      let element = $(`scores-${speed_range}`);
       if (!element) {
         const figure = document.createElement("figure");
         const caption = document.createElement("figcaption");
-        caption.textContent = `${speedRange}: scores with their 95 % intervals`;
+        caption.textContent = `${speed_range}: scores with their 95 % intervals`;
         element = document.createElement("div");
-        element.id = `scores-${speedRange}`;
+        element.id = `scores-${speed_range}`;
         element.className = "chart";
         figure.append(caption, element);
         box.append(figure);
