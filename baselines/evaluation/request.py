@@ -144,11 +144,11 @@ def _skipped(policy: str, task: _Task, notes: list[str]) -> list[Cell]:
     speed_ranges = speed_ranges_of(policy)
     others = [cell for cell in task.cells if speed_range_of(cell.scenario.name) not in (*speed_ranges, None)]
     if others and task.anchors is not None:
-        notes.append(f"{policy} was trained in {' and '.join(speed_ranges)} motion and runs in those cells alone")
+        notes.append(f"{policy} was trained for {' and '.join(speed_ranges)} scenarios and runs in those only")
         return others
     if others:
         names = ", ".join(cell.scenario.name for cell in others)
-        notes.append(f"{policy} was trained in {' and '.join(speed_ranges)} motion, and not for {names}")
+        notes.append(f"{policy} was trained for {' and '.join(speed_ranges)} scenarios, not for {names}")
     return []
 
 
