@@ -68,9 +68,8 @@ ELSEWHERE = {
     r"auv-gym tune .*": "test_tuning.py, with few evaluations",
     r"python -m rl_zoo3\.train .*": "test_sb3.py reads its format; rl_zoo3 itself is no dependency",
     r"(python evaluate\.py --suite presets|python -m research paper)": "`make demo`, below",
-    r"auv-gym evaluate .*--submit .*": "test_submission.py::test_the_tutorial_leads_to_the_leaderboard",
-    r"(auv-gym submit|python -m research leaderboard) .*": "test_submission.py::"
-    "test_the_tutorial_leads_to_the_leaderboard",
+    r"auv-gym evaluate .*--submit .*": "test_submission.py::test_commands_of_the_tutorial",
+    r"(auv-gym submit|python -m research leaderboard) .*": "test_submission.py::test_commands_of_the_tutorial",
     r'auv-gym evaluate --policy "cmd:.*': "test_programs.py::test_the_examples_do_what_the_class_does",
     r"python -m research screenshots": "test_report_page.py::test_pictures_of_the_pages",
 }
@@ -182,7 +181,8 @@ def test_demo_recomputes_the_paper_runs_every_preset_and_shows_what_an_agent_win
     printed = made(copy, "demo").splitlines()[-3:]
     for page in ("paper/paper.json", "paper/fig3_trajectory.png", "scenarios/report.html", "storm/report.html"):
         assert (copy / "runs" / "demo" / page).exists()
-    assert re.fullmatch(r"helm keeps 0\.\d+ m where backstepping keeps 0\.\d+ m \(1 paired episode .*", printed[0])
+    expected = r"steady-state RMSE of helm: 0\.\d+ m, of backstepping: 0\.\d+ m \(1 paired episode .*"
+    assert re.fullmatch(expected, printed[0])
     assert printed[1].startswith("written: runs/demo/storm/video.webp")
     assert "runs/demo/storm/video.webp" in printed[2]
     assert (copy / "runs" / "demo" / "storm" / "video.webp").stat().st_size > 10_000

@@ -1,4 +1,4 @@
-"""What a moving picture shows of one policy: an episode, instant by instant."""
+"""Runs a policy through an episode and records the trajectory for a video."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from baselines.policy import Privileged
 
 
 class Instant(NamedTuple):
-    """A voyage at one time, SI units."""
+    """A trajectory at one time, in SI units."""
 
     state: Array  # x, y [m], psi [rad], u, v [m/s] over ground, r [rad/s], shape (6,)
     reference: Array  # x, y [m], psi [rad], shape (3,)
@@ -26,8 +26,8 @@ class Instant(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Voyage:
-    """One episode of a policy, a row for each of K control instants."""
+class Trajectory:
+    """One episode of a policy, one row for each of K control instants."""
 
     policy: str
     time: Array  # [s], shape (K,)
@@ -42,7 +42,7 @@ class Voyage:
         return np.asarray(np.hypot(*(self.state[:, :2] - self.reference[:, :2]).T))
 
     def at(self, time: float) -> Instant:
-        """Return what lies between two control instants; where it has ended, its end."""
+        """Return the linear interpolation at a time [s]; after the end of the episode, its last instant."""
         k = min(int(np.searchsorted(self.time, time, side="right")) - 1, len(self.time) - 2)
         share = min((time - self.time[k]) / (self.time[k + 1] - self.time[k]), 1.0)
         rows = self.state, self.reference, self.current
@@ -50,18 +50,18 @@ class Voyage:
         return Instant(state, reference, current, float(np.hypot(*(state[:2] - reference[:2]))))
 
 
-def voyage(name: str, scenario: Scenario, episode: Episode) -> Voyage:
-    """Return what a policy does in an episode.
+def trajectory_of(name: str, scenario: Scenario, episode: Episode) -> Trajectory:
+    """Return the trajectory of a policy in an episode.
 
     Args:
-        name: of the policy, see `baselines.make_policy`.
-        scenario: what the episode is of.
-        episode: what is to run.
+        name: name of the policy, see `baselines.make_policy`.
+        scenario: scenario of the episode.
+        episode: the episode.
 
     Raises:
         OSError: the policy's file cannot be read.
         ValueError: there is no such policy.
-        PolicyError: it gave no usable action.
+        PolicyError: the policy gave no usable action.
     """
     policy = make_policy(name, scenario.vehicle)
     if isinstance(policy, Privileged):
@@ -74,9 +74,9 @@ def voyage(name: str, scenario: Scenario, episode: Episode) -> Voyage:
             rows.append(_row(env))
     state, reference, current = (np.array(column) for column in zip(*rows, strict=True))
     state[:, 2], reference[:, 2] = np.unwrap(state[:, 2]), np.unwrap(reference[:, 2])
-    return Voyage(name, scenario.control_dt * np.arange(float(len(rows))), state, reference, current, failed)
+    return Trajectory(name, scenario.control_dt * np.arange(float(len(rows))), state, reference, current, failed)
 
 
 def _row(env: Any) -> tuple[Array, Array, Array]:
-    """Return state, reference and current of the only vehicle at this time."""
+    """Return state, reference and current of the environment's only vehicle."""
     return env.state[0].copy(), np.ravel(env.reference[:3]), env.current[0].copy()

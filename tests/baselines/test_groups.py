@@ -125,7 +125,7 @@ def test_an_object_elsewhere_does_what_it_is_called_for_in_order():
             there.call("add", "x")()
         answer = there.call("end")
         for failed in (answer, lambda: there.call("add", 1)):
-            with pytest.raises(WorkerError, match="a worker process was lost"):
+            with pytest.raises(WorkerError, match="a worker process ended unexpectedly"):
                 failed()
 
 

@@ -51,7 +51,7 @@ def test_an_agent_in_the_other_speed_range_says_so_once():
         policy = make_policy(name)
         messages = driven(policy, kept=True, scenario=scenario)
         assert len(messages) == 1
-        assert "choose the agent of that regime" in messages[0]
+        assert "choose the agent for that speed range" in messages[0]
         assert driven(policy, kept=True, scenario=scenario) == []
 
 

@@ -285,7 +285,7 @@ def test_a_lost_worker_is_one_line(tmp_path):
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     process = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
     assert process.returncode == 1
-    assert process.stderr.startswith("it: a worker process was lost")
+    assert process.stderr.startswith("it: a worker process ended unexpectedly")
     assert process.stderr.count("\n") == 1
 
 

@@ -235,7 +235,7 @@ def test_the_folder_of_a_training_stands_for_its_agent(tmp_path, monkeypatch, ca
     rows = json.loads((tmp_path / "out" / "results.json").read_text())["results"]
     assert [row["policy"] for row in rows] == ["backstepping", "runs/mine"]
     assert rows[0]["steady_rmse_m"] == rows[1]["steady_rmse_m"]
-    note = "runs/mine was trained in slow motion, and not for cruise-calm"
+    note = "runs/mine was trained for slow scenarios, not for cruise-calm"
     assert note in capsys.readouterr().err
     assert note in Path("out/report.html").read_text()
     assert fingerprint("runs/mine") == fingerprint("runs/mine/agent") != ""
@@ -246,7 +246,7 @@ def test_in_a_frozen_suite_an_agent_runs_in_its_speed_range(tmp_path):
     ran = {cell.scenario.name.split("-")[0] for policy, cell in request.pairs if policy == "apg-slow"}
     assert ran == {"slow"}
     assert len([policy for policy, _ in request.pairs if policy == "backstepping"]) == 16
-    assert "apg-slow was trained in slow motion and runs in those cells alone" in request.notes
+    assert "apg-slow was trained for slow scenarios and runs in those only" in request.notes
     assert {len(cell.episodes) for _, cell in request.pairs} == {2}
 
 

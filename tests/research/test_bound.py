@@ -59,7 +59,7 @@ def test_what_goes_wrong_is_told(tmp_path, monkeypatch, capsys):
     assert [own["seed"] for own in count.astray] == [OPTIMUM.first, OPTIMUM.first + 1]
     for text in ("[]", '{"cases": {"slow-storm": {"tea": 1, "astray": []}}, "fingerprint": ""}', "{}"):
         file.write_text(text)
-        with pytest.raises(UsageError, match="does not hold what"):
+        with pytest.raises(UsageError, match="was not written by"):
             main(["--out", str(file)])
     for arguments in (["--episodes", "0"], ["--episodes", str(10**12)]):
         with pytest.raises(UsageError, match="must be in"):

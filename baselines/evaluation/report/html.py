@@ -1,4 +1,4 @@
-"""report.html: the evaluation as one page, with tables that need no script and charts that one can play with."""
+"""Writes report.html: the evaluation as one page, with tables that need no script and interactive charts."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from baselines.tools.figure_style import look
 from baselines.tools.files import versions
 
 _FIRST = ("score", "failed", "steady_rmse", "effort", "smoothness", "decision_ms", "settling", "saturation", "capped")
-"""The columns in the order in which a page has them, by the beginning of their keys; the others come behind."""
+"""The first columns on a page, by the beginning of their keys; the other columns follow."""
 _LEAST = -0.2
-"""Score at the left end of the intervals that are drawn in the leaderboard."""
+"""Score at the left end of the intervals in the leaderboard."""
 
 
 @dataclass(frozen=True)
 class TableCell:
-    """A cell of a table: its text, and what it is sorted by."""
+    """A cell of a table: its text and its sort key."""
 
     text: str
     key: float | str
@@ -35,24 +35,24 @@ class _Line:
     """A line of a table of policies."""
 
     policy: str
-    mark: str  # behind the name: a star where the row was recorded
-    look: int | None  # which of the page's looks; None where it failed
+    mark: str  # text after the name: a star for a recorded row
+    look: int | None  # index of its look on the page; None if it failed
     colour: str
-    shown: bool  # whether the charts show it at first
+    shown: bool  # whether the charts show it initially
     cells: list[TableCell]
-    interval: dict[str, float] | None  # of the score, see `_place`
+    interval: dict[str, float] | None  # of the score, see `_x_of`
     failed: bool
 
 
 @dataclass(frozen=True)
-class _Board:
-    """The policies of a regime or in a scenario, the best first."""
+class _Leaderboard:
+    """The policies in a speed range or scenario, the best first."""
 
     place: str
-    lead: str  # a sentence about the best
+    lead: str  # a sentence about the best policy
     columns: list[Column]
     lines: list[_Line]
-    zero_one: tuple[float, float] | None  # where the scores 0 and 1 are in the intervals
+    zero_one: tuple[float, float] | None  # x of the scores 0 and 1 in the drawings of intervals
 
 
 def report_html(request: Request, results: Sequence[Result], pooled: Sequence[Entry]) -> str:
@@ -95,24 +95,24 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names) if len(names) <= 3 else f"{names[0]}, {names[1]} and {len(names) - 2} more scenarios"
 
 
-def _plural(count: int, what: str) -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"
+def _plural(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
-def _boards(entries: Sequence[Entry], policies: Sequence[str], shown: set[str]) -> list[_Board]:
+def _boards(entries: Sequence[Entry], policies: Sequence[str], shown: set[str]) -> list[_Leaderboard]:
     places = dict.fromkeys(entry.place for entry in entries)
     return [_board(place, [e for e in entries if e.place == place], policies, shown) for place in places]
 
 
-def _board(place: str, entries: Sequence[Entry], policies: Sequence[str], shown: set[str]) -> _Board:
-    columns, order = sorted(used(entries), key=_weight), ranked(entries)
+def _board(place: str, entries: Sequence[Entry], policies: Sequence[str], shown: set[str]) -> _Leaderboard:
+    columns, order = sorted(used(entries), key=_order), ranked(entries)
     lines = [_line(entry, columns, policies, shown) for entry in order]
-    scale = (_place(0.0), _place(1.0)) if any(line.interval for line in lines) else None
-    return _Board(place, _lead(order), columns, lines, scale)
+    scale = (_x_of(0.0), _x_of(1.0)) if any(line.interval for line in lines) else None
+    return _Leaderboard(place, _lead(order), columns, lines, scale)
 
 
-def _weight(column: Column) -> int:
-    """Return where a column stands: the score and what is lost first, since a screen may not hold all."""
+def _order(column: Column) -> int:
+    """Return the sort key of a column; the most important ones are first, since a screen may be too narrow for all."""
     return next((i for i, name in enumerate(_FIRST) if column.key.startswith(name)), len(_FIRST))
 
 
@@ -126,7 +126,7 @@ def _line(entry: Entry, columns: Sequence[Column], policies: Sequence[str], show
 
 
 def _key(value: Any) -> float | str:
-    """Return what a cell is sorted by; "" where there is nothing, which comes last."""
+    """Return the sort key of a cell; a missing value has "", which is sorted to the end."""
     first = value[0] if isinstance(value, list) else value
     return float(f"{first:.6g}") if isinstance(first, (int, float)) and math.isfinite(first) else ""
 
@@ -135,30 +135,31 @@ def _interval(score: Score | None) -> dict[str, float] | None:
     if score is None or not math.isfinite(score.mean):
         return None
     low, high = score.ci95 if math.isfinite(score.ci95[0]) else (score.mean, score.mean)
-    return {"low": _place(low), "high": _place(high), "mean": _place(score.mean), "below": float(score.mean < _LEAST)}
+    return {"low": _x_of(low), "high": _x_of(high), "mean": _x_of(score.mean), "below": float(score.mean < _LEAST)}
 
 
-def _place(score: float) -> float:
-    """Return the place of a score in the picture of an interval, which is 120 wide."""
+def _x_of(score: float) -> float:
+    """Return the x coordinate of a score in the drawing of an interval, whose width is 120."""
     return round(4 + 108 * (min(max(score, _LEAST), 1.06) - _LEAST) / (1.0 - _LEAST), 1)
 
 
 def _lead(order: Sequence[Entry]) -> str:
-    """Return a sentence about the best policy of those that foresee nothing; "" if there is nothing to compare."""
+    """Return a sentence about the best policy that is not in `FORESIGHTED`; "" with fewer than two policies."""
     best = next((e for e in order if e.policy not in FORESIGHTED and e.summary is not None), None)
     if best is None or best.summary is None or len(order) < 2:
         return ""
-    failed = f"{failures_text(best.failed, best.summary.episodes)} episodes lost"
+    failures = f"failures: {failures_text(best.failed, best.summary.episodes)}"
     if best.score is None or not math.isfinite(best.score.mean):
-        return f"{best.policy} is the nearest: a mean tail error of {best.summary.steady_rmse_m.mean:.3g} m, {failed}."
+        error = f"{best.summary.steady_rmse_m.mean:.3g} m"
+        return f"{best.policy} has the smallest mean steady-state error: {error}; {failures}."
     ends = f" ({fixed_ends(best.score.ci95)})" if math.isfinite(best.score.ci95[0]) else ""
     if best.policy == EXPERT:
-        return f"Nobody is better than the expert, {EXPERT}: {failed}."
-    return f"{best.policy} leads with a score of {fixed(best.score.mean)}{ends}, {failed}."
+        return f"No policy is better than the expert, {EXPERT}; {failures}."
+    return f"{best.policy} has the best score: {fixed(best.score.mean)}{ends}; {failures}."
 
 
 def _maps(results: Sequence[Result], policies: Sequence[str]) -> list[dict[str, Any]]:
-    """Return for each regime the scores case by case: a line for each policy, a colour for each score."""
+    """Return the table of scores by policy and case of each speed range, with a colour for each cell."""
     found: dict[str, dict[str, dict[str, Score | None]]] = {}
     for result in results:
         if (speed_range := speed_range_of(result.run.scenario.name)) is not None:
@@ -182,7 +183,7 @@ def _maps(results: Sequence[Result], policies: Sequence[str]) -> list[dict[str, 
 
 
 def _mean(scores: Any) -> float:
-    """Return the mean of the scores that there are, each at least -1."""
+    """Return the mean of the finite scores, each limited to at least -1."""
     known = [max(score.mean, -1.0) for score in scores if score and math.isfinite(score.mean)]
     return sum(known) / len(known) if known else -math.inf
 

@@ -1,7 +1,7 @@
-"""The directive `film`: a moving picture of policies in a preset, made when a page that shows it is read.
+"""The directive `video`: a video of policies in a preset, made when Sphinx reads the page.
 
-The files are kept beside the built pages, under names made of all that they show: what is there is not made again.
-With the tag `quick` all are the film of one scenario.
+The files are kept next to the built pages. The name of a file has a hash of everything that the video depends on, so
+a video is made only once. With the tag `quick` all videos are the one of a single scenario.
 """
 
 import hashlib
@@ -17,47 +17,47 @@ from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.score import speed_range_of
 
-FOLDER = "films"
-"""Where the files are, beside the folder of the built pages."""
+FOLDER = "videos"
+"""Name of the folder of the files, next to the folder of the built pages."""
 SEED = 6
-SPEED = 4.0  # how many times faster than the vehicles a film is
+SPEED = 4.0  # playback speed, as a multiple of real time
 SECONDS = 10.0
 QUICK = "paper-circle"
-"""The scenario that is filmed in place of all others where there is no time."""
+"""The scenario of all videos with the tag `quick`."""
 
 
-def filmed(scenario: str) -> tuple[str, ...]:
-    """Return the policies of a scenario's film: the expert and, where there is one, the regime's agent."""
+def shown_policies(scenario: str) -> tuple[str, ...]:
+    """Return the policies in the video of a scenario: the expert and the agent for its speed range, if there is one."""
     speed_range = speed_range_of(scenario)
     return ("backstepping", f"apg-{speed_range}") if speed_range else ("backstepping",)
 
 
-def film(scenario: Scenario, folder: Path) -> Path:
-    """Return the file of a scenario's film, made if it is not there."""
+def video_file(scenario: Scenario, folder: Path) -> Path:
+    """Return the file of a scenario's video; the video is made if the file does not exist."""
     from baselines.video import make_film
 
-    policies = filmed(scenario.name)
+    policies = shown_policies(scenario.name)
     options = {"seed": SEED, "size": (400 * len(policies), 400), "speed": SPEED, "seconds": SECONDS, "fps": 10}
     record = json.dumps([scenario.to_dict(), policies, options])
     file = folder / f"{scenario.name}-{hashlib.sha256(record.encode()).hexdigest()[:12]}.webp"
     return file if file.exists() else make_film(file, policies, scenario.name, **options)
 
 
-class FilmDirective(SphinxDirective):
-    """A moving picture of a preset, with a line about it."""
+class VideoDirective(SphinxDirective):
+    """A video of a preset, with a caption."""
 
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
         """Return the figure."""
         name = QUICK if "quick" in self.env.app.tags else self.arguments[0]
-        who = " and ".join({"backstepping": "the expert"}.get(policy, f"`{policy}`") for policy in filmed(name))
-        line = f"{who[0].upper()}{who[1:]} in the episode of seed {SEED} of `{name}`, {SPEED:g} times as fast."
-        return [figure(self, film(PRESETS[name], Path(self.env.app.outdir).parent / FOLDER), line)]
+        names = " and ".join({"backstepping": "the expert"}.get(p, f"`{p}`") for p in shown_policies(name))
+        line = f"{names[0].upper()}{names[1:]} in the episode of seed {SEED} of `{name}`, {SPEED:g} times as fast."
+        return [figure(self, video_file(PRESETS[name], Path(self.env.app.outdir).parent / FOLDER), line)]
 
 
 def figure(directive: SphinxDirective, file: Path, line: str) -> nodes.figure:
-    """Return a picture that lies outside of the pages' folder, with a line below it."""
+    """Return a figure whose file is outside of the pages' folder, with a line as its caption."""
     uri = "/" + Path(os.path.relpath(file, directive.env.srcdir)).as_posix()
     caption, _ = directive.parse_inline(line)
     image = nodes.image(uri=uri, alt=line.replace("`", ""))
@@ -66,5 +66,5 @@ def figure(directive: SphinxDirective, file: Path, line: str) -> nodes.figure:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Add the directive."""
-    app.add_directive("film", FilmDirective)
+    app.add_directive("video", VideoDirective)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
