@@ -1,11 +1,11 @@
-"""Seeds of the studies' episodes: parts of `baselines.tools.seeds.STUDIES`, one for each."""
+"""Ranges of seeds, one for the episodes of each study: parts of `baselines.tools.seeds.STUDIES`."""
 
 from __future__ import annotations
 
 from baselines.tools.seeds import Seeds
 
-_GUARD = Seeds(40_000_000, 45_000_000)
-"""The guard's thresholds are chosen on these."""
+GUARD = Seeds(40_000_000, 45_000_000)
+"""The thresholds of the guard were chosen on these."""
 FAILURE_RATE = Seeds(45_000_000, 55_000_000)
 """Failures are counted on these."""
 FALSIFICATION = Seeds(55_000_000, 60_000_000)
@@ -21,5 +21,5 @@ TRANSFER = Seeds(120_000_000, 130_000_000)
 FINE_TUNING = Seeds(130_000_000, 140_000_000)
 """Agents that were tuned to a vehicle are compared on these."""
 
-TABLE = (_GUARD, FAILURE_RATE, FALSIFICATION, HELD_OUT, SENSITIVITY, OPTIMUM, TRANSFER, FINE_TUNING)
-"""Every range, in order; none overlaps another."""
+TABLE = (GUARD, FAILURE_RATE, FALSIFICATION, HELD_OUT, SENSITIVITY, OPTIMUM, TRANSFER, FINE_TUNING)
+"""All ranges, in ascending order, without overlap."""

@@ -155,7 +155,7 @@ def main(arguments: Sequence[str]) -> int:
     """Count as the arguments say and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
     share = -(-options.episodes // len(SCENARIOS))  # of each case, rounded up

@@ -35,7 +35,7 @@ def main(arguments: Sequence[str]) -> int:
     """Recompute the paper and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     folder = checked_folder(parse(Options, arguments, PROGRAM).out)
     found, out = reproduce_paper(lambda part: print(part, file=sys.stderr)), console()

@@ -91,7 +91,7 @@ def main(arguments: Sequence[str]) -> int:
     """Run and keep as the arguments say and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("policy", options.policy, list_policies())

@@ -208,7 +208,7 @@ def main(arguments: Sequence[str]) -> int:
     """Search as the arguments say and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("speed range", options.speed_range, SPEED_RANGES)

@@ -224,7 +224,7 @@ def main(arguments: Sequence[str]) -> int:
     """Measure as the arguments say and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("policy", [name for name in options.policy if agent_folder(name) is None], list_policies())

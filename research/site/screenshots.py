@@ -45,7 +45,7 @@ def main(arguments: Sequence[str]) -> int:
     """Take the pictures and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense, or there is no browser.
+        UsageError: the arguments are invalid, or there is no browser.
     """
     options = parse(Options, arguments, PROGRAM)
     program = next(filter(None, map(shutil.which, BROWSERS)), None)

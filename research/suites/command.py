@@ -63,7 +63,7 @@ def main(arguments: Sequence[str]) -> int:
     """Do as the arguments say and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("suite", options.name, (*BUILDERS, *SHARED))

@@ -264,7 +264,7 @@ def main(arguments: Sequence[str]) -> int:
     """Measure as the arguments say and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options, figures = parse(Options, arguments, PROGRAM), []
     warnings.filterwarnings("ignore", module="gymnasium")

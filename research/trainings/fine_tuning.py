@@ -149,7 +149,7 @@ def main(arguments: Sequence[str]) -> int:
     """Train and measure as the arguments say and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("vehicle", options.vehicle, vehicle_names())

@@ -43,7 +43,7 @@ def main(arguments: Sequence[str]) -> int:
     """Train as the arguments say and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("agent", options.name, SHIPPED_TRAININGS)

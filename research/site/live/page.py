@@ -80,7 +80,7 @@ def main(arguments: Sequence[str]) -> int:
     """Write the page as the arguments say and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
         OSError: a file cannot be written.
     """
     options = parse(Options, arguments, PROGRAM)

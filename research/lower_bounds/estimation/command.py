@@ -72,7 +72,7 @@ def main(arguments: Sequence[str]) -> int:
     """Compute and keep as the arguments say and return the exit status.
 
     Raises:
-        UsageError: the arguments do not make sense.
+        UsageError: the arguments are invalid.
     """
     options = parse(Options, arguments, PROGRAM)
     if options.episodes is not None and options.episodes < 1:
