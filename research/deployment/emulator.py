@@ -46,7 +46,6 @@ class Emulated:
     stack: int  # [bytes] largest stack
 
 
-
 def emulated(agent: Exported, observations: NDArray[Any], memories: NDArray[Any], weights: str = "float32") -> Emulated:
     """Run an agent in single precision on K observations and return the results.
 
@@ -85,7 +84,6 @@ def emulated(agent: Exported, observations: NDArray[Any], memories: NDArray[Any]
     commands = np.ascontiguousarray(bits[:, :2]).view(np.float32)
     memory = 4 * (sum(agent.memory.values()) + 2)
     return Emulated(commands, instructions, int(sizes[0]) + int(sizes[1]), memory, stack)
-
 
 
 def _table(name: str, table: NDArray[Any]) -> str:

@@ -30,7 +30,6 @@ class Leaderboard:
     verified: Mapping[str, Mapping[str, Any]]  # entries of `VERIFIED_FILE`, by the name of the submission
 
 
-
 def enter(submission: Submission, folder: Path, replace: bool = False) -> Path:
     """Write a submission into the folder of a leaderboard and return its file.
 
@@ -63,9 +62,7 @@ def boards(folder: Path) -> list[Leaderboard]:
         submissions = tuple(_read(file) for file in files)
         suite = submissions[0].suite
         own = {
-            file.stem: stamp
-            for file in files
-            if (stamp := stamps.get(_key(file))) and stamp["sha256"] == _digest(file)
+            file.stem: stamp for file in files if (stamp := stamps.get(_key(file))) and stamp["sha256"] == _digest(file)
         }
         found.append(Leaderboard(suite, submissions, tuple(entries(submissions, anchor_errors(suite))), own))
     return found

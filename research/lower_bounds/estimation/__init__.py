@@ -1,1 +1,1 @@
-"""The floor that measurement noise lays: how near to its reference a vehicle can be kept that must first be located."""
+"""The estimation lower bound: a lower bound of the error of policies that estimate the position from measurements."""

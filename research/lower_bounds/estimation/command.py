@@ -1,8 +1,8 @@
-"""Compute the floor that measurement noise lays under everybody's errors: `python -m research estimation-bound`.
+"""Compute the estimation lower bound of the position error: `python -m research estimation-bound`.
 
-For each episode of benchmark-v1 whose measurements are noisy it computes how well the vehicle can be located by whom
-everything is told but the numbers that were drawn, see `model` and `filter`, and keeps the means over the episodes of
-each case in `research/data/floor.json`, from which `make pages` writes what is left to gain.
+For each episode of benchmark-v1 with noisy measurements, the command computes how accurately the position can be
+estimated if everything is known except the random numbers of the episode; see `model` and `filter`. The means over the
+episodes of each case are kept in `research/data/floor.json`. `make pages` shows them.
 """
 
 from __future__ import annotations
@@ -20,56 +20,56 @@ from baselines.evaluation import suites
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, read_json, write_atomically
 from research import DATA
-from research.lower_bounds.floor.filter import Located, located
-from research.lower_bounds.floor.model import FloorModel, has_floor
+from research.lower_bounds.estimation.filter import PositionErrors, position_errors
+from research.lower_bounds.estimation.model import EstimationModel, has_bound
 
 PROGRAM = "python -m research estimation-bound"
-_SUITE = "benchmark-v1"  # whose episodes have a floor
-_FILE = DATA / "floor.json"  # what is kept
-_AT_ONCE = 52  # episodes that are looked at together: few enough for the memory
+_SUITE = "benchmark-v1"  # suite of the episodes
+_FILE = DATA / "floor.json"  # record of the bounds
+_BATCH = 52  # episodes that are computed together, limited by the memory
 _FIRST = 2
-"""Episodes of each case, the first ones, of which the floor is kept one by one, to be compared with."""
+"""Number of episodes of each case, the first ones, whose bounds are recorded one by one for comparison."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Compute the floor of measurement noise in the noisy cases of benchmark-v1; it takes two minutes.
+    """Compute the estimation lower bound in the noisy cases of benchmark-v1. It takes two minutes.
 
     Exit status: 0 done, 2 wrong usage.
     """
 
     episodes: int | None = None
-    """Of each case, the first ones. Default: all."""
+    """Number of episodes of each case, the first ones. Default: all."""
     out: Path = _FILE
-    """File for what is found."""
+    """File for the results."""
 
 
 @dataclass(frozen=True)
-class Floor:
-    """What no policy's error can be below in a case, means over its episodes."""
+class EstimationBound:
+    """Lower bound of the error of every policy that measures the position, as means over the episodes of a case."""
 
     episodes: int
-    rms_m: float  # [m] root of the mean squared error of the position in tails
-    steady_rmse_m: float  # [m] mean of the root mean square over a tail, as scores have it; see `filter.Located`
-    first_m: tuple[float, ...]  # [m] that of the first episodes
+    rms_m: float  # [m] root of the mean squared position error after the first third of the episodes
+    steady_rmse_m: float  # [m] mean of the steady-state errors, as in scores; see `filter.PositionErrors`
+    first_m: tuple[float, ...]  # [m] steady-state errors of the first episodes
 
     @classmethod
-    def of(cls, scenario: Scenario, episodes: Sequence[Episode]) -> Floor:
-        """Return the floor in some episodes of a scenario; raises as `FloorModel.of`."""
-        parts = [episodes[first : first + _AT_ONCE] for first in range(0, len(episodes), _AT_ONCE)]
-        found = [floor_of(scenario, part) for part in parts]
+    def of(cls, scenario: Scenario, episodes: Sequence[Episode]) -> EstimationBound:
+        """Return the bound in episodes of a scenario; raises as `EstimationModel.of`."""
+        parts = [episodes[first : first + _BATCH] for first in range(0, len(episodes), _BATCH)]
+        found = [episode_errors(scenario, part) for part in parts]
         square, steady_rmse = (np.concatenate(column) for column in zip(*found, strict=True))
         first = tuple(steady_rmse[:_FIRST].tolist())
         return cls(len(steady_rmse), float(np.sqrt(square.mean())), float(steady_rmse.mean()), first)
 
 
-def floor_of(scenario: Scenario, episodes: Sequence[Episode]) -> Located:
-    """Return how well the vehicles can be located in episodes of a scenario; raises as `FloorModel.of`."""
-    return located(FloorModel.of(scenario, episodes), [episode.noise_seed for episode in episodes])
+def episode_errors(scenario: Scenario, episodes: Sequence[Episode]) -> PositionErrors:
+    """Return the errors of the estimated position in episodes of a scenario; raises as `EstimationModel.of`."""
+    return position_errors(EstimationModel.of(scenario, episodes), [episode.noise_seed for episode in episodes])
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Compute and keep as the arguments say and return the exit status.
+    """Compute and record the bounds and return the exit status.
 
     Raises:
         UsageError: the arguments are invalid.
@@ -79,18 +79,18 @@ def main(arguments: Sequence[str]) -> int:
         raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more")
     suite, found = suites.load_suite(_SUITE), {}
     for cell in suite.cells:
-        if has_floor(cell.scenario):
-            floor = found[cell.scenario.name] = Floor.of(cell.scenario, cell.episodes[: options.episodes])
-            print(f"{cell.scenario.name}: {1e3 * floor.steady_rmse_m:.2f} mm, {floor.episodes} episodes", flush=True)
-    record = {"suite": suite.name, "hash": suite.hash, "cases": {name: asdict(floor) for name, floor in found.items()}}
+        if has_bound(cell.scenario):
+            bound = found[cell.scenario.name] = EstimationBound.of(cell.scenario, cell.episodes[: options.episodes])
+            print(f"{cell.scenario.name}: {1e3 * bound.steady_rmse_m:.2f} mm, {bound.episodes} episodes", flush=True)
+    record = {"suite": suite.name, "hash": suite.hash, "cases": {name: asdict(bound) for name, bound in found.items()}}
     options.out.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(options.out, json_text(record))
     return DONE
 
 
-def recorded_floors(suite_hash: str, file: Path = _FILE) -> Mapping[str, Floor]:
-    """Return the floors of the cases of a suite of episodes of that hash, by case; {} where none are kept."""
+def recorded_bounds(suite_hash: str, file: Path = _FILE) -> Mapping[str, EstimationBound]:
+    """Return the recorded bounds of the suite with a hash, by case; {} without a record of it."""
     record: dict[str, Any] = read_json(file) if file.exists() else {"hash": None}
     if record["hash"] != suite_hash:
         return {}
-    return {name: Floor(**{**of, "first_m": tuple(of["first_m"])}) for name, of in record["cases"].items()}
+    return {name: EstimationBound(**{**of, "first_m": tuple(of["first_m"])}) for name, of in record["cases"].items()}

@@ -1,13 +1,13 @@
-"""What is not known beforehand of an episode whose every parameter is known, as a linear system with Gaussian noise.
+"""The random part of an episode with known parameters, as a linear system with Gaussian noise.
 
 Known are the true vehicle, the actuators and their lag, all commands, the mean current, the statistics of its gusts,
-the waves' frequencies and amplitudes, and the statistics of start and sensors. Not known are the numbers that were
-drawn: of the start, of the gusts, of the waves' phases and of the measurement errors. What that comes to is linearised
-about the way that the vehicle really takes where it is kept on its path, see `control.privileged.clairvoyant`.
+the frequencies and amplitudes of the waves, and the statistics of start and sensors. Unknown are the random numbers of
+the start, the gusts, the phases of the waves and the measurement errors. The model is linearised about the trajectory
+of the full-information optimum, see `control.privileged.clairvoyant`.
 
-The state z of an episode is what is off by (`POSE`) x, y [m], psi [rad], u, v [m/s], r [rad/s], velocities relative to
-the water; (`_GUSTS`) the gusts' process n and its filter s on each axis, in units of sigma, see
-`auv_gym.scenarios.exogenous`; and from `PHASES` on the phases [rad] of the waves' components, axis by axis:
+The state z of an episode is the deviation from this trajectory: (`POSE`) x, y [m], psi [rad], u, v [m/s], r [rad/s],
+with velocities relative to the water; (`_GUSTS`) the process n of the gusts and its filter s on each axis, in units of
+sigma, see `auv_gym.scenarios.exogenous`; from `PHASES` on the phases [rad] of the wave components, axis by axis:
 
     z_(k+1) = F_k z_k + Gamma w_k,    y_k = C_k z_k + e_k
 """
@@ -35,165 +35,176 @@ from baselines.control.privileged.clairvoyant import arriving, oracle_actions
 from baselines.control.privileged.problem import COMMAND_ROWS, PLANT_STATES, Problem, Trajectory
 from baselines.control.privileged.solver import best_trajectory
 
-POSE = slice(0, 6)  # the part of z that is the pose
-_GUSTS = slice(6, 10)  # the part of z that is the gusts
-PHASES = 10  # where the phases begin in z
-DRIVEN = 2  # numbers that drive the gusts in a control period
-_SEA = (*range(CURRENT.start, CURRENT.stop), *range(LOAD.start, LOAD.stop))
-"""Numbers of a sample that the sea supplies: V_x, V_y [m/s], X, Y [N], N [N m]."""
-AXES = 3  # that waves act on
-ANY_PHASE = math.pi**2 / 3  # [rad^2] variance of a phase of which nothing is known
+POSE = slice(0, 6)  # part of z
+_GUSTS = slice(6, 10)  # part of z
+PHASES = 10  # first phase in z
+GUST_INPUTS = 2  # white-noise inputs of the gusts in a control period
+_DISTURBANCES = (*range(CURRENT.start, CURRENT.stop), *range(LOAD.start, LOAD.stop))
+"""Disturbances in a sample of the exogenous inputs: V_x, V_y [m/s], X, Y [N], N [N m]."""
+AXES = 3  # axes of the wave loads
+ANY_PHASE = math.pi**2 / 3  # [rad^2] variance of a phase that is uniform over a full turn
 
 
 @dataclass(frozen=True)
-class FloorModel:
-    """N episodes of K control periods with n unknown numbers each."""
+class EstimationModel:
+    """The linear model of N episodes of K control periods, with n unknown numbers each."""
 
-    pose: Array  # of a period, the pose behind it by the pose before it, shape (K, N, 6, 6)
-    sea: Array  # of a period, the pose behind it by what the sea supplies in it, shape (K, N, 6, 5)
-    gusts: Array  # one period later by those before it, shape (N, 4, 4)
-    drive: Array  # the gusts by what drives them in a period, shape (N, 4, DRIVEN)
-    sigma: Array  # [m/s] of the gusts, shape (N,)
-    waves: Array  # [N], [N], [N m] each axis's load by the phases of its components, shape (K + 1, N, AXES, components)
-    measured: Array  # u, v over ground by psi and by V_x, V_y, shape (K + 1, N, 2, 3)
-    begun: Array  # covariance at the start, shape (N, n, n)
+    pose: Array  # derivative of the pose after a period by the pose before it, shape (K, N, 6, 6)
+    disturbance: Array  # derivative of the pose after a period by the disturbances in it, shape (K, N, 6, 5)
+    gusts: Array  # transition matrix of the gusts over a period, shape (N, 4, 4)
+    drive: Array  # input matrix of the gusts, shape (N, 4, GUST_INPUTS)
+    sigma: Array  # [m/s] standard deviation of the gusts, shape (N,)
+    waves: Array  # [N], [N], [N m] derivative of each load by the phases, shape (K + 1, N, AXES, components)
+    measured: Array  # derivative of u, v over ground by psi and by V_x, V_y, shape (K + 1, N, 2, 3)
+    initial: Array  # covariance at the start, shape (N, n, n)
     noise: Array  # [m], [m], [rad], [m/s], [m/s], [rad/s] standard deviations of the measurements, shape (6,)
 
     @classmethod
-    def of(cls, scenario: Scenario, episodes: Sequence[Episode]) -> FloorModel:
+    def of(cls, scenario: Scenario, episodes: Sequence[Episode]) -> EstimationModel:
         """Return the model of N episodes of a scenario.
 
         Raises:
-            ValueError: the scenario is none that has a floor, see `has_floor`.
+            ValueError: the model does not apply to the scenario, see `has_bound`.
             InfeasibleReferenceError: an episode's path cannot be followed in still water.
         """
-        if not has_floor(scenario):
-            raise ValueError(f"{scenario.name} has no floor: its measurements must be noisy, present and prompt")
+        if not has_bound(scenario):
+            raise ValueError(
+                f"{scenario.name} has no estimation lower bound: all measurements must have noise, and of the optional "
+                "parts of the simulation only weak actuators may be in use"
+            )
         problem = Problem.of(scenario, episodes)
-        course = best_trajectory(problem, arriving(oracle_actions(scenario, episodes), problem.delay))
-        pose, sea = slopes(problem, course)
-        left = [_left(e.current.gust_time, e.current.smoothing, scenario.control_dt) for e in episodes]
-        waves = np.stack([_waves(episode, scenario) for episode in episodes], axis=1)
+        trajectory = best_trajectory(problem, arriving(oracle_actions(scenario, episodes), problem.delay))
+        pose, disturbance = pose_derivatives(problem, trajectory)
+        decays = [_decays(e.current.gust_time, e.current.smoothing, scenario.control_dt) for e in episodes]
+        waves = np.stack([_wave_derivatives(episode, scenario) for episode in episodes], axis=1)
         u_R = problem.begun[3] / [e.surge for e in episodes]
         return cls(
             pose,
-            sea,
-            np.array([_gusts(a, b) for a, b in left]),
-            np.array([_drive(a, b) for a, b in left]),
+            disturbance,
+            np.array([_gust_transition(a, b) for a, b in decays]),
+            np.array([_gust_input(a, b) for a, b in decays]),
             np.array([e.current.gust for e in episodes]),
             waves,
-            _measured(problem, course),
-            _begun(scenario.start, u_R, AXES * waves.shape[-1]),
+            _velocity_derivatives(problem, trajectory),
+            _initial_covariance(scenario.start, u_R, AXES * waves.shape[-1]),
             np.array(scenario.sensors.noise),
         )
 
-    def forward(self, k: int) -> tuple[Array, Array]:
-        """Return what z becomes in period k: the rows of F of `POSE`, shape (N, 6, n), and Gamma, (N, n, DRIVEN)."""
+    def transition(self, k: int) -> tuple[Array, Array]:
+        """Return for period k the rows of F for `POSE`, shape (N, 6, n), and Gamma, shape (N, n, GUST_INPUTS)."""
         N, count = len(self.sigma), self.waves.shape[-1]
-        by_filter = self.sea[k][..., :2] * self.sigma[:, None, None]  # the gusts' filter at the end of the period acts
-        loads = self.sea[k][..., 2:, None] * self.waves[k + 1][:, None]
+        by_filter = self.disturbance[k][..., :2] * self.sigma[:, None, None]  # by the filter at the end of the period
+        loads = self.disturbance[k][..., 2:, None] * self.waves[k + 1][:, None]
         loads = loads.reshape(N, 6, AXES * count)
         rows = np.concatenate((self.pose[k], by_filter @ self.gusts[:, 2:], loads), axis=2)
-        driven = np.concatenate(
-            (by_filter @ self.drive[:, 2:], self.drive, np.zeros((N, AXES * count, DRIVEN))), axis=1
+        gamma = np.concatenate(
+            (by_filter @ self.drive[:, 2:], self.drive, np.zeros((N, AXES * count, GUST_INPUTS))), axis=1
         )
-        return rows, driven
+        return rows, gamma
 
-    def passed(self, rows: Array, z: Array) -> Array:
-        """Return F z for columns z, shape (N, n, columns); `rows` are those of F of `POSE`."""
+    def propagate(self, rows: Array, z: Array) -> Array:
+        """Return F z for columns z, shape (N, n, columns), given the rows of F for `POSE`."""
         return np.concatenate((rows @ z, self.gusts @ z[:, _GUSTS], z[:, PHASES:]), axis=1)
 
     def output(self, k: int) -> Array:
         """Return C at instant k, shape (N, 6, n)."""
-        C = np.zeros((len(self.sigma), 6, self.begun.shape[-1]))
+        C = np.zeros((len(self.sigma), 6, self.initial.shape[-1]))
         C[:, range(6), range(6)] = 1.0
         C[:, 3:5, 2] += self.measured[k][..., 0]
         C[:, 3:5, 8:10] = self.measured[k][..., 1:] * self.sigma[:, None, None]
         return C
 
 
-def has_floor(scenario: Scenario) -> bool:
-    """Whether a scenario's episodes are of the kind that a `FloorModel` describes, all measurements noisy."""
+def has_bound(scenario: Scenario) -> bool:
+    """Return whether an `EstimationModel` applies to a scenario.
+
+    All measurements must have noise. Of the optional `Parts` of the simulation only weak actuators may be in use.
+    """
     plain = scenario.parts._replace(substeps=1, weak=False) == Parts()
     return plain and all(deviation > 0 for deviation in scenario.sensors.noise)
 
 
-def slopes(problem: Problem, course: Trajectory) -> tuple[Array, Array]:
-    """Return the derivatives of the pose behind each period by that before it and by the sea, see `FloorModel`."""
-    steps, _, n = course.commands.shape
-    found = np.empty((steps, 6 * (6 + len(_SEA)), n))
-    slope_kernel(problem.parts).bound(
-        state=np.ascontiguousarray(course.states[:-1]),
-        command=course.commands,
+def pose_derivatives(problem: Problem, trajectory: Trajectory) -> tuple[Array, Array]:
+    """Return the derivatives of the pose after each period by the pose before it and by the disturbances.
+
+    Shapes (K, N, 6, 6) and (K, N, 6, 5), see `EstimationModel`.
+    """
+    steps, _, n = trajectory.commands.shape
+    found = np.empty((steps, 6 * (6 + len(_DISTURBANCES)), n))
+    derivative_kernel(problem.parts).bound(
+        state=np.ascontiguousarray(trajectory.states[:-1]),
+        command=trajectory.commands,
         sample=problem.samples,
         parameters=problem.parameters,
-        slopes=found,
+        derivatives=found,
     )(0, steps)
-    table = found.reshape(steps, 6, 6 + len(_SEA), n).transpose(0, 3, 1, 2)
+    table = found.reshape(steps, 6, 6 + len(_DISTURBANCES), n).transpose(0, 3, 1, 2)
     return np.ascontiguousarray(table[..., :6]), np.ascontiguousarray(table[..., 6:])
 
 
 @cache
-def slope_kernel(parts: Parts) -> Kernel:
-    """Return the kernel of `slopes`."""
+def derivative_kernel(parts: Parts) -> Kernel:
+    """Return the kernel of `pose_derivatives`."""
 
     def equation(state: Any, command: Any, sample: Any, parameters: Any) -> Mapping[str, Sequence[Any]]:
         p = Parameters.of(parameters, parts)
         pose, _ = moved(tuple(state[:6]), (state[6], state[7]), (command[0], command[1]), sample, p, SYMBOLS)
-        inputs = [*state[:6], *(sample[i] for i in _SEA)]
-        return {"slopes": [slope for row in jacobian(list(pose), inputs) for slope in row]}
+        inputs = [*state[:6], *(sample[i] for i in _DISTURBANCES)]
+        return {"derivatives": [entry for row in jacobian(list(pose), inputs) for entry in row]}
 
     rows = {"state": PLANT_STATES, "command": COMMAND_ROWS, "sample": SAMPLE_ROWS, "parameters": PARAMETER_ROWS}
-    return Kernel.traced(equation, rows, ("state", "command", "sample", "slopes"), structural=True, blocked=True)
+    return Kernel.traced(equation, rows, ("state", "command", "sample", "derivatives"), structural=True, blocked=True)
 
 
-def _left(gust_time: float, smoothing: float, dt: float) -> tuple[float, float]:
-    """Return what is left after a period of the process behind the gusts, and of the filter behind it."""
+def _decays(gust_time: float, smoothing: float, dt: float) -> tuple[float, float]:
+    """Return the factors by which the process of the gusts and its filter decay in a control period."""
     return math.exp(-dt / gust_time), math.exp(-dt / smoothing) if smoothing > 0 else 0.0
 
 
-def _gusts(a: float, b: float) -> Array:
-    pull = (1 - b) * a
-    return np.array([[a, 0, 0, 0], [0, a, 0, 0], [pull, 0, b, 0], [0, pull, 0, b]])
+def _gust_transition(a: float, b: float) -> Array:
+    """Return the transition matrix of the gusts for the decay factors of the process and of the filter."""
+    ab = (1 - b) * a
+    return np.array([[a, 0, 0, 0], [0, a, 0, 0], [ab, 0, b, 0], [0, ab, 0, b]])
 
 
-def _drive(a: float, b: float) -> Array:
-    push = math.sqrt(1 - a * a)
-    return np.array([[push, 0], [0, push], [(1 - b) * push, 0], [0, (1 - b) * push]])
+def _gust_input(a: float, b: float) -> Array:
+    """Return the input matrix of the gusts for the decay factors of the process and of the filter."""
+    s = math.sqrt(1 - a * a)
+    return np.array([[s, 0], [0, s], [(1 - b) * s, 0], [0, (1 - b) * s]])
 
 
-def _waves(episode: Episode, scenario: Scenario) -> Array:
-    """Return the derivatives of the loads by the phases at every instant, shape (K + 1, AXES, components)."""
+def _wave_derivatives(episode: Episode, scenario: Scenario) -> Array:
+    """Return the derivatives of the loads by the phases at every instant, shape (K + 1, AXES, components).
+
+    The load of a component is p sin + q cos of its angle, so its derivative is p cos - q sin.
+    """
     rows = wave_components(episode.waves, scenario.control_dt).reshape(-1, WAVE_ROWS)
     angle = np.arange(scenario.steps + 1)[:, None] * rows[:, 0]
-    sines, cosines = (
-        rows[:, 1::2].T,
-        rows[:, 2::2].T,
-    )  # a component's load is p sin + q cos, so its slope is p cos - q sin
-    return np.asarray(sines * np.cos(angle)[:, None] - cosines * np.sin(angle)[:, None])
+    p, q = rows[:, 1::2].T, rows[:, 2::2].T
+    return np.asarray(p * np.cos(angle)[:, None] - q * np.sin(angle)[:, None])
 
 
-def _measured(problem: Problem, course: Trajectory) -> Array:
-    """Return the derivatives of u, v over ground by psi, V_x and V_y, see `FloorModel`."""
-    c, s = np.cos(course.states[:, 2]), np.sin(course.states[:, 2])
-    samples = np.concatenate((problem.samples[:1], problem.samples))  # the start's own is not kept: as one period later
+def _velocity_derivatives(problem: Problem, trajectory: Trajectory) -> Array:
+    """Return the derivatives of u, v over ground by psi, V_x and V_y, see `EstimationModel.measured`."""
+    c, s = np.cos(trajectory.states[:, 2]), np.sin(trajectory.states[:, 2])
+    samples = np.concatenate((problem.samples[:1], problem.samples))  # the sample at the start is missing: the next one
     V_x, V_y = samples[:, CURRENT].transpose(1, 0, 2)
     by_u, by_v = (V_y * c - V_x * s, c, s), (-V_x * c - V_y * s, -s, c)
     return np.stack((np.stack(by_u, axis=-1), np.stack(by_v, axis=-1)), axis=-2)
 
 
-def _begun(start: Start, u_R: Array, phases: int) -> Array:
-    """Return the covariance of what is unknown at the start, as large as that of the distributions drawn from."""
-    begun = np.zeros((len(u_R), PHASES + phases, PHASES + phases))
+def _initial_covariance(start: Start, u_R: Array, phases: int) -> Array:
+    """Return the covariance of z at the start, from the distributions of the start and of the phases."""
+    P = np.zeros((len(u_R), PHASES + phases, PHASES + phases))
     for i, interval in enumerate((start.x_e, start.y_e, start.psi_e)):
-        begun[:, i, i] = _variance(interval)
-    begun[:, 3, 3] = _variance(start.surge) * u_R**2
-    begun[:, _GUSTS, _GUSTS] = np.tile(np.eye(2), (2, 2))  # the filter begins where the process does
-    begun[:, range(PHASES, PHASES + phases), range(PHASES, PHASES + phases)] = ANY_PHASE
-    return begun
+        P[:, i, i] = _variance(interval)
+    P[:, 3, 3] = _variance(start.surge) * u_R**2
+    P[:, _GUSTS, _GUSTS] = np.tile(np.eye(2), (2, 2))  # process and filter start with the same value
+    P[:, range(PHASES, PHASES + phases), range(PHASES, PHASES + phases)] = ANY_PHASE
+    return P
 
 
 def _variance(interval: Interval) -> float:
-    """Return the variance of a number drawn from an interval."""
+    """Return the variance of a number that is uniform in an interval."""
     low, high = interval if isinstance(interval, tuple) else (interval, interval)
     return (high - low) ** 2 / 12
