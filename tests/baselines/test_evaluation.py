@@ -256,7 +256,15 @@ def test_report_is_one_page(call, small, tmp_path, bad_policies, few_recorded, c
     assert call("--suite", "benchmark-v1", "--episodes", "2", "--policy", "open-loop", "--jobs", "1", "--out", "a") == 0
     page = Page((tmp_path / "a" / "report.html").read_text(encoding="utf-8"))
     assert page.open == []
-    for text in ("score", "oracle*", "cruise-storm", "open-loop", "What the columns mean", "--episodes 2", "numpy"):
+    for text in (
+        "score",
+        "oracle*",
+        "cruise-storm",
+        "open-loop",
+        "Definitions of the columns",
+        "--episodes 2",
+        "numpy",
+    ):
         assert text in page.text
     record = strict_json((tmp_path / "a" / "results.json").read_text())
     live = {row["policy"] for row in record["results"] if row["recorded"] is None}
