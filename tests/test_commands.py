@@ -52,19 +52,18 @@ FROZEN = ("benchmark-v2", "benchmark-v1", "ood-v1", "unmodelled-v1", "vehicles-v
 ELSEWHERE = {
     r"make( .*)?": "the verbs, below",
     r"auv-gym identify .*": "test_identify.py::test_the_command_writes_a_vehicle_that_scenarios_take",
-    r"python -m research failure-rate .*": "test_safety.py::test_failures_are_counted_and_counting_goes_on",
-    r"python -m research falsification .*": "test_safety.py::"
-    "test_search_finds_a_sea_that_loses_the_policy_and_writes_it",
+    r"python -m research failure-rate .*": "test_safety.py::test_failures_are_counted_and_later_runs_continue",
+    r"python -m research falsification .*": "test_safety.py::test_search_writes_a_scenario_in_which_the_policy_fails",
     r"auv-gym --help": "test_package.py::test_the_command",
     r"python -m research model-error .*": "test_model_error.py::test_command_keeps_what_it_measures",
-    r"python -m research suites check .*": "test_suites.py::test_episodes_generate_what_they_did",
-    r"python -m research transfer .*": "test_elsewhere.py::test_the_command_compares_and_keeps",
+    r"python -m research suites check .*": "test_suites.py::test_generated_episodes_are_unchanged",
+    r"python -m research transfer .*": "test_transfer.py::test_the_command_compares_and_keeps",
     r"python -m research throughput.*": "`make bench`, below",
     r"python -m venv .*": "the environment that runs the tests",
     r"pip install .*": "`make`'s stamps, and the extras exist, below",
     r"(python train\.py|auv-gym train) .*--(from|vehicle) .*": "test_beginning.py::test_documented_commands_run",
     r"(python train\.py|auv-gym train).*": "test_training.py::test_documented_commands_run",
-    r"python -m research bound": "test_bound.py::test_a_run_goes_on_where_the_last_one_ended",
+    r"python -m research bound": "test_bound.py::test_a_run_continues_an_earlier_one",
     r"auv-gym tune .*": "test_tuning.py, with few evaluations",
     r"python -m rl_zoo3\.train .*": "test_sb3.py reads its format; rl_zoo3 itself is no dependency",
     r"(python evaluate\.py --suite presets|python -m research paper)": "`make demo`, below",
@@ -106,7 +105,7 @@ def quick(line):
         chosen = [word for word in words if word not in ("--suite", "benchmark-v2")]
         return [*chosen, *policies, *CALM]
     if name == "estimation-bound":
-        return [*words, "--episodes", "1", "--out", "floor.json"]
+        return [*words, "--episodes", "1", "--out", "bounds.json"]
     if name == "dataset":
         return [*words, "--episodes", "1"]
     if name == "video":

@@ -1,4 +1,4 @@
-"""The summary of the results, docs/results.md: who wins in the benchmark, by how much, and what it costs."""
+"""The summary of the results, docs/results.md: errors, failures, command rates and times of the main policies."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from baselines.evaluation.report.columns import COLUMNS, failures_text
 from baselines.evaluation.report.numbers import Entry
 from baselines.evaluation.score import OPTIMUM_POLICY
 from baselines.tools.figure_style import COLOURS, MARKERS, panels, styled, to_png
-from research.lower_bounds.floor.command import recorded_floors
+from research.lower_bounds.estimation.command import recorded_bounds
 from research.results.collection import Results, results_of
 
 _SUITE = "benchmark-v2"
@@ -29,8 +29,8 @@ _POLICIES = {
     "apg-{}": "training",
     "helm": "training, preview",
 }
-"""The policies of the summary and what each needs; {} stands for the speed range."""
-_BELOW = ("ekf", "helm", "lqi")  # policies whose names are written below their points in the figure of command rates
+"""The policies of the summary and their needs; {} is replaced by the speed range."""
+_BELOW = ("ekf", "helm", "lqi")  # policies whose names are below their points in the figure of command rates
 FIGURES = "results-overview.png", "results-disturbances.png", "results-command-rate.png"
 
 
@@ -62,7 +62,7 @@ def context(_: str = "") -> dict[str, Any]:
 
 
 def figures(_: str = "") -> dict[str, bytes]:
-    """Return the figures as PNG by name: errors with intervals, errors by disturbance, error against command rate."""
+    """Return the figures as PNG, by name: errors with intervals, errors by disturbance, error against command rate."""
     with styled():
         drawings = (draw(_results()) for draw in (_errors, _heat_map, _command_rates))
         return dict(zip(FIGURES, map(to_png, drawings), strict=True))
@@ -100,8 +100,8 @@ def _speeds(speed_range: str) -> tuple[float, float]:
 
 
 def _estimation(results: Results, speed_range: str) -> float:
-    """Return the estimation lower bound [m], the mean over cases; where measurements are exact it is the optimum's."""
-    bounds, best = recorded_floors(results.suite.source[1]), results.steady_rmses[OPTIMUM_POLICY]
+    """Return the mean over cases of the estimation lower bound [m]; with exact measurements it is the optimum."""
+    bounds, best = recorded_bounds(results.suite.source[1]), results.steady_rmses[OPTIMUM_POLICY]
     names = [f"{speed_range}-{case}" for case in CASES]
     return float(
         np.mean([max(bounds[name].steady_rmse_m, best[name]) if name in bounds else best[name] for name in names])
@@ -144,15 +144,8 @@ def _heat_map(results: Results) -> Any:
     figure, [[ax]] = panels(1, 1, (9.4, 3.6))
     image = ax.imshow(values, aspect="auto", cmap="viridis_r", norm=LogNorm(0.1, 1000))
     for (i, j), value in np.ndenumerate(values):
-        ax.text(
-            j,
-            i,
-            f"{value:.0f}" if value >= 10 else f"{value:.2g}",
-            ha="center",
-            va="center",
-            fontsize=7,
-            color="white" if value > 20 else "black",
-        )
+        text, colour = f"{value:.0f}" if value >= 10 else f"{value:.2g}", "white" if value > 20 else "black"
+        ax.text(j, i, text, ha="center", va="center", fontsize=7, color=colour)
     ax.set_xticks(range(len(names)), names, rotation=40, ha="right", rotation_mode="anchor")
     ax.set_yticks(range(len(_POLICIES)), [name.format("*") for name in _POLICIES])
     ax.grid(visible=False)
