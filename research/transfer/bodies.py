@@ -58,7 +58,7 @@ class WorldBodies:
         return filled(PLANT, tuple(self.now.plant))
 
     def place(self, lanes: Any, plant: Array, seen: Array) -> None:
-        """Put n of the vehicles, an index of which is given, where `kernels.begun` says, now."""
+        """Put n of the vehicles, an index of which is given, where `kernels.started` says, now."""
         self.now.plant[:, lanes], self.now.seen[:, lanes] = plant, seen
         true = Parameters.of(tuple(self._rows[:, lanes]), self.parts).coefficients
         differs = deviation(true, self._known.coefficients)

@@ -61,7 +61,7 @@ def test_other_water_begins_without_a_jump_of_the_vehicle():
     env.change([replace(e, current=replace(e.current, shear=shear)) for e in episodes])
     np.testing.assert_allclose(env.state, before, atol=1e-12)
     np.testing.assert_allclose(env.current - current, [(0.2, -0.1)] * 2)
-    with pytest.raises(ValueError, match="1 episodes are given for 2 vehicles"):
+    with pytest.raises(ValueError, match="1 episodes are given; there must be one for each of 2"):
         env.change(episodes[:1])
     calm, others = changing(PRESETS["cruise-calm"])
     with pytest.raises(ValueError, match="sheared current"):

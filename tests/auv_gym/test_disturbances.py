@@ -15,7 +15,7 @@ from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.paths import Line
 from auv_gym.planning.planner import plan
-from auv_gym.scenarios.exogenous import Tape
+from auv_gym.scenarios.exogenous import ExogenousInputs
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
 
@@ -39,7 +39,7 @@ def episodes(scenario, count, seed=0):
 
 
 def wound(scenario, drawn):
-    tape = Tape(len(drawn), BLOCK)
+    tape = ExogenousInputs(len(drawn), BLOCK)
     for lane, episode in enumerate(drawn):
         tape.load(lane, scenario, episode, TABLE)
     return tape
@@ -160,7 +160,7 @@ def test_the_seed_fixes_every_number():
 def test_a_calm_lane_is_all_zero_also_beside_and_after_a_rough_one():
     calm, (rough,) = Scenario(path=SEA.path), episodes(SEA, 1)
     (quiet,) = episodes(calm, 1)
-    tape = Tape(2, BLOCK)
+    tape = ExogenousInputs(2, BLOCK)
     tape.load(0, SEA, rough, TABLE)
     tape.load(1, calm, quiet, TABLE)
     assert not tape.read([0, 1], BLOCK)[:, 8:19, 1].any()

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from auv_gym.envs.lanes import FEWEST_ROWS, Lanes, ReadyEpisodes
+from auv_gym.envs.sub_environments import FEWEST_ROWS, ReadyEpisodes, SubEnvironments
 from auv_gym.physics.actuators import Actuators
 from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch
 from auv_gym.physics.sensors import Sensors
 from auv_gym.planning.paths import PATHS
 from auv_gym.scenarios import exogenous
-from auv_gym.scenarios.exogenous import Tape
+from auv_gym.scenarios.exogenous import ExogenousInputs
 from auv_gym.scenarios.presets import PRESETS, as_scenario
 from auv_gym.scenarios.scenario import RandomPath, Start
 from auv_gym.task.simulation import NOISE, SAMPLE_ROWS
@@ -35,7 +35,7 @@ SCENARIOS = [*PRESETS.values(), EVERYTHING, TIGHT, as_scenario("cruise-storm@lau
 
 def begun(scenario, together, preview=()):
     """Return N lanes in which episodes have begun, and their first states and errors."""
-    lanes = Lanes(N, scenario, None, None, preview)
+    lanes = SubEnvironments(N, scenario, None, None, preview)
     generators = [np.random.default_rng(i) for i in range(N)]
     if together:
         ready = lanes.ready(lanes.all, generators, None)
@@ -56,17 +56,17 @@ def test_rows_are_the_episodes_that_are_drawn_alone(scenario):
     for name in ("constants", "samples"):
         np.testing.assert_array_equal(getattr(rows, name), getattr(alone, name))
     np.testing.assert_allclose(rows.preview._positions, alone.preview._positions, rtol=0, atol=1e-12)
-    for mine, theirs in zip(rows._tape._tables, alone._tape._tables, strict=True):
+    for mine, theirs in zip(rows._exogenous._tables, alone._exogenous._tables, strict=True):
         np.testing.assert_array_equal(mine, theirs)
     assert [g.bit_generator.state for g in generators] == [g.bit_generator.state for g in others]
 
 
 def test_other_scenarios_beside_them_change_nothing():
     mixed = [STORM] * 6 + [PRESETS["slow-calm"]] * 5 + [PRESETS["paper-circle"], EVERYTHING]
-    lanes = Lanes(len(mixed), mixed, None, None)
+    lanes = SubEnvironments(len(mixed), mixed, None, None)
     lanes.reset(0, None)
     for i, scenario in enumerate(mixed):
-        single = Lanes(1, scenario, None, None)
+        single = SubEnvironments(1, scenario, None, None)
         single.reset(i, None)
         np.testing.assert_array_equal(lanes.constants[:, i], single.constants[:, 0])
         np.testing.assert_array_equal(lanes.samples[:, :, i], single.samples[: len(lanes.samples), :, 0])
@@ -83,7 +83,7 @@ def test_noise_is_that_of_numpys_generator(gust):
     """Hundreds of thousands of numbers, in pieces, to the last bit."""
     sensors, lanes, steps = Sensors(1.0, 1.0, 1.0, 1.0), 40, 900
     scenario = replace(STORM, sensors=sensors, current=RandomCurrent(speed=0.1, gust=gust) if gust else None)
-    tape, width = Tape(lanes, 300), 8 if gust else 6
+    tape, width = ExogenousInputs(lanes, 300), 8 if gust else 6
     rng = np.random.default_rng(1)
     episodes = [scenario.draw(rng) for _ in range(lanes)]
     for lane, episode in enumerate(episodes):
@@ -104,8 +104,8 @@ def test_the_compiled_reader_gives_what_python_does(monkeypatch):
     (lanes, *_), (other, *_) = (begun(EVERYTHING, True) for _ in range(2))
     monkeypatch.setattr(exogenous, "compiled", lambda **_: None)
     expected = np.empty((64, SAMPLE_ROWS, N))
-    other._tape.read_into(expected, other.all, other.all[::-1])
+    other._exogenous.read_into(expected, other.all, other.all[::-1])
     monkeypatch.undo()
     found = np.empty((64, SAMPLE_ROWS, N))
-    lanes._tape.read_into(found, lanes.all, lanes.all[::-1])
+    lanes._exogenous.read_into(found, lanes.all, lanes.all[::-1])
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)

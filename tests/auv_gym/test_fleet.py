@@ -194,7 +194,7 @@ def test_vehicle_by_name_and_file(tmp_path):
     ("scenario", "says"),
     [
         ("cruise-storm@nautilus", "unknown vehicle 'nautilus'; .* one of paper, cybership2, .*lauv"),
-        ("slow-storm@lauv", "asks for 0.056 m/s of this vehicle, whose fins steer it from 0.25 m/s on"),
+        ("slow-storm@lauv", "speeds from 0.056 m/s, but the fins of this vehicle need at least 0.25 m/s"),
         ("storm@lauv", "unknown scenario 'storm@lauv'"),
     ],
 )
@@ -234,5 +234,5 @@ def test_a_scenario_in_its_vehicles_own_units_is_the_same_in_other_numbers(name,
 def test_a_scenario_of_the_papers_vehicle_is_in_its_own_units():
     for name in ("cruise-storm", "paper-circle"):
         assert in_vehicle_units(PRESETS[name]) is PRESETS[name]
-    with pytest.raises(ValueError, match=r"'paper-circle@lauv' has one path of its own, .*; give it paths that are"):
+    with pytest.raises(ValueError, match=r"'paper-circle@lauv' has a fixed path, .*; give it random paths"):
         in_vehicle_units(changed(PRESETS["paper-circle"], "lauv"))

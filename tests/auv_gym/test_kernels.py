@@ -13,12 +13,12 @@ import pytest
 
 from auv_gym import PRESETS
 from auv_gym.codegen import native
-from auv_gym.envs.lanes import Lanes
 from auv_gym.envs.residual import ResidualAction, VectorResidualAction
+from auv_gym.envs.sub_environments import SubEnvironments
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.namespaces import FLOATS
 from auv_gym.physics.rows import filled, leaves
-from auv_gym.task.kernels import OneVehicle, Vehicles, begun, start_kernel, step_kernel
+from auv_gym.task.kernels import OneVehicle, Vehicles, start_kernel, started, step_kernel
 from auv_gym.task.observation import SIZE, encode
 from auv_gym.task.policy import Law, traceable
 from auv_gym.task.simulation import (
@@ -71,7 +71,7 @@ def test_a_start_is_the_simulations_own():
     parts, rng = Parts(filtered=True, sheared=True), np.random.default_rng(1)
     _, _, sample, parameters = numbers(rng)
     states = rng.normal(size=(6, LANES))
-    plant, seen = begun(parts, states, sample, parameters)
+    plant, seen = started(parts, states, sample, parameters)
     for i in range(LANES):
         p = Parameters.of(parameters[:, i].tolist(), parts)
         expected, terms = start(tuple(states[:, i].tolist()), sample[:, i].tolist(), p, FLOATS)
@@ -144,20 +144,20 @@ def test_what_is_no_number_is_lost():
 
 
 def vehicles(n=4):
-    lanes = Lanes(n, "cruise-storm", None, None)
+    lanes = SubEnvironments(n, "cruise-storm", None, None)
     beginning = lanes.reset(0, None)
     made = Vehicles(lanes.parts, lanes.samples, lanes.constants)
-    made.place(beginning.lanes, beginning.plant, beginning.seen)
+    made.place(beginning.indices, beginning.plant, beginning.seen)
     made.action[:] = 0.3
     return made
 
 
 @pytest.mark.parametrize("forces", [None, Backstepping().forces], ids=["commands", "corrections"])
 def test_one_vehicle_is_one_of_many(forces):
-    lanes = Lanes(1, "cruise-storm", None, None)
+    lanes = SubEnvironments(1, "cruise-storm", None, None)
     lanes.forces = forces
     states, _ = lanes.load(lanes.all, lanes.ready(lanes.all, [np.random.default_rng(0)], None))
-    plant, seen = begun(lanes.parts, states, lanes.samples[0], lanes.constants, forces)
+    plant, seen = started(lanes.parts, states, lanes.samples[0], lanes.constants, forces)
     authority = (0.5, 0.3)
     many, one = (
         made(lanes.parts, lanes.samples, lanes.constants, forces, authority) for made in (Vehicles, OneVehicle)
@@ -268,7 +268,7 @@ def test_a_refused_law_says_what_a_symbol_cannot_do():
         def forces(self, o, ns=FLOATS):
             return (1.0, 0.0) if o[0] > 0 else (0.0, 1.0)
 
-    with pytest.raises(TypeError, match="choose between two values with `where`"):
+    with pytest.raises(TypeError, match="use `where` to select one of two values"):
         ResidualAction(UnderactuatedAUVTrackEnv(), Branching())
 
 

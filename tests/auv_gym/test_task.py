@@ -105,5 +105,5 @@ def test_reference_beyond_the_bounds_is_refused():
     table = np.zeros((4, 8))
     task.check_reference(table, span=1)
     table[2, 5] = 9.0
-    with pytest.raises(ValueError, match=r"reference r_R reaches 9 rad/s; at most 8"):
+    with pytest.raises(ValueError, match=r"reference r_R reaches 9 rad/s; an observation holds at most 8"):
         task.check_reference(table, span=1)

@@ -132,7 +132,7 @@ def started(n, scenario="cruise-storm", seed=0):
     sim.reset(seed=seed)
     for _ in range(5):
         sim.step(torch.full((n, 2), 0.1))
-    return sim.state, sim._samples[sim._lanes.row + 1], sim._constants
+    return sim.state, sim._samples[sim._sub_envs.row + 1], sim._constants
 
 
 @pytest.mark.parametrize("scenario", ["cruise-storm", "slow-calm", "paper-circle"])

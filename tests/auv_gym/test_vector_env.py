@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 
-from auv_gym.envs.lanes import Lanes, plan_of, planner_of, reference_table
-from auv_gym.scenarios.exogenous import Tape
+from auv_gym.envs.sub_environments import SubEnvironments, plan_of, planner_of, reference_table
+from auv_gym.scenarios.exogenous import ExogenousInputs
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
 from baselines import make_policy
@@ -175,9 +175,9 @@ def test_an_episode_that_can_never_be_followed_changes_nothing(backend, n, monke
     def nothing(*_, **__):
         raise ValueError("cannot be followed")
 
-    lanes = env.unwrapped._lanes
+    lanes = env.unwrapped._sub_envs
     with monkeypatch.context() as patch:
-        patch.setattr("auv_gym.envs.lanes.reference_table", nothing)
+        patch.setattr("auv_gym.envs.sub_environments.reference_table", nothing)
         patch.setattr("auv_gym.planning.planner.Planner.tables", lambda _, __, count: [None] * count)
         time, states = lanes.time, [g.bit_generator.state for g in lanes._generators]
         for _ in range(2):
@@ -219,8 +219,8 @@ def test_reset_options_for_all_or_each():
     ("options", "message"),
     [
         ({"wind": 1.0}, "unknown reset option 'wind'; allowed are episode, initial_error, initial_velocity"),
-        ({"initial_error": np.zeros((2, 3))}, "one entry for each of 3"),
-        ({"initial_error": 1.0}, "one entry for each of 3"),
+        ({"initial_error": np.zeros((2, 3))}, "must have 3 entries"),
+        ({"initial_error": 1.0}, "must have 3 entries"),
         ({"initial_error": np.full((3, 3), np.nan)}, "three finite numbers"),
         ({"reset_mask": np.zeros(3, dtype=bool)}, "with a True"),
         ({"reset_mask": np.ones(2, dtype=bool)}, r"boolean array \(3,\)"),
@@ -270,7 +270,7 @@ def test_step_before_reset_is_refused():
         ({"render_mode": "human"}, "does not draw"),
         ({"scenario": ["paper-circle"]}, "1 scenarios are given for 3"),
         ({"scenario": "storm"}, "unknown scenario"),
-        ({"scenario": [{"substeps": 2}, "paper-circle", "paper-circle"]}, "differ in substeps"),
+        ({"scenario": [{"substeps": 2}, "paper-circle", "paper-circle"]}, "different substeps"),
     ],
 )
 def test_bad_arguments_are_refused(arguments, message):
@@ -373,7 +373,7 @@ def test_the_tape_does_not_depend_on_its_blocks(name):
     rng = np.random.default_rng(0)
     episodes = [scenario.draw(rng) for _ in range(3)]
     tables = [reference_table(episode.path, *plan_of(scenario)) for episode in episodes]
-    whole, cut = Tape(3, 64), Tape(1, 64)
+    whole, cut = ExogenousInputs(3, 64), ExogenousInputs(1, 64)
     for lane in range(3):
         whole.load(lane, scenario, episodes[lane], tables[lane])
     cut.load(0, scenario, episodes[1], tables[1])
@@ -385,9 +385,9 @@ def test_the_tape_does_not_depend_on_its_blocks(name):
 def test_noise_is_standard_normal_times_the_sensors():
     """Mean, spread and tails of some 10^5 numbers; four standard errors."""
     scenario = PRESETS["slow-noise"]
-    lanes = Lanes(256, scenario, None, None)
+    lanes = SubEnvironments(256, scenario, None, None)
     lanes.reset(0, None)
-    white = np.concatenate([lanes._tape.read(lanes.all, 64)[:, 13:19] for _ in range(4)])
+    white = np.concatenate([lanes._exogenous.read(lanes.all, 64)[:, 13:19] for _ in range(4)])
     z = (white / np.array(scenario.sensors.noise)[:, None]).transpose(1, 0, 2).reshape(6, -1)
     n = z.shape[1]
     assert np.abs(z.mean(axis=1)).max() < 4 / n**0.5
@@ -398,9 +398,9 @@ def test_noise_is_standard_normal_times_the_sensors():
 
 
 def test_user_scenarios_with_a_fixed_path_share_their_plan():
-    lanes = Lanes(3, Scenario(steps=50), None, None)
+    lanes = SubEnvironments(3, Scenario(steps=50), None, None)
     lanes.reset(0, None)
-    assert lanes._tape._tables[0] is lanes._tape._tables[2]
+    assert lanes._exogenous._tables[0] is lanes._exogenous._tables[2]
 
 
 MEMORY = """

@@ -11,7 +11,7 @@ from auv_gym.codegen import native
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.rows import leaves
 from auv_gym.scenarios import exogenous
-from auv_gym.scenarios.exogenous import GUST_ROWS, NORMALS, SEA, Tape
+from auv_gym.scenarios.exogenous import GUST_ROWS, NORMALS, SEA, ExogenousInputs
 from auv_gym.scenarios.presets import SPEED_RANGES
 from auv_gym.task.simulation import SAMPLE_ROWS
 from baselines import make_policy
@@ -133,7 +133,7 @@ def test_the_pages_sea_is_that_of_the_tape(bench, speed_range, monkeypatch):
 
     monkeypatch.setattr(exogenous, "compiled", lambda **_: None)
     monkeypatch.setattr(exogenous, "_drawn", lambda *_: normals)  # the same chance for both
-    tape = Tape(1, LIVE_STEPS + 1)
+    tape = ExogenousInputs(1, LIVE_STEPS + 1)
     tape.load(0, scenario, episode, np.zeros((LIVE_STEPS + 1, 8)) + np.array([0, 0, 0, 1, 0, 0, 0, 0]))
     expected = tape.read((0,), LIVE_STEPS + 1)[:, SEA, 0]
     run = """([weather, waves, normals, rows, gusts]) => {

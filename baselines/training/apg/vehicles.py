@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.envs.lanes import Lanes, ReadyEpisodes
+from auv_gym.envs.sub_environments import ReadyEpisodes, SubEnvironments
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.scenarios.scenario import Scenario
@@ -51,7 +51,7 @@ class TrainingVehicles:
         n = len(scenarios)
         self._turns = turns or [[scenario] for scenario in scenarios]
         self._begun = np.zeros(n, dtype=np.int64)  # episodes of each vehicle
-        self._lanes = Lanes(n, [own[0] for own in self._turns], None, None, preview)
+        self._lanes = SubEnvironments(n, [own[0] for own in self._turns], None, None, preview)
         self._lanes.parts = reduce(Parts.joined, {s.parts: None for own in self._turns for s in own})
         self._seed, self._window = seed, window
         self._model, self._rng = known, np.random.default_rng([seed, n, 1])
@@ -94,7 +94,7 @@ class TrainingVehicles:
         for k in range(self._window):
             if lanes.preview.periods:
                 ahead[k] = lanes.preview.ahead(lanes.all, lanes.k).reshape(-1, n)
-            samples[k] = lanes.coming()
+            samples[k] = lanes.next_sample()
             lanes.advance()
         return ahead, samples
 
@@ -123,7 +123,7 @@ class TrainingVehicles:
             for i in lanes.tolist():
                 self._lanes.scenarios[i] = self._turns[i][self._begun[i] % len(self._turns[i])]
             try:
-                return self._lanes.planned(lanes)
+                return self._lanes.next_episodes(lanes)
             except ValueError:
                 if not left or all(len(self._turns[i]) == 1 for i in lanes.tolist()):
                     raise
