@@ -39,7 +39,7 @@ ARITHMETIC = {  # the same in every language
     "lt": "({0} < {1})",
     "le": "({0} <= {1})",
 }
-FUNCTIONS = ("sin", "cos", "exp", "log", "sqrt", "floor", "single", "abs")
+FUNCTIONS = ("sin", "cos", "exp", "log", "sqrt", "floor", "single", "abs")  # printed by their names
 PYTHON = Language(
     {
         **ARITHMETIC,
