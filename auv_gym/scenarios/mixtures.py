@@ -32,7 +32,7 @@ def weighed(mixture: Mixture, weight: float) -> Mixture:
 def adverse(speed_range: str) -> Scenario:
     """Return a storm with sensor and actuator faults, delayed commands and a sheared current.
 
-    It combines all disturbances of the suite unmodelled-v1. Each range begins at zero and is slightly wider than there.
+    It combines all faults of the suite unmodelled-v1. Their ranges include none, and are slightly wider than there.
     """
     storm = PRESETS[f"{speed_range}-storm"]
     act, waves, current, noise = storm.actuators, storm.waves, storm.current, storm.sensors
