@@ -127,20 +127,26 @@ def test_agents_are_those_of_the_header_even_where_they_amplify_every_rounding(b
 
 
 @pytest.mark.parametrize("speed_range", SPEED_RANGES)
-def test_the_pages_sea_is_that_of_the_tape(bench, speed_range, monkeypatch):
+def test_the_disturbances_of_the_page_equal_the_exogenous_inputs(bench, speed_range, monkeypatch):
     path, normals = path_of(speed_range, "line"), np.random.default_rng(0).standard_normal((LIVE_STEPS + 1, NORMALS))
     scenario, episode = scenario_of(speed_range, "storm", path), episode_of(speed_range, "storm", path, 3)
 
     monkeypatch.setattr(exogenous, "compiled", lambda **_: None)
     monkeypatch.setattr(exogenous, "_drawn", lambda *_: normals)  # the same chance for both
-    tape = ExogenousInputs(1, LIVE_STEPS + 1)
-    tape.load(0, scenario, episode, np.zeros((LIVE_STEPS + 1, 8)) + np.array([0, 0, 0, 1, 0, 0, 0, 0]))
-    expected = tape.read((0,), LIVE_STEPS + 1)[:, SEA, 0]
+    inputs = ExogenousInputs(1, LIVE_STEPS + 1)
+    inputs.load(0, scenario, episode, np.zeros((LIVE_STEPS + 1, 8)) + np.array([0, 0, 0, 1, 0, 0, 0, 0]))
+    expected = inputs.read((0,), LIVE_STEPS + 1)[:, SEA, 0]
     run = """([weather, waves, normals, rows, gusts]) => {
         const gust = ENGINE.zeros(gusts), sea = ENGINE.zeros(rows);
         return normals.map((n) => (EQUATIONS.sea(gust, n, weather, waves, sea), [...sea]));
     }"""
-    given = [tape._weather[0].tolist(), tape._waves[0].ravel().tolist(), normals.tolist(), SAMPLE_ROWS - 8, GUST_ROWS]
+    given = [
+        inputs._weather[0].tolist(),
+        inputs._waves[0].ravel().tolist(),
+        normals.tolist(),
+        SAMPLE_ROWS - 8,
+        GUST_ROWS,
+    ]
     given[0] = np.nan_to_num(given[0], posinf=1e300).tolist()
     assert np.abs(np.array(bench.evaluate(run, given)) - expected).max() < 1e-9
 

@@ -33,10 +33,10 @@ def samples(scenario: Scenario, episodes: Sequence[Episode]) -> Array:
     """
     n, instants = len(episodes), scenario.steps + 1
     tables = reference_tables(episodes, *plan_of(scenario))
-    tape = ExogenousInputs(n, instants)
+    inputs = ExogenousInputs(n, instants)
     for i, (episode, table) in enumerate(zip(episodes, tables, strict=True)):
-        tape.load(i, scenario, episode, table)
-    return tape.read(np.arange(n), instants)
+        inputs.load(i, scenario, episode, table)
+    return inputs.read(np.arange(n), instants)
 
 
 @dataclass(frozen=True)
