@@ -50,8 +50,8 @@ def columns_behind(rows: NDArray[Any], preview: Sequence[int]) -> NDArray[Any]:
     extra = rows[:, SIZE:]
     if extra.shape[1] < 2 * len(preview):
         raise ValueError(
-            f"the observation has {extra.shape[1]} columns after its terms, the policy needs {2 * len(preview)} of its "
-            "preview: make the environment with preview=policy.preview"
+            f"the observation has {extra.shape[1]} columns after its terms, the policy needs a preview of "
+            f"{2 * len(preview)}: make the environment with preview=policy.preview"
         )
     return extra
 
