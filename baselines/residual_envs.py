@@ -8,8 +8,8 @@ from typing import Any
 import gymnasium as gym
 
 from auv_gym.envs import make_track_vector_env
-from auv_gym.envs.lanes import ScenarioLike
 from auv_gym.envs.residual import ResidualAction, VectorResidualAction
+from auv_gym.envs.sub_environments import ScenarioLike
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
 from auv_gym.physics.vehicle import Vehicle

@@ -31,7 +31,7 @@ ALGORITHMS: Mapping[str, str] = {
 apg: analytic policy gradient, back-propagation through the simulator; the others are Stable-Baselines3's.
 """
 LARGEST_SEED = 10_000  # of a run
-_LANES = 2**20  # seeds reserved for the vehicles of one run
+_SEEDS = 2**20  # seeds reserved for the vehicles of one run
 
 
 @dataclass(frozen=True)
@@ -90,9 +90,9 @@ class Config:
     @property
     def episode_seed(self) -> int:
         """The seed of the training environment: vehicle i gets this + i, no other run or suite the same."""
-        return TRAINING.first + self.seed * _LANES
+        return TRAINING.first + self.seed * _SEEDS
 
-    def lanes(self, n: int) -> list[Scenario]:
+    def env_scenarios(self, n: int) -> list[Scenario]:
         """Return the scenarios of n vehicles side by side, in proportion to their weights, each at least once.
 
         Raises:

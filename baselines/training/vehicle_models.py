@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from auv_gym.envs.lanes import plan_of, reference_tables
+from auv_gym.envs.sub_environments import plan_of, reference_tables
 from auv_gym.physics.actuators import Actuators
 from auv_gym.physics.disturbances import RandomMismatch
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle

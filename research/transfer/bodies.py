@@ -60,7 +60,7 @@ class SimulatorBodies:
         return filled(PLANT, tuple(self.now.plant))
 
     def place(self, indices: Any, plant: Array, seen: Array) -> None:
-        """Set the plant and the observation of the vehicles with these indices, see `kernels.begun`."""
+        """Set the plant and the observation of the vehicles with these indices, see `kernels.started`."""
         self.now.plant[:, indices], self.now.seen[:, indices] = plant, seen
         true = Parameters.of(tuple(self._rows[:, indices]), self.parts).coefficients
         self._simulator.place(indices, plant[:6], np.array(deviation(true, self._known.coefficients)))

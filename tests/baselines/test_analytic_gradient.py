@@ -366,7 +366,7 @@ def test_expert_that_looks_ahead_sees_its_own_preview(tmp_path):
     assert policy.preview == (1, 2, 3, *nmpc.preview[2:])
     actions = []
     for preview in (policy.preview, nmpc.preview):
-        env = UnderactuatedAUVTrackVectorEnv(8, trainer.run.config.lanes(8), preview=preview)
+        env = UnderactuatedAUVTrackVectorEnv(8, trainer.run.config.env_scenarios(8), preview=preview)
         observation, _ = env.reset(seed=trainer.run.config.episode_seed)
         actions.append((policy if preview == policy.preview else nmpc).predict(observation)[0])
     np.testing.assert_array_equal(*actions)

@@ -174,8 +174,8 @@ def test_it_goes_on_with_what_was_trained_for_a_vehicle(call, capsys):
         (("--set", "fine=true"), "has another network, or other inputs, than is asked for"),
         (("--vehicle", "submarine"), "unknown vehicle 'submarine'; allowed are a Vehicle, a dict, a .toml file"),
         (("--vehicle", "none.toml"), "cannot read none.toml"),
-        (("--vehicle", "lauv", "--scenario", "slow-calm"), "whose fins steer it from 0.25 m/s on"),
-        (("--scenario", "paper-circle"), "has one path of its own, which cannot be seen in the units of its vehicle"),
+        (("--vehicle", "lauv", "--scenario", "slow-calm"), "fins of this vehicle need at least 0.25 m/s"),
+        (("--scenario", "paper-circle"), "has a fixed path, which cannot be converted to the units of its vehicle"),
         (("--hyperparameters", "other.yml"), "other.yml has no table of hyper-parameters under fine-tuning"),
     ],
 )

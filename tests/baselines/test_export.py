@@ -284,7 +284,7 @@ def test_a_header_computes_the_observation_of_the_environment(name, vehicle):
     library = native.library(source)
     library.auv_agent_observe.restype = None
     env = UnderactuatedAUVTrackEnv(scenario, preview=agent.preview)
-    ahead, rng = env._lanes.preview, np.random.default_rng(2)
+    ahead, rng = env._sub_envs.preview, np.random.default_rng(2)
     observation, _ = env.reset(seed=4)
     assert np.abs(observation[SIZE:]).max(initial=0) > 64 or vehicle == "paper"
     last, seen = np.zeros(2), np.zeros(len(agent.columns))

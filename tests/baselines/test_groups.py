@@ -45,12 +45,12 @@ def test_groups_share_all_vehicles_and_what_they_count_for():
     config, settings = grouped()
     groups = divided(config, settings)
     assert [len(group.scenarios) for group in groups] == [8, 6, 6]
-    lanes = config.lanes(settings.n_envs)
+    scenarios = config.env_scenarios(settings.n_envs)
     names = [scenario.name for group in groups for scenario in group.scenarios]
-    assert sorted(names) == sorted(scenario.name for scenario in lanes)
+    assert sorted(names) == sorted(scenario.name for scenario in scenarios)
     seeds = [group.seed + i for group in groups for i in range(len(group.scenarios))]
     assert seeds == list(range(config.episode_seed, config.episode_seed + 20))
-    whole = settings.objective([scenario.name for scenario in lanes])
+    whole = settings.objective([scenario.name for scenario in scenarios])
     shares = np.concatenate([group.objective.shares for group in groups])
     assert sorted(shares) == sorted(whole.shares)
     for group in groups:

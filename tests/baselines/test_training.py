@@ -469,26 +469,26 @@ def test_no_hyperparameter_raises_anything_but_a_refusal(algo, data):
 def test_vehicles_are_shared_out_by_weight():
     speed_range = request.resolved(["cruise:0.5"])
     config = configuration(scenarios=speed_range)
-    counts = [config.lanes(120).count(PRESETS[f"cruise-{case}"]) for case in CASES]
+    counts = [config.env_scenarios(120).count(PRESETS[f"cruise-{case}"]) for case in CASES]
     assert counts == [10, 20, 10, 10, 10, 10, 20, 30]
     assert sum(weight for _, weight in speed_range) == 6.0
-    assert {s.name for s in config.lanes(8)} == {f"cruise-{case}" for case in CASES}
+    assert {s.name for s in config.env_scenarios(8)} == {f"cruise-{case}" for case in CASES}
     with pytest.raises(ValueError, match="7 vehicles are too few for 8 scenarios"):
-        config.lanes(7)
+        config.env_scenarios(7)
 
 
 @given(st.lists(st.integers(1, 1000), min_size=1, max_size=8), st.integers(0, 200))
 def test_every_scenario_has_a_vehicle_and_heavier_ones_no_fewer(weights, more):
     scenarios = tuple((replace(SMALL, name=f"s{i}"), weight) for i, weight in enumerate(weights))
-    lanes = configuration(scenarios=scenarios).lanes(len(weights) + more)
-    counts = [lanes.count(scenario) for scenario, _ in scenarios]
-    assert sum(counts) == len(lanes) == len(weights) + more
+    each = configuration(scenarios=scenarios).env_scenarios(len(weights) + more)
+    counts = [each.count(scenario) for scenario, _ in scenarios]
+    assert sum(counts) == len(each) == len(weights) + more
     assert min(counts) >= 1
-    assert lanes == sorted(lanes, key=lambda s: s.name)
+    assert each == sorted(each, key=lambda s: s.name)
     for (_, a), m in zip(scenarios, counts, strict=True):
         for (_, b), n in zip(scenarios, counts, strict=True):
             assert m >= n - (a == b) or a < b
-        share = len(lanes) * a / sum(weights)
+        share = len(each) * a / sum(weights)
         assert m <= max(1, share + 1)
 
 

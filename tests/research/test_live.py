@@ -11,7 +11,7 @@ from auv_gym.codegen import native
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.rows import leaves
 from auv_gym.scenarios import exogenous
-from auv_gym.scenarios.exogenous import GUST_ROWS, NORMALS, SEA, Tape
+from auv_gym.scenarios.exogenous import GUST_ROWS, NORMALS, SEA, ExogenousInputs
 from auv_gym.scenarios.presets import SPEED_RANGES
 from auv_gym.task.simulation import SAMPLE_ROWS
 from baselines import make_policy
@@ -127,20 +127,26 @@ def test_agents_agree_with_the_c_header_if_they_amplify_rounding_errors(bench, m
 
 
 @pytest.mark.parametrize("speed_range", SPEED_RANGES)
-def test_disturbances_of_the_page_agree_with_python(bench, speed_range, monkeypatch):
+def test_the_disturbances_of_the_page_equal_the_exogenous_inputs(bench, speed_range, monkeypatch):
     path, normals = path_of(speed_range, "line"), np.random.default_rng(0).standard_normal((LIVE_STEPS + 1, NORMALS))
     scenario, episode = scenario_of(speed_range, "storm", path), episode_of(speed_range, "storm", path, 3)
 
     monkeypatch.setattr(exogenous, "compiled", lambda **_: None)
     monkeypatch.setattr(exogenous, "_drawn", lambda *_: normals)  # the same random numbers for both
-    tape = Tape(1, LIVE_STEPS + 1)
-    tape.load(0, scenario, episode, np.zeros((LIVE_STEPS + 1, 8)) + np.array([0, 0, 0, 1, 0, 0, 0, 0]))
-    expected = tape.read((0,), LIVE_STEPS + 1)[:, SEA, 0]
+    inputs = ExogenousInputs(1, LIVE_STEPS + 1)
+    inputs.load(0, scenario, episode, np.zeros((LIVE_STEPS + 1, 8)) + np.array([0, 0, 0, 1, 0, 0, 0, 0]))
+    expected = inputs.read((0,), LIVE_STEPS + 1)[:, SEA, 0]
     run = """([weather, waves, normals, rows, gusts]) => {
         const gust = ENGINE.zeros(gusts), sea = ENGINE.zeros(rows);
         return normals.map((n) => (EQUATIONS.sea(gust, n, weather, waves, sea), [...sea]));
     }"""
-    given = [tape._weather[0].tolist(), tape._waves[0].ravel().tolist(), normals.tolist(), SAMPLE_ROWS - 8, GUST_ROWS]
+    given = [
+        inputs._weather[0].tolist(),
+        inputs._waves[0].ravel().tolist(),
+        normals.tolist(),
+        SAMPLE_ROWS - 8,
+        GUST_ROWS,
+    ]
     given[0] = np.nan_to_num(given[0], posinf=1e300).tolist()
     assert np.abs(np.array(bench.evaluate(run, given)) - expected).max() < 1e-9
 

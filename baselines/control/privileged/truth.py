@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.envs.lanes import plan_of, reference_tables
+from auv_gym.envs.sub_environments import plan_of, reference_tables
 from auv_gym.physics.actuators import LONGEST_DELAY
 from auv_gym.physics.dynamics import State
 from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.rows import filled, leaves
 from auv_gym.scenarios.episode import Episode
-from auv_gym.scenarios.exogenous import Tape
+from auv_gym.scenarios.exogenous import ExogenousInputs
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.simulation import PLANT, Parameters, step
 from baselines.policy import Memory
@@ -33,10 +33,10 @@ def samples(scenario: Scenario, episodes: Sequence[Episode]) -> Array:
     """
     n, instants = len(episodes), scenario.steps + 1
     tables = reference_tables(episodes, *plan_of(scenario))
-    tape = Tape(n, instants)
+    inputs = ExogenousInputs(n, instants)
     for i, (episode, table) in enumerate(zip(episodes, tables, strict=True)):
-        tape.load(i, scenario, episode, table)
-    return tape.read(np.arange(n), instants)
+        inputs.load(i, scenario, episode, table)
+    return inputs.read(np.arange(n), instants)
 
 
 @dataclass(frozen=True)

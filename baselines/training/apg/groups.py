@@ -50,15 +50,15 @@ class Members:
 
 def divided(config: Config, settings: Settings) -> list[Members]:
     """Return the vehicles of a training in its groups, which differ as little as can be in what they learn on."""
-    lanes = config.lanes(settings.n_envs)
+    scenarios = config.env_scenarios(settings.n_envs)
     draws = settings.draws_vehicles(config.vehicle)
-    variants = variants_of(lanes, settings.hulls, config.episode_seed) if draws else []
-    objective = settings.objective([scenario.name for scenario in lanes], [len(own) > 1 for own in variants])
-    group, seed, found = np.arange(len(lanes)) // PAIR % settings.groups, config.episode_seed, list[Members]()
+    variants = variants_of(scenarios, settings.hulls, config.episode_seed) if draws else []
+    objective = settings.objective([scenario.name for scenario in scenarios], [len(own) > 1 for own in variants])
+    group, seed, found = np.arange(len(scenarios)) // PAIR % settings.groups, config.episode_seed, list[Members]()
     for k in range(settings.groups):
         mine = (group == k).nonzero()[0]
         own = [variants[i] for i in mine] if variants else []
-        found.append(Members([lanes[i] for i in mine], own, objective.of(mine), seed))
+        found.append(Members([scenarios[i] for i in mine], own, objective.of(mine), seed))
         seed += len(mine)
     return found
 

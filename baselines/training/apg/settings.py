@@ -135,7 +135,7 @@ def check(config: Config) -> Settings:
         ValueError: a hyper-parameter is unknown or wrong.
     """
     settings = from_record(Settings, config.hyperparameters, "hyper-parameters of apg")
-    config.lanes(settings.n_envs)
+    config.env_scenarios(settings.n_envs)
     if settings.hulls and not settings.hull:
         raise ValueError("vehicles are drawn, so the network must see them: set hull=true, or hulls=0")
     if settings.hulls and config.expert != NO_EXPERT and not isinstance(config.make_expert(), Backstepping):

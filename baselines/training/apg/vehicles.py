@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.envs.lanes import Lanes, ReadyEpisodes
+from auv_gym.envs.sub_environments import ReadyEpisodes, SubEnvironments
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.scenarios.scenario import Scenario
@@ -51,12 +51,12 @@ class TrainingVehicles:
         n = len(scenarios)
         self._turns = turns or [[scenario] for scenario in scenarios]
         self._begun = np.zeros(n, dtype=np.int64)  # episodes of each vehicle
-        self._lanes = Lanes(n, [own[0] for own in self._turns], None, None, preview)
-        self._lanes.parts = reduce(Parts.joined, {s.parts: None for own in self._turns for s in own})
+        self._sub_envs = SubEnvironments(n, [own[0] for own in self._turns], None, None, preview)
+        self._sub_envs.parts = reduce(Parts.joined, {s.parts: None for own in self._turns for s in own})
         self._seed, self._window = seed, window
         self._model, self._rng = known, np.random.default_rng([seed, n, 1])
         self.known: Array = np.empty((len(Coefficients._fields), n))
-        self._set_known(self._lanes.all)
+        self._set_known(self._sub_envs.all)
         self._steps = np.array([s.steps for s in scenarios])
         self._failed = np.array([s.lost_distance**2 for s in scenarios])
         windows = np.maximum(self._steps // window, 1)
@@ -66,19 +66,19 @@ class TrainingVehicles:
     @property
     def parts(self) -> Parts:
         """What is in use of the simulation."""
-        return self._lanes.parts
+        return self._sub_envs.parts
 
     @property
     def constants(self) -> Array:
         """The rows of `simulation.Parameters` of the running episodes, shape (PARAMETER_ROWS, N)."""
-        return self._lanes.constants
+        return self._sub_envs.constants
 
     def reset(self, hidden: int, memory: int = STANDARD.memory) -> Carried:
         """Begin an episode everywhere; return what is carried into it, for a network of so many hidden units.
 
         `memory` is how many rows its inputs remember.
         """
-        n, beginning = len(self.held_out), self._lanes.reset(self._seed, None)
+        n, beginning = len(self.held_out), self._sub_envs.reset(self._seed, None)
         nothing = (np.zeros((rows, n)) for rows in (memory, OUTPUTS, hidden))
         return Carried(beginning.plant, beginning.seen, *nothing)
 
@@ -89,42 +89,42 @@ class TrainingVehicles:
         them, shape (T, 2 P, N); and the sample at its end, shape (T, SAMPLE_ROWS, N).
         """
         self._left -= self._window
-        lanes, n = self._lanes, len(self.held_out)
-        ahead, samples = (np.empty((self._window, rows, n)) for rows in (lanes.preview.columns, SAMPLE_ROWS))
+        sub_envs, n = self._sub_envs, len(self.held_out)
+        ahead, samples = (np.empty((self._window, rows, n)) for rows in (sub_envs.preview.columns, SAMPLE_ROWS))
         for k in range(self._window):
-            if lanes.preview.periods:
-                ahead[k] = lanes.preview.ahead(lanes.all, lanes.k).reshape(-1, n)
-            samples[k] = lanes.coming()
-            lanes.advance()
+            if sub_envs.preview.periods:
+                ahead[k] = sub_envs.preview.ahead(sub_envs.all, sub_envs.k).reshape(-1, n)
+            samples[k] = sub_envs.next_sample()
+            sub_envs.advance()
         return ahead, samples
 
     def renew(self, carried: Carried, squared_error: NDArray[Any]) -> Carried:
         """Begin new episodes where they have ended, or would within the next window, or the vehicle is lost."""
         self.held_out = ~(squared_error <= self._failed) | (self._left < self._window)
         self._left[self.held_out] = self._steps[self.held_out]
-        lanes = self.held_out.nonzero()[0]
+        indices = self.held_out.nonzero()[0]
         renewed = Carried(*(np.where(self.held_out, 0.0, x) for x in carried))
-        if len(lanes):
-            beginning = self._lanes.begin(lanes, self._planned(lanes))
-            self._set_known(lanes)
-            renewed.state[:, lanes], renewed.observation[:, lanes] = beginning.plant, beginning.seen
+        if len(indices):
+            beginning = self._sub_envs.begin(indices, self._planned(indices))
+            self._set_known(indices)
+            renewed.state[:, indices], renewed.observation[:, indices] = beginning.plant, beginning.seen
         return renewed
 
-    def _set_known(self, lanes: NDArray[np.int64]) -> None:
+    def _set_known(self, indices: NDArray[np.int64]) -> None:
         """Set the known models of episodes that begin."""
-        for i in lanes.tolist():
-            vehicle = self._lanes.scenarios[i].vehicle
+        for i in indices.tolist():
+            vehicle = self._sub_envs.scenarios[i].vehicle
             self.known[:, i] = (self._model(vehicle, self._rng) if self._model else vehicle).coefficients
 
-    def _planned(self, lanes: NDArray[np.int64]) -> list[ReadyEpisodes]:
+    def _planned(self, indices: NDArray[np.int64]) -> list[ReadyEpisodes]:
         """Return the next episodes of some vehicles; where no path can be followed each goes on to its next turn."""
         for left in reversed(range(TURNS)):
-            self._begun[lanes] += 1
-            for i in lanes.tolist():
-                self._lanes.scenarios[i] = self._turns[i][self._begun[i] % len(self._turns[i])]
+            self._begun[indices] += 1
+            for i in indices.tolist():
+                self._sub_envs.scenarios[i] = self._turns[i][self._begun[i] % len(self._turns[i])]
             try:
-                return self._lanes.planned(lanes)
+                return self._sub_envs.next_episodes(indices)
             except ValueError:
-                if not left or all(len(self._turns[i]) == 1 for i in lanes.tolist()):
+                if not left or all(len(self._turns[i]) == 1 for i in indices.tolist()):
                     raise
         raise AssertionError("unreachable")

@@ -139,7 +139,7 @@ def make_training_env(config: Config, n_envs: int, wrappers: Any = ()) -> VecFea
         "auv_gym:UnderactuatedAUVTrack-v0",
         num_envs=n_envs,
         vectorization_mode="vector_entry_point",
-        scenario=config.lanes(n_envs),
+        scenario=config.env_scenarios(n_envs),
         preview=preview_of(expert),
     )
     env: VecEnv = VecMonitor(SB3VecEnv(VectorResidualAction(track, expert, config.authority)))

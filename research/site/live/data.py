@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from auv_gym.envs.lanes import plan_of, reference_tables
+from auv_gym.envs.sub_environments import plan_of, reference_tables
 from auv_gym.physics.intervals import Interval
 from auv_gym.physics.rows import leaves
 from auv_gym.planning.paths import PATHS, Path
