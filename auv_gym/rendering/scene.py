@@ -8,6 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from auv_gym.physics.errors import to_world
 from auv_gym.physics.namespaces import Array
 from auv_gym.rendering.camera import Camera, View
 from auv_gym.rendering.canvas import (
@@ -73,7 +74,8 @@ def draw_world(
     draw_trail(canvas, camera.project(view.trail), color)
     canvas.line(path[travelled:], PLAN, 2.5)
     draw_ghost(canvas, _body(camera, view.reference))
-    arrow = camera.arrow(_ground_velocity(view.state)) if velocity else None
+    _, _, psi, u, v, _ = view.state
+    arrow = camera.arrow(np.array(to_world(u, v, math.cos(psi), math.sin(psi)))) if velocity else None
     draw_vehicle(canvas, _body(camera, view.state[:3]), color, arrow)
     canvas.dashes(camera.project(view.state[:2]), camera.project(view.reference[:2]), ALERT, 2.5, 9.0)
 
@@ -137,9 +139,3 @@ def draw_vehicle(canvas: Canvas, body: Body, color: Color = VEHICLE, arrow: Arra
 def _body(camera: Camera, pose: tuple[float, float, float]) -> Body:
     """Return the drawn vehicle at a pose x, y [m], psi [rad]; its length is at least `MIN_VEHICLE_LENGTH`."""
     return Body(camera.project(pose[:2]), pose[2], max(VEHICLE_LENGTH * camera.scale, MIN_VEHICLE_LENGTH))
-
-
-def _ground_velocity(state: tuple[float, float, float, float, float, float]) -> Array:
-    """Return the velocity in the world frame (2,) [m/s], equation (1)."""
-    _, _, psi, u, v, _ = state
-    return np.array((u * math.cos(psi) - v * math.sin(psi), u * math.sin(psi) + v * math.cos(psi)))

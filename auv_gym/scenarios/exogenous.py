@@ -31,7 +31,6 @@ TILE = 16  # sub-environments whose samples are written together, which fills ca
 NORMALS = 8  # number of standard normals of a control step
 MEASUREMENT_NORMALS = slice(0, 6)  # normals of the errors of the six measurements
 GUSTS = slice(6, 8)  # normals of the gusts
-SEA = slice(REFERENCE.stop, SAMPLE_ROWS)  # rows of a sample after the reference
 
 
 class Errors(NamedTuple):

@@ -76,7 +76,7 @@ class _Fit:
     def scenario(self, scenario: Scenario) -> Scenario:
         length, time = self.units.length, self.units.time
         parts = "path", "start", "sensors", "current", "waves"
-        changes = {name: self.part(name, getattr(scenario, name)) for name in parts}
+        changes = {name: scaled_part(name, getattr(scenario, name), self.units) for name in parts}
         path: Any = changes["path"]
         if not isinstance(path, Path):
             path = replace(path, turn_rate=path.turn_rate * self.turn_rate)
@@ -92,10 +92,6 @@ class _Fit:
             lost_distance=scenario.lost_distance * length,
             **changes,
         )
-
-    def part(self, name: str, part: Any) -> Any:
-        """Return a part of a scenario with its entries scaled by their dimensions."""
-        return scaled_part(name, part, self.units)
 
     @property
     def turn_rate(self) -> float:

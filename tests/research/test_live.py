@@ -11,9 +11,9 @@ from auv_gym.codegen import native
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.rows import leaves
 from auv_gym.scenarios import exogenous
-from auv_gym.scenarios.exogenous import GUST_ROWS, NORMALS, SEA, ExogenousInputs
+from auv_gym.scenarios.exogenous import GUST_ROWS, NORMALS, ExogenousInputs
 from auv_gym.scenarios.presets import SPEED_RANGES
-from auv_gym.task.simulation import SAMPLE_ROWS
+from auv_gym.task.simulation import REFERENCE, SAMPLE_ROWS
 from baselines import make_policy
 from baselines.export.parts import exported
 from research.deployment.players import HeaderPolicy
@@ -135,7 +135,7 @@ def test_the_disturbances_of_the_page_equal_the_exogenous_inputs(bench, speed_ra
     monkeypatch.setattr(exogenous, "_drawn", lambda *_: normals)  # the same random numbers for both
     inputs = ExogenousInputs(1, LIVE_STEPS + 1)
     inputs.load(0, scenario, episode, np.zeros((LIVE_STEPS + 1, 8)) + np.array([0, 0, 0, 1, 0, 0, 0, 0]))
-    expected = inputs.read((0,), LIVE_STEPS + 1)[:, SEA, 0]
+    expected = inputs.read((0,), LIVE_STEPS + 1)[:, REFERENCE.stop :, 0]
     run = """([weather, waves, normals, rows, gusts]) => {
         const gust = ENGINE.zeros(gusts), sea = ENGINE.zeros(rows);
         return normals.map((n) => (EQUATIONS.sea(gust, n, weather, waves, sea), [...sea]));
