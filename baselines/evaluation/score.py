@@ -175,6 +175,20 @@ def relative_error(rival: Sequence[Array], own: Sequence[Array]) -> Score:
     return Score(float(values[0]), (low, high))
 
 
+def difference(rival: Sequence[Array], own: Sequence[Array]) -> Score:
+    """Return the mean of own minus a rival's steady-state errors [m] in paired episodes, an array for each case.
+
+    The interval is a bootstrap over episodes within each case, paired between both; nan for a single episode.
+    """
+    lengths = tuple(map(len, rival))
+    sums = sum(w @ (mine - theirs) for w, theirs, mine in zip(resamplings(lengths), rival, own, strict=True))
+    values = np.asarray(sums) / sum(lengths)
+    if sum(lengths) < 2:
+        return Score(float(values[0]), (math.nan, math.nan))
+    low, high = np.quantile(values[1:], (0.025, 0.975)).tolist()
+    return Score(float(values[0]), (low, high))
+
+
 def score(zero: Sequence[Array], policy: Sequence[Array], one: Sequence[Array]) -> Score:
     """Return the score from steady-state errors [m] of paired episodes, an array for each case.
 

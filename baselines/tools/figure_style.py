@@ -46,6 +46,12 @@ class Look:
     marker: int  # index in `MARKERS`
 
 
+KNOWN = (
+    "nmpc", "backstepping", "helm", "helm-any", "ekf", "los-pid", "clairvoyant",
+    "nmpc-adverse", "backstepping-tuned", "helm-small", "apg-cruise", "lqi", "ilos", "oracle",
+    "open-loop", "ppo-cruise", "helm-blind", "apg-slow", "integral", "adaptive", "smc-dob",
+)  # fmt: skip
+"""Policies that have the same look in every figure, in the order of `LOOKS`; the first seven have their own colour."""
 LOOKS = tuple(
     Look(COLOURS[i % len(COLOURS)], i // len(COLOURS), (i + i // len(COLOURS)) % len(MARKERS))
     for i in range(len(COLOURS) * len(DASHES))
@@ -54,8 +60,11 @@ LOOKS = tuple(
 
 
 def look(name: str, names: Sequence[str]) -> Look:
-    """Return the look of one of the names; with more names than looks, the looks repeat."""
-    return LOOKS[names.index(name) % len(LOOKS)]
+    """Return the look of a policy: its own if it is in `KNOWN`, else by its position among the others in `names`."""
+    if name in KNOWN:
+        return LOOKS[KNOWN.index(name)]
+    others = [other for other in names if other not in KNOWN]
+    return LOOKS[len(KNOWN) + others.index(name) % (len(LOOKS) - len(KNOWN))]
 
 
 _STYLE: Any = {

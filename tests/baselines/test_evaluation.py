@@ -38,7 +38,7 @@ SMALL = Scenario(name="small", sensors=Sensors(position=0.05), steps=45)
 ROW = {
     "policy": str, "scenario": str, "episodes": int, "rmse_m": float, "steady_rmse_m": dict, "score": type(None),
     "capped": type(None), "settling_s": float, "effort_ratio": float, "smoothness_ratio": float, "failed": int,
-    "failure_rate": float, "failure_rate_bound": float,
+    "failure_rate": float, "failure_rate_bound": float, "to_best_m": dict,
     "error_ratio": type(None), "saturation": float, "return_mean": float, "seconds": float,
     "decision_ms": float, "recorded": type(None), "error": type(None), "warnings": list,
 }  # fmt: skip
@@ -204,9 +204,11 @@ def test_results_files(call, small, tmp_path, capsys):
     assert expert["effort_ratio"] == expert["smoothness_ratio"] == 1
     assert other["effort_ratio"] < 1
     for row in record["results"]:
-        assert {key: type(value) for key, value in row.items()} == ROW
+        best = row["to_best_m"] is None
+        assert {key: type(value) for key, value in row.items()} == ROW | ({"to_best_m": type(None)} if best else {})
         low, high = row["steady_rmse_m"]["ci95"]
         assert low <= row["steady_rmse_m"]["mean"] <= high
+    assert sum(row["to_best_m"] is None for row in record["results"]) == 1
     lines = list(csv.DictReader((folder / "results.csv").read_text().splitlines()))
     assert [float(line["steady_rmse_m"]) for line in lines] == [r["steady_rmse_m"]["mean"] for r in record["results"]]
     assert not [file for file in folder.iterdir() if file.name.startswith(".")]

@@ -1,6 +1,7 @@
 """The columns of a result: name, unit, definition and format, for all tables, files and pages.
 
-A new `Column` in `COLUMNS` is a new column everywhere.
+A new `Column` in `COLUMNS` is a new column of the terminal's table and of the files; `html._SHOWN` lists the columns of
+the page.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Any
 
 from baselines.evaluation.metrics import WORST, Summary, failure_bound
 from baselines.evaluation.report.numbers import Entry
-from baselines.evaluation.score import ERROR_CAPS, OPTIMUM_POLICY, ORACLE, RIVAL, fixed, fixed_ends
+from baselines.evaluation.score import ERROR_CAPS, OPTIMUM_POLICY, ORACLE, RIVAL, Score, fixed, fixed_ends
 
 NONE = "-"
 """Text for a missing value."""
@@ -77,6 +78,15 @@ def failures_text(failed: int, episodes: int) -> str:
     return f"{failed} of {episodes} (<= {most:.2g} %)" if most < 99.5 else f"{failed} of {episodes}"
 
 
+def difference_text(value: Score | None) -> str:
+    """Return a difference with its interval as text."""
+    if value is None:
+        return NONE
+    low, high = value.ci95
+    interval = f" ({low:+.2g} ... {high:+.2g})" if math.isfinite(low) else ""
+    return f"{value.mean:+.3g}{interval}"
+
+
 COLUMNS = (
     Column("episodes", "episodes", "episodes that were run", lambda _, s: s.episodes),
     Column("rmse_m", "", "root mean square of the distance to the reference [m], mean over episodes",
@@ -94,6 +104,12 @@ COLUMNS = (
     Column("steady_rmse_m.cvar95", "worst 5 % [m]",
            f"mean of the worst {100 * WORST:g} % of the steady-state errors (conditional value at risk)",
            lambda _, s: s.steady_rmse_m.cvar95, digits(3), 3),
+    Column("to_best_m.mean", "to best [m]",
+           "mean steady-state error minus that of the best policy in the same episodes, with its 95 % bootstrap "
+           f"interval; the best one is that with the smallest mean, without {ORACLE} and {OPTIMUM_POLICY}",
+           lambda e, _: e.to_best and e.to_best.mean, digits(3), 6, lambda e, _: difference_text(e.to_best)),
+    Column("to_best_m.ci95", "", "95 % bootstrap interval of that difference over paired episodes",
+           lambda e, _: e.to_best and list(e.to_best.ci95)),
     Column("score.mean", "score",
            "(E_0 - E_policy) / (E_0 - E_1), E the mean steady-state error in the same episodes: 0 is the paper's "
            f"law, 1 in benchmark-v2 the full-information optimum, {OPTIMUM_POLICY}, in older suites the {ORACLE}, a "

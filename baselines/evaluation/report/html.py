@@ -7,17 +7,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from baselines.evaluation.report.columns import Column, definitions, failures_text, ranked, used
+from baselines.evaluation.report.columns import COLUMNS, NONE, Column, digits, ends, failures_text, ranked, used
 from baselines.evaluation.report.numbers import Entry, Result, recordings
 from baselines.evaluation.report.page import mixed, render_report
 from baselines.evaluation.report.page_data import at_first, by_scenario, look_of, page_data
 from baselines.evaluation.request import Request
-from baselines.evaluation.score import EXPERT, FORESIGHTED, Score, fixed, fixed_ends, score_text, speed_range_of
+from baselines.evaluation.score import EXPERT, FORESIGHTED, VEHICLE_MARK, Score, fixed, fixed_ends, speed_range_of
 from baselines.tools.figure_style import look
 from baselines.tools.files import versions
 
-_FIRST = ("score", "failed", "steady_rmse", "effort", "smoothness", "decision_ms", "settling", "saturation", "capped")
-"""The first columns on a page, by the beginning of their keys; the other columns follow."""
+_SHOWN = (
+    "steady_rmse_m.mean", "to_best_m.mean", "failed", "score.mean", "steady_rmse_m.median", "steady_rmse_m.cvar95",
+    "effort_ratio", "smoothness_ratio", "decision_ms",
+)  # fmt: skip
+"""The columns of the page by their keys, in this order; results.csv has all columns."""
 _LEAST = -0.2
 """Score at the left end of the intervals in the leaderboard."""
 
@@ -61,12 +64,9 @@ def report_html(request: Request, results: Sequence[Result], pooled: Sequence[En
     counted = f"{episodes} episodes of each policy"
     policies = list(dict.fromkeys(r.run.policy for r in results if r.entry.summary is not None))
     shown = at_first([r for r in results if r.entry.summary is not None], pooled)
-    scored = any(entry.score for entry in pooled)
-    lone = [
-        r.entry
-        for r in results
-        if not scored or speed_range_of(r.run.scenario.name) not in {entry.place for entry in pooled}
-    ]
+    scenarios = by_scenario(results)
+    maps = _maps(results, policies)
+    joint = [entry for entry in pooled if entry.place.partition(VEHICLE_MARK)[0] in {m["speed_range"] for m in maps}]
     return render_report(
         "report.html",
         page_data(results, pooled),
@@ -78,16 +78,16 @@ def report_html(request: Request, results: Sequence[Result], pooled: Sequence[En
         setting=f"{_plural(len(request.cells), 'scenario')}, {counted}, seed {request.options.seed}",
         hash=request.hash,
         versions=", ".join(f"{name} {version}" for name, version in versions().items()),
-        boards=_boards([*(pooled if scored else ()), *lone], policies, shown),
-        maps=_maps(results, policies) if scored else [],
+        boards=_boards(joint or [result.entry for result in results], policies, shown),
+        maps=maps,
         scenarios=[
-            {"name": scenario.name, "board": _board(scenario.name, [r.entry for r in own], policies, shown)}
-            for scenario, own in by_scenario(results)
+            {"name": scenario.name, "board": joint and _board(scenario.name, [r.entry for r in own], policies, shown)}
+            for scenario, own in scenarios
         ],
         recorded=recordings(results),
         failed=[f"{r.run.policy} in {r.run.scenario.name}: {r.run.error}" for r in results if r.run.error],
         notes=list(dict.fromkeys((*request.notes, *(f"{r.run.policy}: {t}" for r in results for t in r.run.warnings)))),
-        definitions=definitions(),
+        definitions={c.heading: c.definition for c in COLUMNS if c.key in _SHOWN},
     )
 
 
@@ -105,24 +105,28 @@ def _boards(entries: Sequence[Entry], policies: Sequence[str], shown: set[str]) 
 
 
 def _board(place: str, entries: Sequence[Entry], policies: Sequence[str], shown: set[str]) -> _Leaderboard:
-    columns, order = sorted(used(entries), key=_order), ranked(entries)
+    columns = sorted((c for c in used(entries) if c.key in _SHOWN), key=lambda column: _SHOWN.index(column.key))
+    order = ranked(entries)
     lines = [_line(entry, columns, policies, shown) for entry in order]
     scale = (_x_of(0.0), _x_of(1.0)) if any(line.interval for line in lines) else None
     return _Leaderboard(place, _lead(order), columns, lines, scale)
 
 
-def _order(column: Column) -> int:
-    """Return the sort key of a column; the most important ones are first, since a screen may be too narrow for all."""
-    return next((i for i, name in enumerate(_FIRST) if column.key.startswith(name)), len(_FIRST))
-
-
 def _line(entry: Entry, columns: Sequence[Column], policies: Sequence[str], shown: set[str]) -> _Line:
     failed = entry.summary is None
-    cells = [TableCell("failed" if failed else column.text(entry), _key(column.of(entry))) for column in columns]
+    cells = [TableCell("failed" if failed else _text(column, entry), _key(column.of(entry))) for column in columns]
     index = None if failed else policies.index(entry.policy)
     colour = "" if failed else look(entry.policy, policies).colour
     mark = "*" if entry.recorded else ""
     return _Line(entry.policy, mark, index, colour, entry.policy in shown, cells, _interval(entry.score), failed)
+
+
+def _text(column: Column, entry: Entry) -> str:
+    """Return the text of a cell, for the steady-state error with its interval."""
+    text = column.text(entry)
+    if column.key == "steady_rmse_m.mean" and entry.summary and math.isfinite(entry.summary.steady_rmse_m.ci95[0]):
+        return f"{text} ({ends(entry.summary.steady_rmse_m.ci95)})"
+    return text
 
 
 def _key(value: Any) -> float | str:
@@ -159,37 +163,46 @@ def _lead(order: Sequence[Entry]) -> str:
 
 
 def _maps(results: Sequence[Result], policies: Sequence[str]) -> list[dict[str, Any]]:
-    """Return the table of scores by policy and case of each speed range, with a colour for each cell."""
-    found: dict[str, dict[str, dict[str, Score | None]]] = {}
+    """Return the table of errors by policy and case of each speed range with several cases, with cell colours."""
+    found: dict[str, dict[str, dict[str, float]]] = {}
     for result in results:
-        if (speed_range := speed_range_of(result.run.scenario.name)) is not None:
-            own = found.setdefault(speed_range, {}).setdefault(result.run.policy, {})
-            own[result.run.scenario.name] = result.entry.score
+        if (speed_range := speed_range_of(result.run.scenario.name)) is not None and result.entry.summary is not None:
+            error = result.entry.summary.steady_rmse_m.mean
+            found.setdefault(speed_range, {}).setdefault(result.run.scenario.name, {})[result.run.policy] = error
     maps = []
-    for speed_range, by_policy in found.items():
-        names = list(dict.fromkeys(name for own in by_policy.values() for name in own))
-        order = sorted(by_policy, key=lambda policy: -_mean(by_policy[policy].values()))
+    for speed_range, by_case in found.items():
+        if len(by_case) < 2:
+            continue
+        least = {
+            name: min((e for p, e in own.items() if p not in FORESIGHTED), default=0) for name, own in by_case.items()
+        }
+        logs = {
+            policy: [_log_ratio(own[policy], least[name]) for name, own in by_case.items() if policy in own]
+            for policy in policies
+        }
+        order = sorted(
+            (policy for policy in policies if logs[policy]), key=lambda policy: sum(logs[policy]) / len(logs[policy])
+        )
         lines = [
             {
                 "policy": policy,
-                "look": policies.index(policy) if policy in policies else None,
-                "cells": [_coloured(by_policy[policy].get(name)) for name in names],
+                "look": policies.index(policy),
+                "cells": [_coloured(own.get(policy), least[name]) for name, own in by_case.items()],
             }
             for policy in order
         ]
-        cases = [{"name": name, "case": name.removeprefix(f"{speed_range}-")} for name in names]
+        cases = [{"name": name, "case": name.removeprefix(f"{speed_range}-")} for name in by_case]
         maps.append({"speed_range": speed_range, "cases": cases, "lines": lines})
     return maps
 
 
-def _mean(scores: Any) -> float:
-    """Return the mean of the finite scores, each limited to at least -1."""
-    known = [max(score.mean, -1.0) for score in scores if score and math.isfinite(score.mean)]
-    return sum(known) / len(known) if known else -math.inf
+def _log_ratio(error: float, least: float) -> float:
+    """Return the logarithm, to base 2, of an error over the least error in the same scenario."""
+    return math.log2(error / least) if error > 0 and least > 0 else 0.0
 
 
-def _coloured(score: Score | None) -> dict[str, Any]:
-    text = score_text(score, 2)
-    if score is None or not math.isfinite(score.mean):
-        return {"text": text, "colour": "transparent", "key": ""}
-    return {"text": text, "colour": mixed(score.mean), "key": float(f"{score.mean:.6g}")}
+def _coloured(error: float | None, least: float) -> dict[str, Any]:
+    """Return a cell with an error [m]: blue for the least error, white for twice as much, orange from four times on."""
+    if error is None or not math.isfinite(error):
+        return {"text": NONE, "colour": "transparent", "key": ""}
+    return {"text": digits(3)(error), "colour": mixed(1.0 - _log_ratio(error, least)), "key": float(f"{error:.6g}")}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,12 +14,14 @@ from baselines.evaluation.metrics import Measures, Summary, ratio, summarise
 from baselines.evaluation.runner import Run
 from baselines.evaluation.score import (
     EXPERT,
+    FORESIGHTED,
     RIVAL,
     VEHICLE_MARK,
     Anchors,
     Score,
     capped,
     count_failures,
+    difference,
     error_cap,
     in_paper_metres,
     paired,
@@ -52,6 +54,7 @@ class Entry:
     capped: Score | None = None  # the score with steady-state errors of at most the error cap
     failed: int = 0  # number of failed episodes, see `score.has_failed`
     error_ratio: float = math.nan  # mean capped steady-state error over that of `score.RIVAL`; nan without it
+    to_best: Score | None = None  # [m] steady-state error minus that of the best policy; None if there is one policy
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,12 @@ def compare(runs: Sequence[Run], anchors: Anchors | None = None) -> list[Result]
     """Return the result of each run; `anchors` are those of the suite, None without a suite, see `Anchors.among`."""
     cases, ends = measures_of(runs), anchors or Anchors.among({run.policy for run in runs})
     own = [{run.scenario.name: cases[run.scenario.name]} for run in runs]
-    return [Result(run, _entry(run.scenario.name, [run], case, ends)) for run, case in zip(runs, own, strict=True)]
+    entries = [_entry(run.scenario.name, [run], case, ends) for run, case in zip(runs, own, strict=True)]
+    compared = [
+        _to_best(entry, [e for e in entries if e.place == entry.place], case, unit_of(run.scenario))
+        for run, case, entry in zip(runs, own, entries, strict=True)
+    ]
+    return [Result(run, entry) for run, entry in zip(runs, compared, strict=True)]
 
 
 def pool(runs: Sequence[Run], anchors: Anchors | None = None) -> list[Entry]:
@@ -80,12 +88,25 @@ def pool(runs: Sequence[Run], anchors: Anchors | None = None) -> list[Entry]:
     for run in runs:
         by_policy.setdefault(run.policy, []).append(run)
     for place, names in _places(list(measures)).items():
-        cases = {name: measures[name] for name in names}
+        cases, entries = {name: measures[name] for name in names}, []
         for policy, every in by_policy.items():
             own = [run for run in every if run.scenario.name in cases]
             if own and all(policy in case for case in cases.values()):
-                found.append(_entry(place, own, cases, ends))
+                entries.append(_entry(place, own, cases, ends))
+        units = {unit_of(run.scenario) for run in runs if run.scenario.name in cases}
+        found += [_to_best(entry, entries, cases, units.pop() if len(units) == 1 else 1.0) for entry in entries]
     return found
+
+
+def _to_best(entry: Entry, entries: Sequence[Entry], cases: Mapping[str, _Case], unit: float) -> Entry:
+    """Return an entry with the difference to the best entry of its place; `unit` as in `score.unit_of`."""
+    known = [e for e in entries if e.summary is not None and e.policy not in FORESIGHTED]
+    best = min(known, key=lambda e: e.summary.steady_rmse_m.mean if e.summary else math.inf, default=None)
+    if entry.summary is None or best is None or best is entry:
+        return entry
+    pairs = [paired(case[best.policy], case[entry.policy]) for case in cases.values()]
+    theirs, own = ([unit * m.steady_rmse for m in column] for column in zip(*pairs, strict=True))
+    return replace(entry, to_best=difference(theirs, own))
 
 
 def _places(scenarios: Sequence[str]) -> dict[str, list[str]]:
