@@ -18,7 +18,7 @@ from auv_gym.scenarios.scenario import Scenario, Start
 from auv_gym.task.observation import Observation, decode_observation
 from baselines.control.adaptive import AdaptiveMemory, current_of
 from baselines.control.ilos import IlosMemory
-from baselines.control.smc_dob import SmcMemory, loads
+from baselines.control.smc_dob import SmcMemory, estimated_loads
 from baselines.gains.loading import load_gains
 from baselines.policy import CRUISE_SPEED
 from baselines.tuning.tunables import TUNABLES
@@ -104,7 +104,7 @@ def test_observer_of_loads_converges_with_its_bandwidths():
     for k in range(31):
         values = dict.fromkeys(Observation._fields, 0.0)
         values |= {"a_u": 0.1, "a_r": 0.05, "F_u_max": 400.0, "F_r_max": 200.0, "dt": dt}
-        found = loads(Observation(**values), memory, tuple(nu), bandwidths, V.coefficients, ARRAYS)
+        found = estimated_loads(Observation(**values), memory, tuple(nu), bandwidths, V.coefficients, ARRAYS)
         memory = SmcMemory(1.0, *nu, *found)
         left = np.exp(-np.array(bandwidths) * dt * k)
         np.testing.assert_allclose(found, true * (1 - left), rtol=0.01, atol=1e-3)  # the axes touch within a period
@@ -125,16 +125,16 @@ def test_the_loop_is_stable_about_steady_motion(name, speed_range, speed):
 
     def period(x):
         """Return errors in the world, the last forces and the memory a period later."""
-        hull, force, memory = x[:6], x[6:8], x[8:]
-        cos, sin = np.cos(hull[2]), np.sin(hull[2])
-        e_x, e_y = to_body(hull[0], hull[1], cos, sin)
+        e, force, memory = x[:6], x[6:8], x[8:]
+        cos, sin = np.cos(e[2]), np.sin(e[2])
+        e_x, e_y = to_body(e[0], e[1], cos, sin)
         one = np.ones(1)
         o = reference._replace(
-            e_x=e_x * one, e_y=e_y * one, psi_e=hull[2] * one, u_e=hull[3] * one, v_e=hull[4] * one, r_e=hull[5] * one,
+            e_x=e_x * one, e_y=e_y * one, psi_e=e[2] * one, u_e=e[3] * one, v_e=e[4] * one, r_e=e[5] * one,
             cos_psi=cos * one, sin_psi=sin * one, a_u=force[:1] / reference.F_u_max, a_r=force[1:] / reference.F_r_max,
         )  # fmt: skip
         F_u, F_r, (after,) = controller.forces(o, (memory[None],), np.zeros((1, 0)))
-        state = (hull[0], hull[1], hull[2], speed + hull[3], hull[4], hull[5])
+        state = (e[0], e[1], e[2], speed + e[3], e[4], e[5])
         moved = np.array(rk4_step(state, (F_u[0], 0.0, F_r[0]), V.coefficients, dt, ns=ARRAYS), dtype=float)
         moved -= (speed * dt, 0.0, 0.0, speed, 0.0, 0.0)
         return np.concatenate((moved, (F_u[0], F_r[0]), after[0]))
@@ -147,4 +147,4 @@ def test_the_loop_is_stable_about_steady_motion(name, speed_range, speed):
     loop = np.array([(period(x + h * d) - period(x - h * d)) / (2 * h) for d in np.eye(len(x))]).T
     kept = abs(loop).sum(axis=1) + abs(loop).sum(axis=0) > 0
     values = np.abs(np.linalg.eigvals(loop[np.ix_(kept, kept)]))
-    assert np.sort(values)[-2] < 1  # what says that an episode has begun stays as it is: 1
+    assert np.sort(values)[-2] < 1  # the largest one, 1, is that of the constant entry `started`

@@ -3,7 +3,7 @@
 Known are the true vehicle, the actuators and their lag, all commands, the mean current, the statistics of its gusts,
 the waves' frequencies and amplitudes, and the statistics of start and sensors. Not known are the numbers that were
 drawn: of the start, of the gusts, of the waves' phases and of the measurement errors. What that comes to is linearised
-about the way that the vehicle really takes where it is kept on its path, see `control.privileged.clairvoyant`.
+about the way that the vehicle really takes where it is kept on its path, see `control.privileged.optimum`.
 
 The state z of an episode is what is off by (`POSE`) x, y [m], psi [rad], u, v [m/s], r [rad/s], velocities relative to
 the water; (`_GUSTS`) the gusts' process n and its filter s on each axis, in units of sigma, see
@@ -31,7 +31,7 @@ from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.exogenous import WAVE_ROWS, wave_components
 from auv_gym.scenarios.scenario import Scenario, Start
 from auv_gym.task.simulation import CURRENT, LOAD, PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts, moved
-from baselines.control.privileged.clairvoyant import arriving, oracle_actions
+from baselines.control.privileged.optimum import arriving, oracle_actions
 from baselines.control.privileged.problem import COMMAND_ROWS, PLANT_STATES, Problem, Trajectory
 from baselines.control.privileged.solver import best_trajectory
 
