@@ -11,9 +11,8 @@ SHIPPED_FOLDER = Path(__file__).parent / "shipped"
 FADING = ":fade"
 """Suffix of an agent's name: its corrections fade outside of the region of its training, see `Agent.policy`."""
 GUARD = ":guard"
-"""Suffix of a policy's name: a fallback policy takes over if it diverges, see `baselines.agents.guard`. "=" and the name
-of the fallback may follow."""
-
+"""Suffix of a policy's name: a fallback policy takes over if it diverges, see `baselines.agents.guard`. "=" and the
+name of the fallback may follow."""
 COMMAND = "cmd:"
 """Prefix of a command line: the policy is a separate program, see `baselines.agents.programs`."""
 

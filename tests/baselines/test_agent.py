@@ -141,7 +141,7 @@ def test_round_trip(network, tmp_path):
 
 def test_does_not_replace_what_is_no_agent(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(ValueError, match="no agent's folder"):
+    with pytest.raises(ValueError, match="is not an agent's folder"):
         agent().save(tmp_path)
     assert (tmp_path / "thesis.tex").exists()
 
@@ -185,10 +185,13 @@ def rehashed(folder):
 
 REFUSALS = {
     "damaged weights": (damaged, "SHA-256 differs"),
-    "truncated weights": (truncated, "no safetensors file"),
+    "truncated weights": (truncated, "not a safetensors file"),
     "no weights": (lambda folder: (folder / "weights.safetensors").write_bytes(b""), "SHA-256 differs"),
     "shape": (reweighted(**{"head.weight": np.zeros((2, 9), np.float32)}), "weight head.weight has shape"),
-    "missing": (lambda f: (save_file({"x": np.zeros(1)}, f / "weights.safetensors"), rehashed(f)), "differ from"),
+    "missing": (
+        lambda f: (save_file({"x": np.zeros(1)}, f / "weights.safetensors"), rehashed(f)),
+        "missing or unknown weights",
+    ),
     "not finite": (reweighted(**{"head.bias": np.array([0, np.nan], np.float32)}), "not finite"),
     "integers": (reweighted(**{"head.bias": np.zeros(2, np.int32)}), "not finite numbers"),
     "format": (edited(format=1), "its format is 1"),
@@ -202,7 +205,7 @@ REFUSALS = {
     "authority's type": (edited(authority="all"), "list of two numbers"),
     "expert's type": (edited(expert=3), "must be a policy's name"),
     "expert runs code": (edited(expert="evil.py:run"), "must be a policy's name"),
-    "expert that looks behind": (edited(expert="oracle"), "looks behind the observation"),
+    "expert with full information": (edited(expert="oracle"), "needs full information"),
     "unknown expert": (edited(expert="magic"), "unknown policy 'magic'"),
     "scenarios": (edited(scenarios=[1]), "list of names"),
     "entries": (edited(more=1), "must have the entries"),
@@ -347,13 +350,13 @@ def test_impossible_regions_are_refused(region):
 
 
 def test_without_an_expert_there_is_nothing_to_fade_to():
-    with pytest.raises(ValueError, match="nothing that it could fade to"):
+    with pytest.raises(ValueError, match="the agent has no expert"):
         agent(expert="none", region=REGION).policy(fade=True)
 
 
 def test_without_a_region_nothing_can_fade(tmp_path):
     agent().save(tmp_path / "a")
-    with pytest.raises(ValueError, match="does not know the region"):
+    with pytest.raises(ValueError, match="has no region of its training"):
         make_policy(f"{tmp_path}/a:fade")
     with pytest.raises(ValueError, match="takes no option 'gains', only fade"):
         make_policy(str(tmp_path / "a"), gains="paper")
@@ -371,7 +374,7 @@ def test_inputs_go_with_the_agent_and_evaluate_runs_its_folder(tmp_path, monkeyp
         agent(network)
     monkeypatch.chdir(tmp_path)
     episodes = ["--scenario", "cruise-calm", "--episodes", "1", "--jobs", "1", "--out", "out"]
-    with pytest.raises(UsageError, match="does not know the region"):
+    with pytest.raises(UsageError, match="has no region of its training"):
         evaluate.main(["--policy", "./mine:fade", *episodes])
     assert evaluate.main(["--policy", "./mine", *episodes]) == 0
     found = json.loads((tmp_path / "out/results.json").read_text())["results"]

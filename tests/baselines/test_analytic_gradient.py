@@ -24,7 +24,7 @@ from baselines.agents.features import FEATURES, Inputs
 from baselines.agents.networks import Gru, Mlp
 from baselines.control.open_loop import Zero
 from baselines.training.apg.closed_loop import LINEAR_FROM, SQUARE_WEIGHT, ClosedLoop, Loss, law_of
-from baselines.training.apg.groups import Groups, Learned
+from baselines.training.apg.groups import Groups, WindowGradient
 from baselines.training.apg.passes import gates_back
 from baselines.training.apg.settings import Settings, check
 from baselines.training.apg.torch_network import torch_network, weights_of
@@ -223,12 +223,12 @@ def test_a_batch_begins_episodes_between_windows():
         assert [len(rows) for rows in vehicles.window()] == [6, 6]
         marked = carried._replace(hidden=np.ones((3, 4)), integrals=np.ones((4, 4)))
         carried = vehicles.renew(marked, np.zeros(4))
-        held_out = carried.hidden[0] == 0
-        assert held_out.tolist() == vehicles.held_out.tolist()
-        assert (carried.integrals[0] == 0).tolist() == held_out.tolist()
-        assert (carried.state[:, held_out] != marked.state[:, held_out]).any(axis=0).all()
-        assert (carried.state[:, ~held_out] == marked.state[:, ~held_out]).all()
-        begun.append(held_out.nonzero()[0].tolist())
+        begins = carried.hidden[0] == 0
+        assert begins.tolist() == vehicles.begins.tolist()
+        assert (carried.integrals[0] == 0).tolist() == begins.tolist()
+        assert (carried.state[:, begins] != marked.state[:, begins]).any(axis=0).all()
+        assert (carried.state[:, ~begins] == marked.state[:, ~begins]).all()
+        begun.append(begins.nonzero()[0].tolist())
     # The first episodes are 6, 12, 18 and 6 steps long, all others 18: three windows.
     assert begun == [[0, 3], [1], [2], [0, 3], [1], [2], [0, 3], [1], [2]]
 
@@ -349,7 +349,7 @@ def test_without_a_rate_of_their_own_matrices_follow_adam():
         ({"preview": [0]}, "preview is"),
         ({"memory": 1}, "memory is 1"),
         ({"groups": 0}, "groups is 0"),
-        ({"n_envs": 8, "groups": 5}, "groups is 5; n_envs is 8, which is enough for 4"),
+        ({"n_envs": 8, "groups": 5}, "groups is 5; with n_envs 8 it must be at most 4"),
     ],
 )
 def test_refuses_settings(settings, says):
@@ -380,7 +380,7 @@ def test_gradients_that_are_not_finite_are_skipped(tmp_path, monkeypatch):
     trainer = trainer_of(run)
 
     def diverged(self, weights):
-        return Learned(0.0, 0.0, {name: np.full_like(w, np.nan) for name, w in weights.items()})
+        return WindowGradient(0.0, 0.0, {name: np.full_like(w, np.nan) for name, w in weights.items()})
 
     monkeypatch.setattr(Groups, "learn", diverged)
     before = weights_of(trainer.network)

@@ -148,7 +148,7 @@ def test_the_memory_of_filters_is_bounded():
         o = Observation._make(rows * SCALES[:, None])
         seen = seen if k % 3 else o  # two of three observations are repeated
         with np.errstate(all="ignore"):
-            result, memory = filters.filtered(seen, np.hypot(seen.u_R, seen.v_R) + 0.02, memory, ARRAYS)
+            result, memory = filters.filter_step(seen, np.hypot(seen.u_R, seen.v_R) + 0.02, memory, ARRAYS)
         memory = np.array(memory)
         for i, estimate in enumerate(result.estimates):
             rows = memory[filters.SHARED + i * len(most) : filters.SHARED + (i + 1) * len(most)]

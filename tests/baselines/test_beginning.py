@@ -159,19 +159,19 @@ def test_it_goes_on_with_what_was_trained_for_a_vehicle(call, capsys):
     assert read_config(Path("again")).steers == vehicle_model("otter").vehicle
     capsys.readouterr()
     assert call(*again, "--vehicle", "lauv") == 2
-    assert "has a vehicle of its own, so it cannot be made to fit another one" in capsys.readouterr().err
+    assert "has its own vehicle, so it cannot be adapted to another one" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--from", "nobody"), "there is no agent 'nobody' to begin with; allowed are the folder of one, or apg-"),
-        (("--from", "ppo-cruise"), "agent 'ppo-cruise' was trained by ppo; a training can begin with one of apg"),
-        (("--algo", "ppo"), "--from goes on by the analytic gradient, not by ppo; leave out --algo"),
+        (("--from", "unknown"), "unknown agent 'unknown'; allowed are the folder of an agent, or apg-"),
+        (("--from", "ppo-cruise"), "'ppo-cruise' was trained by ppo; a training can start only from an agent of apg"),
+        (("--algo", "ppo"), "--from requires the algorithm apg, not ppo; leave out --algo"),
         (("--expert", "lqi"), "corrects backstepping; leave out --expert lqi"),
         (("--authority", "0.1"), "has the authority (0.5, 0.5); leave out --authority"),
         (("--set", "hidden_size=64"), "was trained with hidden_size 8; leave out hidden_size=64"),
-        (("--set", "fine=true"), "has another network, or other inputs, than is asked for"),
+        (("--set", "fine=true"), "has another network, or other inputs, than the settings"),
         (("--vehicle", "submarine"), "unknown vehicle 'submarine'; allowed are a Vehicle, a dict, a .toml file"),
         (("--vehicle", "none.toml"), "cannot read none.toml"),
         (("--vehicle", "lauv", "--scenario", "slow-calm"), "whose fins steer it from 0.25 m/s on"),

@@ -59,7 +59,7 @@ def test_an_agent_comes_back_as_it_was(remote):
 
 
 def test_what_is_no_agent_is_refused(remote):
-    with pytest.raises(ValueError, match="'backstepping' is no agent"):
+    with pytest.raises(ValueError, match="'backstepping' is not an agent"):
         hub.push("backstepping", "ada/law")
     hub.push("ppo-slow", "ada/slow")
     (remote / "ada" / "slow" / "weights.safetensors").write_bytes(b"other")
@@ -69,5 +69,5 @@ def test_what_is_no_agent_is_refused(remote):
 
 def test_without_the_library_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "huggingface_hub", None)
-    with pytest.raises(ModuleNotFoundError, match=r"needs huggingface_hub: pip install .*\[hub\]"):
+    with pytest.raises(ModuleNotFoundError, match=r"requires huggingface_hub: pip install .*\[hub\]"):
         hub.load("ada/slow")

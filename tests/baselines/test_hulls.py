@@ -1,4 +1,4 @@
-"""Hulls to train on: what they are drawn from, that they can do their scenarios, and who is told what of them."""
+"""Vehicle models to train on: their ranges, their scenarios, and the inputs of networks and experts from them."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from auv_gym.scenarios import vehicles as vehicle_names
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.simulation import PARAMETERS
 from baselines.agents.agent import Agent
-from baselines.agents.features import HULL_FEATURES, LARGEST_FEATURE, Inputs
+from baselines.agents.features import LARGEST_FEATURE, VEHICLE_FEATURES, Inputs
 from baselines.agents.networks import Gru
 from baselines.control.backstepping import Backstepping
 from baselines.training import vehicle_models
@@ -72,7 +72,7 @@ def test_each_episode_is_of_the_next_hull_and_what_is_known_is_not_the_true_one(
     seen = [vehicles.known.copy()]
     for _ in range(vehicle_models.SEVERAL):
         carried = vehicles.renew(carried, np.full(4, np.nan))
-        assert vehicles.held_out.all()
+        assert vehicles.begins.all()
         seen.append(vehicles.known.copy())
         true = vehicles.constants[at]
         assert (true[:, 2] == seen[-1][:, 2]).all()  # noise alone
@@ -145,7 +145,11 @@ def test_features_of_the_hull_are_bounded_and_those_of_the_table():
     o = [np.array([x]) for x in [0.0] * 6 + [1.0, 0, 0, 0, 0, 1, 0, 400, 200, 0, 0, 0.1]]
     rows, _ = Inputs(hull=True).update(o, (), (0, 0), (0, 0), np.zeros((4, 1)), ARRAYS, OTHER.coefficients)
     got = dict(
-        zip([f.name for f in HULL_FEATURES], (float(np.ravel(x)[0]) for x in rows[-len(HULL_FEATURES) :]), strict=True)
+        zip(
+            [f.name for f in VEHICLE_FEATURES],
+            (float(np.ravel(x)[0]) for x in rows[-len(VEHICLE_FEATURES) :]),
+            strict=True,
+        )
     )
     assert got["m22"] == pytest.approx(400 / 215 - 1)
     assert got["d22"] == pytest.approx(2 * 0.15 / (0.15 + 0.4))
@@ -154,7 +158,7 @@ def test_features_of_the_hull_are_bounded_and_those_of_the_table():
     extreme = Coefficients(215, 1e9, 80, *[1e9] * 10)
     rows, _ = Inputs(hull=True).update(o, (), (0, 0), (0, 0), np.zeros((4, 1)), ARRAYS, extreme)
     assert np.abs([float(np.ravel(row)[0]) for row in rows]).max() <= LARGEST_FEATURE
-    assert Inputs().features == Inputs(hull=True).features[: -len(HULL_FEATURES)]
+    assert Inputs().features == Inputs(hull=True).features[: -len(VEHICLE_FEATURES)]
 
 
 def test_an_agent_acts_by_what_it_is_told():
@@ -192,7 +196,7 @@ def test_an_expert_that_cannot_be_told_each_hull_is_refused():
     settings = {"n_envs": 4, "n_steps": 10, "hull": True, "hulls": 0.5}
     for expert in ("backstepping", "backstepping-normalised", "none"):
         check(Config(scenarios=scenarios, expert=expert, hyperparameters=settings))
-    with pytest.raises(ValueError, match="so the network must see them"):
+    with pytest.raises(ValueError, match="so they must be inputs of the network"):
         check(Config(scenarios=scenarios, hyperparameters=settings | {"hull": False}))
     with pytest.raises(ValueError, match="vehicles are drawn, so the expert must be"):
         check(Config(scenarios=scenarios, expert="lqi", hyperparameters=settings))

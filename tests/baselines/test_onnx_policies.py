@@ -1,4 +1,4 @@
-"""Policies as ONNX models: what they compute, what they remember, and what is refused."""
+"""Policies as ONNX models: actions, memory, and error messages."""
 
 import os
 import re
@@ -113,23 +113,23 @@ def test_its_fingerprint_is_the_file():
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"width": 20}, "it takes observations (20,); here they are (18,)"),
+        ({"width": 20}, "its observation has shape (20,); it must be (18,)"),
         ({"width": 22, "preview": "20, 10"}, "ascending"),
-        ({"batch": 1}, "takes batches of 1 alone"),
+        ({"batch": 1}, "fixed batch size of 1"),
         ({"names": ("observation", "sum", "action", "sum_after")}, "an output next_NAME"),
-        ({"names": ("obs", "sum", "action", "next_sum")}, "there must be observation and action"),
-        ({"names": ("observation", "sum", "command", "next_sum")}, "there must be observation and action"),
+        ({"names": ("obs", "sum", "action", "next_sum")}, "required are observation and action"),
+        ({"names": ("observation", "sum", "command", "next_sum")}, "required are observation and action"),
     ],
 )
 def test_what_is_no_policy_is_refused(changes, says):
     with pytest.raises(ValueError, match=re.escape(says)) as caught:
         make_policy(model(**changes))
-    assert "model.onnx is no ONNX model that can be used" in str(caught.value)
+    assert "model.onnx is not a usable ONNX model" in str(caught.value)
 
 
 def test_damaged_and_missing_files_are_named(monkeypatch):
     Path("text.onnx").write_text("no model")
-    with pytest.raises(ValueError, match=r"text\.onnx is no ONNX model that can be used"):
+    with pytest.raises(ValueError, match=r"text\.onnx is not a usable ONNX model"):
         make_policy("text.onnx")
     with pytest.raises(FileNotFoundError):
         make_policy("missing.onnx")
@@ -153,6 +153,6 @@ def test_no_other_file_is_read():
     made.graph.initializer.insert(0, big)
     onnx.save(made, name, save_as_external_data=True, size_threshold=0, location="weights.bin")
     assert Path("weights.bin").exists()
-    with pytest.raises(ValueError, match="is no ONNX model that can be used"):
+    with pytest.raises(ValueError, match="is not a usable ONNX model"):
         make_policy(name)
     assert onnx_models.SUFFIX == ".onnx"

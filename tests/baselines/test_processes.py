@@ -216,7 +216,7 @@ def test_no_single_bit_of_a_checkpoint_can_change_unnoticed(checkpoint):
         damaged = bytearray(content)
         damaged[bit // 8] ^= 1 << bit % 8
         (folder / "checkpoint.pt").write_bytes(damaged)
-        with pytest.raises(TrainingError, match=r"cannot go on from .*: it is damaged, its SHA-256 differs; begin"):
+        with pytest.raises(TrainingError, match=r"cannot resume from .*: it is damaged, its SHA-256 differs; begin"):
             RunFolder(CONFIG, folder).load_checkpoint()
     (folder / "checkpoint.pt").write_bytes(content)
 
@@ -335,7 +335,7 @@ def test_a_checkpoint_of_a_class_that_has_changed_is_refused_and_says_which(tmp_
         if not changed:
             assert RunFolder(CONFIG, folder).load_checkpoint()["vehicle_names"].lanes[0].y == 2.0
             continue
-        message = rf"cannot go on from .*: it holds objects of {name}\.{of}.* changed since; begin again in another"
+        message = rf"cannot resume from .*: it holds objects of {name}\.{of}.* changed since; start again in another"
         with pytest.raises(TrainingError, match=message):
             RunFolder(CONFIG, folder).load_checkpoint()
     del sys.modules[name]
@@ -345,7 +345,7 @@ def test_what_a_trainer_misses_in_a_checkpoint_is_one_line(checkpoint):
     run = RunFolder(CONFIG, checkpoint[0])
     with (
         pytest.raises(
-            TrainingError, match=r"cannot go on from .*: it has no 'vehicle_names'; begin again in another folder"
+            TrainingError, match=r"cannot resume from .*: it has no 'vehicle_names'; start again in another folder"
         ),
         run.restoring(),
     ):

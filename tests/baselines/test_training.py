@@ -113,7 +113,7 @@ def test_every_algorithm_trains_and_goes_on_after_an_interruption_as_if_there_ha
 
     monkeypatch.setattr(RunFolder, "save_checkpoint", interrupted)
     assert call(*tiny(algo), "--out", "other") == 1
-    assert "--resume goes on" in capsys.readouterr().err
+    assert "--resume to continue" in capsys.readouterr().err
     assert not Path("other/agent").exists()
     assert call(*tiny(algo), "--out", "other") == 2
     assert "unfinished; add --resume" in capsys.readouterr().err
@@ -158,7 +158,7 @@ def test_folder_of_a_run_is_used_for_nothing_else(call, capsys):
         (("--scenario", "cruise:much"), "'cruise:much' has weight 'much'; it must be a positive number"),
         (("--scenario", "cruise", "cruise-calm"), "scenario 'cruise-calm' is given twice"),
         (("--expert", "pid"), "unknown policy 'pid'; allowed are backstepping"),
-        (("--expert", "oracle"), "expert 'oracle' looks behind the observation"),
+        (("--expert", "oracle"), "expert 'oracle' needs full information"),
         (("--expert", "mine.py:Mine"), "must be a policy's name"),
         (("--authority", "3"), "authority is (3.0, 3.0); it must be a number in (0, 2]"),
         (("--authority", "0"), "authority is (0.0, 0.0)"),
@@ -173,9 +173,9 @@ def test_folder_of_a_run_is_used_for_nothing_else(call, capsys):
         (("--hyperparameters", "small.toml"), "small.toml has no table of hyper-parameters"),
         (("--hyperparameters", "broken.yml"), "broken.yml is not valid YAML"),
         (("--scenario", "small.toml", "--hyperparameters", "sac.yml"), "'buffer_size' of ppo; allowed are batch_size"),
-        (("--set", "gamma"), "--set 'gamma' sets nothing; it must be NAME=VALUE"),
-        (("--set", "=1"), "--set '=1' sets nothing"),
-        (("--set", "gamma=["), "--set 'gamma=[' sets nothing"),
+        (("--set", "gamma"), "--set is 'gamma'; it must be NAME=VALUE"),
+        (("--set", "=1"), "--set is '=1'"),
+        (("--set", "gamma=["), "--set is 'gamma=['"),
         (("--set", "gama=0.9"), "unknown hyper-parameter 'gama' of ppo; allowed are batch_size"),
         (("--out", "small.toml/run"), "is not a folder that can be written to"),
         (("--out", "full"), "--out full is not empty and holds no run"),
@@ -265,7 +265,7 @@ def test_kill_in_the_middle_of_a_write_leaves_a_folder_to_go_on_with(call, capsy
     Path("out/checkpoint.pt").write_bytes(Path("out/checkpoint.pt").read_bytes()[:1000])
     capsys.readouterr()
     assert call(*tiny("ppo"), "--resume") == 1
-    assert "cannot go on from out/checkpoint.pt" in capsys.readouterr().err
+    assert "cannot resume from out/checkpoint.pt" in capsys.readouterr().err
 
 
 def test_seeds_differ_and_each_has_a_folder(call, capsys):
@@ -297,7 +297,7 @@ def test_damaged_progress_is_one_line(damage, call, capsys):
     shutil.rmtree("out/seed-1/agent")
     assert call(*tiny("ppo"), "--seeds", 2, "--jobs", 1, "--resume") == 1
     err = capsys.readouterr().err
-    assert err.startswith("seed-1: cannot go on from out/seed-1/checkpoint.pt: out/seed-1/progress.csv")
+    assert err.startswith("seed-1: cannot resume from out/seed-1/checkpoint.pt: out/seed-1/progress.csv")
     assert err.count("\n") == 1
 
 
@@ -350,7 +350,7 @@ def test_an_interruption_ends_all_seeds(call, capsys, monkeypatch):
 
     monkeypatch.setattr(RunFolder, "save_checkpoint", interrupted)
     assert call(*tiny("ppo"), "--seeds", 2, "--jobs", 1) == 1
-    assert capsys.readouterr().err.splitlines()[-1] == "interrupted; the same command with --resume goes on"
+    assert capsys.readouterr().err.splitlines()[-1] == "interrupted; repeat the command with --resume to continue"
     assert not any(Path("out/seed-1").iterdir())
 
 
