@@ -53,7 +53,7 @@ class Body(NamedTuple):
 
 
 def draw_world(
-    canvas: Canvas, camera: Camera, view: View, travelled: int, hull: Color = VEHICLE, *, velocity: bool = True
+    canvas: Canvas, camera: Camera, view: View, travelled: int, body_color: Color = VEHICLE, *, velocity: bool = True
 ) -> None:
     """Draw the scene from the bottom up.
 
@@ -62,7 +62,7 @@ def draw_world(
         camera: from where.
         view: what.
         travelled: index of the path's point that the reference has come to.
-        hull: colour of vehicle and trail.
+        body_color: colour of vehicle and trail.
         velocity: whether the vehicle has an arrow of its velocity.
     """
     canvas.fill(SEA_COLOUR)
@@ -70,11 +70,11 @@ def draw_world(
     _draw_current(canvas, camera, view.current)
     path = camera.project(view.path)
     canvas.line(path[: travelled + 1], PLAN_DONE, 2.5)
-    draw_trail(canvas, camera.project(view.trail), hull)
+    draw_trail(canvas, camera.project(view.trail), body_color)
     canvas.line(path[travelled:], PLAN, 2.5)
     draw_ghost(canvas, _body(camera, view.reference))
     arrow = camera.arrow(_ground_velocity(view.state)) if velocity else None
-    draw_vehicle(canvas, _body(camera, view.state[:3]), hull, arrow)
+    draw_vehicle(canvas, _body(camera, view.state[:3]), body_color, arrow)
     canvas.dashes(camera.project(view.state[:2]), camera.project(view.reference[:2]), ALERT, 2.5, 9.0)
 
 
@@ -120,14 +120,14 @@ def draw_ghost(canvas: Canvas, body: Body) -> None:
             canvas.tint(body.place(shape), PLAN, 0.18, 1.5)
 
 
-def draw_vehicle(canvas: Canvas, body: Body, hull: Color = VEHICLE, arrow: Array | None = None) -> None:
+def draw_vehicle(canvas: Canvas, body: Body, body_color: Color = VEHICLE, arrow: Array | None = None) -> None:
     """Draw the vehicle: propeller, fins, hull and nose, and from its middle an arrow (2,) [units] of its velocity."""
     outline = body.place(_HULL)
     seen = outline if arrow is None else np.vstack((outline, body.middle + arrow))
     with canvas.closeup(seen, 0.15 * body.length):
         for shape, color in ((_PROPELLER, INK), *((fin, INK) for fin in FINS)):
             canvas.polygon(body.place(shape), color, INK, 1.2)
-        canvas.polygon(outline, hull, INK, 1.2)
+        canvas.polygon(outline, body_color, INK, 1.2)
         canvas.polygon(body.place(_NOSE), INK, INK, 1.2)
         if arrow is not None:
             canvas.line([body.middle, body.middle + 0.75 * arrow], WHITE, 5.0)  # a halo against the hull

@@ -119,8 +119,8 @@ def exported(name: str, vehicle: Vehicle | VehicleModel | str = PAPER_VEHICLE) -
         raise ValueError(f"{name!r} cannot be exported: its expert {agent.expert!r} is no law without memory")
     record = read_json(folder / AGENT_FILE)
     forces = cast(Law, expert).forces
-    hull = similar if agent.inputs.hull else PAPER_VEHICLE
-    see = feature_kernel(agent.inputs, forces, hull.coefficients, Units.of(own))
+    model = similar if agent.inputs.hull else PAPER_VEHICLE
+    see = feature_kernel(agent.inputs, forces, model.coefficients, Units.of(own))
     network, command, span = network_program(agent), command_kernel(), widest_span(vehicle)
     return Exported(folder.name, agent, record["weights_sha256"], see, network, command, own, span)
 

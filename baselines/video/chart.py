@@ -9,7 +9,7 @@ import numpy as np
 
 from auv_gym.rendering.canvas import GRID, MUTED, WHITE, Canvas, Color
 from auv_gym.rendering.cards import round_down
-from baselines.video.recording import Voyage
+from baselines.video.recording import Recording
 
 _LEFT = 46.0  # [units] left of the curves
 RIGHT = 14.0  # [units] right of them
@@ -24,16 +24,16 @@ class Chart:
 
     Args:
         canvas: what to draw on, all of it.
-        voyages: whose errors.
+        recordings: whose errors.
         colors: of their curves.
     """
 
-    def __init__(self, canvas: Canvas, voyages: Sequence[Voyage], colors: Sequence[Color]) -> None:
-        self._canvas, self._curves = canvas, list(zip(voyages, colors, strict=True))
+    def __init__(self, canvas: Canvas, recordings: Sequence[Recording], colors: Sequence[Color]) -> None:
+        self._canvas, self._curves = canvas, list(zip(recordings, colors, strict=True))
         self._width, self._height = canvas.extent.tolist()
-        largest = [max(float(voyage.error.max()), 1e-3) for voyage in voyages]
+        largest = [max(float(recording.error.max()), 1e-3) for recording in recordings]
         self._top = min(max(largest), HIGHEST * min(largest))  # [m]
-        self._duration = max(float(voyage.time[-1]) for voyage in voyages)  # [s]
+        self._duration = max(float(recording.time[-1]) for recording in recordings)  # [s]
         across, up = self._width - _LEFT - RIGHT, self._height - ABOVE - BELOW
         self._inside = canvas.part((_LEFT, ABOVE - 4.0, across, up + 6.0))
         self._scale = np.array((across / self._duration, -up / self._top))  # [units/s, units/m]
@@ -53,8 +53,8 @@ class Chart:
             x = _LEFT + k * tick * float(self._scale[0])
             canvas.text(f"{k * tick:g} s", x, floor + 12.0, size=13.0, color=MUTED, align=0.5)
         canvas.box((_LEFT + min(time, self._duration) * float(self._scale[0]), ABOVE, 1.0, floor - ABOVE), MUTED)
-        for voyage, color in self._curves:
-            upto = voyage.time <= time
-            times = np.append(voyage.time[upto], min(time, float(voyage.time[-1])))
-            errors = np.append(voyage.error[upto], voyage.at(time).error)
+        for recording, color in self._curves:
+            upto = recording.time <= time
+            times = np.append(recording.time[upto], min(time, float(recording.time[-1])))
+            errors = np.append(recording.error[upto], recording.at(time).error)
             self._inside.line(self._origin + np.stack((times, errors), axis=1) * self._scale, color, 2.5)

@@ -15,9 +15,9 @@ from auv_gym.rendering.canvas import ALERT, CURRENT_COLOUR, INK, MUTED, VEHICLE,
 from auv_gym.rendering.cards import round_down
 from auv_gym.rendering.scene import Body, draw_ghost, draw_world
 from baselines.video.chart import Chart
-from baselines.video.recording import Instant, Voyage
+from baselines.video.recording import Instant, Recording
 
-HULLS: tuple[Color, ...] = (VEHICLE, (0, 158, 115), (204, 121, 167), (90, 90, 90), (240, 228, 66))
+VEHICLE_COLORS: tuple[Color, ...] = (VEHICLE, (0, 158, 115), (204, 121, 167), (90, 90, 90), (240, 228, 66))
 """Colours of vehicles and their errors, in the order of the policies."""
 TITLE = 34.0  # [units] height of the title
 CHART = 0.27  # height of the chart as a share of the picture
@@ -32,13 +32,13 @@ ARROW_SPEED = 1.5  # an arrow of full length is that many times the strongest cu
 class Panel:
     """A policy and how it is shown."""
 
-    voyage: Voyage
+    recording: Recording
     label: str  # what it is, for those who do not know its name
-    hull: Color
+    color: Color
 
 
 class Picture:
-    """Draws the moments of some voyages through the same sea.
+    """Draws the moments of some recordings through the same sea.
 
     Args:
         pygame: the module.
@@ -56,14 +56,14 @@ class Picture:
         self._title, self._panels, self._path, self._speed = title, panels, path, speed
         self._width, self._height = self._canvas.extent.tolist()
         self._chart_top = (1.0 - CHART) * self._height
-        errors = [p.voyage.error for p in panels]
+        errors = [p.recording.error for p in panels]
         self._reach = min(max(1.25 * max(float(e.max()) for e in errors), NEAREST), _FARTHEST)  # [m]
-        strongest = max(float(np.hypot(*p.voyage.current.T).max()) for p in panels)
+        strongest = max(float(np.hypot(*p.recording.current.T).max()) for p in panels)
         self._arrow = max(ARROW_SPEED * strongest, 0.02)  # [m/s]
         self._parts = self._laid_out()
         self._canvas.fill(WHITE)
         chart = self._canvas.part((0.0, self._chart_top, self._width, self._height - self._chart_top))
-        self._chart = Chart(chart, [p.voyage for p in panels], [p.hull for p in panels])
+        self._chart = Chart(chart, [p.recording for p in panels], [p.color for p in panels])
 
     def _laid_out(self) -> list[tuple[Canvas, Camera]]:
         """Return the canvas and camera of each panel."""
@@ -77,7 +77,7 @@ class Picture:
 
     def at(self, time: float) -> NDArray[np.uint8]:
         """Return the picture of a moment [s], shape (height, width, 3)."""
-        instants = [panel.voyage.at(time) for panel in self._panels]
+        instants = [panel.recording.at(time) for panel in self._panels]
         self._canvas.box((0.0, 0.0, self._width, TITLE), WHITE)
         self._draw_title(time, instants[0].current)
         for panel, instant, (canvas, camera) in zip(self._panels, instants, self._parts, strict=True):
@@ -104,10 +104,10 @@ class Picture:
 
     def _draw_panel(self, panel: Panel, instant: Instant, canvas: Canvas, camera: Camera, time: float) -> None:
         """The vehicle, seen from its reference, which stays in the middle."""
-        voyage = panel.voyage
+        recording = panel.recording
         x, y, psi = instant.reference.tolist()
         camera.look((x, y), self._reach, self._arrow)
-        recent = voyage.state[(voyage.time <= time) & (voyage.time >= time - _TRAIL), :2]
+        recent = recording.state[(recording.time <= time) & (recording.time >= time - _TRAIL), :2]
         view = View(
             time=time,
             state=tuple(instant.state.tolist()),
@@ -120,17 +120,17 @@ class Picture:
             position_error=instant.error,
             title="",
         )
-        travelled = int(np.searchsorted(voyage.time, time, side="right")) - 1
-        draw_world(canvas, camera, view, travelled, panel.hull, velocity=False)
+        travelled = int(np.searchsorted(recording.time, time, side="right")) - 1
+        draw_world(canvas, camera, view, travelled, panel.color, velocity=False)
         width, height = canvas.extent.tolist()
         canvas.card((8.0, 8.0, width - 16.0, 50.0))
-        canvas.box((18.0, 18.0, 8.0, 30.0), panel.hull, radius=3.0)
-        ended = voyage.failed and time >= voyage.time[-1]
+        canvas.box((18.0, 18.0, 8.0, 30.0), panel.color, radius=3.0)
+        ended = recording.failed and time >= recording.time[-1]
         now = "failed" if ended else f"{instant.error:.2f} m off"
-        mean = f"{float(voyage.error[voyage.time <= time].mean()):.3f} m on average"
+        mean = f"{float(recording.error[recording.time <= time].mean()):.3f} m on average"
         for name, size, value, large, y, colors in (
             (panel.label, 16.0, now, 18.0, 24.0, (INK, ALERT)),
-            (voyage.policy, 13.0, mean, 13.0, 43.0, (MUTED, MUTED)),
+            (recording.policy, 13.0, mean, 13.0, 43.0, (MUTED, MUTED)),
         ):
             room = width - 64.0 - canvas.text(value, width - 18.0, y, size=large, color=colors[1], align=1.0)
             canvas.text(_fitted(canvas, name, size, room), 36.0, y, size=size, color=colors[0])

@@ -17,7 +17,7 @@ from baselines.policy import Privileged
 
 
 class Instant(NamedTuple):
-    """A voyage at one time, SI units."""
+    """A recording at one time, SI units."""
 
     state: Array  # x, y [m], psi [rad], u, v [m/s] over ground, r [rad/s], shape (6,)
     reference: Array  # x, y [m], psi [rad], shape (3,)
@@ -26,7 +26,7 @@ class Instant(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Voyage:
+class Recording:
     """One episode of a policy, a row for each of K control instants."""
 
     policy: str
@@ -50,7 +50,7 @@ class Voyage:
         return Instant(state, reference, current, float(np.hypot(*(state[:2] - reference[:2]))))
 
 
-def voyage(name: str, scenario: Scenario, episode: Episode) -> Voyage:
+def record(name: str, scenario: Scenario, episode: Episode) -> Recording:
     """Return what a policy does in an episode.
 
     Args:
@@ -74,7 +74,7 @@ def voyage(name: str, scenario: Scenario, episode: Episode) -> Voyage:
             rows.append(_row(env))
     state, reference, current = (np.array(column) for column in zip(*rows, strict=True))
     state[:, 2], reference[:, 2] = np.unwrap(state[:, 2]), np.unwrap(reference[:, 2])
-    return Voyage(name, scenario.control_dt * np.arange(float(len(rows))), state, reference, current, failed)
+    return Recording(name, scenario.control_dt * np.arange(float(len(rows))), state, reference, current, failed)
 
 
 def _row(env: Any) -> tuple[Array, Array, Array]:

@@ -18,8 +18,8 @@ from baselines.agents.names import agent_folder
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import EXPERT, ORACLE
 from baselines.video.files import save_video
-from baselines.video.layout import HULLS, Panel, Picture
-from baselines.video.recording import Voyage, voyage
+from baselines.video.layout import VEHICLE_COLORS, Panel, Picture
+from baselines.video.recording import Recording, record
 
 VIDEO_SIZE = (480, 360)
 """Width and height [px] of a film where none is asked for."""
@@ -33,10 +33,10 @@ _LABELS = {EXPERT: "expert", ORACLE: "oracle: sees the sea", "nmpc": "EKF + MPC"
 
 @dataclass(frozen=True)
 class Film:
-    """Some voyages through the same sea, and how they are to be shown.
+    """Some recordings through the same sea, and how they are to be shown.
 
     Args:
-        voyages: what the policies did in one episode.
+        recordings: what the policies did in one episode.
         title: what sea it is.
         size: width and height [px].
         fps: pictures a second.
@@ -44,7 +44,7 @@ class Film:
         seconds: its length [s]; None: the whole episode.
     """
 
-    voyages: tuple[Voyage, ...]
+    recordings: tuple[Recording, ...]
     title: str
     size: tuple[int, int] = VIDEO_SIZE
     fps: int = FPS
@@ -54,15 +54,17 @@ class Film:
     @cached_property
     def times(self) -> list[float]:
         """The moments [s] of the episode that are shown, one for each picture."""
-        whole = max(float(v.time[-1]) for v in self.voyages)
+        whole = max(float(v.time[-1]) for v in self.recordings)
         end = whole if self.seconds is None else min(self.seconds * self.speed, whole)
         pictures = math.floor(end * self.fps / self.speed) + 1
         return [k * self.speed / self.fps for k in range(pictures)]
 
     def frames(self, count: int | None = None) -> Iterator[NDArray[np.uint8]]:
         """Yield the pictures, arrays (height, width, 3); with a count only the first ones."""
-        longest = max(self.voyages, key=lambda v: len(v.time))
-        panels = [Panel(v, label_of(v.policy), hull) for v, hull in zip(self.voyages, HULLS, strict=False)]
+        longest = max(self.recordings, key=lambda v: len(v.time))
+        panels = [
+            Panel(v, label_of(v.policy), color) for v, color in zip(self.recordings, VEHICLE_COLORS, strict=False)
+        ]
         path = longest.reference[:, :2]
         picture = Picture(import_pygame(), self.size, self.title, panels, path, self.speed)
         for time in self.times[:count]:
@@ -86,8 +88,8 @@ def film(
 ) -> Film:
     """Run policies through the episode of a seed and return the film of it; see `make_film`."""
     cell = drawn(as_scenario(scenario), 1, seed)
-    voyages = tuple(voyage(policy, cell.scenario, cell.episodes[0]) for policy in policies)
-    return Film(voyages, f"{cell.scenario.name}, seed {seed}", size, fps, speed, seconds)
+    recordings = tuple(record(policy, cell.scenario, cell.episodes[0]) for policy in policies)
+    return Film(recordings, f"{cell.scenario.name}, seed {seed}", size, fps, speed, seconds)
 
 
 def make_film(

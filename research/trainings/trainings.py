@@ -107,7 +107,7 @@ _SMALL: Mapping[str, Any] = {**_MEAN, "hidden_size": 11}
 """Of one for a microcontroller: about 2,000 weights."""
 BLIND: Mapping[str, Any] = {**_MEAN, "preview": []}
 """Of one that is shown nothing of the reference ahead."""
-ANY_HULL: Mapping[str, Any] = {
+ANY_VEHICLE: Mapping[str, Any] = {
     **EVEN,
     "groups": 2,
     "hull": True,
@@ -122,7 +122,7 @@ ANY_HULL: Mapping[str, Any] = {
 vehicles that it learns on."""
 SHIPPED_TRAININGS: Mapping[str, Options] = {
     "helm": training("apg", "helm", (1.0, 1.6), None, 20_000_000, HELM),
-    "helm-any": training("apg", "helm", timesteps=64_000_000, changes=ANY_HULL, from_="helm"),
+    "helm-any": training("apg", "helm", timesteps=64_000_000, changes=ANY_VEHICLE, from_="helm"),
     "helm-blind": training("apg", "helm", (1.0, 1.6), None, 12_000_000, BLIND),
     "helm-small": training("apg", "helm", (1.0, 1.6), None, 12_000_000, _SMALL),
     "apg-cruise": training("apg", "cruise"),

@@ -18,7 +18,7 @@ from baselines.tools.command_line import UsageError
 from baselines.tools.workers import Workers
 from baselines.video import command, make_film
 from baselines.video.files import save_video
-from baselines.video.layout import HULLS
+from baselines.video.layout import VEHICLE_COLORS
 from baselines.video.pairs import leads, typical
 from baselines.video.video import film, label_of
 
@@ -39,43 +39,46 @@ def near(picture, color, tolerance=30):
     return np.abs(picture.astype(int) - color).max(axis=-1) <= tolerance
 
 
-def test_a_voyage_is_the_episode_of_the_scalar_environment(storm):
-    for voyage in storm.voyages:
-        env, policy = gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="cruise-storm"), make_policy(voyage.policy)
+def test_a_recording_is_the_episode_of_the_scalar_environment(storm):
+    for recording in storm.recordings:
+        env, policy = (
+            gym.make("auv_gym:UnderactuatedAUVTrack-v0", scenario="cruise-storm"),
+            make_policy(recording.policy),
+        )
         observation, info = env.reset(seed=3)
         memory, first = None, np.array([True])
         for k in range(300):
-            assert voyage.error[k] == pytest.approx(info["position_error"], abs=1e-9)
-            angle = voyage.state[k, 2] - env.unwrapped.state[2]
-            assert np.delete(voyage.state[k], 2) == pytest.approx(np.delete(env.unwrapped.state, 2), abs=1e-9)
+            assert recording.error[k] == pytest.approx(info["position_error"], abs=1e-9)
+            angle = recording.state[k, 2] - env.unwrapped.state[2]
+            assert np.delete(recording.state[k], 2) == pytest.approx(np.delete(env.unwrapped.state, 2), abs=1e-9)
             assert np.cos(angle) == pytest.approx(1.0)
-            assert voyage.current[k] == pytest.approx(env.unwrapped.current, abs=1e-12)
+            assert recording.current[k] == pytest.approx(env.unwrapped.current, abs=1e-12)
             action, memory = policy.predict(observation, memory, first)
             observation, *_, info = env.step(action)
             first = np.array([False])
-        assert voyage.time[k] == pytest.approx(0.1 * k)
+        assert recording.time[k] == pytest.approx(0.1 * k)
 
 
 def test_between_two_instants_it_is_interpolated(storm):
-    voyage = storm.voyages[0]
-    middle = voyage.at(10.05)
-    assert middle.state == pytest.approx(0.5 * (voyage.state[100] + voyage.state[101]))
+    recording = storm.recordings[0]
+    middle = recording.at(10.05)
+    assert middle.state == pytest.approx(0.5 * (recording.state[100] + recording.state[101]))
     assert middle.error == pytest.approx(np.hypot(*(middle.state[:2] - middle.reference[:2])))
-    assert voyage.at(10.0).state == pytest.approx(voyage.state[100])
-    assert (voyage.at(1e4).state == voyage.state[-1]).all()
-    assert np.abs(np.diff(voyage.state[:, 2])).max() < 1.0  # no jumps where the heading passes pi
+    assert recording.at(10.0).state == pytest.approx(recording.state[100])
+    assert (recording.at(1e4).state == recording.state[-1]).all()
+    assert np.abs(np.diff(recording.state[:, 2])).max() < 1.0  # no jumps where the heading passes pi
 
 
 def test_vehicles_are_shown_where_they_are_off_their_reference(storm):
     """The reference stays in the middle of a panel; the hull's middle lies beside it, as far as the error says."""
     picture = next(iter([f for t, f in zip(storm.times, storm.frames(40), strict=False) if t > 8.0]))
     time = next(t for t in storm.times if t > 8.0)
-    errors = [v.error.max() for v in storm.voyages]
+    errors = [v.error.max() for v in storm.recordings]
     reach = 1.25 * max(errors)
     panel = picture[60:289]  # below the title and the cards
-    for voyage, hull, left in zip(storm.voyages, HULLS, (0, 322), strict=False):
-        rows, columns = np.nonzero(near(panel[:, left : left + 318], hull, 12))
-        away = voyage.at(time)
+    for recording, color, left in zip(storm.recordings, VEHICLE_COLORS, (0, 322), strict=False):
+        rows, columns = np.nonzero(near(panel[:, left : left + 318], color, 12))
+        away = recording.at(time)
         unit = 0.5 * min(318, 400 * 0.73 - 34 * 640 / 960 - 1.3) / max(reach, 3.0)  # [px/m]
         x, y = unit * (away.state[:2] - away.reference[:2])
         middle = 0.5 * (34 * 640 / 960 + 0.73 * 400) - 60
@@ -85,10 +88,10 @@ def test_vehicles_are_shown_where_they_are_off_their_reference(storm):
 
 def test_chart_grows_with_time(storm):
     pictures = list(storm.frames(30))
-    counts = [[near(p[300:], hull).sum() for p in pictures] for hull in HULLS[:2]]
+    counts = [[near(p[300:], color).sum() for p in pictures] for color in VEHICLE_COLORS[:2]]
     for own in counts:
         assert own[0] < own[15] < own[29]
-    assert not near(pictures[0][300:], HULLS[2]).any()
+    assert not near(pictures[0][300:], VEHICLE_COLORS[2]).any()
 
 
 def test_pictures_have_their_size_number_and_pace():
@@ -103,7 +106,7 @@ def test_pictures_have_their_size_number_and_pace():
 def test_who_is_lost_stays_where_it_was_lost():
     narrow = replace(PRESETS["cruise-storm"], lost_distance=3.0)
     made = film(["backstepping", "open-loop"], narrow, 0, speed=30.0)
-    expert, failed = made.voyages
+    expert, failed = made.recordings
     assert (expert.failed, failed.failed) == (False, True)
     assert failed.time[-1] < expert.time[-1]
     assert len(list(made.frames())) == len(made.times) == 24

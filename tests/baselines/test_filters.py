@@ -47,7 +47,7 @@ def test_the_table_is_what_its_command_writes():
 
 @pytest.mark.parametrize("kind", [0, 1])
 @pytest.mark.parametrize("speed", [0.2, 1.0])
-def test_a_gain_is_where_a_filter_with_covariance_ends(kind, speed):
+def test_gains_are_those_of_the_steady_covariance(kind, speed):
     """Prediction and update of a covariance, Joseph's form, until nothing changes any more."""
     tuning, lag = KINDS[kind]
     A, H, Q, R = filter_gains.problem(speed, lag, tuning)
@@ -61,7 +61,7 @@ def test_a_gain_is_where_a_filter_with_covariance_ends(kind, speed):
     np.testing.assert_allclose(found, K, rtol=1e-3, atol=1e-5 * np.abs(K).max())
 
 
-def test_the_model_of_the_hull_is_that_of_the_linearised_equations():
+def test_the_vehicle_model_is_that_of_the_linearised_equations():
     A, H, dt = filter_gains.model(1.0, 0.24)
     errors, _ = error_dynamics(PAPER_VEHICLE, 1.0, 0.0, 0.0)
     np.testing.assert_allclose(A[:6, :6], expm(errors * dt), atol=2e-6)
@@ -91,7 +91,7 @@ def spread(A, H, Q, R, K):
 
 
 @pytest.mark.parametrize("name", vehicle_names())
-def test_the_gains_serve_other_hulls_whose_own_model_predicts(name):
+def test_errors_of_the_gains_for_other_vehicles(name):
     """Errors of position, heading and velocity beside those of a filter with gains of the hull's own."""
     hull = vehicle_model(name).in_paper_units
     worst = np.zeros(6)
@@ -154,7 +154,7 @@ def test_small_deviations_follow_the_linear_filter(heading):
         assert found[name] == pytest.approx(z[getattr(PLACE, name)], rel=2e-3, abs=3e-6 * max(1, abs(z).max())), name
 
 
-def test_a_position_that_is_held_moves_nothing():
+def test_a_position_without_a_new_fix_is_ignored():
     speed, dt = 1.0, 0.1
     memory = [np.zeros(1)] * ROWS
     held = []
@@ -165,7 +165,7 @@ def test_a_position_that_is_held_moves_nothing():
     assert held == [False, False, False, False, True, False]
 
 
-def test_in_noise_the_calm_filter_knows_more_than_is_measured():
+def test_estimates_are_more_accurate_than_noisy_measurements():
     """What it is for: the expert steers through noise alone, and the filters say where the vehicle is."""
     scenario, errors = PRESETS["slow-noise"], []
     env, law, memory = make_env(scenario), Backstepping(), [np.zeros(1)] * ROWS

@@ -59,7 +59,7 @@ def model(width=18, real=TensorProto.DOUBLE, batch="batch", names=("observation"
     return "model.onnx"
 
 
-def test_it_computes_and_remembers():
+def test_actions_and_memory():
     policy = make_policy(model())
     first, second = np.random.default_rng(1).normal(size=(2, 3, 18))
     action, memory = policy.predict(first)
@@ -76,7 +76,7 @@ def test_it_computes_and_remembers():
         policy.predict(first[:, :17])
 
 
-def test_single_precision_is_fine():
+def test_single_precision():
     observations = np.random.default_rng(1).normal(size=(3, 18))
     expected = make_policy(model()).predict(observations)[0]
     single = make_policy(model(real=TensorProto.FLOAT)).predict(observations)[0]
@@ -86,7 +86,7 @@ def test_single_precision_is_fine():
 @pytest.mark.parametrize(
     "told", [{"preview": "10, 20"}, {"observation": "e_x; ahead_10_x; ahead_10_y; ahead_20_x [m]"}]
 )
-def test_it_sees_ahead(told):
+def test_preview(told):
     policy = make_policy(model(width=22, **told))
     assert policy.preview == (10, 20)
     scenario = PRESETS["cruise-calm"]
@@ -94,7 +94,7 @@ def test_it_sees_ahead(told):
 
 
 @pytest.mark.parametrize("name", ["apg-preview-cruise", "ppo-slow"])
-def test_an_exported_agent_is_the_agent(name):
+def test_an_exported_agent_has_the_same_actions(name):
     onnx.save(onnx_model(exported(name)), "agent.onnx")
     agent, policy = make_policy(name), make_policy("agent.onnx")
     assert policy.preview == agent.preview
@@ -104,7 +104,7 @@ def test_an_exported_agent_is_the_agent(name):
     np.testing.assert_allclose(found, expected, rtol=1e-3)
 
 
-def test_its_fingerprint_is_the_file():
+def test_the_fingerprint_is_that_of_the_file():
     before = fingerprint(model())
     assert len(before) == 64
     assert fingerprint(model(note="another")) != before
@@ -121,7 +121,7 @@ def test_its_fingerprint_is_the_file():
         ({"names": ("observation", "sum", "command", "next_sum")}, "required are observation and action"),
     ],
 )
-def test_what_is_no_policy_is_refused(changes, says):
+def test_other_models_are_rejected(changes, says):
     with pytest.raises(ValueError, match=re.escape(says)) as caught:
         make_policy(model(**changes))
     assert "model.onnx is not a usable ONNX model" in str(caught.value)
@@ -144,7 +144,7 @@ def test_damaged_and_missing_files_are_named(monkeypatch):
         make_policy("model.onnx")
 
 
-def test_no_other_file_is_read():
+def test_external_weights_are_rejected():
     """A model that keeps its weights in another file, wherever that is, is refused."""
     name = model()
     made = onnx.load(name)

@@ -191,7 +191,7 @@ def test_a_file_system_without_locks_is_refused(tmp_path, monkeypatch):
         raise NotImplementedError
 
     monkeypatch.setattr("filelock.FileLock.acquire", acquire)
-    with pytest.raises(UsageError, match="choose a folder on another file system"), locked(tmp_path):
+    with pytest.raises(UsageError, match="has no locks; choose a folder on another one"), locked(tmp_path):
         pass
 
 
@@ -216,7 +216,7 @@ def test_no_single_bit_of_a_checkpoint_can_change_unnoticed(checkpoint):
         damaged = bytearray(content)
         damaged[bit // 8] ^= 1 << bit % 8
         (folder / "checkpoint.pt").write_bytes(damaged)
-        with pytest.raises(TrainingError, match=r"cannot resume from .*: it is damaged, its SHA-256 differs; begin"):
+        with pytest.raises(TrainingError, match=r"cannot resume from .*: it is damaged, its SHA-256 differs; start"):
             RunFolder(CONFIG, folder).load_checkpoint()
     (folder / "checkpoint.pt").write_bytes(content)
 
@@ -267,7 +267,7 @@ def threads_of(monkeypatch, value):
     return status, set(found), os.environ[THREADS]
 
 
-def test_a_command_computes_with_one_thread_unless_it_is_told_otherwise(monkeypatch, capsys):
+def test_a_command_uses_one_thread_by_default(monkeypatch, capsys):
     assert threads_of(monkeypatch, None) == (0, {1}, "1")
     assert threads_of(monkeypatch, "2") == (0, {2}, "2")
     assert threads_of(monkeypatch, "2,4") == (0, {2}, "2,4")

@@ -57,7 +57,7 @@ def _number(field: str, title: str | None = None, log: bool = False, **scale: An
     return {"field": field, "type": "quantitative", "axis": axis, "scale": scales}
 
 
-def _told(*fields: tuple[str, str]) -> list[Spec]:
+def _tooltip(*fields: tuple[str, str]) -> list[Spec]:
     """Return what a mark says when it is pointed at."""
     return [{"field": field, "title": title} for field, title in fields]
 
@@ -68,7 +68,7 @@ def _frame(layer: list[Spec], **more: Any) -> Spec:
 
 def _intervals(looks: _Looks, value: str, group: str, title: str, least: float) -> Spec:
     """Return a value of each policy with its interval, policies below each other in each group."""
-    told = _told(("policy", "policy"), (group, group), ("text", value), ("failed", "failed"))
+    tooltip = _tooltip(("policy", "policy"), (group, group), ("text", value), ("failed", "failed"))
     x = _number("value", title, domainMin={"expr": f"max({least}, least)"}, domainMax=1.05, nice=False)
     bands = {"title": None, "grid": True, "tickBand": "extent"}
     place = {
@@ -85,7 +85,7 @@ def _intervals(looks: _Looks, value: str, group: str, title: str, least: float) 
             },
             {
                 "mark": {"type": "point", "filled": True, "size": 42, "opacity": 1, "clip": True},
-                "encoding": {"x": x, **place, **looks.of("color", "shape"), "tooltip": told},
+                "encoding": {"x": x, **place, **looks.of("color", "shape"), "tooltip": tooltip},
             },
         ],
         params=[{"name": "least", "value": -0.1}],
@@ -95,7 +95,7 @@ def _intervals(looks: _Looks, value: str, group: str, title: str, least: float) 
 
 def _steady_rmses(looks: _Looks) -> Spec:
     """Return the mean tail error of each policy in a scenario with its interval, each named at its line."""
-    told = _told(("policy", "policy"), ("text", "steady-state RMSE [m]"), ("failed", "failed"))
+    tooltip = _tooltip(("policy", "policy"), ("text", "steady-state RMSE [m]"), ("failed", "failed"))
     x = _number("value", "mean tail error [m], 95 % interval", log=True)
     y = {"field": "policy", "type": "nominal", "sort": None, "axis": {"title": None, "labelLimit": 150, "grid": True}}
     return _frame(
@@ -106,7 +106,7 @@ def _steady_rmses(looks: _Looks) -> Spec:
             },
             {
                 "mark": {"type": "point", "filled": True, "size": 55, "opacity": 1},
-                "encoding": {"x": x, "y": y, **looks.of("color", "shape"), "tooltip": told},
+                "encoding": {"x": x, "y": y, **looks.of("color", "shape"), "tooltip": tooltip},
             },
         ],
         height={"step": 19},
