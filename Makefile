@@ -48,7 +48,7 @@ test-all: test ## the tests, the slow ones too, and those of equations once more
 EQUATIONS = $(foreach name,agent analytic_gradient codegen controllers disturbances elementary env estimators evaluation \
   kernels nmpc planner vector_env,$(wildcard tests/*/test_$(name).py))
 UNCOMPILED = not (16384 or torch or frames or report_is_one_page or interrupted or number_of_jobs or as_a_process or \
-  finished_work or long_runs or steers_alike)
+  finished_work or long_runs or with_casadi)
 
 # In an environment of its own; without torch, whose old versions are gigabytes.
 oldest: export OMP_NUM_THREADS = 1

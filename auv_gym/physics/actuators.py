@@ -54,7 +54,7 @@ def fin_share(u: Number, fin: Number, F_r_max: Number, ns: Namespace) -> Number:
     return ns.where((fin > 0.0) & (share < 1.0), share, 1.0)
 
 
-def told_torque(u: Number, fin: Number, F_r_max: Number, ns: Namespace) -> Number:
+def known_torque(u: Number, fin: Number, F_r_max: Number, ns: Namespace) -> Number:
     """Return the yaw torque [N m] that full fins are taken to give at a measured surge speed u [m/s], over ground."""
     share = fin_share(u, fin, F_r_max, ns)
     return F_r_max * ns.where(share < LEAST_SHARE, LEAST_SHARE, share)

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeAlias
 
-from auv_gym.physics.actuators import Response, ordered, respond, told_torque
+from auv_gym.physics.actuators import Response, known_torque, ordered, respond
 from auv_gym.physics.dynamics import CurrentVelocity, Force, State, rk4_step
 from auv_gym.physics.errors import to_body, to_world, tracking_errors
 from auv_gym.physics.namespaces import Namespace, Number
@@ -316,7 +316,7 @@ def _observe(
     cos_psi, sin_psi = ns.cos(psi_m), ns.sin(psi_m)
     e_x, e_y = to_body(x_e, y_e, cos_psi, sin_psi)
     a_u, a_r = action
-    F_r_max = told_torque(measured[3], p.fin, p.F_r_max, ns) if parts.finned else p.F_r_max
+    F_r_max = known_torque(measured[3], p.fin, p.F_r_max, ns) if parts.finned else p.F_r_max
     return memory, (
         e_x, e_y, psi_e, u_e, v_e, r_e, u_R, v_R, r_R, F_uR, F_rR,
         cos_psi, sin_psi, p.F_u_max, F_r_max, a_u, a_r, p.h * parts.substeps,

@@ -109,7 +109,7 @@ _SMALL: Mapping[str, Any] = {**_MEAN, "hidden_size": 11}
 """Changes for `helm-small`, for a microcontroller: about 2,000 weights."""
 BLIND: Mapping[str, Any] = {**_MEAN, "preview": []}
 """Changes for `helm-blind`, without a preview of the reference."""
-_ANY_VEHICLE: Mapping[str, Any] = {
+ANY_VEHICLE: Mapping[str, Any] = {
     **EVEN,
     "groups": 2,
     "hull": True,
@@ -124,7 +124,7 @@ _ANY_VEHICLE: Mapping[str, Any] = {
 training vehicles are random."""
 SHIPPED_TRAININGS: Mapping[str, Options] = {
     "helm": training("apg", "helm", (1.0, 1.6), None, 20_000_000, HELM),
-    "helm-any": training("apg", "helm", timesteps=64_000_000, changes=_ANY_VEHICLE, from_="helm"),
+    "helm-any": training("apg", "helm", timesteps=64_000_000, changes=ANY_VEHICLE, from_="helm"),
     "helm-blind": training("apg", "helm", (1.0, 1.6), None, 12_000_000, BLIND),
     "helm-small": training("apg", "helm", (1.0, 1.6), None, 12_000_000, _SMALL),
     "apg-cruise": training("apg", "cruise"),

@@ -202,7 +202,7 @@ def test_gradients_of_training(monkeypatch):
     net = torch_network(Gru(len(FEATURES), 8, 8, 8)).to(torch.float64)
     torch.nn.init.normal_(net.head.weight, std=0.5)
     mine, theirs = (Setting(["rough", "cruise-storm"], net, steps=12) for _ in range(2))
-    assert mine.vehicle_names.parts.reckoned
+    assert mine.vehicles.parts.reckoned
     value, _ = mine.run()
     found = torch.cat([p.grad.ravel() for p in net.parameters()])
     net.zero_grad()

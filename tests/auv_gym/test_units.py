@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from similar_vehicles import hull, twin
+from similar_vehicles import similar_vehicle, twin
 
 from auv_gym import PRESETS
 from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
@@ -57,8 +57,8 @@ def test_vehicles_in_the_units_of_the_paper_have_the_same_ratios(name):
 
 @settings(max_examples=30, deadline=None)
 @given(FACTORS, FACTORS, FACTORS)
-def test_the_vehicle_of_the_paper_in_any_units(length, speed, mass):
-    own = in_paper_units(hull(Units(length, length / min(max(speed, 0.01), 10.0), mass)))
+def test_the_papers_vehicle_in_any_units_is_the_papers_in_its_own(length, speed, mass):
+    own = in_paper_units(similar_vehicle(Units(length, length / min(max(speed, 0.01), 10.0), mass)))
     assert own.coefficients == pytest.approx(PAPER_VEHICLE.coefficients, rel=1e-12)
     assert (own.m11, own.m33, own.speed) == (215.0, 80.0, 1.5)
 
@@ -103,8 +103,8 @@ def test_similar_vehicles_of_any_size_have_the_same_commands(known, length, spee
     np.testing.assert_allclose(run(make_policy("los-pid", vehicle=other.vehicle), other, steps=20), known, atol=1e-5)
 
 
-def test_forces_of_a_law_for_another_vehicle_are_in_si_units():
-    law, o = make_policy("backstepping", vehicle=hull(UNITS)), np.random.default_rng(0).uniform(0.1, 1.0, 18)
+def test_a_law_for_another_vehicle_is_a_law_with_its_forces_in_si_units():
+    law, o = make_policy("backstepping", vehicle=similar_vehicle(UNITS)), np.random.default_rng(0).uniform(0.1, 1.0, 18)
     scaled = [x * UNITS.factor(*POWERS[term.unit]) for x, term in zip(o, TERMS, strict=True)]
     forces = Backstepping().forces(o.tolist())
     assert law.forces(scaled) == pytest.approx(

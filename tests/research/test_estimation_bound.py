@@ -22,7 +22,7 @@ from auv_gym.scenarios.exogenous import (
 )
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.simulation import CURRENT, LOAD, Parameters, Plant, ground_state, moved
-from baselines.control.privileged.clairvoyant import arriving, oracle_actions
+from baselines.control.privileged.optimum import arriving, oracle_actions
 from baselines.control.privileged.problem import STEADY_RMSE, Problem
 from baselines.control.privileged.solver import best_trajectory
 from baselines.control.privileged.truth import Truth

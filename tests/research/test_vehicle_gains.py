@@ -17,7 +17,7 @@ from auv_gym.scenarios.vehicles import PAPER, vehicle_model, vehicle_names
 from baselines import make_policy
 from baselines.control.linearisation import linearise
 from baselines.tools.command_line import run
-from baselines.tuning.objective import TuningEpisodes, rewound_scenarios
+from baselines.tuning.objective import TuningEpisodes, tuning_scenarios
 from baselines.tuning.search import TUNING_SEED
 from baselines.tuning.tunables import TUNABLES
 from research.vehicles import vehicles, vehicles_page
@@ -55,13 +55,13 @@ def test_expert_is_stable_on_random_vehicles_of_any_size(ratio, surge, sway, yaw
             assert linearise(vehicle, lambda o: law.forces(o, ARRAYS), U, w).eigenvalues[0].real < 0
 
 
-def test_tuning_episodes_of_another_vehicle_are_in_the_papers_units():
-    plain, own = rewound_scenarios("cruise", "plain"), rewound_scenarios("cruise", "plain", vehicle_model("otter"))
+def test_a_course_of_another_vehicle_is_in_the_papers_units():
+    plain, own = tuning_scenarios("cruise", "plain"), tuning_scenarios("cruise", "plain", vehicle_model("otter"))
     assert [s.name for s in own] == [s.name for s in plain]
     assert {s.vehicle.speed for s in own} == {1.5}
     assert {s.control_dt for s in own} == {0.1}
     assert len({s.substeps for s in own}) == 1
-    assert rewound_scenarios("slow", "plain", PAPER) is not plain
+    assert tuning_scenarios("slow", "plain", PAPER) is not plain
     episodes = TuningEpisodes("cruise", 8, TUNING_SEED, vehicle_model=vehicle_model("otter"))
     steady_rmses, failed, commands = episodes.steady_rmses(
         TUNABLES["los-pid"].factory(vehicles.load_gains("los-pid", "cruise", TUNABLES["los-pid"].names),

@@ -18,9 +18,9 @@ from auv_gym.scenarios.presets import CASES, as_scenario
 from auv_gym.scenarios.vehicles import vehicle_model, vehicle_names
 from auv_gym.task.observation import SIZE
 from baselines import make_policy
-from baselines.control.privileged.clairvoyant import arriving, oracle_actions
+from baselines.control.privileged.optimum import arriving, oracle_actions
 from baselines.control.privileged.problem import Problem
-from baselines.control.privileged.solver import TOLERANCE, WINDOWS, best_trajectory, foreseeing, refined
+from baselines.control.privileged.solver import TOLERANCE, WINDOWS, best_trajectory, optimised, receding_horizon
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.options import Options
@@ -148,8 +148,8 @@ def test_with_active_limits_a_receding_horizon_gives_a_better_optimum_than_the_o
     episodes = drawn(scenario, 5, 5).episodes[4:]
     problem = Problem.of(scenario, episodes)
     guess = arriving(oracle_actions(scenario, episodes), problem.delay)
-    alone = refined(problem, problem.standing(guess))
-    both = best_trajectory(problem, guess, [partial(foreseeing, WINDOWS[0])])
+    alone = optimised(problem, problem.open_loop(guess))
+    both = best_trajectory(problem, guess, [partial(receding_horizon, WINDOWS[0])])
     assert both.steady_rmse[0] < 0.5 * alone.steady_rmse[0]
     run = rollout(make_policy("backstepping", scenario.vehicle), scenario, episodes)
     assert both.steady_rmse[0] < in_paper_metres(run.measures, scenario).steady_rmse[0]

@@ -3,7 +3,7 @@
 Known are the true vehicle, the actuators and their lag, all commands, the mean current, the statistics of its gusts,
 the frequencies and amplitudes of the waves, and the statistics of start and sensors. Unknown are the random numbers of
 the start, the gusts, the phases of the waves and the measurement errors. The model is linearised about the trajectory
-of the full-information optimum, see `control.privileged.clairvoyant`.
+of the full-information optimum, see `control.privileged.optimum`.
 
 The state z of an episode is the deviation from this trajectory: (`POSE`) x, y [m], psi [rad], u, v [m/s], r [rad/s],
 with velocities relative to the water; (`_GUSTS`) the process n of the gusts and its filter s on each axis, in units of
@@ -31,7 +31,7 @@ from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.exogenous import WAVE_ROWS, wave_components
 from auv_gym.scenarios.scenario import Scenario, Start
 from auv_gym.task.simulation import CURRENT, LOAD, PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts, moved
-from baselines.control.privileged.clairvoyant import arriving, oracle_actions
+from baselines.control.privileged.optimum import arriving, oracle_actions
 from baselines.control.privileged.problem import COMMAND_ROWS, PLANT_STATES, Problem, Trajectory
 from baselines.control.privileged.solver import best_trajectory
 
