@@ -69,7 +69,7 @@ ELSEWHERE = {
     r"(python evaluate\.py --suite presets|python -m research paper)": "`make demo`, below",
     r"auv-gym evaluate .*--submit .*": "test_submission.py::test_commands_of_the_tutorial",
     r"(auv-gym submit|python -m research leaderboard) .*": "test_submission.py::test_commands_of_the_tutorial",
-    r'auv-gym evaluate --policy "cmd:.*': "test_programs.py::test_the_examples_do_what_the_class_does",
+    r'auv-gym evaluate --policy "cmd:.*': "test_programs.py::test_the_examples_equal_the_class",
     r"python -m research screenshots": "test_report_page.py::test_pictures_of_the_pages",
 }
 """Lines of the pages that do not run one by one here, and where they do."""

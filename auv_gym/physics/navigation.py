@@ -80,7 +80,7 @@ def heading_errors(drift: float, walk: float, dt: float, instants: int, rng: np.
 class FixFilter:
     """The gain of the position fixes, from the variances of the sensors.
 
-    It is that of a Kalman filter of the position on one axis in which the drift, a constant that it does not estimate, is
+    It is that of a Kalman filter of the position on one axis in which the drift, a constant that is not estimated, is
     considered (Schmidt, Advances in Control Systems 3 (1966) 293): the variance P of the position's error and its
     covariance C with the drift, in units of the drift's standard deviation, give the gain K = P / (P + fix^2).
     """
