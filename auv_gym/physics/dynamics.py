@@ -22,7 +22,7 @@ State: TypeAlias = tuple[Number, Number, Number, Number, Number, Number]
 Force: TypeAlias = tuple[Number, Number]
 """F_u [N], F_r [N m]."""
 Load: TypeAlias = tuple[Number, Number, Number]
-"""Total force on the hull in the body frame: surge [N], sway [N], yaw [N m]; the vehicle alone makes (F_u, 0, F_r)."""
+"""Total force on the vehicle in the body frame: surge [N], sway [N], yaw [N m]; its actuators give (F_u, 0, F_r)."""
 CurrentVelocity: TypeAlias = tuple[Number, Number]
 """V_x, V_y [m/s] of the water in the world."""
 

@@ -29,7 +29,7 @@ class Coefficients(NamedTuple):
 
     @property
     def without_lift(self) -> tuple[Number, ...]:
-        """What is left for a hull whose lift is zero: `dynamics.rates` then does not compute it."""
+        """The coefficients without lift; with them `dynamics.rates` does not compute it."""
         return self[: len(self) - len(_LIFT)]
 
     @property
@@ -53,7 +53,7 @@ class Vehicle:
     """Parameters of (2): rigid body plus added mass, linear drag and, beyond the paper, quadratic drag; a design speed.
 
     Drag enters as `-(d11 + X_uu |u|) u` in surge, in sway and yaw with their coefficients; all are magnitudes. Lift of
-    hull and fins adds `-Y_uv |u| v + Y_ur |u| r` to the sway force and `N_uv |u| v - N_ur |u| r` to the yaw moment; a
+    body and fins adds `-Y_uv |u| v + Y_ur |u| r` to the sway force and `N_uv |u| v - N_ur |u| r` to the yaw moment; a
     fin behind the centre has all four positive. Beyond the Munk moment (m11 - m22) u v, which (2c) has by itself.
     The design speed acts on nothing: with mass and length it is the measure that scenarios and gains are scaled by, see
     `auv_gym.physics.units`.
