@@ -133,7 +133,7 @@ class Inputs:
             ahead: the columns of the preview [m], two for each of its times, see `auv_gym.task.preview.Preview`.
             base: the expert's action at this instant, surge and yaw.
             correction: the previous output of the network, surge and yaw; zero at the start of an episode.
-            memory: `Inputs.memory` rows, as the last call returned them; zero at the start of an episode.
+            memory: `Inputs.memory` rows from the previous call; zero at the start of an episode.
             ns: the namespace of the numbers.
             coefficients: of the nominal vehicle in the paper's units (`auv_gym.physics.units`); not used without
                 `Inputs.hull`.

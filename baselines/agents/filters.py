@@ -96,7 +96,7 @@ def filter_step(
     Args:
         o: the observation in SI units.
         speed: of the reference [m/s].
-        memory: `ROWS` rows, as the last call returned them; zero at the start of an episode.
+        memory: `ROWS` rows from the previous call; zero at the start of an episode.
         ns: the namespace of the numbers.
         coefficients: of the nominal vehicle, in units in which it has the mass, length and speed of the paper's.
     """

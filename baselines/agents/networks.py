@@ -21,6 +21,7 @@ Layers = tuple[tuple[Array, Array], ...]
 
 Function = Callable[[Array], Array]
 ACTIVATIONS: dict[str, Function] = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
+"""Activation functions of the hidden layers by name."""
 _BOUNDS: dict[str, Function] = {"tanh": np.tanh, "clip": lambda x: np.clip(x, -1.0, 1.0)}
 """Functions that bound the output to [-1, 1]."""
 

@@ -34,6 +34,7 @@ LARGEST_CHANGE = 30.0  # bounds of the search: start / LARGEST_CHANGE, start * L
 TUNING_SEED = TUNING.first  # first seed of the tuning episodes
 VALIDATION_SEED = TUNING_CHECK.first  # first seed of the validation episodes
 VALIDATION_EPISODES = 512
+"""Episodes of the final comparison of the best gains with those of the expert."""
 
 GainSet = Mapping[str, float]
 Factory = Callable[[dict[str, float]], Policy]

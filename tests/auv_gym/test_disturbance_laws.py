@@ -18,7 +18,7 @@ from auv_gym.scenarios.scenario import Scenario, Start
 from auv_gym.task.observation import Observation, decode_observation
 from baselines.control.adaptive import AdaptiveMemory, current_of
 from baselines.control.ilos import IlosMemory
-from baselines.control.smc_dob import SmcMemory, loads
+from baselines.control.smc_dob import SmcMemory, estimated_loads
 from baselines.gains.loading import load_gains
 from baselines.policy import CRUISE_SPEED
 from baselines.tuning.tunables import TUNABLES
@@ -104,7 +104,7 @@ def test_observer_of_loads_converges_with_its_bandwidths():
     for k in range(31):
         values = dict.fromkeys(Observation._fields, 0.0)
         values |= {"a_u": 0.1, "a_r": 0.05, "F_u_max": 400.0, "F_r_max": 200.0, "dt": dt}
-        found = loads(Observation(**values), memory, tuple(nu), bandwidths, V.coefficients, ARRAYS)
+        found = estimated_loads(Observation(**values), memory, tuple(nu), bandwidths, V.coefficients, ARRAYS)
         memory = SmcMemory(1.0, *nu, *found)
         decay = np.exp(-np.array(bandwidths) * dt * k)
         np.testing.assert_allclose(found, true * (1 - decay), rtol=0.01, atol=1e-3)  # axes are coupled

@@ -257,7 +257,7 @@ def test_messages_of_mistakes():
     with pytest.raises(ValueError, match="reckoning has no entry 'fixes'; allowed are interval, scale"):
         Scenario.from_dict({"sensors": {"reckoning": {"fixes": 3}}})
     episode = dataclasses.replace(Scenario().draw(np.random.default_rng(0)), reckoning=Reckoning())
-    with pytest.raises(ValueError, match="the episode has a dead reckoning, which scenario 'custom' has not"):
+    with pytest.raises(ValueError, match="the episode has a dead reckoning, but scenario 'custom' has none"):
         Scenario().parameters(episode)
 
 

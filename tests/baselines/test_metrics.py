@@ -2,7 +2,6 @@
 
 import io
 import math
-import re
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from scipy import stats
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation import metrics
 from baselines.evaluation.metrics import Measures
-from baselines.evaluation.report import columns
+from baselines.evaluation.report import columns, html
 from baselines.evaluation.report.columns import Column, digits, ranked
 from baselines.evaluation.report.numbers import compare, pool
 from baselines.evaluation.report.terminal import entries_table
@@ -121,7 +120,7 @@ def test_ranking_has_the_best_first_and_failed_runs_last():
 
 
 def test_a_new_column_is_one_entry(monkeypatch):
-    """A column of `COLUMNS` is in the terminal's table, results.json, results.csv and the definitions."""
+    """A column of `COLUMNS` is in tables, results.json, results.csv and the definitions."""
     (entry,) = pool([run_of("slow-calm", "backstepping", measures([0.25, 0.5]))])
     worst = Column("largest_m", "largest [m]", "the largest", lambda _, s: s.steady_rmse_m.p95, digits(2))
     for name in ("COLUMNS", "_SHOWN"):
@@ -129,7 +128,10 @@ def test_a_new_column_is_one_entry(monkeypatch):
     assert columns.record(entry)["largest_m"] == columns.line(entry)["largest_m"] == pytest.approx(0.4875)
     assert columns.used([entry])[-1].text(entry) == "0.49"
     assert columns.definitions()["largest [m]"] == "the largest"
-    assert re.search(r"largest \[m\](?s:.*)0\.49", console_text([entry]))
+    (board,) = html._boards([entry], ["backstepping"], {"backstepping"})
+    for place in (console_text([entry]), str(board)):
+        assert "largest [m]" in place
+        assert "0.49" in place
 
 
 def console_text(entries):

@@ -99,7 +99,7 @@ def test_a_suite_with_shared_episodes_needs_the_very_same_episodes(small, tmp_pa
     for name in ("other.json.bz2", suites.SUMS):
         (folder / name).write_bytes((tmp_path / name).read_bytes())
     suites.save_suite("small", other.cells[:1], folder)
-    with pytest.raises(suites.SuiteError, match="has the episodes of another small"):
+    with pytest.raises(suites.SuiteError, match="refers to another small; this one has the hash"):
         suites.load_suite("other", folder)
 
 
@@ -175,7 +175,7 @@ def test_recorded_rows_belong_to_a_hash(small, tmp_path):
     other = suites.Suite(suite.name, "0" * 64, suite.cells, suite.digests)
     found = recorded.load_recorded(other, tmp_path)
     assert found.runs == ()
-    assert found.refused == {"open-loop": f"another small, of hash {suite.hash[:12]}"}
+    assert found.refused == {"open-loop": f"its rows belong to another small, of hash {suite.hash[:12]}"}
     with pytest.raises(ValueError, match="open-loop has no result in cruise-actuator"):
         recorded.save_recorded(suite, runs[:1], versions(), tmp_path)
     (tmp_path / "small" / "open-loop.npz").write_bytes(b"PK")

@@ -1,7 +1,6 @@
 """The columns of a result: name, unit, definition and format, for all tables, files and pages.
 
-A new `Column` in `COLUMNS` is a new column of the terminal's table and of the files; `html._SHOWN` lists the columns of
-the page.
+A new `Column` in `COLUMNS` is a new column everywhere.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from baselines.evaluation.report.columns import COLUMNS, NONE, Column, digits, ends, failures_text, ranked, used
+from baselines.evaluation.report.columns import COLUMNS, NONE, Column, digits, failures_text, ranked, used
 from baselines.evaluation.report.numbers import Entry, Result, recordings
 from baselines.evaluation.report.page import mixed, render_report
 from baselines.evaluation.report.page_data import at_first, by_scenario, look_of, page_data
@@ -16,11 +16,16 @@ from baselines.evaluation.score import EXPERT, FORESIGHTED, VEHICLE_MARK, Score,
 from baselines.tools.figure_style import look
 from baselines.tools.files import versions
 
-_SHOWN = (
-    "steady_rmse_m.mean", "to_best_m.mean", "failed", "score.mean", "steady_rmse_m.median", "steady_rmse_m.cvar95",
-    "effort_ratio", "smoothness_ratio", "decision_ms",
+_FIRST = (
+    "steady_rmse_m.mean", "to_best_m.mean", "failed", "score.mean", "steady_rmse_m.median", "effort_ratio",
+    "smoothness_ratio", "decision_ms",
 )  # fmt: skip
-"""The columns of the page by their keys, in this order; results.csv has all columns."""
+"""The first columns of the page, by their keys."""
+_LEFT_OUT = (
+    "episodes", "steady_rmse_m.ci95", "steady_rmse_m.p95", "steady_rmse_m.cvar95", "score.ci95", "capped.mean",
+    "error_ratio", "settling_s", "saturation",
+)  # fmt: skip
+"""Columns that the page does not have, since its tables would be wider than a screen; results.csv has all columns."""
 _LEAST = -0.2
 """Score at the left end of the intervals in the leaderboard."""
 
@@ -87,7 +92,7 @@ def report_html(request: Request, results: Sequence[Result], pooled: Sequence[En
         recorded=recordings(results),
         failed=[f"{r.run.policy} in {r.run.scenario.name}: {r.run.error}" for r in results if r.run.error],
         notes=list(dict.fromkeys((*request.notes, *(f"{r.run.policy}: {t}" for r in results for t in r.run.warnings)))),
-        definitions={c.heading: c.definition for c in COLUMNS if c.key in _SHOWN},
+        definitions={c.heading: c.definition for c in COLUMNS if c.heading and c.key not in _LEFT_OUT},
     )
 
 
@@ -105,28 +110,25 @@ def _boards(entries: Sequence[Entry], policies: Sequence[str], shown: set[str]) 
 
 
 def _board(place: str, entries: Sequence[Entry], policies: Sequence[str], shown: set[str]) -> _Leaderboard:
-    columns = sorted((c for c in used(entries) if c.key in _SHOWN), key=lambda column: _SHOWN.index(column.key))
+    columns = sorted((c for c in used(entries) if c.key not in _LEFT_OUT), key=_order)
     order = ranked(entries)
     lines = [_line(entry, columns, policies, shown) for entry in order]
     scale = (_x_of(0.0), _x_of(1.0)) if any(line.interval for line in lines) else None
     return _Leaderboard(place, _lead(order), columns, lines, scale)
 
 
+def _order(column: Column) -> int:
+    """Return the sort key of a column: those of `_FIRST` before the others."""
+    return _FIRST.index(column.key) if column.key in _FIRST else len(_FIRST)
+
+
 def _line(entry: Entry, columns: Sequence[Column], policies: Sequence[str], shown: set[str]) -> _Line:
     failed = entry.summary is None
-    cells = [TableCell("failed" if failed else _text(column, entry), _key(column.of(entry))) for column in columns]
+    cells = [TableCell("failed" if failed else column.text(entry), _key(column.of(entry))) for column in columns]
     index = None if failed else policies.index(entry.policy)
     colour = "" if failed else look(entry.policy, policies).colour
     mark = "*" if entry.recorded else ""
     return _Line(entry.policy, mark, index, colour, entry.policy in shown, cells, _interval(entry.score), failed)
-
-
-def _text(column: Column, entry: Entry) -> str:
-    """Return the text of a cell, for the steady-state error with its interval."""
-    text = column.text(entry)
-    if column.key == "steady_rmse_m.mean" and entry.summary and math.isfinite(entry.summary.steady_rmse_m.ci95[0]):
-        return f"{text} ({ends(entry.summary.steady_rmse_m.ci95)})"
-    return text
 
 
 def _key(value: Any) -> float | str:
