@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from auv_gym.physics.intervals import Interval, Uniform, check_interval, check_number, draw
-from auv_gym.physics.vehicle import LARGEST_PARAMETER, MIN_MASS_RATIO, Coefficients, Vehicle
+from auv_gym.physics.vehicle import LARGEST_PARAMETER, MIN_MASS_RATIO, Coefficients, CrossFlow, Vehicle
 
 
 @dataclass(frozen=True)
@@ -138,6 +138,8 @@ class RandomMismatch:
     """Distribution of the true vehicle about the known one, as factors; m22 stays above m11.
 
     The factor of a drag is that of its linear and quadratic part, and of the lift that grows with the surge velocity.
+    Cross-flow has the smaller one of the factors of sway and yaw, so that damping takes power in every draw; the surge
+    loss in turns has that of the surge drag.
     """
 
     mass: Interval = 1.0  # on m11 and m22 together
@@ -187,9 +189,10 @@ class RandomMismatch:
             vehicle.Y_ur,
             vehicle.N_uv,
             vehicle.N_ur * d33,
+            **_crossed(vehicle, d11, min(d22, d33))._asdict(),
         )
 
-    def extremes(self, vehicle: Vehicle) -> Coefficients:
+    def extremes(self, vehicle: Vehicle) -> tuple[Any, ...]:
         """Return the stiffest vehicles that may be drawn about this one: light ones, with drag of all kinds; rows.
 
         More quadratic drag is a faster decay, less lets a vehicle become faster.
@@ -199,7 +202,7 @@ class RandomMismatch:
         ratio, d11, d22, d33, q = np.array([*corners]).T
         X_uu, Y_vv, N_rr = self.quadratic_drag
         one = np.ones_like(ratio)
-        return Coefficients(
+        bare = Coefficients(
             vehicle.m11 * mass * one,
             vehicle.m22 * mass * ratio,
             vehicle.m33 * m33 * one,
@@ -214,6 +217,13 @@ class RandomMismatch:
             vehicle.N_uv * one,
             vehicle.N_ur * d33,
         )
+        return (*bare, *_crossed(vehicle, d11, np.minimum(d22, d33))) if any(vehicle.cross_flow) else bare
+
+
+def _crossed(vehicle: Vehicle, surge: Any, turning: Any) -> CrossFlow:
+    """Return the cross-flow of a vehicle with its surge loss and its damping multiplied by factors."""
+    factors = (surge if name[0] == "X" else turning for name in CrossFlow._fields)
+    return CrossFlow(*(c * factor for c, factor in zip(vehicle.cross_flow, factors, strict=True)))
 
 
 def _ends(interval: Interval) -> tuple[float, float]:

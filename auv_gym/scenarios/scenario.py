@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import Any, TypeVar
@@ -17,7 +17,7 @@ from auv_gym.physics.dynamics import Load
 from auv_gym.physics.intervals import Interval, check_interval, check_number, draw
 from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.stiffness import AT_REST, check_step
-from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.paths import PAPER_CIRCLE, PATHS, Path
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.records import checked_suffix, from_record, read_table, to_record
@@ -122,6 +122,8 @@ class Scenario:
         check_number("error_scale", self.error_scale, 1e-6, 1e6)
         check_number("rate_weight", self.rate_weight, 0, 1e6)
         check_number("lost_distance", self.lost_distance, 1e-3, 1e5)
+        if any(self.vehicle.cross_flow):
+            raise ValueError("scenario vehicle has cross-flow terms, X_vv ... N_vr, which the planner does not know")
         if self.mismatch is not None:
             self.mismatch.check(self.vehicle)
         self._check_step(self.mismatch.extremes(self.vehicle) if self.mismatch else self.vehicle.coefficients)
@@ -131,7 +133,7 @@ class Scenario:
                 f"{self.duration:.6g} s; lower steps or control_dt, or make the path longer"
             )
 
-    def _check_step(self, coefficients: Coefficients, speeds: Load = AT_REST) -> None:
+    def _check_step(self, coefficients: Sequence[Any], speeds: Load = AT_REST) -> None:
         """Raise ValueError if the integration step is too long for a true vehicle, or for several in rows."""
         surge, sway, yaw = self.actuators.F_u_max, 0.0, self.actuators.F_r_max
         if self.waves is not None:
