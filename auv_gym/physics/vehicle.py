@@ -67,7 +67,7 @@ class CrossFlow(NamedTuple):
 
 _LIFT = Coefficients._fields[-4:]
 """The parameters of the lift, which grow with the surge velocity."""
-_SIGNED = ("Y_ur", "N_uv", *CrossFlow._fields)
+SIGNED_PARAMETERS = ("Y_ur", "N_uv", *CrossFlow._fields)
 """Parameters that may be negative."""
 _SPEEDS = (1e-2, 16.0)
 """Least and largest design speed of a vehicle [m/s]."""
@@ -94,9 +94,10 @@ class Vehicle:
     `auv_gym.physics.units`.
 
     Raises:
-        ValueError: a parameter is not finite or too large, one but `_SIGNED` is negative, a mass or linear drag is
-            zero, m22 is not above m11 and m11 - Y_ur, since the section III planner and the sideslip it describes need
-            a slender body, quadratic damping would give power, or the design speed is outside of `_SPEEDS`.
+        ValueError: a parameter is not finite or too large, one but `SIGNED_PARAMETERS` is negative, a mass or linear
+            drag is zero, m22 is not above m11 and m11 - Y_ur, since the section III planner and the sideslip it
+            describes need a slender body, quadratic damping would give power, or the design speed is outside of
+            `_SPEEDS`.
     """
 
     m11: float  # [kg] surge inertia, added mass included
@@ -131,7 +132,7 @@ class Vehicle:
                 )
             if name[0] in "md" and value <= 0:
                 raise ValueError(f"vehicle parameter {name} is {value!r}; inertia and linear drag must be positive")
-            if value < 0 and name not in _SIGNED:
+            if value < 0 and name not in SIGNED_PARAMETERS:
                 raise ValueError(f"vehicle parameter {name} is {value!r}; drag is a magnitude, 0 or more")
         if self.m22 < (1 - 1e-12) * MIN_MASS_RATIO * max(self.m11, self.m11 - self.Y_ur):  # in any units
             raise ValueError(

@@ -53,7 +53,7 @@ class Options:
 def _counted(name: str, logs: int) -> dict[str, Any]:
     """Return what so many identifications of a vehicle come to: counts, errors and processor time."""
     vehicle, sensors = _VEHICLES[name], PRESETS["cruise-noise"].sensors
-    truth = dict(zip(COEFFICIENTS, vehicle.coefficients, strict=True)) | dict(zip(V, EXAMPLE_CURRENT, strict=True))
+    truth = {name: getattr(vehicle, name) for name in COEFFICIENTS} | dict(zip(V, EXAMPLE_CURRENT, strict=True))
     truth |= dict(zip(LIMIT_NAMES, (EXAMPLE.F_u_max, EXAMPLE.F_r_max), strict=True)) | {"lag": EXAMPLE_LAG}
     held, near = dict.fromkeys(FITTED_PARAMETERS, 0), dict.fromkeys(FITTED_PARAMETERS, 0)
     errors: dict[str, list[float]] = {n: [] for n in FITTED_PARAMETERS}
