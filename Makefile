@@ -9,7 +9,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo video test test-all lint typecheck format bench train train-all pages verify examples docs package clean
+.PHONY: help demo video test test-all oldest lint typecheck format bench train train-all pages verify examples docs package clean
 
 help: ## list the verbs
 	@echo 'make COMMAND [ARGS="more options"] [PYTHON=python3.12]'
@@ -48,6 +48,14 @@ EQUATIONS = $(foreach name,agent analytic_gradient codegen controllers disturban
   kernels nmpc planner vector_env,$(wildcard tests/*/test_$(name).py))
 UNCOMPILED = not (16384 or torch or frames or report_is_one_page or interrupted or number_of_jobs or as_a_process or \
   finished_work or long_runs or steers_alike)
+
+# In an environment of its own; without torch, whose old versions are gigabytes.
+oldest: export OMP_NUM_THREADS = 1
+oldest: ## the tests of auv_gym with the oldest versions of its dependencies that are allowed
+	$(PYTHON) -m venv --clear build/oldest
+	build/oldest/bin/python -m pip install --quiet uv
+	build/oldest/bin/uv pip install --quiet --python build/oldest --resolution lowest-direct --editable '.[eval]' --group platforms
+	build/oldest/bin/python -m pytest -q tests/auv_gym $(ARGS)
 
 lint: $(VENV)/dev.stamp ## check the style, the format and the set-up of the project
 	$(BIN)/python -m ruff check

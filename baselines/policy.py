@@ -15,7 +15,7 @@ from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.observation import SCALES, SIZE, Observation, action_of, decode_observation, decoded_terms
-from auv_gym.task.policy import preview_of
+from auv_gym.task.policy import LARGEST, last_commands, measured, preview_of, usable
 from auv_gym.task.preview import columns_behind
 
 Memory: TypeAlias = tuple[NDArray[Any], ...]
@@ -86,15 +86,21 @@ class Privileged(Protocol):
 class Batched(ABC):
     """A policy, with Stable-Baselines3's `predict`, that acts on batches: one observation is a batch of one.
 
+    One bad number costs one decision. For an observation that is not `usable` the last command, which it holds, is
+    repeated, and the memory stays. A memory that gives no finite command for a usable observation begins again.
+
     Attributes:
         preview: control periods ahead at which it wants to know where the reference is.
         speeds: reference speeds [m/s], least and largest, that it was made for; `predict` warns once of others.
-        remembers: whether `predict` warns where its memory is dropped.
+        remembers: whether it has a memory of its own: `predict` warns where that is dropped, and checks that it is
+            finite.
+        repeated: how many commands were repeated since the policy was made.
     """
 
     preview: tuple[int, ...] = ()
     speeds: tuple[float, float] = ALL_SPEEDS
     remembers = False
+    repeated = 0
 
     @abstractmethod
     def actions(
@@ -111,7 +117,7 @@ class Batched(ABC):
     ) -> tuple[NDArray[np.float32], Memory | None]:
         """Return the action (2,) or actions (N, 2) and the memory, its arrays with leading axis N (1 for one).
 
-        Memory begins anew where `state` is None or `episode_start`, shape (N,), is True.
+        Memory begins again where `state` is None or `episode_start`, shape (N,), is True.
 
         Args:
             observation: one (n,), or a batch (N, n): the terms, the preview, and perhaps further columns.
@@ -127,13 +133,55 @@ class Batched(ABC):
         if rows.ndim != 2 or rows.shape[1] < SIZE + 2 * len(self.preview):
             decoded_terms(observation)  # both say what is wrong
             columns_behind(rows, self.preview)
+        if state and isinstance(state[-1], _Waiting):
+            episode_start = state[-1] if episode_start is None else state[-1] | episode_start
+            state = state[:-1]
+        if not measured(rows):
+            action, memory = self._decided(rows, state, episode_start, deterministic)
+            return (action[0] if observation.ndim == 1 else action), memory
         if state is None:
             if self.remembers:
                 warn_of_lost_memory(rows, episode_start)
             if self.speeds != ALL_SPEEDS:
                 self._warn_of_speed(rows)
         action, memory = self.actions(rows, state, episode_start, deterministic)
+        if self.remembers and not self.sound(action, memory):
+            action, memory = self._decided(rows, state, episode_start, deterministic)
         return (action[0] if observation.ndim == 1 else action), memory
+
+    def sound(self, action: NDArray[Any], memory: Memory | None) -> bool:
+        """Return whether what `actions` has returned is finite, as far as it must be looked at."""
+        del memory  # where one that is not finite gives an action that is not
+        return is_finite(action)
+
+    def _decided(
+        self, rows: NDArray[Any], state: Memory | None, episode_start: Starts, deterministic: bool
+    ) -> tuple[NDArray[np.float32], Memory | None]:
+        """Return what `predict` does, vehicle by vehicle, where a number is none."""
+        n, begins = len(rows), state is None or (False if episode_start is None else episode_start)
+        starts, good = np.broadcast_to(np.array(begins, dtype=bool), n), usable(rows)
+        action, done, memory = last_commands(rows), np.zeros(n, dtype=bool), state
+        if good.any():
+            # What is decided for the others is not used; they stay in the batch, whose size may change last digits.
+            whole = np.where(np.abs(rows) <= LARGEST, rows, rows[good.argmax()])
+            found, after = self.actions(whole, state, starts, deterministic)
+            done = good
+            if self.remembers:
+                finite = _finite_rows(found, after or ())
+                if not finite[good].all():
+                    found, after = self.actions(whole, state, starts | ~finite, deterministic)
+                    finite = _finite_rows(found, after or ())
+                done = good & finite
+            action[done] = found[done]
+            if state is None or after is None:
+                memory = after
+            else:
+                memory = tuple(np.where(along(done, a), a, b) for a, b in zip(after, state, strict=True))
+        self.repeated += n - int(np.count_nonzero(done))
+        waiting = starts & ~done
+        if waiting.all():
+            return action, None
+        return action, memory and ((*memory, waiting.view(_Waiting)) if waiting.any() else memory)
 
     def _warn_of_speed(self, rows: NDArray[Any]) -> None:
         """Warn once where a reference's speed is none of `speeds`."""
@@ -147,6 +195,27 @@ class Batched(ABC):
             )
 
 
+class _Waiting(np.ndarray[Any, Any]):
+    """Which vehicles' episodes have begun without a usable observation: the last array of a memory, if there are any.
+
+    With their next observation they begin.
+    """
+
+
+def is_finite(array: NDArray[Any]) -> bool:
+    """Return whether an array holds finite numbers alone, none of them beyond 1e150; it costs a microsecond."""
+    entries = array.ravel("K")
+    return math.isfinite(entries.dot(entries))
+
+
+def _finite_rows(action: NDArray[Any], memory: Memory) -> NDArray[np.bool_]:
+    """Return for which vehicles action and memory are finite, shape (N,)."""
+    finite = np.asarray(np.isfinite(action).all(axis=1))
+    for array in memory:
+        finite &= np.isfinite(array).all(axis=tuple(range(1, array.ndim)))
+    return finite
+
+
 class Remembering(Batched):
     """A controller with memory as a policy."""
 
@@ -156,6 +225,10 @@ class Remembering(Batched):
         """Wrap a controller; it stays reachable as `controller`, what it wants to see ahead as `preview`."""
         self.controller = controller
         self.preview = preview_of(controller)
+
+    def sound(self, action: NDArray[Any], memory: Memory | None) -> bool:
+        """Return whether action and memory are finite: a controller may act without what it believes."""
+        return is_finite(action) and all(map(is_finite, memory or ()))
 
     def actions(
         self, rows: NDArray[Any], state: Memory | None, episode_start: Starts, deterministic: bool

@@ -28,6 +28,7 @@ extensions = [
     "myst_parser",
     "paper_figures",
     "scenario_pages",
+    "search",
     "sphinx.ext.autodoc",
     "sphinx.ext.linkcode",
     "sphinx_copybutton",
@@ -42,7 +43,9 @@ myst_heading_anchors = 3
 html_theme = "furo"
 html_title = f"{project} {version}"
 html_static_path = ["_static"]
+html_search_scorer = str(HERE / "_ext" / "scorer.js")
 html_css_files = ["site.css"]
+html_js_files = ["tables.js"]
 html_math_renderer = "mathml"  # what browsers draw themselves: no script, no network
 html_show_sourcelink = False
 exclude_patterns = ["_build"]
@@ -66,15 +69,6 @@ def linkcode_resolve(_domain: str, info: dict[str, str]) -> str | None:
     return f"{PROJECT['urls']['Source']}/blob/main/{file}#L{first}-L{first + len(lines) - 1}"
 
 
-def optional(_app: Sphinx, _name: str, source: list[str]) -> None:
-    """Leave out of a toctree the pages whose names end in a question mark if they are not there."""
-
-    def kept(match: re.Match[str]) -> str:
-        return f"{match[1]}\n" if (HERE / f"{match[1]}.md").exists() else ""
-
-    source[0] = re.sub(r"^(\w+)\?\n", kept, source[0], flags=re.MULTILINE)
-
-
 def inside(_app: Sphinx, _name: str, source: list[str]) -> None:
     """Let links that lead out of this folder where it is read as plain files stay inside it."""
     source[0] = re.sub(r"\]\(((?:\.\./)*)\.\./CONTRIBUTING\.md\)", r"](\1contributing.md)", source[0])
@@ -92,4 +86,3 @@ def setup(app: Sphinx) -> None:
     """Add the hook and the formulas."""
     app.add_html_math_renderer("mathml", (formula, None), (formula, None))
     app.connect("source-read", inside)
-    app.connect("source-read", optional)

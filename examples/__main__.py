@@ -1,7 +1,7 @@
-"""Run other people's libraries on the environments, each in a virtual environment that has what it needs.
+"""Run other libraries on the environments, each in a virtual environment with its requirements.
 
-`python -m examples` needs nothing but Python: it makes the environments under build/examples by pip, runs the scripts,
-keeps what came of them in docs/tools.json and writes the table of docs/tools.md from it.
+`python -m examples` needs only Python. It makes the virtual environments under build/examples with pip, runs the
+scripts, keeps the results in docs/tools.json and writes the table of docs/tools.md from them.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def table(record: dict[str, dict[str, object]]) -> str:
             versions: object = entry["versions"]
             assert isinstance(versions, dict)
             listed = ", ".join(f"{package} {version}" for package, version in versions.items())
-            works = f"{entry['works']}{' (in the quick form)' if entry['quick'] else ''}"
+            works = f"{entry['works']}{' (short run)' if entry['quick'] else ''}"
             rows.append(f"| {entry['title']} | {listed} | {entry['date']} | {works} | `with_{name}.py` |")
     return "\n".join(rows)
 

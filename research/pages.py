@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+from textwrap import TextWrapper
 from typing import Annotated, Any
 
 import jinja2
@@ -23,6 +24,8 @@ from research import DOCS
 
 PROGRAM = "python -m research pages"
 TEMPLATES = Path(__file__).parent / "templates"
+WIDTH = 120
+"""Characters of a line of prose."""
 SUITE_PAGES = ("benchmark-v2", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v1")
 PAGES: Mapping[str, str] = {
     "results": "research.results.overview",
@@ -37,21 +40,19 @@ PAGES: Mapping[str, str] = {
 """The module of each page: `context(page)` returns the values of its template, `figures(page)`, if there is one, its
 figures as PNG by name."""
 PARTS: Mapping[str, Mapping[str, str]] = {
-    "vehicles": {
-        "published vehicles": "research.vehicles.tables:published_vehicles",
-        "gains": "research.vehicles.vehicles_page:gains_section",
-    },
-    "training": {"fine-tuning": "research.trainings.fine_tuning:fine_tuning_section"},
+    "vehicles": {"published vehicles": "research.vehicles.tables:published_vehicles"},
+    "vehicle-gains": {"gains": "research.vehicles.vehicles_page:gains_section"},
+    "fine-tuning": {"fine-tuning": "research.trainings.fine_tuning:fine_tuning_section"},
     "identify": {"coverage": "research.vehicles.coverage:coverage_section"},
-    "controllers": {"tuned gains": "research.vehicles.tables:tuned_gains"},
-    "export": {
+    "policies": {"tuned gains": "research.vehicles.tables:tuned_gains"},
+    "export-cost": {
         "agreement": "research.deployment.page:agreement_section",
         "rounded weights": "research.deployment.page:rounded_section",
         "speed on a computer": "research.deployment.page:speed_section",
         "cost on a Cortex-M4": "research.deployment.page:cortex_m4_section",
     },
 }
-"""Pages that are written by hand but for some parts: `module:function` that returns a part, by page and name."""
+"""Pages that are written by hand except for some parts: `module:function` that returns a part, by page and name."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,21 @@ def render(page: str) -> str:
     if page in PARTS:
         return _with_parts(page)
     context = import_module(PAGES[page]).context(page)
-    return fill(context.get("template", page), context)
+    return _wrapped(fill(context.get("template", page), context))
+
+
+def _wrapped(text: str) -> str:
+    """Return a page without lines of prose that are longer than `WIDTH`."""
+    lines, code = [], False
+    for line in text.split("\n"):
+        code ^= line.startswith("```")
+        if len(line) <= WIDTH or code or line.startswith(("|", "#", "<!--", "!")):
+            lines.append(line)
+        else:
+            indent = "  " if line.startswith(("- ", "  ")) else ""
+            wrap = TextWrapper(WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+            lines += wrap.wrap(line)
+    return "\n".join(lines)
 
 
 def _with_parts(page: str) -> str:
@@ -92,7 +107,7 @@ def _with_parts(page: str) -> str:
         begin, end = f"<!-- {name}: made by `{PROGRAM} {page}` -->", f"<!-- end of {name} -->"
         before, rest = text.split(begin)  # a page without a mark is an error, not a longer page
         _, after = rest.split(end)
-        text = f"{before}{begin}\n\n{part.strip()}\n\n{end}{after}"
+        text = f"{before}{begin}\n\n{_wrapped(part.strip())}\n\n{end}{after}"
     return text
 
 

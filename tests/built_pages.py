@@ -1,8 +1,10 @@
-"""What a reader of the built documentation must find: tables that fit, equations with a size, a search that works."""
+"""What a reader of the built documentation must find: tables that fit and sort, equations, a search that works."""
+
+import re
 
 from browser import opened
 
-WIDE = ("index", "theory", "results")
+WIDE = ("index", "theory", "results", "results/deep-v1")
 NARROW = ("index", "theory", "paper", "policies", "scenarios/cruise-storm", "environments/track", "api/auv_gym.physics")
 TOO_WIDE = """() => [...document.querySelectorAll("table, pre, .formula, img, dl")].filter(part => {
   const box = part.parentElement, scrolls = getComputedStyle(box).overflowX !== "visible";
@@ -20,6 +22,20 @@ WIDTH = "() => document.documentElement.scrollWidth - innerWidth"
 """How much wider than its window a page is."""
 
 
+FIRST_HITS = {
+    "install": "install",
+    "train": "training",
+    "cite": "citing",
+    "SB3": "tools",
+    "compare MPC": "results",
+    "reward": "environments/track",
+    "own controller": "tutorials/controller",
+    "vehicle": "vehicles",
+    "ROS": "on-a-vehicle",
+}
+"""The page that a reader wants who searches for these words."""
+
+
 def check_pages(started, folder):
     """Look at pages as on a desk and on a telephone."""
     for width, mobile, names in ((1200, False, WIDE), (390, True, NARROW)):
@@ -31,23 +47,35 @@ def check_pages(started, folder):
                 assert all(page.evaluate("() => [...document.images].map(image => image.naturalWidth)")), name
 
 
+def check_sorting(started, folder):
+    """Sort a table by its errors, in both directions, and by its names."""
+    with opened(started, folder / "results" / "benchmark-v2.html") as page:
+        first = page.locator("table.sortable").first.locator("tbody tr td").first
+        heading = page.locator("table.sortable").first.locator("th", has_text="error [mm]")
+        heading.click()
+        assert first.inner_text() == "clairvoyant"
+        heading.press("Enter")
+        assert first.inner_text() == "open-loop"
+        page.locator("table.sortable").first.locator("th", has_text="policy").click()
+        assert first.inner_text() == "adaptive"
+
+
 def check_search(started, folder):
-    """Look for the law, and follow what is found."""
-    with opened(started, folder / "index.html") as page:
-        page.get_by_placeholder("Search").first.fill("backstepping")
-        page.keyboard.press("Enter")
-        found = page.locator("#search-results li a")
-        found.nth(4).wait_for()  # they are shown one by one
-        found.filter(has_text="baselines.control").first.click()
-        page.wait_for_url("**/api/baselines.control.html*")
-        page.wait_for_load_state()
-        assert "backstepping" in page.inner_text("body")
+    """Type words into the search of the site: the first hit is the page that answers them, and it can be followed."""
+    for words, name in FIRST_HITS.items():
+        if (folder / f"{name}.html").exists():
+            with opened(started, folder / "index.html") as page:
+                page.get_by_placeholder("Search").first.fill(words)
+                page.keyboard.press("Enter")
+                page.locator("#search-results li a").first.click()
+                page.wait_for_url(re.compile(r"/(?!search)[\w-]+\.html"))
+                assert page.url.partition("?")[0] == (folder / f"{name}.html").resolve().as_uri(), words
 
 
 def check_links(folder):
     """See that names in the pages lead into the reference."""
-    theory = (folder / "theory.html").read_text(encoding="utf-8")
-    assert 'href="api/auv_gym.physics.html#auv_gym.physics.dynamics.rates"' in theory
+    equations = (folder / "paper.html").read_text(encoding="utf-8")
+    assert 'href="api/auv_gym.physics.html#auv_gym.physics.dynamics.rates"' in equations
     vehicle = (folder / "api" / "auv_gym.physics.html").read_text(encoding="utf-8")
     assert "[kg] surge inertia, added mass included" in vehicle
     assert 'id="auv_gym.physics.vehicle.Vehicle.m11"' in vehicle

@@ -1,13 +1,25 @@
 """Shared by all tests: one thread per process, since oversubscribed cores run many times slower."""
 
+import importlib.util
 import os
+import re
 import signal
+from pathlib import Path
 
-import browser as browser_of_tests
 import pytest
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
+
+OPTIONAL = ("casadi", "minari", "onnxruntime", "playwright", "pygame", "stable_baselines3", "torch")
+"""Libraries of extras: tests that import one are left out where it is not installed, as with the oldest versions."""
+MISSING = [name for name in OPTIONAL if importlib.util.find_spec(name) is None]
+IMPORTS_MISSING = re.compile(rf"^(?:import|from) (?:{'|'.join(MISSING) or '(?!)'})\b", re.MULTILINE)
+collect_ignore = [
+    str(file)
+    for file in Path(__file__).parent.rglob("test_*.py")
+    if IMPORTS_MISSING.search(file.read_text(encoding="utf-8"))
+]
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in the background of a shell; processes inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -16,5 +28,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in the background of
 @pytest.fixture(scope="session")
 def browser():
     """A headless browser, started once a worker; `browser.opened` opens a page in it."""
+    import browser as browser_of_tests
+
     with browser_of_tests.browser() as started:
         yield started

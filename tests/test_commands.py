@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 import pytest
-from built_pages import check_links, check_pages, check_search
+from built_pages import check_links, check_pages, check_search, check_sorting
 
 import evaluate
 from auv_gym.scenarios.presets import PRESETS
@@ -43,7 +43,7 @@ CALM = ("--suite", "benchmark-v2", "--case", "cruise-calm", "--episodes", "1", "
 """Options of the shortest study of residuals."""
 BY_CI = {"test", "lint", "typecheck"}
 """Verbs that `.ci/run` itself runs."""
-BY_WORKFLOW = {"package", "test-all"}
+BY_WORKFLOW = {"package", "test-all", "oldest"}
 """Verbs that have jobs of their own in the workflow: they build and install in environments of their own."""
 MADE = {"api", "scenarios"}  # folders of pages that the build writes
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
@@ -57,23 +57,22 @@ ELSEWHERE = {
     r"python -m research falsification .*": "test_safety.py::"
     "test_search_finds_a_sea_that_loses_the_policy_and_writes_it",
     r"auv-gym --help": "test_package.py::test_the_command",
-    r"auv-gym train .*": "test_training.py::test_documented_commands_run",
     r"python -m research model-error .*": "test_model_error.py::test_command_keeps_what_it_measures",
     r"python -m research suites check .*": "test_suites.py::test_episodes_generate_what_they_did",
     r"python -m research transfer .*": "test_elsewhere.py::test_the_command_compares_and_keeps",
-    r"python -m research throughput .*": "`make bench`, below",
+    r"python -m research throughput.*": "`make bench`, below",
     r"python -m venv .*": "the environment that runs the tests",
     r"pip install .*": "`make`'s stamps, and the extras exist, below",
-    r"python train\.py .*--(from|vehicle) .*": "test_beginning.py::test_documented_commands_run",
-    r"python train\.py.*": "test_training.py::test_documented_commands_run",
+    r"(python train\.py|auv-gym train) .*--(from|vehicle) .*": "test_beginning.py::test_documented_commands_run",
+    r"(python train\.py|auv-gym train).*": "test_training.py::test_documented_commands_run",
     r"python -m research bound": "test_bound.py::test_a_run_goes_on_where_the_last_one_ended",
     r"auv-gym tune .*": "test_tuning.py, with few evaluations",
     r"python -m rl_zoo3\.train .*": "test_sb3.py reads its format; rl_zoo3 itself is no dependency",
     r"(python evaluate\.py --suite presets|python -m research paper)": "`make demo`, below",
-    r"python evaluate\.py .*--submit .*": "test_submission.py::test_the_tutorial_leads_to_the_leaderboard",
+    r"auv-gym evaluate .*--submit .*": "test_submission.py::test_the_tutorial_leads_to_the_leaderboard",
     r"(auv-gym submit|python -m research leaderboard) .*": "test_submission.py::"
     "test_the_tutorial_leads_to_the_leaderboard",
-    r'python evaluate\.py --policy "cmd:.*': "test_programs.py::test_the_examples_do_what_the_class_does",
+    r'auv-gym evaluate --policy "cmd:.*': "test_programs.py::test_the_examples_do_what_the_class_does",
     r"python -m research screenshots": "test_report_page.py::test_pictures_of_the_pages",
 }
 """Lines of the pages that do not run one by one here, and where they do."""
@@ -251,6 +250,7 @@ def test_docs_are_built_without_a_warning(copy, browser):
     assert "\\frac" not in html
     check_links(built)
     check_pages(browser, built)
+    check_sorting(browser, built)
     check_search(browser, built)
 
 
@@ -306,7 +306,8 @@ def folder(tmp_path_factory):
             name = text.split("\n", 1)[0].removeprefix("# ")
             if re.fullmatch(r"\w+\.(py|toml|yml)", name) and language in ("python", "toml", "yaml"):
                 (folder / name).write_text(text, encoding="utf-8")
-    for run, agent in (("apg-cruise", "apg-cruise"), ("ppo-slow", "ppo-slow"), ("helm-any-vehicle", "helm-any")):
+    trained = {"ppo-cruise-storm": "ppo-cruise", "helm-any-vehicle": "helm-any"}
+    for run, agent in {"apg-cruise": "apg-cruise", "ppo-slow": "ppo-slow", **trained}.items():
         shutil.copytree(agent_folder(agent), folder / "runs" / "train" / run / "agent")
     shutil.copytree(ROOT / "docs" / "seas", folder / "docs" / "seas")
     (folder / "runs" / "ppo").mkdir()

@@ -1,4 +1,4 @@
-"""The changes of the source that docs/extending.md shows, made in a copy: what they add works in every environment."""
+"""The changes that docs/extending-source.md shows, made in a copy: what they add works in every environment."""
 
 import csv
 import re
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGE = (ROOT / "docs/extending.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/extending-source.md").read_text(encoding="utf-8")
 IGNORED = shutil.ignore_patterns("__pycache__")
 
 
@@ -24,7 +24,7 @@ def copy(tmp_path):
 
 def apply(recipe, folder):
     """Make the changes of a recipe, whose block names files (+++) and has parts (@@), each found once in its file."""
-    block = re.search(rf"^### {recipe}\n.*?^```diff\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)[1]
+    block = re.search(rf"^## {recipe}\n.*?^```diff\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)[1]
     for change in block.split("+++ ")[1:]:
         name, _, lines = change.partition("\n")
         file = folder / name

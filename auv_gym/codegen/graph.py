@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from ctypes import c_float
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,6 +22,12 @@ import numpy as np
 from auv_gym.physics.namespaces import FLOATS, Constants, Namespace
 
 Key = tuple[Any, ...]
+
+
+def floor(x: float) -> float:
+    """Return the largest whole number that is not above x; of an infinity that itself, as C and NumPy do."""
+    return x // 1.0 if -math.inf < x < math.inf else x
+
 
 EXACT: dict[str, Callable[..., Any]] = {
     "add": lambda a, b: a + b,
@@ -35,8 +42,8 @@ EXACT: dict[str, Callable[..., Any]] = {
     "log": math.log,
     "sqrt": math.sqrt,
     "arctan2": math.atan2,
-    "floor": FLOATS.floor,
-    "single": lambda a: float(np.float32(a)),
+    "floor": floor,
+    "single": lambda a: c_float(a).value,
     "clip": FLOATS.clip,
     "where": FLOATS.where,
     "lt": lambda a, b: a < b,
@@ -50,6 +57,15 @@ TRUTHS = frozenset(("lt", "le", "and", "or", "not"))
 """Operations that give a truth value."""
 COMMUTATIVE = frozenset(("add", "mul", "and", "or"))
 """Operations whose arguments may change places."""
+
+
+def carried_out(operation: str, *numbers: Any) -> Any:
+    """Return what an operation of `EXACT` gives for numbers; inf or nan where Python raises, as in C and NumPy."""
+    try:
+        return EXACT[operation](*numbers)
+    except (ArithmeticError, ValueError):
+        with np.errstate(all="ignore"):
+            return float(getattr(np, "divide" if operation == "div" else operation)(*numbers))
 
 
 @dataclass
@@ -90,7 +106,7 @@ class Graph:
         symbols = [self.symbol(a) for a in arguments]
         known = [s.value for s in symbols]
         if None not in known:
-            return self.constant(EXACT[operation](*known))
+            return self.constant(carried_out(operation, *known))
         if (simple := _simplified(operation, symbols, known)) is not None:
             return simple
         if self.structural and (simple := _without_zeros(operation, symbols, known)) is not None:
@@ -251,7 +267,7 @@ def _applied(operation: str) -> Callable[..., Any]:
 
     def function(*arguments: Any) -> Any:
         graph = next((a.graph for a in arguments if isinstance(a, Symbol)), None)
-        return EXACT[operation](*arguments) if graph is None else graph.apply(operation, *arguments)
+        return carried_out(operation, *arguments) if graph is None else graph.apply(operation, *arguments)
 
     return function
 

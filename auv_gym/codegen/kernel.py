@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 from auv_gym.codegen import native
 from auv_gym.codegen.blocks import c_block_function
 from auv_gym.codegen.elementary import lowered
-from auv_gym.codegen.graph import Graph, Symbol
+from auv_gym.codegen.graph import EXACT, Graph, Symbol, floor
 from auv_gym.codegen.printing import NUMPY, PYTHON, Arrays, Language, Layout, c_function, python_function
 from auv_gym.physics.namespaces import ARRAYS, AnyArray
 
@@ -73,6 +73,10 @@ class Kernel:
         layout = Layout(frozenset(over_time), frozenset(shared), precision, back, blocked)
         return cls("auv_kernel", graph, arguments, results, layout)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return everything but what is made of it when it is needed, among it addresses in this process."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
     @cached_property
     def rows(self) -> dict[str, int]:
         """How many rows each array has, in the order in which the compiled function takes them."""
@@ -106,7 +110,7 @@ class Kernel:
 
     @cached_property
     def _on_floats(self) -> Callable[..., tuple[Any, ...]]:
-        space = {**_FLOAT_SPACE, "arctan2": math.atan2, "floor": _floor, "single": _single_float}
+        space = {**_FLOAT_SPACE, "arctan2": math.atan2, "floor": floor, "single": EXACT["single"]}
         return self._python(PYTHON, space)
 
     @cached_property
@@ -258,14 +262,6 @@ class Kernel:
     def _empty(self, name: str, steps: int, n: int) -> AnyArray:
         shape = (steps, self.rows[name], n) if name in self.layout.over_time else (self.rows[name], n)
         return np.empty(shape, dtype=_REAL[self.layout.precision])
-
-
-def _floor(x: float) -> float:
-    return x // 1.0
-
-
-def _single_float(x: float) -> float:
-    return float(np.float32(x))
 
 
 def _single_rows(x: AnyArray) -> AnyArray:

@@ -10,10 +10,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import ARRAYS, FLOATS, Namespace, Number
-from auv_gym.task.observation import action_of, decoded_terms
+from auv_gym.task.observation import F_R_MAX, F_U_MAX, SIZE, Observation, action_of, decoded_terms
 
+LARGEST = 1e12
+"""Magnitude beyond which an entry of an observation was not measured: those of the largest ships are below 2e11."""
+_A_U = Observation._fields.index("a_u")  # where the last surge command stands in an observation; yaw's is next to it
+_POSITIVE = [F_U_MAX, F_R_MAX, Observation._fields.index("dt")]  # the limits and the control period
 Forces: TypeAlias = Callable[[Sequence[Number], Namespace], tuple[Number, Number]]
 """F_u [N], F_r [N m] of the terms of an observation in SI units, computed with a namespace."""
+
+
+def measured(observation: NDArray[Any]) -> bool:
+    """Return whether all entries of observations are finite and not beyond `LARGEST`; it costs a microsecond.
+
+    It may return False where only their squares add up to more.
+    """
+    entries = observation.ravel("K")
+    return bool(entries.dot(entries) <= LARGEST * LARGEST)
+
+
+def usable(rows: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return for which observations, rows (N, n), a command can be computed, shape (N,).
+
+    All entries are finite and not beyond `LARGEST`, and limits and control period are positive.
+    """
+    return np.asarray((np.abs(rows) <= LARGEST).all(axis=1) & (rows[:, _POSITIVE] > 0).all(axis=1))
+
+
+def last_commands(rows: NDArray[Any]) -> NDArray[np.float32]:
+    """Return the actions before observations, rows (N, n), that these hold, shape (N, 2); zero for what is none."""
+    last = rows[:, _A_U : _A_U + 2]
+    return np.where(np.abs(last) <= 1.0, last, 0.0).astype(np.float32)
 
 
 class Policy(Protocol):
@@ -53,12 +80,19 @@ class Law(ABC):
         """Return the action for an observation of shape (18,), or actions (N, 2) for (N, 18), and `state` untouched.
 
         The law has no memory; the arguments behind the first are those of every policy. Wider observations, as the
-        residual environment's, are fine.
+        residual environment's, are fine. Where an observation is not `usable` the last command is repeated.
 
         Raises:
             ValueError: the observation has another shape.
         """
         o = decoded_terms(observation)
+        if not measured(terms := observation[..., :SIZE]):
+            rows = np.atleast_2d(terms)
+            action, good = last_commands(rows), usable(rows)
+            if good.any():
+                o = decoded_terms(rows[good])
+                action[good] = np.stack(action_of(self.forces(o, ARRAYS), o, ARRAYS), axis=1)
+            return action.reshape(*observation.shape[:-1], 2), state
         self.check(o)
         if observation.ndim == 1:
             return np.array(action_of(self.forces(o), o, FLOATS), dtype=np.float32), state

@@ -39,6 +39,11 @@ Beyond that the sea is not calm; the filter begins again from where the first on
 that it believes in is unstable in yaw at cruise."""
 REMEMBERED = tuple(name for name in Estimate._fields if name != "lag")
 """The entries of an `Estimate` that a filter remembers."""
+LARGEST_ESTIMATE = dict.fromkeys(REMEMBERED, 1e6) | dict.fromkeys(("u", "v", "r"), 100.0)
+"""Magnitude [SI units] beyond which an entry of an estimate is none: the filter begins again.
+
+Where observations are held back or wrong the model may run away. In six episodes or more of each case of the frozen
+suites, in the filters' own units, no velocity was above 5 m/s, no yaw rate above 3 rad/s and no load above 2000 N."""
 SHARED = 3  # rows that both filters remember: the age, and the last fix x_e, y_e [m]
 ROWS = SHARED + len(LAGS) * len(REMEMBERED)
 """Rows that the filters remember, all zero at an episode's start."""
@@ -109,11 +114,11 @@ def filtered(
         command = o.a_u * o.F_u_max, o.a_r * o.F_r_max
         ahead = transition(own, command, step, o.dt, hull, ns)
         z = _corrected(ahead, measured, held, o, tables, speed_share(speed), ns)
-        first = (*measured, *[0.0 * lost for lost in z[len(measured) :]])
-        begun = [ns.where(fresh, a, b) for a, b in zip(first, z, strict=True)]
+        first, wild = (*measured, *[0.0 * o.dt] * (len(z) - len(measured))), _wild(z)
+        begun = [ns.where(fresh | wild, a, b) for a, b in zip(first, z, strict=True)]
         if found:
             still = [*found[0][: PLACE.V_x], *first[PLACE.V_x :]]  # where the first one is, in still water
-            joined = (age < _SETTLED) | _far(found[0], z, speed)
+            joined = (age < _SETTLED) | _far(found[0], z, speed) | wild
             begun = [ns.where(joined, a, b) for a, b in zip(still, begun, strict=True)]
         found.append(Estimate._make(begun))
     after = (ns.clip(age + 1.0, 0.0, _SETTLED), x_e, y_e, *(getattr(z, name) for z in found for name in REMEMBERED))
@@ -124,6 +129,14 @@ def _far(a: Estimate, b: Estimate, speed: Number) -> Any:
     """Return whether two estimates differ by more than noise explains."""
     x, y, psi, leash = a.x_e - b.x_e, a.y_e - b.y_e, a.psi - b.psi, LEASH[0] + LEASH[1] * speed
     return (x * x + y * y > leash * leash) | (psi * psi > LEASH[2] * LEASH[2])
+
+
+def _wild(z: Estimate) -> Any:
+    """Return whether an entry of an estimate is beyond `LARGEST_ESTIMATE`, or no number."""
+    within: Any = True
+    for name, most in LARGEST_ESTIMATE.items():
+        within = (abs(getattr(z, name)) <= most) & within
+    return within ^ True
 
 
 def _estimate(rows: Sequence[Number], lag: float) -> Estimate:

@@ -1,20 +1,22 @@
 """Policies that are programs of their own, in any language: `cmd:./my_controller --option`, asked line by line.
 
 The program gets one line of JSON on its standard input and answers with one on its standard output: first a greeting,
-then a batch of observations at each control instant. `docs/enter.md` has the protocol and examples.
+then a batch of observations at each control instant. `docs/programs.md` has the protocol and examples.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import secrets
 import shlex
 import signal
 import subprocess
 import threading
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,6 +41,10 @@ DECISION = 0.1
 LONGEST_WAIT = 3600.0  # [s] for an answer, where the limit of a decision is infinite
 FAREWELL = 0.5  # [s] that a program has to end by itself once its standard input is closed
 LAST_WORDS = 300  # bytes of its standard error that are told
+MARK = "AUV_GYM_PROGRAM_"
+"""What the name of an environment variable begins with by which a program and all that it starts are found."""
+MOST_FILES = 1000
+"""Most files of a folder among the words of a command."""
 
 _EXAMPLE = Observation(*(0.0 for _ in Observation._fields))._replace(
     e_x=0.1, e_y=-0.1, psi_e=0.05, u_R=0.5, F_uR=35.0, cos_psi=1.0, F_u_max=400.0, F_r_max=200.0, dt=0.1
@@ -132,19 +138,27 @@ class _Talk:
     """A running program: a question, an answer, and in the end nothing that still runs."""
 
     def __init__(self, command: str) -> None:
-        self.command, self._overdue = command, False
+        self.command, mark = command, f"{MARK}{secrets.token_hex(8)}"
         try:
             words = shlex.split(command)
             if not words:
                 raise ValueError("there is no word behind cmd:")
             pipe = subprocess.PIPE
-            process = subprocess.Popen(words, stdin=pipe, stdout=pipe, stderr=pipe, start_new_session=True)
+            process = subprocess.Popen(
+                words,
+                bufsize=0,
+                stdin=pipe,
+                stdout=pipe,
+                stderr=pipe,
+                start_new_session=True,
+                env={**os.environ, mark: "1"},
+            )
         except OSError as error:
             raise ProgramError(f"cannot start {COMMAND}{command}: {error.strerror}: {error.filename}") from error
         except ValueError as error:
             raise ProgramError(f"cannot start {COMMAND}{command}: {error}") from error
         self._process, self._said = process, _Tail(process.stderr)
-        self.end = weakref.finalize(self, _end, process)
+        self.end = weakref.finalize(self, _end, process, mark)
 
     def blamed(self) -> _Blamed:
         """Return a context in which whatever goes wrong is said to be this program's, which is ended then."""
@@ -152,33 +166,18 @@ class _Talk:
 
     def ask(self, question: Mapping[str, Any], seconds: float) -> dict[str, Any]:
         """Return the answer to a question; raise ProgramError if there is none in time, or it is no table."""
-        process, line = self._process, b""
-        assert process.stdin is not None
-        assert process.stdout is not None
-        clock = threading.Timer(min(seconds, LONGEST_WAIT), self._give_up)
-        clock.daemon = True
-        clock.start()
-        try:
-            with suppress(OSError):  # what has ended reads nothing; how it ended is said below
-                process.stdin.write(json.dumps(question, allow_nan=False).encode() + b"\n")
-                process.stdin.flush()
-            while not line.endswith(b"\n") and len(line) <= LONGEST_ANSWER:
-                if not (part := process.stdout.read1(2**20)):  # type: ignore[attr-defined]
-                    break
-                line += part
-        finally:
-            clock.cancel()
-        if self._overdue:
+        text, line = json.dumps(question, allow_nan=False).encode() + b"\n", bytearray()
+        talk = threading.Thread(target=_exchange, args=(self._process, text, line), daemon=True)
+        talk.start()
+        talk.join(min(seconds, LONGEST_WAIT))  # its pipes may be held open by what it has started
+        if talk.is_alive():
+            self.end()
             raise ProgramError(f"it has not answered for {seconds:.3g} s{self._said}")
         if len(line) > LONGEST_ANSWER:
             raise ProgramError(f"its answer is longer than {LONGEST_ANSWER} bytes")
         if not line.endswith(b"\n"):
             raise ProgramError(self._ending())
-        return _table(line)
-
-    def _give_up(self) -> None:
-        self._overdue = True
-        _kill(self._process)
+        return _table(bytes(line))
 
     def _ending(self) -> str:
         """Return how the program has ended."""
@@ -243,28 +242,78 @@ def _cut(text: str) -> str:
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
+def _exchange(process: subprocess.Popen[bytes], question: bytes, line: bytearray) -> None:
+    """Write a question to a program and add what it answers, up to the end of the line, to an array."""
+    assert process.stdin is not None
+    assert process.stdout is not None
+    with suppress(OSError, ValueError):  # what has ended reads nothing
+        while question:
+            question = question[process.stdin.write(question) :]
+    with suppress(OSError, ValueError):  # the pipe was closed, since it took too long
+        while not line.endswith(b"\n") and len(line) <= LONGEST_ANSWER and (part := process.stdout.read(2**16)):
+            line += part
+
+
+def _end(process: subprocess.Popen[bytes], mark: str) -> None:
     """Let a program end: close its standard input, and kill what is left of it after a while."""
     with suppress(OSError, ValueError):
         if process.stdin is not None:
             process.stdin.close()
     with suppress(subprocess.TimeoutExpired):
         process.wait(FAREWELL)
-    _kill(process)
-    process.wait()
-    if process.stdout is not None:
-        process.stdout.close()
-
-
-def _kill(process: subprocess.Popen[bytes]) -> None:
-    """Kill a program and what it has started."""
     with suppress(OSError):
         if hasattr(os, "killpg"):
             os.killpg(process.pid, signal.SIGKILL)
         else:
             process.kill()
+    for _ in range(_ROUNDS):
+        if not (left := list(_marked(mark))):
+            break
+        for pid in left:
+            with suppress(OSError):
+                os.kill(pid, signal.SIGKILL)
+    process.wait()
+    if process.stdout is not None:
+        process.stdout.close()
 
 
-def files_of(words: Sequence[str]) -> list[str]:
-    """Return those words of a command that are files beside which it runs: the program, its script, its weights."""
-    return [word for word in words if os.path.isfile(word)]  # noqa: PTH113, a word of any kind
+_ROUNDS = 100  # of killing what a program has started, which may start more meanwhile
+
+
+def _marked(mark: str) -> Iterator[int]:
+    """Yield the processes with an environment variable, where the system shows it: in whatever session they are."""
+    for file in Path("/proc").glob("[0-9]*/environ"):
+        with suppress(OSError):  # it has ended, or is another user's
+            if f"{mark}=".encode() in file.read_bytes():
+                yield int(file.parent.name)
+
+
+def files_of(words: Sequence[str]) -> list[Path]:
+    """Return the files that the words of a command name: a word itself, what is behind its first "=", or in a folder.
+
+    In a folder all files count, those of its folders too, but for hidden ones and Python's caches.
+
+    Raises:
+        ValueError: a folder holds more than `MOST_FILES` files.
+    """
+    found: list[Path] = []
+    for path in dict.fromkeys(part for word in words for part in (word, word.partition("=")[2]) if part):
+        if os.path.isfile(path):  # noqa: PTH113, a word of any kind
+            found.append(Path(path))
+        elif os.path.isdir(path):  # noqa: PTH112
+            found += _inside(path)
+    return found
+
+
+def _inside(folder: str) -> list[Path]:
+    """Return the files of a folder."""
+    found: list[Path] = []
+    for where, folders, names in os.walk(folder):
+        folders[:] = [name for name in folders if not name.startswith((".", "__pycache__"))]
+        found += [file for name in names if not name.startswith(".") and (file := Path(where, name)).is_file()]
+        if len(found) > MOST_FILES:
+            raise ValueError(
+                f"the command names the folder {folder}, which holds more than {MOST_FILES} files, too many to watch "
+                "for changes: name a file, or a smaller folder"
+            )
+    return sorted(found)

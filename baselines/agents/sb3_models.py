@@ -54,11 +54,18 @@ class _Model(Batched):
         action = base.astype(np.float64) + self.authority * np.clip(correction, -1.0, 1.0)
         return np.clip(action, -1.0, 1.0).astype(np.float32), state
 
-    def _act(self, observation: NDArray[Any], *rest: Any) -> tuple[NDArray[np.float32], Memory | None]:
+    def _act(
+        self, observation: NDArray[Any], state: Memory | None, *rest: Any
+    ) -> tuple[NDArray[np.float32], Memory | None]:
         if self.statistics is not None:
             observation = self.statistics.normalize_obs(observation)
-        result: tuple[NDArray[np.float32], Memory | None] = self.model.predict(observation, *rest)
-        return result
+        action, state = self.model.predict(observation, _turned(state), *rest)
+        return action, _turned(state)
+
+
+def _turned(memory: Memory | None) -> Memory | None:
+    """Return a recurrent model's memory with its first two axes, layers and vehicles, the other way round."""
+    return memory and tuple(array.swapaxes(0, 1) for array in memory)
 
 
 def statistics_file(file: Path) -> Path | None:

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from baselines.evaluation import suites
+from baselines.evaluation.fingerprints import simulator_fingerprint
 from baselines.evaluation.options import Options
 from baselines.evaluation.progress import Listener, progress
 from baselines.evaluation.report.files import results_csv, results_json
@@ -49,8 +50,17 @@ def evaluate(request: Request) -> int:
 
 def _run(request: Request, store: RowStore, report: Listener) -> list[Run]:
     """Return the runs of a request, cell by cell; each is kept in the store when it is complete."""
-    found, options = list(request.earlier), request.options
-    known = store.load if options.resume else lambda _: None
+    found, options, simulator = list(request.earlier), request.options, simulator_fingerprint()
+    others: list[str] = []  # keys of runs that another simulator has left
+
+    def known(key: str) -> Run | None:
+        run = store.load(key) if options.resume else None
+        if run is not None and run.simulator != simulator:
+            if not others:
+                print("note: runs that another version of the simulator has left are run again", file=sys.stderr)
+            others.append(key)
+        return run
+
     for run in report.runs(request.pairs, request.workers, options.step_limit, known):
         store.save(run)
         found.append(run)

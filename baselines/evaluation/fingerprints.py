@@ -8,7 +8,7 @@ import importlib.util
 import inspect
 import json
 import shlex
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -36,13 +36,13 @@ def fingerprint(name: str) -> str:
     """Return a SHA-256 of what makes a policy's numbers; "" where there is nothing of that name.
 
     Of FILE.py:FACTORY, FILE.zip and FILE.onnx that is the file; what it imports does not count. Of a program the words
-    of its command, and the files among them. Of an agent the weights, what acts in its description, its expert and the
-    code that runs it. Of a policy with a guard what that is of it and of the one that takes over, and the guard's code.
-    Of a controller its options, its gains and the code of the modules that it is made of, without docstrings, comments
-    and format.
+    of its command and the files that they name, see `files_of`. Of an agent the weights, what acts in its description,
+    its expert and the code that runs it. Of a policy with a guard what that is of it and of the one that takes over,
+    and the guard's code. Of a controller its options, its gains and the code of the modules that it is made of, without
+    docstrings, comments and format.
 
     Raises:
-        ValueError: a file is larger than `LARGEST_POLICY_FILE`.
+        ValueError: a file is larger than `LARGEST_POLICY_FILE`, or a folder has too many files.
     """
     if (parts := guarded_name(name)) is not None:
         both = fingerprint(parts[0]), fingerprint(parts[1] or _GUARD_LAW)
@@ -51,7 +51,7 @@ def fingerprint(name: str) -> str:
     try:
         if name.startswith(COMMAND):
             words = shlex.split(name.removeprefix(COMMAND))
-            return _hash([*words, *(_bytes(Path(word)) for word in files_of(words))])
+            return _hash([*words, *(part for file in files_of(words) for part in (str(file), _bytes(file)))])
         if bare.endswith(SUFFIX):
             return _hash([_bytes(Path(bare))])
         if ".py:" in bare:
@@ -66,6 +66,37 @@ def fingerprint(name: str) -> str:
     except OSError:
         pass
     return ""
+
+
+def watched(name: str) -> str | None:
+    """Return what of a policy is in its fingerprint, where that is not all that it is made of; else None."""
+    parts = []
+    for part in guarded_name(name) or (name,):
+        if part.startswith(COMMAND):
+            files = [str(file) for file in files_of(shlex.split(part.removeprefix(COMMAND)))]
+            more = f" and {len(files) - _NAMED} more" if len(files) > _NAMED else ""
+            parts.append(f"the words of {part!r} and the files {', '.join(files[:_NAMED]) or '(none)'}{more}")
+        elif ".py:" in part:
+            parts.append(f"the file {part.rpartition(':')[0]}")
+    return f"{' and '.join(parts)}, and nothing else that {name!r} reads or imports" if parts else None
+
+
+_NAMED = 5
+"""Most files that are named in a line."""
+SIMULATOR = "auv_gym.envs.track_vector_env"  # the module of the environment that policies are run in
+SIMULATOR_ROOMS = ("codegen", "envs", "physics", "planning", "scenarios", "task")
+"""Folders of the modules that make an episode's numbers, with a policy's actions."""
+NOT_SIMULATOR = ("auv_gym.codegen.native", "auv_gym.codegen.cache")
+"""Modules that only decide where and by which compiler code is built; results do not depend on that."""
+
+
+def simulator_fingerprint() -> str:
+    """Return a SHA-256 of the code that simulates: of the environment and all that it imports of the package.
+
+    Docstrings, comments, format and the names of modules do not count.
+    """
+    rooms = tuple(f"auv_gym.{room}" for room in SIMULATOR_ROOMS)
+    return _hash([unit.digest for unit in _closure(SIMULATOR, rooms=rooms, without=NOT_SIMULATOR)])
 
 
 def _of_agent(folder: Path, fades: bool) -> str:
@@ -102,13 +133,13 @@ class Unit(NamedTuple):
     words: frozenset[str]  # its string constants
 
 
-def _closure(*modules: str) -> Iterator[Unit]:
-    """Yield modules and all that they import within `ROOMS`, in the order of their digests; nothing for one outside."""
+def _closure(*modules: str, rooms: Sequence[str] = ROOMS, without: Sequence[str] = ()) -> Iterator[Unit]:
+    """Yield modules and all that they import within some packages, in the order of their digests."""
     units: dict[str, Unit] = {}
     waiting = set(modules)
     while waiting:
         name = waiting.pop()
-        if name in units or not f"{name}.".startswith(tuple(f"{room}." for room in ROOMS)):
+        if name in units or name in without or not f"{name}.".startswith(tuple(f"{room}." for room in rooms)):
             continue
         try:
             spec = importlib.util.find_spec(name)

@@ -22,7 +22,7 @@ class Options:
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
     """Policies, compared with the expert; without any, the expert alone. By name; FILE.py:FACTORY; a FILE.zip of
     Stable-Baselines3; a FILE.onnx; "cmd:COMMAND", a program in any language that is asked line by line, see
-    docs/enter.md; the folder of a trained agent, or of the run that trained it. ":fade" behind an agent's name or
+    docs/programs.md; the folder of a trained agent, or of the run that trained it. ":fade" behind an agent's name or
     folder makes its corrections fade where it leaves what it has seen."""
     suite: Annotated[str | None, arg(metavar="S", help_behavior_hint="")] = None
     """Frozen: "benchmark-v2" (the default), "benchmark-v1" (the same episodes; the score's 1 is the oracle's),
@@ -48,5 +48,5 @@ class Options:
     about: Annotated[About, OmitArgPrefixes] = NOTHING
     """What is said of a submission, all of it optional."""
     resume: bool = False
-    """Use the finished runs that an interrupted evaluation has left in the folder; a policy whose file has changed
-    since runs again."""
+    """Use the finished runs that an interrupted evaluation has left in the folder; where the policy's file or the
+    simulator has changed since, or it is too slow for --step-limit, it runs again."""

@@ -1,10 +1,10 @@
 """What policies did in the frozen suites when they were last run: rows to compare with, without waiting for slow ones.
 
-A file SUITE/POLICY.npz each, made by `python -m research suites record SUITE --policy POLICY ...`. It names
-the suite's hash; `STAMPS_FILE` has, for each file, its own hash and the fingerprint of the policy that made it. Where
-one of the three is another now, the rows do not count, until they are recorded anew or `verify` finds that the policy
-still gives the same numbers. A slow policy may have run the first episodes of each cell only, an agent its regime's
-cells.
+A file SUITE/POLICY.npz each, made by `python -m research suites record SUITE --policy POLICY ...`. It names the suite's
+hash. `STAMPS_FILE` has, for each file, its own hash and the fingerprints of the policy and the simulator that made it.
+Where the suite, the file or the policy is another one now, the rows do not count, until they are recorded again or
+`verify` finds that the policy still gives the same numbers. Where the simulator is another one, they count, and a note
+says so. A slow policy may have run the first episodes of each cell only, an agent its regime's cells.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from auv_gym.installation import RECORD, checkout, found, left_out
 from auv_gym.scenarios.presets import REGIMES
 from baselines.agents.agent import Agent
 from baselines.agents.names import agent_folder, bare_name
-from baselines.evaluation.fingerprints import fingerprint
+from baselines.evaluation.fingerprints import fingerprint, simulator_fingerprint
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.runner import Recorded, Run
 from baselines.evaluation.score import regime_of
@@ -50,27 +50,31 @@ class Found:
 
     runs: tuple[Run, ...]  # policy by policy in the order of the registry, cell by cell
     refused: dict[str, str]  # why the rows of a policy do not count, by its name
+    note: str = ""  # says that the simulator has changed since, if it has
 
 
 def load_recorded(suite: Suite, folder: Path = RECORDED_FOLDER) -> Found:
     """Return the recorded runs of a suite that count."""
     runs: list[Run] = []
     refused: dict[str, str] = {}
-    stamps = _stamps(folder)
+    stamps, simulators = _stamps(folder), set()
     for policy in recorded_policies(suite, folder):
         found = _counted(suite, policy, stamps, folder)
         if isinstance(found, str):
             refused[policy] = found
         else:
             runs += found
-    return Found(tuple(runs), refused)
+            simulators.add(tuple(stamps[_key(suite, policy)][2:]))
+    changed = simulators - {(simulator_fingerprint(),)}
+    note = f"the code of the simulator has changed since rows of {suite.name} were recorded" if changed else ""
+    return Found(tuple(runs), refused, note)
 
 
 def _counted(suite: Suite, policy: str, stamps: Mapping[str, list[str]], folder: Path) -> list[Run] | str:
     """Return the runs that are kept of a policy, or why they do not count."""
     try:
         own = read_recorded(suite, policy, folder)
-        if stamps.get(f"{suite.source[0]}/{policy}") != _stamp(suite, policy, folder):
+        if stamps.get(_key(suite, policy), [])[:2] != _stamp(suite, policy, folder)[:2]:
             return "the policy's files have changed since, or the rows have"
     except (OSError, ValueError) as error:
         return str(error)
@@ -133,10 +137,15 @@ def stored_measures(measures: Measures) -> NDArray[np.float32]:
     return np.stack(rows).astype(np.float32)
 
 
+def _key(suite: Suite, policy: str) -> str:
+    """Return the name of a file of rows among the stamps."""
+    return f"{suite.source[0]}/{policy}"
+
+
 def _stamp(suite: Suite, policy: str, folder: Path) -> list[str]:
-    """Return the hash of a file of rows, and the fingerprint of what would make them now."""
-    rows = found(folder, f"{suite.source[0]}/{policy}.npz").read_bytes()
-    return [hashlib.sha256(rows).hexdigest(), fingerprint(policy)]
+    """Return the hash of a file of rows, and the fingerprints of the policy and the simulator as they are now."""
+    rows = found(folder, f"{_key(suite, policy)}.npz").read_bytes()
+    return [hashlib.sha256(rows).hexdigest(), fingerprint(policy), simulator_fingerprint()]
 
 
 def _stamps(folder: Path) -> dict[str, list[str]]:
@@ -149,7 +158,7 @@ def _stamps(folder: Path) -> dict[str, list[str]]:
 
 def stamp_recorded(suite: Suite, policy: str, folder: Path = RECORDED_FOLDER) -> None:
     """Write down that the rows of a policy are what it does now."""
-    stamps = _stamps(folder) | {f"{suite.source[0]}/{policy}": _stamp(suite, policy, folder)}
+    stamps = _stamps(folder) | {_key(suite, policy): _stamp(suite, policy, folder)}
     write_atomically(folder / STAMPS_FILE, json_text(dict(sorted(stamps.items()))))
 
 

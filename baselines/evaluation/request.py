@@ -19,7 +19,7 @@ from auv_gym.scenarios.scenario import Scenario
 from baselines.agents.loading import caution
 from baselines.evaluation import recorded
 from baselines.evaluation.about import NOTHING, checked_about, checked_name
-from baselines.evaluation.fingerprints import fingerprint
+from baselines.evaluation.fingerprints import fingerprint, watched
 from baselines.evaluation.options import Options
 from baselines.evaluation.recorded import regimes_of
 from baselines.evaluation.rollout import make_env
@@ -73,7 +73,9 @@ class Request:
         anchors = task.anchors or Anchors.among(names)
         if task.anchors is not None:
             names = tuple(dict.fromkeys((*names, *(p for p in anchors if all(run.policy != p for run in earlier)))))
-        notes = [note] if (note := recorded.missing(suite or "")) else []
+        notes = [note for note in (recorded.missing(suite or ""), task.note) if note]
+        if options.resume:
+            notes += [f"--resume watches {own}" for own in map(watched, names) if own]
         notes += [f"the recorded rows of {policy} are left out: {reason}" for policy, reason in refused.items()]
         skipped = [_foreign(name, task, notes) for name in names]
         kept = zip(names, skipped, strict=True)
@@ -93,6 +95,7 @@ class _Task(NamedTuple):
     anchors: Anchors | None = None  # of the scores in a frozen suite; None where none is
     recorded: tuple[Run, ...] = ()
     refused: Mapping[str, str] = MappingProxyType({})
+    note: str = ""  # to know about what is recorded
 
 
 def _check(options: Options) -> None:
@@ -158,11 +161,11 @@ def _frozen(name: str, options: Options) -> _Task:
     suite = checked(partial(load_suite, name))
     found = recorded.load_recorded(suite)
     if count is None or all(count >= len(cell.episodes) for cell in suite.cells):
-        return _Task(suite.cells, suite.hash, suite.anchors, found.runs, found.refused)
+        return _Task(suite.cells, suite.hash, suite.anchors, found.runs, found.refused, found.note)
     cells = tuple(Cell(cell.scenario, cell.episodes[:count]) for cell in suite.cells)
     first = tuple(replace(run, measures=run.measures and run.measures[:count]) for run in found.runs)
     digest = hashlib.sha256(f"{suite.hash} {count}".encode()).hexdigest()
-    return _Task(cells, digest, suite.anchors, first, found.refused)
+    return _Task(cells, digest, suite.anchors, first, found.refused, found.note)
 
 
 def _drawn(suite: str | None, options: Options) -> _Task:

@@ -47,7 +47,8 @@ class Rollout:
     errors: NDArray[np.float32]  # [m], shape (K, N); where an episode was lost it keeps its last error
     tracks: tuple[Track, ...]  # of the first `TRACED` episodes
     seconds: float  # wall time of all
-    decision_seconds: float  # processor time of the policy for one vehicle and control step
+    decision_seconds: float  # wall time of the policy for one vehicle and control step
+    slowest_decision: float  # [s] the largest mean time that was compared with the limit, see `Watch`
 
 
 class Moment(NamedTuple):
@@ -64,36 +65,41 @@ class Moment(NamedTuple):
 
 
 class Watch:
-    """Adds up the time that a policy takes."""
+    """Adds up the wall time that a policy takes: what it sleeps, and what other processes do for it, counts too.
 
-    def __init__(self, limit: float = math.inf, elsewhere: bool = False) -> None:
+    Attributes:
+        slowest: the largest mean time of a decision [s] that was compared with the limit.
+    """
+
+    def __init__(self, limit: float = math.inf) -> None:
         """Begin at nothing.
 
         Args:
             limit: the largest time for a decision of one vehicle [s], on average after the first `_PATIENCE` steps.
-            elsewhere: whether the policy computes outside of this process, whose processor time then says nothing.
         """
-        self.limit, self.elsewhere, self.decisions, self._wall, self._processor = limit, elsewhere, 0, 0.0, 0.0
+        self.limit, self.slowest, self._decisions, self._seconds = limit, 0.0, 0, 0.0
         self._unjudged = 0, 0.0  # decisions, and their time, before the speed is judged
 
     @property
     def decision_seconds(self) -> float:
-        """Processor time of a decision of one vehicle [s]; wall time where that is spent elsewhere."""
-        return (self._wall if self.elsewhere else self._processor) / self.decisions
+        """Time of a decision of one vehicle [s]."""
+        return self._seconds / self._decisions
 
     def __enter__(self) -> None:
-        self._since = time.perf_counter(), time.process_time()
+        self._since = time.perf_counter()
 
     def __exit__(self, *_: object) -> None:
-        self._wall += time.perf_counter() - self._since[0]
-        self._processor += time.process_time() - self._since[1]
+        self._seconds += time.perf_counter() - self._since
 
     def count(self, n: int, k: int) -> None:
         """Count the decisions of n vehicles at step k; raise PolicyError where they took too long."""
-        self.decisions += n
+        self._decisions += n
         if k < _PATIENCE:
-            self._unjudged = self.decisions, self._wall
-        elif (mean := (self._wall - self._unjudged[1]) / (self.decisions - self._unjudged[0])) > self.limit:
+            self._unjudged = self._decisions, self._seconds
+            return
+        mean = (self._seconds - self._unjudged[1]) / (self._decisions - self._unjudged[0])
+        self.slowest = max(self.slowest, mean)
+        if mean > self.limit:
             raise PolicyError(f"a decision takes {mean:.3g} s; allowed are {self.limit:g} s")
 
 
@@ -186,7 +192,7 @@ def rollout(
     Raises:
         PolicyError: see `play`.
     """
-    start, watch = time.perf_counter(), Watch(step_limit, isinstance(policy, ProgramPolicy))
+    start, watch = time.perf_counter(), Watch(step_limit)
     if isinstance(policy, ProgramPolicy):
         policy.step_limit = step_limit
     if isinstance(policy, Privileged):
@@ -205,6 +211,7 @@ def rollout(
         log.tracks,
         time.perf_counter() - start,
         watch.decision_seconds,
+        watch.slowest,
     )
 
 

@@ -14,7 +14,7 @@ from baselines.evaluation.metrics import Measures, Track
 from baselines.evaluation.runner import Run
 from baselines.evaluation.store import Stored, reading, write
 
-_PLAIN = ("policy", "fingerprint", "cell_hash", "seconds", "decision_seconds")
+_PLAIN = ("policy", "fingerprint", "cell_hash", "seconds", "decision_seconds", "slowest_decision", "simulator")
 """Fields of a run that are kept as they are."""
 _TRACK = fields(Track)  # each an array of its own
 

@@ -23,7 +23,7 @@ from auv_gym.envs.lanes import plan_of, reference_tables
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
-from baselines.evaluation.fingerprints import fingerprint
+from baselines.evaluation.fingerprints import fingerprint, simulator_fingerprint
 from baselines.evaluation.metrics import Measures, Track
 from baselines.evaluation.rollout import PolicyError, Rollout, rollout
 from baselines.policies import make_policy
@@ -99,10 +99,12 @@ class Run:
     tracks: tuple[Track, ...] = ()  # of the first episodes
     seconds: float = math.nan  # wall time of all episodes, added up over workers
     decision_seconds: float = math.nan  # wall time of the policy for one vehicle and control step
+    slowest_decision: float = 0.0  # [s] the largest mean that was compared with the limit, see `rollout.Watch`
     error: str | None = None
     warnings: tuple[str, ...] = ()
     recorded: Recorded | None = None  # None: the episodes ran now
     fingerprint: str = ""  # of the policy's files, see `fingerprints.fingerprint`
+    simulator: str = ""  # hash of the code that simulated, see `fingerprints.simulator_fingerprint`
     known: bool = False  # left by an evaluation that was interrupted
 
     @property
@@ -187,12 +189,14 @@ def runs(
         workers: where they run.
         step_limit: largest time of a decision [s].
         note: called, wherever a task runs, with its name and the control steps that its vehicles have done.
-        known: returns the run of a key if it is there already.
+        known: returns the run of a key if it is there already. One of another simulator does not count, nor one that
+            took longer for a decision than the limit.
     """
-    prints = {policy: fingerprint(policy) for policy, _ in pairs}
+    prints, simulator = {policy: fingerprint(policy) for policy in dict(pairs)}, simulator_fingerprint()
     tasks: list[Task] = []
     for i, (policy, cell) in enumerate(pairs):
-        if (run := known(run_key(policy, prints[policy], cell.hash))) is not None:
+        run = known(run_key(policy, prints[policy], cell.hash))
+        if run is not None and run.simulator == simulator and run.slowest_decision <= step_limit:
             note(f"{i}-0", len(cell.episodes) * cell.scenario.steps)
             yield replace(run, known=True)
             continue
@@ -207,7 +211,7 @@ def runs(
             run = _joined(policy, cell, [part for _, part in sorted(parts.pop(i).items())])
             if fingerprint(policy) != prints[policy]:
                 run = replace(run, measures=None, error="its files changed while it ran")
-            yield replace(run, fingerprint=prints[policy])
+            yield replace(run, fingerprint=prints[policy], simulator=simulator)
 
 
 def run_all(policies: Sequence[str], cells: Sequence[Cell], *options: Any, **named: Any) -> list[Run]:
@@ -239,5 +243,6 @@ def _joined(policy: str, cell: Cell, parts: Sequence[TaskPart]) -> Run:
         rollouts[0].tracks,
         sum(r.seconds for r in rollouts),
         float(np.mean([r.decision_seconds for r in rollouts])),
+        max(r.slowest_decision for r in rollouts),
         warnings=messages,
     )

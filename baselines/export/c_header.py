@@ -10,6 +10,8 @@ import numpy as np
 
 from auv_gym.codegen.plain import c_dialect, parameters, plain_function, tangent_function
 from auv_gym.codegen.vectors import plain_program
+from auv_gym.task.policy import LARGEST
+from baselines.agents.networks import OUTPUTS
 from baselines.export.parts import (
     MEASURED_NAMES,
     REFERENCE_NAMES,
@@ -33,6 +35,11 @@ In one C file of a program:
 and in every other one that calls it only the second line. At the start of an episode {prefix}_start, then in each
 control period {prefix}_steer with what was measured, or {prefix}_step with an observation that is encoded already.
 Nothing is allocated, and of the C library only sqrt, floor and fabs are called.
+
+Both return {CAPITALS}_OK, or {CAPITALS}_REPEATED where no command can be computed: a number that is given is
+beyond {largest} or not finite, or one that is computed. Then the last command is repeated, zero at an episode's start,
+and the memory stays as it is. The next good measurement is answered as if the bad one had not been.
+It is C99, and C++. Do not compile it with -ffast-math or -ffinite-math-only, which remove these checks.
 """
 
 _DECLARED = """\
@@ -46,6 +53,7 @@ extern "C" {{
 typedef {real} {prefix}_real;
 
 enum {{ {CAPITALS}_OBSERVATION = {size} }}; /* numbers of an observation */
+enum {{ {CAPITALS}_OK = 0, {CAPITALS}_REPEATED = 1 }}; /* whether a command is a new one, or the last one again */
 
 /* What the agent remembers. */
 typedef struct {{
@@ -66,11 +74,11 @@ void {prefix}_start({prefix}_memory *memory);
 /* Write the observation of a view; the memory says what was commanded last. */
 void {prefix}_observe(const {prefix}_memory *memory, const {prefix}_view *view, {prefix}_real *observation);
 
-/* Write the command for an observation: surge and yaw, -1 to 1. */
-void {prefix}_step({prefix}_memory *memory, const {prefix}_real *observation, {prefix}_real *command);
+/* Write the command for an observation: surge and yaw, -1 to 1. Returns whether it is a new one. */
+int {prefix}_step({prefix}_memory *memory, const {prefix}_real *observation, {prefix}_real *command);
 
-/* Write the command for a view; F_u = command[0] F_u_max, F_r = command[1] F_r_max. */
-void {prefix}_steer({prefix}_memory *memory, const {prefix}_view *view, {prefix}_real *command);
+/* Write the command for a view; F_u = command[0] F_u_max, F_r = command[1] F_r_max. Returns whether it is a new one. */
+int {prefix}_steer({prefix}_memory *memory, const {prefix}_view *view, {prefix}_real *command);
 
 #ifdef __cplusplus
 }}
@@ -87,10 +95,19 @@ void {prefix}_steer({prefix}_memory *memory, const {prefix}_view *view, {prefix}
 """
 
 _DEFINED = """\
+static int {prefix}_usable(const real *numbers, int count)
+{{
+    const real largest = (real){largest};
+    int i;
+    for (i = 0; i < count; i++)
+        if (!(numbers[i] >= -largest && numbers[i] <= largest)) return 0;
+    return 1;
+}}
+
 void {prefix}_start({prefix}_memory *memory)
 {{
-    static const {prefix}_memory fresh;
-    *memory = fresh;
+    int i;
+{forget}
 }}
 
 void {prefix}_observe(const {prefix}_memory *memory, const {prefix}_view *view, real *observation)
@@ -98,22 +115,33 @@ void {prefix}_observe(const {prefix}_memory *memory, const {prefix}_view *view, 
     {prefix}_encode({encoded});
 }}
 
-void {prefix}_step({prefix}_memory *memory, const real *observation, real *command)
+int {prefix}_step({prefix}_memory *memory, const real *observation, real *command)
 {{
     static const real authority[2] = {{{authority}}};
-    real features[{features}], base[2]{next};
-    int i;
-    {prefix}_see({seen});
-    {prefix}_network({computed});
-    {prefix}_command(base, authority, memory->correction, memory->command);
-    {keep}for (i = 0; i < 2; i++) command[i] = memory->command[i];
+    {prefix}_memory next = *memory;
+    real features[{features}], base[2];
+    int i, good = {prefix}_usable(observation, {CAPITALS}_OBSERVATION);
+    if (good) {{
+        {prefix}_see({seen});
+        {prefix}_network({computed});
+        {prefix}_command(base, authority, next.correction, next.command);
+        good = {finite};
+    }}
+    if (good) *memory = next;
+    for (i = 0; i < 2; i++) command[i] = memory->command[i];
+    return good ? {CAPITALS}_OK : {CAPITALS}_REPEATED;
 }}
 
-void {prefix}_steer({prefix}_memory *memory, const {prefix}_view *view, real *command)
+int {prefix}_steer({prefix}_memory *memory, const {prefix}_view *view, real *command)
 {{
     real observation[{CAPITALS}_OBSERVATION];
-    {prefix}_observe(memory, view, observation);
-    {prefix}_step(memory, observation, command);
+    int i, good = {given};
+    if (good) {{
+        {prefix}_observe(memory, view, observation);
+        return {prefix}_step(memory, observation, command);
+    }}
+    for (i = 0; i < 2; i++) command[i] = memory->command[i];
+    return {CAPITALS}_REPEATED;
 }}
 
 #undef real
@@ -142,10 +170,13 @@ def c_header(agent: Exported, precision: str = "float32", weights: str = "float3
         "reference": ", ".join(REFERENCE_NAMES),
         "setting": ", ".join(SETTING),
         "ahead": _ahead(agent, prefix),
+        "largest": f"{LARGEST:g}",
     }
     declared = _DECLARED.format(**names)
     printed = _functions(agent, precision, weights, prefix)
-    return "\n".join((_comment(agent, names), declared + printed, _DEFINED.format(**names, **_calls(agent, precision))))
+    return "\n".join(
+        (_comment(agent, names), declared + printed, _DEFINED.format(**names, **_calls(agent, precision, prefix)))
+    )
 
 
 def _ahead(agent: Exported, prefix: str) -> str:
@@ -206,25 +237,32 @@ def _single(x: float) -> str:
     return f"{text}f"
 
 
-def _calls(agent: Exported, precision: str) -> dict[str, str]:
+def _calls(agent: Exported, precision: str, prefix: str) -> dict[str, str]:
     """Return what the written part of the header needs to call the printed functions."""
     given = {"observation": "observation", "ahead": f"observation + {len(agent.columns) - 2 * len(agent.preview)}"}
-    given |= {"correction": "memory->correction", "integrals": "memory->integrals"}
+    given |= {"correction": "memory->correction", "integrals": "next.integrals"}
     see = parameters(agent.see.arguments, agent.seen)
     kernel = measurement_kernel(agent.preview, agent.span)
     encode = parameters(kernel.arguments, kernel.results)
     own = {"observation": "observation", "last": "memory->command"}
-    hidden = agent.agent.network.memory
-    network = (
-        ["features", "memory->hidden", "memory->correction", "next"] if hidden else ["features", "memory->correction"]
-    )
+    hidden = bool(agent.agent.network.memory)
+    network = ["features", *["memory->hidden"] * hidden, "next.correction", *["next.hidden"] * hidden]
+    sizes = {**agent.memory, "command": OUTPUTS}
+    views = {name: len(kernel.arguments[name]) for name in encode if name in kernel.arguments and name != "last"}
     number = c_dialect(precision).language.number
     return {
         "encoded": ", ".join(own.get(name, f"view->{name}") for name in encode),
         "authority": ", ".join(map(number, agent.agent.authority)),
         "features": str(agent.agent.network.inputs),
-        "next": f", next[{hidden}]" if hidden else "",
         "seen": ", ".join(given.get(name, name) for name in see),
         "computed": ", ".join(network),
-        "keep": f"for (i = 0; i < {hidden}; i++) memory->hidden[i] = next[i];\n    " if hidden else "",
+        "forget": "\n".join(f"    for (i = 0; i < {n}; i++) memory->{name}[i] = 0;" for name, n in sizes.items()),
+        "finite": _all_usable("next.", sizes, prefix, 8),
+        "given": _all_usable("view->", views, prefix, 4),
     }
+
+
+def _all_usable(where: str, sizes: Mapping[str, int], prefix: str, indent: int) -> str:
+    """Return the condition that all numbers of these arrays are usable."""
+    checks = (f"{prefix}_usable({where}{name}, {n})" for name, n in sizes.items())
+    return f"\n{' ' * indent}    && ".join(checks)

@@ -10,8 +10,10 @@ import numpy as np
 from auv_gym.codegen.elementary import lowered
 from auv_gym.codegen.graph import Graph, Symbol
 from auv_gym.codegen.vectors import Program
+from auv_gym.task.policy import LARGEST
 from baselines.agents.networks import OUTPUTS
 from baselines.export.parts import Exported
+from baselines.policy import A_U
 
 OPSET = 17
 """Version of the operators: what runtimes of the last years read."""
@@ -55,7 +57,7 @@ class _Writer:
 
         self.precision = precision
         self.real = TensorProto.FLOAT if precision == "float32" else TensorProto.DOUBLE
-        self.single = TensorProto.FLOAT
+        self.single, self.truth = TensorProto.FLOAT, TensorProto.BOOL
         self.nodes: list[Any] = []
         self.constants: dict[str, Any] = {}
 
@@ -108,6 +110,21 @@ class _Writer:
         self.node("Expand", [number, f"{name}_shape"], [name])
         return name
 
+    def within(self, array: str, most: float) -> str:
+        """Add which entries of an array are numbers of at most a magnitude, and return the name of these truths."""
+        self.node("Abs", [array], [f"{array}_size"])
+        self.node("LessOrEqual", [f"{array}_size", self.number(most)], [f"{array}_within"])
+        return f"{array}_within"
+
+    def usable(self, arrays: Sequence[str]) -> str:
+        """Add in which rows all entries of some arrays are usable, and return the name of that column of truths."""
+        for array in arrays:  # there is no minimum of truth values
+            self.node("Cast", [self.within(array, LARGEST)], [f"{array}_ones"], to=self.real)
+            self.node("ReduceMin", [f"{array}_ones"], [f"{array}_least"], axes=[1], keepdims=1)
+        self.node("Min", [f"{array}_least" for array in arrays], ["least"])
+        self.node("Cast", ["least"], ["usable"], to=self.truth)
+        return "usable"
+
     def program(self, program: Program, given: Mapping[str, str]) -> dict[str, str]:
         """Add a network and return the names of its results; vectors are rows here."""
         names: dict[int, str] = {}
@@ -142,7 +159,9 @@ def onnx_model(agent: Exported, precision: str = "float64") -> Any:
     """Return an agent as an `onnx.ModelProto`, checked.
 
     Its inputs are observation (batch, n) and the memory, arrays (batch, size) that are zero at an episode's start; its
-    outputs the action (batch, 2) and, by the names next_..., the memory to hand in next.
+    outputs the action (batch, 2) and, by the names next_..., the memory to hand in next. Where an observation, or what
+    is computed, is not finite or beyond `LARGEST`, the action is the last one, which the observation holds, or zero if
+    that is not finite either, and the memory is the one that was handed in.
 
     Args:
         agent: what is printed.
@@ -155,10 +174,12 @@ def onnx_model(agent: Exported, precision: str = "float64") -> Any:
 
     writer = _Writer(precision)
     results = _wired(writer, agent)
+    before = {"action": _last_command(writer), **{f"next_{name}": name for name in agent.memory}}
+    usable = writer.usable(["observation", *(results[name] for name in before)])
     sizes = {"observation": len(agent.columns), **agent.memory}
     ends = {"action": OUTPUTS} | {f"next_{name}": size for name, size in agent.memory.items()}
     for name in ends:
-        writer.node("Identity", [results[name]], [name])
+        writer.node("Where", [usable, results[name], before[name]], [name])
     inputs, outputs = (
         [helper.make_tensor_value_info(name, writer.real, ["batch", size]) for name, size in part.items()]
         for part in (sizes, ends)
@@ -170,6 +191,14 @@ def onnx_model(agent: Exported, precision: str = "float64") -> Any:
     helper.set_model_props(model, agent.facts)
     checker.check_model(model, full_check=True)
     return model
+
+
+def _last_command(writer: _Writer) -> str:
+    """Add the last command that the observation holds, zero where it is no command, and return its name."""
+    first, end, axis = (writer.constant(f"at_{k}", [k], np.int64) for k in (A_U, A_U + OUTPUTS, 1))
+    writer.node("Slice", ["observation", first, end, axis], ["last"])
+    writer.node("Where", [writer.within("last", 1.0), "last", writer.number(0.0)], ["last_command"])
+    return "last_command"
 
 
 def _wired(writer: _Writer, agent: Exported) -> dict[str, str]:

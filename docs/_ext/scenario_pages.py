@@ -1,4 +1,4 @@
-"""A page for each preset: what is in the way, its numbers with their units, and the policies in it, best score first.
+"""A page for each preset: its disturbance, its numbers with their units, and the policies in it, best score first.
 
 The pages are written into docs/scenarios/ before Sphinx looks for pages, and are not kept in git.
 """
@@ -37,16 +37,16 @@ env = gym.make("auv_gym:UnderactuatedAUVTrack-{name}-v0")
 {standings}
 ## Parameters
 
-Fields of a [`Scenario`](../api/auv_gym.scenarios.md) and of its parts. What is off is left out. From an
-interval each episode draws its own value.
+Fields of the [`Scenario`](../api/auv_gym.scenarios.md) and of its parts. Parts that are off are left out. Each episode
+draws its own value from an interval.
 
 {parameters}
 """
 STANDINGS = """
-## Policies in it
+## Results
 
-As recorded on the episodes of this case in `{suite}`; [Evaluation](../metrics.md#what-is-measured) defines the columns.
-A score means little where the expert leaves little to gain, as in still water.
+All policies on the episodes of this case in `{suite}`. [Evaluation](../metrics.md#what-is-measured) defines the
+columns. A score means little where the expert is already accurate, as in still water.
 
 {table}
 """
@@ -98,16 +98,16 @@ def write(app: Sphinx) -> None:
     rows = re.findall(
         r"^\| `([\w-]+)` \| (.+) \|$", (source / "scenarios.md").read_text(encoding="utf-8"), re.MULTILINE
     )
-    told, texts = {name: line.replace("](", "](../") for name, line in rows}, {}
+    cases, texts = {name: line.replace("](", "](../") for name, line in rows}, {}
     suite = load_suite(SUITE)
     entries = [result.entry for result in compare(load_recorded(suite).runs, suite.anchors)]
     for name, scenario in PRESETS.items():
         own = [entry for entry in entries if entry.place == name]
-        texts[f"{name}.md"] = page(scenario, told[name.removeprefix(f"{regime_of(name)}-")], own)
+        texts[f"{name}.md"] = page(scenario, cases[name.removeprefix(f"{regime_of(name)}-")], own)
     replace_folder(source / "scenarios", texts)
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Connect the hook, behind that of the modules' pages, which reads the comments behind fields."""
+    """Connect the hook after that of the modules' pages, which reads the comments of fields."""
     app.connect("builder-inited", write, priority=600)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,4 +1,4 @@
-"""Tables of docs/export.md: exported agents beside the agents that they were made of, from data/deployment.json."""
+"""Tables of docs/export-cost.md: exported agents compared with the agents on NumPy, from data/deployment.json."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ MEASURED_FILE = DATA / "deployment.json"
 
 
 def agreement_section() -> str:
-    """Return the largest differences of commands, and the score that is lost, with the number of episodes."""
-    heads = ("agent", "ONNX, double", "ONNX, single", "header, double", "header, single", "score", "lost in single")
+    """Return the largest differences of commands, and the loss of score, with the number of episodes."""
+    heads = ("agent", "ONNX, double", "ONNX, single", "header, double", "header, single", "score", "loss in single")
     keys = ("onnx64", "onnx32", "c64", "c32")
     record = read_json(MEASURED_FILE)
     rows = [
@@ -26,9 +26,9 @@ def agreement_section() -> str:
 
 
 def rounded_section() -> str:
-    """Return the score that is lost with weights of eight bits."""
+    """Return the loss of score with weights of eight bits."""
     return table(
-        ("agent", "score", "lost with int8", "interval"),
+        ("agent", "score", "loss with int8", "interval"),
         [(a["name"], fixed(a["score"]), fixed(a["lost8"][0], 4), fixed_ends(a["lost8"][1:], 4)) for a in _agents()],
     )
 
@@ -43,7 +43,7 @@ def speed_section() -> str:
 
 
 def cortex_m4_section() -> str:
-    """Return what a decision takes on the emulated Cortex-M4."""
+    """Return the cost of a decision on the emulated Cortex-M4."""
     heads = ("on the Cortex-M4", "instructions", "difference", "code", "code, int8", "memory", "stack")
     sizes = ("code", "code8", "memory", "stack")
     return table(

@@ -26,7 +26,7 @@ class Leaderboard:
 
     suite: Suite
     submissions: tuple[Submission, ...]
-    entries: tuple[Entry, ...]  # the best first, regime by regime
+    entries: tuple[Entry, ...]  # by speed range, the best first
     verified: Mapping[str, Mapping[str, Any]]  # what `VERIFIED_FILE` says of those that were run again, by name
 
 

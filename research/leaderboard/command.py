@@ -52,9 +52,7 @@ class Options:
     words: Annotated[Positional[tuple[str, ...]], arg(metavar="[FILE [POLICY]]")] = ()
     """The submission, and the policy as evaluate.py --policy takes it."""
     share: float = REPRODUCED_SHARE
-    """Share of each case's episodes that is run again, from above 0 to 1."""
-    seed: int | None = None
-    """Seed that chooses them. Default: a random one, which is shown."""
+    """Share of each case's episodes that is run again, from 0.05 to 1; chance chooses them."""
     replace: bool = False
     """Enter in place of an entry of the same name."""
     folder: Path = Path("leaderboard")
@@ -75,7 +73,9 @@ def main(arguments: Sequence[str]) -> int:
     wanted, count = WORDS[options.action]
     if len(options.words) != count:
         raise UsageError(f"{options.action} takes {wanted}; given are {len(options.words)} words")
-    check_numbers(options.share, options.seed, STEP_LIMIT, options.jobs)
+    check_numbers(options.share, None, STEP_LIMIT, options.jobs)
+    if options.share < REPRODUCED_SHARE:
+        raise UsageError(f"--share is {options.share}; an entry is verified by {REPRODUCED_SHARE} or more")
     try:
         if options.action == "enter":
             _enter(options)
@@ -106,10 +106,16 @@ def _enter(options: Options) -> None:
 
 
 def _reproduced(submission: Submission, policy: str, file: Path, options: Options) -> bool:
-    """Run a share of an entry's episodes again, and record it where they are the same; return whether they are."""
+    """Run a share of an entry's episodes again and return whether it is verified, which is recorded then.
+
+    It is verified if they are the same, by the policy that was submitted.
+    """
     print(f"{file}:")
-    episodes, seed = episodes_to_run(submission, options.share, options.seed)
+    episodes, seed = episodes_to_run(submission, options.share, None)
     if reproduce(submission, policy, episodes, options.jobs, STEP_LIMIT) != DONE:
+        return False
+    if fingerprint(policy) != submission.fingerprint:
+        print(f"not verified: {policy} is not the policy that was submitted", file=sys.stderr)
         return False
     stamp(file, options.folder, sum(map(len, episodes.values())), submission.episodes, seed)
     return True

@@ -18,20 +18,27 @@ _TEXT = f"""# Leaderboard
 
 <!-- Made by `{PROGRAM} page`; do not edit. -->
 
-What anybody has entered, suite by suite and regime by regime, the best first. The score is 0 for the expert and 1 for
-the policy that is named with each suite, with its 95 % interval over paired episodes; *lost* are episodes that ended
-too far off or whose tail is the cap and more, with the largest share that this can mean; *effort* and *rate* of the
-command are relative to the expert's; *ms* is the time per decision on the submitter's machine, with many vehicles side
-by side; *training* is what the submitter says that it cost. *Verified* entries were run again by the project, as many
-of their episodes as are named, drawn at random behind the submitter's back; of the others only the file was checked.
-[Evaluation](metrics.md) has the definitions, [leaderboard.json](leaderboard.json) the same as a table, and
-[Enter](enter.md) says how to get here.
+All submitted policies, by suite and speed range, the best first. To add yours see [Submit](enter.md).
+
+- The score is 0 for the expert and 1 for the policy that is named with the suite. Its 95 % interval is over paired
+  episodes.
+- *Failures* have the 95 % upper confidence bound of the failure rate. *Effort* and *command rate* are relative to the
+  expert.
+- *Time* is that of one decision on the submitter's machine, with many vehicles simulated together. *Training* is the
+  cost that the submitter states.
+- *Verified* entries were run again by the project, on a random share of their episodes. Of the others only the file was
+  checked.
+
+[Evaluation](metrics.md) has the definitions, and [leaderboard.json](leaderboard.json) the table as data.
 """
 _NONE = "-"  # where nothing is said
 NBSP = "\N{NO-BREAK SPACE}"  # within a line of a cell
 BREAK = "<br>"  # between the lines of a cell
-_HEADINGS = ["", "entry<br>by", "score<br>95 %", "tail [m]", "lost", "effort<br>rate", "ms", "training", "verified"]
-"""Of the page's tables."""
+_HEADINGS = [
+    "rank", "entry<br>by", "score<br>95 %", "error [m]", "failures", "effort<br>command rate", "time [ms]", "training",
+    "verified",
+]  # fmt: skip
+"""The headings of the tables."""
 
 
 def leaderboard_page(boards: Sequence[Leaderboard]) -> str:
@@ -40,19 +47,19 @@ def leaderboard_page(boards: Sequence[Leaderboard]) -> str:
     for board in boards:
         suite = board.suite
         count = sum(len(cell.episodes) for cell in suite.cells)
-        setting = f"{len(suite.cells)} cases, {count} episodes, SHA-256 `{suite.hash}`; 1 is `{suite.anchors.one}`."
+        setting = f"{len(suite.cells)} cases, {count} episodes, SHA-256 `{suite.hash}`. `{suite.anchors.one}` scores 1."
         parts.append(f"## {suite.name}\n\n{setting}\n")
         by_name = {s.name: s for s in board.submissions}
         for place in dict.fromkeys(entry.place for entry in board.entries):
             own = [entry for entry in board.entries if entry.place == place]
             parts.append(f"### {place}\n\n{_table(board, own)}\n")
-        parts.append("### What they are\n")
-        parts.append("\n".join(_told(by_name[name]) for name in sorted(by_name)) + "\n")
+        parts.append("### Descriptions\n")
+        parts.append("\n".join(_described(by_name[name]) for name in sorted(by_name)) + "\n")
     return "\n".join(parts)
 
 
 def _table(board: Leaderboard, entries: Sequence[Entry]) -> str:
-    """Return a table of one regime; its cells have two lines, so that it is narrow enough for a page."""
+    """Return the table of one speed range; its cells have two lines, so that it is narrow enough for a page."""
     by_name, rows = {s.name: s for s in board.submissions}, []
     for rank, entry in enumerate(entries, start=1):
         s, text = by_name[entry.policy], {column.key: column.text(entry) for column in COLUMNS}
@@ -71,10 +78,10 @@ def _table(board: Leaderboard, entries: Sequence[Entry]) -> str:
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
-def _told(s: Submission) -> str:
+def _described(s: Submission) -> str:
     """Return a line of the list of entries."""
     more = f" [Link]({s.about.link})." if s.about.link else ""
-    words = plain(s.about.description).rstrip(".") or "nothing is said of it"
+    words = plain(s.about.description).rstrip(".") or "no description"
     return (
         f"- `{s.name}`: {words}.{more} Policy `{s.fingerprint[:12]}`, run on {s.date} with auv_gym "
         f"{plain(str(s.versions.get('auv_gym', _NONE)))}."
@@ -82,13 +89,13 @@ def _told(s: Submission) -> str:
 
 
 def verification(board: Leaderboard, name: str) -> list[str]:
-    """Return what is known of a reproduction of an entry, in lines."""
+    """Return the result of the reproduction of an entry, in lines."""
     found = board.verified.get(name)
     return [f"{found['episodes']} of {found['of']}", found["date"]] if found else ["no"]
 
 
 def costs(s: Submission) -> list[str]:
-    """Return what a training cost, as its submitter says, in lines."""
+    """Return the stated cost of a training, in lines."""
     steps, seconds = s.about.training_steps, s.about.training_seconds
     lines = [] if steps is None else [f"{_short(steps)} steps"]
     return [*lines, *([] if seconds is None else [_time(seconds)])] or [_NONE]

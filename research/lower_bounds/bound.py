@@ -1,10 +1,9 @@
-"""Try whether the bound loses a vehicle, in many episodes: `python -m research bound`.
+"""Check in many episodes that the full-information optimum never fails: `python -m research bound`.
 
-The score's 1 is `clairvoyant`, so an episode that it lost would lift everybody's score. It runs through episodes of all
-cases, drawn from seeds of their own, and what it does is counted in `research/data/bound.json`. A later run
-goes on where an earlier one has stopped, whatever the numbers of episodes; where the policy has changed since, it
-begins anew. Where its tail is not small, the expert and the oracle run too: an episode that one of them keeps better
-shows a fault of the solver.
+A failure of `clairvoyant`, whose score is 1, would raise all other scores. It runs held-out episodes of all cases, and
+the counts are kept in `research/data/bound.json`. A later run continues where an earlier one has stopped, and starts
+again if the policy has changed. Where its steady-state error is not small, expert and oracle run too: an episode in
+which one of them is better shows a fault of the solver.
 """
 
 from __future__ import annotations
@@ -36,14 +35,14 @@ _FILE = DATA / "bound.json"  # what was counted
 OPTIMUM_EPISODES = 10_000  # of all cases together
 _AT_ONCE = 125  # episodes of a case that are solved together
 SCENARIOS = tuple(PRESETS[f"{regime}-{case}"] for regime in REGIMES for case in CASES)
-"""The cases, of both regimes."""
+"""The cases, of both speed ranges."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Run the bound through many episodes of all cases and count those that it does not keep on their path.
+    """Run the full-information optimum through many episodes of all cases and count its failures.
 
-    Exit status: 0 done, 1 it lost an episode, or another policy was nearer by more than a millimetre, 2 wrong usage.
+    Exit status: 0 done, 1 it failed, or another policy was better by more than a millimetre, 2 wrong usage.
     """
 
     episodes: int = OPTIMUM_EPISODES
@@ -54,15 +53,15 @@ class Options:
 
 @dataclass(frozen=True)
 class OptimumCount:
-    """What the bound did in some episodes of a case, those of the first seeds of `OPTIMUM`."""
+    """Counts of some episodes of a case, those of the first seeds of `OPTIMUM`."""
 
     episodes: int = 0
     lost: int = 0  # see `score.is_lost`
-    tails_m: float = 0.0  # the sum of the tail errors
+    tails_m: float = 0.0  # the sum of the steady-state errors
     largest_tail_m: float = 0.0
-    largest_error_m: float = 0.0  # at any instant of a tail: a vehicle that spins is metres away
+    largest_error_m: float = 0.0  # at any instant after the first third: a vehicle that spins is metres away
     astray: tuple[Mapping[str, Any], ...] = field(default=())
-    """Episodes whose tail is not below `GOOD`: seed, tail, and those of oracle and expert [m]."""
+    """Episodes whose error is not below `GOOD`: seed, error, and those of oracle and expert [m]."""
 
     def with_more(self, more: OptimumCount) -> OptimumCount:
         """Return the count of these episodes and of others."""
@@ -94,7 +93,7 @@ def counted(scenario: Scenario, first: int, episodes: int) -> OptimumCount:
 
 
 def _tails(policy: str, cell: Cell, few: Sequence[int]) -> list[float]:
-    """Return a policy's tail errors [m] in a few of a cell's episodes."""
+    """Return a policy's steady-state errors [m] in a few of a cell's episodes."""
     own = [cell.episodes[i] for i in few]
     tails: list[float] = rollout(make_policy(policy, cell.scenario.vehicle), cell.scenario, own).measures.tail.tolist()
     return tails
@@ -127,10 +126,10 @@ def in_words(counts: Mapping[str, OptimumCount]) -> str:
     every = all_cases(counts)
     at_most = 100 * most_lost(every.lost, every.episodes)
     return (
-        f"{every.lost} of {every.episodes} episodes lost (at most {at_most:.2g} %, one-sided, 95 %); mean tail "
-        f"{1e3 * every.tails_m / every.episodes:.3f} mm, the largest {1e3 * every.largest_tail_m:.3f} mm, the largest "
-        f"distance at any instant of a tail {1e3 * every.largest_error_m:.3f} mm; {len(every.astray)} with a tail of "
-        f"{1e3 * GOOD:g} mm and more"
+        f"{every.lost} of {every.episodes} episodes failed (95 % upper confidence bound {at_most:.2g} %); steady-state "
+        f"error: mean {1e3 * every.tails_m / every.episodes:.3f} mm, largest {1e3 * every.largest_tail_m:.3f} mm; "
+        f"largest error at any time after the first third: {1e3 * every.largest_error_m:.3f} mm; episodes with a "
+        f"steady-state error of {1e3 * GOOD:g} mm or more: {len(every.astray)}"
     )
 
 

@@ -16,7 +16,7 @@ from baselines.evaluation.suites import Suite
 SUITES = ("benchmark-v2", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v1")
 """The suites of the results page."""
 TOLERANCE = {"benchmark-v2": 2e-3, "ood-v1": 1e-2, "unmodelled-v1": 1e-2, "deep-v1": 1e-2, "sealed-v1": 1e-2}
-"""Mean tail error [m] by which another policy may be better than the oracle in a case, by suite: where a current is
+"""Mean error [m] by which another policy may be better than the oracle in a case, by suite: where a current is
 nearly as fast as the path, the oracle's plan through the water turns sharply, and a few episodes settle late."""
 ROUNDING = 1e-5
 """[m] by which another policy may be better than the bound in a case: the tolerance to which that is solved."""
@@ -30,7 +30,7 @@ class Results:
     runs: tuple[Run, ...]
     pooled: list[Entry]
     scores: dict[str, dict[str, Score]]  # of each policy in each case alone, by policy, by case
-    tails: dict[str, dict[str, float]]  # [m] mean tail error of each policy in each case alone, by policy, by case
+    tails: dict[str, dict[str, float]]  # [m] mean error of each policy in each case alone, by policy, by case
 
     @classmethod
     def of(cls, suite: Suite, runs: Sequence[Run]) -> Results:
@@ -56,13 +56,13 @@ class Results:
         return list(self.scores)
 
     def measures(self, policy: str, regime: str) -> list[Measures]:
-        """Return what was measured of a policy in the cases of a regime."""
+        """Return what was measured of a policy in the cases of a speed range."""
         own = [run_ for run_ in self.runs if run_.policy == policy and regime_of(run_.scenario.name) == regime]
         return [run_.measures for run_ in own if run_.measures is not None]
 
 
 def better_than(best: str, results: Results) -> list[tuple[str, str, float]]:
-    """Return case, policy and by how much [m] its mean tail error is smaller than that of `best`, wherever it is.
+    """Return case, policy and by how much [m] its mean error is smaller than that of `best`, wherever it is.
 
     The errors are those of the same episodes. That `OPTIMUM_POLICY` is better than another is no fault, and left out.
     """

@@ -34,7 +34,7 @@ HELD_OUT_SEED = HELD_OUT.first  # of the first episode of each case
 HELD_OUT_EPISODES = {"benchmark-v2": 64, "unmodelled-v1": 24}
 """Episodes drawn in each case, by suite."""
 FAMILIES = ("apg", "apg-preview", "apg-adverse", "apg-scratch")
-"""Families of agents that are compared, each with one for every regime."""
+"""Families of agents that are compared, each with one for every speed range."""
 _POLICIES = (
     EXPERT,
     *FORESIGHTED,
@@ -58,7 +58,7 @@ class Options:
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = _POLICIES
     """Policies by name."""
     suite: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = tuple(HELD_OUT_EPISODES)
-    """Suites whose cases are drawn anew."""
+    """Suites from whose cases episodes are drawn."""
     case: Annotated[tuple[str, ...], arg(metavar="C [C ...]", help_behavior_hint="")] = ()
     """Cases by name, to try it out; without any, all of them."""
     episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
@@ -70,7 +70,7 @@ class Options:
 
 
 def fresh(name: str, episodes: int | None = None, cases: Sequence[str] = ()) -> Suite:
-    """Return a suite whose cases are drawn anew, all of them or those that are named.
+    """Return a suite of held-out episodes, drawn from all of its cases or from those that are named.
 
     Raises:
         ValueError: there is no such suite, or no such case in it.
@@ -107,7 +107,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _kept(suite: Suite, policy: str, options: Options) -> bool:
-    """Run a policy through the cells of its regimes and keep what it did; return whether it could."""
+    """Run a policy through the cells of its speed ranges and keep the rows; return whether it ran."""
     regimes = recorded.regimes_of(policy)
     cells = suite.cells_in(regimes)
     if not cells:

@@ -41,10 +41,10 @@ def context(_: str = "") -> dict[str, Any]:
     """Return the values of the page's template."""
     studies = load_studies()
     found = {name: results for name in SUITES if (results := results_of(name)) is not None}
-    anew = {results.suite.name: results for results in held_out_results()}
+    held_out = {results.suite.name: results for results in held_out_results()}
     return {
         "leads": {
-            name: (rival, table(_HEADS, lead_rows(found[name], anew.get(name), studies, rival)))
+            name: (rival, table(_HEADS, lead_rows(found[name], held_out.get(name), studies, rival)))
             for name, rival in _RIVALS.items()
         },
         "opened": table(("agent", *(f"lead over {r}" for r in _RIVALS.values()), "failures"), _opened(found[_SEALED])),
@@ -62,12 +62,12 @@ def held_out_results() -> list[Results]:
     return [Results.of(suite, own) for suite, own in runs.items() if set(suite.anchors) <= {r.policy for r in own}]
 
 
-def lead_rows(results: Results, anew: Results | None, studies: Mapping[str, Study], rival: str) -> list[list[str]]:
+def lead_rows(results: Results, held_out: Results | None, studies: Mapping[str, Study], rival: str) -> list[list[str]]:
     """Return a row of `_HEADS` for each agent of several seeds that ran in a suite.
 
     Args:
         results: what is recorded of the suite.
-        anew: what is recorded of its cases on held-out episodes.
+        held_out: what is recorded of its cases on held-out episodes.
         studies: agents of several training seeds, by name.
         rival: the policy over which a lead is measured.
     """
@@ -78,7 +78,7 @@ def lead_rows(results: Results, anew: Results | None, studies: Mapping[str, Stud
             continue
         agent = agent_of(name)
         tails = dict(zip(own.cells, own.tails, strict=True))
-        held_out = {case: tail[None] for case, tail in _tails(anew, agent, regime).items()} if anew else {}
+        again = {case: tail[None] for case, tail in _tails(held_out, agent, regime).items()} if held_out else {}
         zero, one = (_tails(results, policy, regime) for policy in results.suite.anchors)
         base = np.concatenate([m.smoothness for m in results.measures(results.suite.anchors.zero, regime)]).mean()
         rows.append([
@@ -86,7 +86,7 @@ def lead_rows(results: Results, anew: Results | None, studies: Mapping[str, Stud
             str(len(own.tails[0])),
             score_text(seeds_score([zero[c] for c in tails], own.tails, [one[c] for c in tails])),
             *_texts(_lead(results, regime, tails, rival)),
-            *(_texts(_lead(anew, regime, held_out, rival)) if anew and held_out else ("-", "-")),
+            *(_texts(_lead(held_out, regime, again, rival)) if held_out and again else ("-", "-")),
             lost_text(own.losses(), sum(tail.size for tail in own.tails)),
             f"{float(own.smoothness.mean()) / base:.2g}",
         ])  # fmt: skip

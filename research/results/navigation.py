@@ -1,44 +1,62 @@
-"""What the navigation alone would be off in a deep suite, and every policy's error beyond that."""
+"""The error of the navigation in a suite with rare position fixes, and the additional error of each policy."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from auv_gym.physics.namespaces import Array
 from baselines.evaluation.metrics import bootstrap_interval
-from baselines.evaluation.score import FORESIGHTED, fixed, fixed_ends, regime_of
+from baselines.evaluation.score import FORESIGHTED, regime_of
 from research.pages import table
 from research.results.collection import Results
 from research.suites.deep import navigation_tails
 
-NAVIGATION = """### Navigation
+ADDITIONAL = "additional error [mm]"
+_TEXT = """## Navigation
 
-Between position fixes the position is reckoned, and most of an error is that of the navigation. The first row is the
-mean tail error [m] of a controller without an error of its own, which keeps the estimated position exactly on the
-reference; below it by how much [m] each policy's is larger in the same episodes, with the 95 % interval of the mean
-over all cases by bootstrap over episodes. Less than zero is possible: who takes the mean of the estimate's jumps, or
-learns from them how wrong the sensors are, knows more than the estimate says. Who scores 1 needs no navigation, so
-that on the scale of the scores above nobody gets far from 0."""
-
-
-def navigation(results: Results, regimes: Sequence[str]) -> list[str]:
-    """Return what the navigation alone would be off, and every policy's error beyond that; [] where none reckons."""
-    floor = {c.scenario.name: navigation_tails(c) for c in results.suite.cells if c.scenario.sensors.reckoning}
-    cases, parts = results.cases, [NAVIGATION] if floor else []
-    for regime in regimes if floor else ():
-        own = [case for case in floor if regime_of(case) == regime]
-        rows = [["navigation", *(fixed(floor[case].mean()) for case in own), *_mean([floor[case] for case in own])]]
-        for policy in [p for p in results.policies if p not in FORESIGHTED and all(p in cases[case] for case in own)]:
-            tails = [cases[case][policy].tail for case in own]
-            more = [tail - floor[case][: len(tail)] for tail, case in zip(tails, own, strict=True)]
-            rows.append([f"`{policy}`", *(fixed(m.mean()) for m in more), *_mean(more)])
-        parts.append(table([regime, *(case.removeprefix(f"{regime}-") for case in own), "all", "95 %"], rows))
-    return parts
+Between position fixes the position is estimated by dead reckoning. Most of an error is the error of this navigation.
+The table has the mean steady-state error [mm] of a controller that keeps the estimated position exactly on the
+reference. The *additional error* above is what a policy adds to it in the same episodes, with a 95 % bootstrap
+interval. It can be negative: a policy can average the jumps of the estimate, or learn the errors of the sensors from
+them. The policy that scores 1 needs no navigation, so all other scores are near 0."""
 
 
-def _mean(values: Sequence[Array]) -> tuple[str, str]:
-    """Return the mean over all cases and its interval."""
-    every = np.concatenate(values)
-    return fixed(every.mean()), fixed_ends(bootstrap_interval(every))
+def navigation_alone(results: Results, regime: str) -> dict[str, Array]:
+    """Return the errors [m] of the navigation by case, one for each episode; {} without dead reckoning."""
+    own = [cell for cell in results.suite.cells if regime_of(cell.scenario.name) == regime]
+    return {cell.scenario.name: navigation_tails(cell) for cell in own if cell.scenario.sensors.reckoning}
+
+
+def additional_errors(results: Results, navigation: Mapping[str, Array]) -> dict[str, str]:
+    """Return the error [mm] that each policy adds to that of the navigation, with its interval, as text."""
+    found = {}
+    for policy in [p for p in results.policies if p not in FORESIGHTED]:
+        tails = [(results.cases[case].get(policy), errors) for case, errors in navigation.items()]
+        if tails and all(own is not None for own, _ in tails):
+            more = np.concatenate([own.tail - errors[: len(own.tail)] for own, errors in tails if own is not None])
+            low, high = bootstrap_interval(more)
+            found[policy] = f"{_mm(more.mean())} ({_mm(low)} ... {_mm(high)})"
+    return found
+
+
+def navigation_part(errors: Mapping[str, Mapping[str, Array]]) -> str:
+    """Return the part of a page about the error of the navigation, by speed range and case; "" without any.
+
+    Args:
+        errors: those of `navigation_alone` by speed range.
+    """
+    if not any(errors.values()):
+        return ""
+    cases = [case.partition("-")[2] for case in next(iter(errors.values()))]
+    rows = [[regime, *_means(own)] for regime, own in errors.items()]
+    return f"{_TEXT}\n\n{table(['speed range', *cases, 'all'], rows)}"
+
+
+def _means(errors: Mapping[str, Array]) -> Sequence[str]:
+    return [*(_mm(own.mean()) for own in errors.values()), _mm(np.concatenate(list(errors.values())).mean())]
+
+
+def _mm(value: float) -> str:
+    return f"{round(1e3 * value) + 0:d}"

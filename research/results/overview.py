@@ -20,17 +20,18 @@ from research.results.collection import Results, results_of
 
 _SUITE = "benchmark-v2"
 _POLICIES = {
-    "backstepping": "the paper's law; the vehicle's parameters",
-    "los-pid": "line of sight and PID; tuned gains",
-    "lqi": "linear-quadratic regulator with integrals; tuned gains",
-    "ekf": "extended Kalman filter, the law on its estimates; tuned gains",
-    "nmpc": "the same filter and predictive control; a preview of the path",
-    "ppo-{}": "an agent for each speed range, trained with PPO",
-    "apg-{}": "an agent for each speed range, trained by the simulator's gradient",
-    "helm": "one agent, trained by the simulator's gradient; a preview of the path",
+    "backstepping": "-",
+    "los-pid": "tuning",
+    "lqi": "tuning",
+    "ekf": "tuning",
+    "nmpc": "tuning, preview",
+    "ppo-{}": "training",
+    "apg-{}": "training",
+    "helm": "training, preview",
 }
 """The policies of the summary and what each needs; {} stands for the speed range."""
-FIGURES = "results-overview.png", "results-disturbances.png"
+_BELOW = ("ekf", "helm", "lqi")  # policies whose names are written below their points in the figure of command rates
+FIGURES = "results-overview.png", "results-disturbances.png", "results-command-rate.png"
 
 
 def context(_: str = "") -> dict[str, Any]:
@@ -41,7 +42,7 @@ def context(_: str = "") -> dict[str, Any]:
         slow, cruise = (_entry(results, name.format(regime), regime) for regime in REGIMES)
         episodes = sum(entry.summary.episodes for entry in (slow, cruise) if entry.summary is not None)
         rates = " / ".join(_text(entry, "smoothness_ratio") for entry in (slow, cruise))
-        times = " / ".join(_text(entry, "decision_ms") for entry in (slow, cruise))
+        times = " / ".join(f"{1e6 * entry.decision_seconds:.2g}" for entry in (slow, cruise))
         lost = lost_text(slow.lost + cruise.lost, episodes)
         errors = (_error(_tails(results, name.format(regime), regime)) for regime in REGIMES)
         rows.append([f"`{name.format('*')}`", *errors, lost, rates, times, needs])
@@ -56,9 +57,10 @@ def context(_: str = "") -> dict[str, Any]:
 
 
 def figures(_: str = "") -> dict[str, bytes]:
-    """Return the two figures as PNG by name: errors with intervals, and a heat map of policies by disturbance."""
+    """Return the figures as PNG by name: errors with intervals, errors by disturbance, error against command rate."""
     with styled():
-        return {FIGURES[0]: to_png(_errors(_results())), FIGURES[1]: to_png(_heat_map(_results()))}
+        drawings = (draw(_results()) for draw in (_errors, _heat_map, _command_rates))
+        return dict(zip(FIGURES, map(to_png, drawings), strict=True))
 
 
 def _results() -> Results:
@@ -147,4 +149,24 @@ def _heat_map(results: Results) -> Any:
     ax.set_yticks(range(len(_POLICIES)), [name.format("*") for name in _POLICIES])
     ax.grid(visible=False)
     figure.colorbar(image, ax=ax, label="mean steady-state error [mm]")
+    return figure
+
+
+def _command_rates(results: Results) -> Any:
+    figure, [axes] = panels(1, 2, (8.2, 3.2), sharey=True)
+    for ax, regime in zip(axes, REGIMES, strict=True):
+        for policy in _POLICIES:
+            name = policy.format(regime)
+            rate, error = _entry(results, name, regime).smoothness_ratio, 1e3 * _mean(results, name, regime)
+            ax.plot(rate, error, color=COLOURS[0], marker=MARKERS[0], markersize=5)
+            below = policy in _BELOW
+            ax.annotate(
+                policy.format("*"), (rate, error), (0, -4 if below else 4), textcoords="offset points", fontsize=7,
+                ha="center", va="top" if below else "bottom",
+            )  # fmt: skip
+        ax.set_xscale("log")
+        ax.set_yscale("log")
+        ax.margins(0.15)
+        ax.set_xlabel(f"{regime}: command rate, relative to backstepping")
+    axes[0].set_ylabel("mean steady-state error [mm]")
     return figure

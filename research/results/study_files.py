@@ -1,4 +1,4 @@
-"""What is kept of a study: tail errors of every episode and seed, learning curves, and how it was made."""
+"""The record of a study: steady-state errors of every episode and seed, learning curves, and how it was made."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class InSuite:
 
     hash: str  # of the suite
     cells: tuple[str, ...]  # names of their scenarios
-    tails: tuple[Array, ...]  # tail RMSE [m of the paper's vehicle], shape (S, M) for each cell
-    lost: tuple[NDArray[np.bool_], ...]  # ended beyond the lost distance, shape (S, M) for each cell
+    tails: tuple[Array, ...]  # steady-state RMSE [m of the paper's vehicle], shape (S, M) for each cell
+    lost: tuple[NDArray[np.bool_], ...]  # ended beyond `lost_distance`, shape (S, M) for each cell
     effort: Array  # mean over all episodes, shape (S,); see `metrics`
     smoothness: Array  # mean over all episodes, shape (S,); see `metrics`
     decision_seconds: float  # of an agent for one vehicle and control step
@@ -60,16 +60,16 @@ class InSuite:
         )
 
     def capped(self) -> tuple[Array, ...]:
-        """Return the tails with that of an episode that was lost cut at `score.LARGEST_TAIL`."""
+        """Return the steady-state errors, those of failures cut at `score.LARGEST_TAIL`."""
         return tuple(capped(*cell) for cell in self._ended)
 
     def losses(self) -> int:
-        """Return how many episodes of all seeds are lost, see `score.is_lost`."""
+        """Return the number of failures of all seeds, see `score.is_lost`."""
         return sum(losses(*cell) for cell in self._ended)
 
     @property
     def _ended(self) -> list[tuple[Ended, float]]:
-        """How the episodes of each cell ended, and the cap of their tails [m]."""
+        """The ends of the episodes of each cell, and their error cap [m]."""
         parts = zip(self.tails, self.lost, map(largest_tail, self.cells), strict=True)
         return [(Ended(tail, lost), cap) for tail, lost, cap in parts]
 

@@ -1,35 +1,40 @@
-"""A page for each frozen suite, docs/results/SUITE.md: all policies, regime by regime."""
+"""A page for each frozen suite, docs/results/SUITE.md: all policies in each speed range."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from baselines.evaluation.report.columns import Column, ranked, used
+from baselines.evaluation.report.columns import COLUMNS, NONE, Column, ranked
 from baselines.evaluation.report.numbers import Entry
-from baselines.evaluation.score import OPTIMUM_POLICY, ORACLE
+from baselines.evaluation.score import OPTIMUM_POLICY, ORACLE, interval_text, regime_of, score_text
 from baselines.tools.figure_style import COLOURS, MARKERS, panels, styled, to_png
 from research.lower_bounds import bound
 from research.pages import table
 from research.results.collection import ROUNDING, Results, better_than, results_of
-from research.results.navigation import navigation
+from research.results.navigation import ADDITIONAL, additional_errors, navigation_alone, navigation_part
 
-_LEFT_OUT = ("tail_rmse_m.p95", "capped.mean", "error_ratio", "settling_s", "saturation")
-"""Columns of the report that the page does not show; results.csv of an evaluation has them."""
-LOWEST = -1.0
-"""Score below which a point is drawn at the edge, its value beside it."""
+_COLUMNS = {
+    "tail_rmse_m.mean": ("error [mm]", 1e3),
+    "tail_rmse_m.cvar95": ("worst 5 % [mm]", 1e3),
+    "score.mean": ("score", 1.0),
+    "lost": ("failures", 1.0),
+    "effort_ratio": ("effort", 1.0),
+    "smoothness_ratio": ("command rate", 1.0),
+    "decision_ms": ("time [us]", 1e3),
+}
+"""The columns of the report that the page shows, with their headings and factors; results.csv has all of them."""
 WHAT = {
-    "benchmark-v2": "The disturbances that agents are trained on, drawn from other seeds.",
-    "ood-v1": "Disturbances outside of the ranges that agents are trained in.",
-    "unmodelled-v1": "Sensor and actuator faults that no controller models.",
-    "deep-v1": "Position fixes are rare; in between the position is estimated by dead reckoning.",
-    "sealed-v1": "Worlds that were drawn from a secret and opened once all policies were frozen.",
+    "benchmark-v2": "The disturbances of the training, drawn from other seeds.",
+    "ood-v1": "Disturbances outside the ranges of the training.",
+    "unmodelled-v1": "Sensor and actuator faults that most policies do not model.",
+    "deep-v1": "Position fixes are rare. Between fixes the position is estimated by dead reckoning.",
+    "sealed-v1": "Conditions that were secret until all policies were frozen.",
 }
 
 
@@ -41,35 +46,54 @@ def context(page: str) -> dict[str, Any]:
 
 
 def figures(page: str) -> dict[str, bytes]:
-    """Return the figures of a suite's page as PNG by name."""
+    """Return the figure of a suite's page as PNG by name."""
     name = page.rpartition("/")[2]
     results = results_of(name)
     if results is None:
         return {}
     with styled():
-        return {f"results-{name}-scores.png": to_png(score_figure(results))}
+        return {f"results-{name}.png": to_png(error_figure(results))}
 
 
 def _context(results: Results) -> dict[str, Any]:
     suite = results.suite
     regimes = list(dict.fromkeys(entry.place for entry in results.pooled))
+    errors = {regime: navigation_alone(results, regime) for regime in regimes}
     dates = sorted({run.recorded.date for run in results.runs if run.recorded is not None})
     return {
         "what": WHAT[suite.name],
         "suite": suite,
         "episodes": sum(len(cell.episodes) for cell in suite.cells),
         "dates": " and ".join(dates),
-        "regimes": [(regime, _regime(results, regime)) for regime in regimes],
+        "regimes": [_regime(results, regime, additional_errors(results, own)) for regime, own in errors.items()],
         "bound": _bound(results),
-        "navigation": "\n\n".join(navigation(results, regimes)).replace("### ", "## "),
+        "navigation": navigation_part(errors),
     }
 
 
-def _regime(results: Results, regime: str) -> str:
+def _regime(results: Results, regime: str, additional: Mapping[str, str]) -> tuple[str, int, str]:
+    """Return a speed range, how many episodes it has, and the table of all policies in it."""
     entries = ranked([entry for entry in results.pooled if entry.place == regime])
-    columns: Sequence[Column] = [column for column in used(entries) if column.key not in _LEFT_OUT]
-    rows = [[f"`{entry.policy}`", *(column.text(entry) for column in columns)] for entry in entries]
-    return table(["policy", *(column.heading for column in columns)], rows)
+    columns = {"policy": [f"`{entry.policy}`" for entry in entries]}
+    for column in COLUMNS:
+        if column.key in _COLUMNS:
+            heading, factor = _COLUMNS[column.key]
+            columns[heading] = [_cell(column, factor, entry, interval=not additional) for entry in entries]
+    if additional:
+        columns[ADDITIONAL] = [additional.get(entry.policy, NONE) for entry in entries]
+    episodes = sum(len(cell.episodes) for cell in results.suite.cells if regime_of(cell.scenario.name) == regime)
+    return regime, episodes, table(list(columns), zip(*columns.values(), strict=True))
+
+
+def _cell(column: Column, factor: float, entry: Entry, *, interval: bool) -> str:
+    """Return a cell of the table: a score with its interval, a value in other units, or what the report has."""
+    if column.key == "score.mean" and interval:
+        digits = 3 if abs(column.of(entry) or 0.0) < 2 else 1
+        return f"{score_text(entry.score, digits)} ({interval_text(entry.score, digits)})"
+    if factor == 1.0 or entry.summary is None:
+        return column.text(entry)
+    value = factor * column.of(entry)
+    return f"{value:.0f}" if value >= 1000 else f"{value:.3g}"
 
 
 def _bound(results: Results) -> str:
@@ -82,50 +106,40 @@ def _bound(results: Results) -> str:
     first = len(results.suite.cells) - len({case for case, _, _ in better_than(ORACLE, results)})
     counts = bound.optimum_counts()
     tried = {cell.scenario.name for cell in results.suite.cells} <= set(counts)
-    held_out = f" On held-out episodes of these cases: {bound.in_words(counts)}." if tried else ""
+    held_out = f"\nOn held-out episodes of these cases: {bound.in_words(counts)}." if tried else ""
     return (
-        f"`{OPTIMUM_POLICY}`, the full-information optimum, knows everything in advance and optimises its commands "
-        f"over the whole episode. Its mean error is {least:.3f} to {most:.3f} mm, case by case. Policies that "
-        f"are better by more than the {1e3 * ROUNDING:g} mm to which it is solved: {names}. Of all other policies "
-        f"`{ORACLE}` has the smallest mean error in {first} of {len(results.suite.cells)} cases.{held_out}"
+        f"`{OPTIMUM_POLICY}`, the full-information optimum, knows all disturbances in advance and optimises the\n"
+        f"commands of the whole episode. Its mean error is {least:.3f} to {most:.3f} mm, depending on the case.\n"
+        f"It is solved to {1e3 * ROUNDING:g} mm. Policies whose mean error is smaller by more than that: {names}.\n"
+        f"Of all other policies `{ORACLE}` has the smallest mean error in {first} of {len(results.suite.cells)} cases."
+        f"{held_out}"
     )
 
 
-def score_figure(results: Results) -> Figure:
-    """Return the pooled scores with their intervals, best policy first, one colour for each regime."""
+def error_figure(results: Results) -> Figure:
+    """Return the mean errors of all policies with their intervals, smallest first, one colour for each speed range."""
     by_policy: dict[str, list[Entry]] = {}
     for entry in results.pooled:
-        by_policy.setdefault(entry.policy, []).append(entry)
-    order = sorted(by_policy, key=lambda policy: -np.mean([_mean(entry) for entry in by_policy[policy]]))
+        if entry.summary is not None:
+            by_policy.setdefault(entry.policy.replace(f"-{entry.place}", "-*"), []).append(entry)
+    order = sorted(by_policy, key=lambda policy: np.mean([np.log(_error(entry)) for entry in by_policy[policy]]))
     regimes = list(dict.fromkeys(entry.place for entry in results.pooled))
-    figure, [[ax]] = panels(1, 1, (7.2, 0.9 + 0.3 * len(order)))
-    for value in (0.0, 1.0):
-        ax.axvline(value, color="0.5", linewidth=0.8)
+    figure, [[ax]] = panels(1, 1, (7.2, 0.8 + 0.17 * len(order)))
     for i, policy in enumerate(order):
         for entry in by_policy[policy]:
             k = regimes.index(entry.place)
-            _point(ax, i + 0.28 * (k - 0.5 * (len(regimes) - 1)), entry, k)
-    ax.set_yticks(range(len(order)), order)
+            ends = 1e3 * np.array(entry.summary.tail_rmse_m.ci95 if entry.summary else ())
+            ax.plot(ends, [i, i], color=COLOURS[k], linewidth=1.6)
+            ax.plot(_error(entry), i, color=COLOURS[k], marker=MARKERS[k], markersize=4, linestyle="")
+    ax.set_xscale("log")
+    ax.set_yticks(range(len(order)), order, fontsize=7)
     ax.set_ylim(len(order) - 0.4, -0.6)
-    ax.set_xlim(LOWEST - 0.25, 1.1)
-    ax.set_xlabel(f"score: 0 the expert, 1 {results.suite.anchors.one}; errors pooled over cases, 95 % intervals")
-    ax.grid(visible=False, axis="y")
+    ax.set_xlabel("mean steady-state error [mm] with 95 % interval")
     looks = [Line2D([], [], label=r, color=COLOURS[k], marker=MARKERS[k], linestyle="") for k, r in enumerate(regimes)]
-    ax.legend(handles=looks, loc="upper left", ncols=len(regimes), bbox_to_anchor=(0.0, 1.1), borderaxespad=0.0)
+    ax.legend(handles=looks, loc="upper right")
     return figure
 
 
-def _mean(entry: Entry) -> float:
-    return entry.score.mean if entry.score and math.isfinite(entry.score.mean) else -math.inf
-
-
-def _point(ax: Axes, y: float, entry: Entry, k: int) -> None:
-    mean = _mean(entry)
-    if mean < LOWEST:
-        text = "" if math.isinf(mean) else f"{mean:.1f}"
-        ax.plot(LOWEST, y, color=COLOURS[k], marker="<", markersize=4, linestyle="")
-        ax.text(LOWEST - 0.03, y, text, ha="right", va="center", fontsize=6.5, color=COLOURS[k])
-        return
-    if entry.score is not None and math.isfinite(entry.score.ci95[0]):
-        ax.plot(np.maximum(entry.score.ci95, LOWEST), [y, y], color=COLOURS[k], linewidth=1.6)
-    ax.plot(mean, y, color=COLOURS[k], marker=MARKERS[k], markersize=4.5, linestyle="")
+def _error(entry: Entry) -> float:
+    """Return the mean error [mm]."""
+    return 1e3 * entry.summary.tail_rmse_m.mean if entry.summary else math.inf

@@ -127,7 +127,7 @@ def seed_rows(rival: Mapping[str, Measures], studies: Mapping[str, Study]) -> li
 
     Args:
         rival: what was measured of the rival in each cell, in metres of the paper's vehicle.
-        studies: by name: those of an agent for both speed ranges are NAME-REGIME.
+        studies: by name: those of an agent for both speed ranges are `NAME-slow` and `NAME-cruise`.
     """
     agents: dict[str, list[InSuite]] = {}
     for name, study in studies.items():

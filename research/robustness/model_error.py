@@ -64,8 +64,6 @@ _EPISODES = 12
 """Episodes of each case, the first ones of the suite."""
 LESS: Mapping[str, tuple[int, int]] = {RIVAL: (4, 6)}
 """Models and episodes of a policy that takes its time, the first ones too; and the largest size alone."""
-BEARABLE = 0.01
-"""What a score may be lower where a vehicle model is wrong."""
 KEPT_EPISODES = 3
 """Episodes of each case whose errors are kept one by one, with the true model and the first wrong one."""
 
@@ -117,16 +115,16 @@ def wrong(vehicle: Vehicle, mistaken: Mapping[str, float], size: float, way: _Wa
 
 
 def cells_of(regime: str, episodes: int) -> list[Cell]:
-    """Return the first episodes of each cell of a regime in the suite."""
+    """Return the first episodes of each cell of a speed range in the suite."""
     return [Cell(cell.scenario, cell.episodes[:episodes]) for cell in load_suite(_SUITE).cells_in((regime,))]
 
 
 def with_wrong_models(name: str, regime: str, episodes: int | None = None) -> dict[str, Any]:
-    """Return what a policy's capped score loses where its vehicle model is wrong, as plain numbers.
+    """Return the loss of a policy's capped score with wrong vehicle models, as plain numbers.
 
     Args:
         name: of the policy; none that uses more than the observation.
-        regime: "slow" or "cruise".
+        regime: the speed range, "slow" or "cruise".
         episodes: of each case. None: `_EPISODES`, or fewer of one that takes its time.
 
     Raises:
@@ -162,14 +160,14 @@ def with_wrong_models(name: str, regime: str, episodes: int | None = None) -> di
 
 
 def _recorded(policy: str, regime: str, cells: Sequence[Cell]) -> list[Array]:
-    """Return the capped tails [m] that are recorded of a policy in episodes of the suite, cell by cell."""
+    """Return the recorded capped errors [m] of a policy in episodes of the suite, cell by cell."""
     runs = {run.scenario.name: run.measures for run in recorded.read_recorded(load_suite(_SUITE), policy)}
     rows = ((runs[cell.scenario.name], len(cell.episodes)) for cell in cells)
     return [capped(row[:count], LARGEST_TAIL[regime]) for row, count in rows if row is not None]
 
 
 def _tails(name: str, model: Vehicle, there: SideBySide, regime: str) -> tuple[list[Array], int]:
-    """Return the capped tails [m] of a policy with a vehicle model, cell by cell, and how many episodes it lost."""
+    """Return the capped errors [m] of a policy with a vehicle model, cell by cell, and the number of failures."""
     cap = LARGEST_TAIL[regime]
     with warnings.catch_warnings():  # that its law may be unstable for such a model is a part of the price
         warnings.simplefilter("ignore", StabilityWarning)
@@ -178,7 +176,7 @@ def _tails(name: str, model: Vehicle, there: SideBySide, regime: str) -> tuple[l
 
 
 def _compared(zero: Sequence[Array], right: Sequence[Array], each: Sequence[Array], one: Sequence[Array]) -> Any:
-    """Return what the tails with wrong models, shape (models, M) in each cell, are beside those with the true one."""
+    """Compare the errors with wrong models, shape (models, M) in each cell, to those with the true one."""
     above = partial(lead, zero, right, one=one)
     return {
         "score": _ends(seeds_score(zero, each, one)),
@@ -257,22 +255,24 @@ def context(_: str = "", folder: Path = MODEL_ERROR_FOLDER) -> dict[str, Any]:
     """
     found = {file.stem: read_json(file) for file in folder.glob("*.json")}
     own = dict(sorted(found.items(), key=lambda item: (item[0] == EXPERT, item[0] == RIVAL, item[0])))
-    robust: dict[bool, list[str]] = {True: [], False: []}
-    for name, record in own.items():
-        for regime, of in record.items():
-            for key, way in WAYS.items():
-                last = max(of["wrong"][key], key=lambda at: float(at["size"]))
-                robust[last["above"][0] >= -BEARABLE].append(f"`{name}` with {way.says} ({regime})")
+    places = [(regime, key) for regime in REGIMES for key in WAYS]
     return {
         "records": {
             regime: [row for name, record in own.items() if regime in record for row in _rows(name, record[regime])]
             for regime in REGIMES
         },
-        "bearable": f"{BEARABLE:g}",
-        "robust": "; ".join(robust[True]) or "none",
-        "others": "; ".join(robust[False]) or "none",
-        "sizes": [f"by {100 * size:.0f} % at most" for size in ERROR_SIZES],
+        "sizes": [f"up to {100 * size:.0f} %" for size in ERROR_SIZES],
+        "largest": f"{100 * ERROR_SIZES[-1]:.0f} %",
+        "columns": [f"{regime}: {WAYS[key].says}" for regime, key in places],
+        "summary": [[f"`{name}`", *(_at_most(record, *place) for place in places)] for name, record in own.items()],
     }
+
+
+def _at_most(record: Mapping[str, Any], regime: str, key: str) -> str:
+    """Return the mean change of the score with the largest errors."""
+    if regime not in record:
+        return "-"
+    return f"{max(record[regime]['wrong'][key], key=lambda at: float(at['size']))['above'][0]:+.3f}"
 
 
 def _rows(name: str, of: Mapping[str, Any]) -> Iterator[list[str]]:
@@ -284,7 +284,8 @@ def _rows(name: str, of: Mapping[str, Any]) -> Iterator[list[str]]:
         worse = [after - before for before, after in zip(right["error_m"], last["error_m"], strict=True)]
         i = worse.index(max(worse))
         growth = f"{of['cases'][i]}, {1e3 * right['error_m'][i]:.1f} -> {1e3 * last['error_m'][i]:.1f} mm"
-        above = [_spread(sizes[size]["above"]) if size in sizes else "-" for size in ERROR_SIZES]
+        less = [f"{sizes[size]['above'][0]:+.3f}" if size in sizes else "-" for size in ERROR_SIZES[:-1]]
+        above = [*less, _spread(last["above"])]
         lost = f"{sum(last['lost'])} of {len(last['lost']) * episodes}; {right['lost']} of {episodes}"
         yield [f"`{name}`", f"{right['score'][0]:.3f}", way.says, *above, f"{min(last['hulls']):+.3f}", growth, lost]
 

@@ -1,8 +1,8 @@
 """What fine-tuning to a vehicle is worth: `python -m research fine-tuning --help`.
 
-For each vehicle an agent is tuned as `train.py --from AGENT --vehicle VEHICLE` does it, one is trained for the vehicle
-alone, and both are run through fresh episodes of the cruise cases, beside the agent as it is, the expert and predictive
-control, all of them told the vehicle. docs/training.md shows what comes out.
+For each vehicle an agent is tuned as by `auv-gym train --from AGENT --vehicle VEHICLE`, and another one is trained for
+the vehicle alone. Both run the same held-out episodes of the cruise cases as the original agent, the expert and
+predictive control. All of them are given the vehicle model. docs/fine-tuning.md has the results.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ from baselines.training.hyperparameters import (
 from baselines.training.options import Options as Training
 from baselines.training.run_folder import AGENT_FOLDER
 from research import DOCS
+from research.pages import table
 from research.seeds import FINE_TUNING
 from research.trainings.trainings import SHIPPED_TRAININGS, request_of
 
@@ -50,12 +51,12 @@ PROGRAM = "python -m research fine-tuning"
 _GOAL = 1.05
 """What the error of a tuned agent may be at most, over that of one trained alone."""
 _VEHICLES = ("lauv", "otter", "remus100", "cybership2", "nps-auv2")
-"""Whom it is measured for."""
+"""The vehicles of the study."""
 _TUNED = "tuned"  # the agent that begins with another one and is trained for a vehicle
 ALONE = "alone"  # the one that begins with nothing
 FINE_TUNING_FILE = "fine-tuning.json"  # of what was measured, in docs/
 SHARED = ("hull",)
-"""Hyper-parameters of an agent that began with another one which are of no less use from nothing: not its rates."""
+"""Hyper-parameters of an agent that are also used where a vehicle's agent is trained from the start: not its rates."""
 LENGTH = 12_000_000
 """Control steps of the training for a vehicle alone."""
 PIECES = 6
@@ -63,19 +64,19 @@ PIECES = 6
 SAYS = {
     EXPERT: "the expert",
     RIVAL: "predictive control",
-    "": "the agent as it is",
+    "": "the original agent",
     _TUNED: "tuned to the vehicle",
     ALONE: "trained for it alone",
 }
-"""What the table calls them."""
+"""Their names in the table."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Tune an agent to vehicles, train one for each alone, and compare them on fresh episodes.
+    """Tune an agent to vehicles, train one for each alone, and compare them on held-out episodes.
 
-    What is in the file already is not measured again, but for the agent and what was tuned from it once its weights are
-    others; trainings go on where they were interrupted.
+    Rows in the file are not measured again, except those of the agent and of what was tuned from it when its weights
+    have changed. Interrupted trainings continue.
 
     Exit status: 0 done, 1 a training failed, 2 wrong usage.
     """
@@ -127,10 +128,10 @@ def recipe(name: str, agent: str, vehicle: str, timesteps: int | None = None) ->
 
 
 def errors(policy: str, vehicle: str, episodes: int) -> dict[str, Any]:
-    """Return what a policy does in the cruise cases of a vehicle.
+    """Return the errors of a policy in the cruise cases of a vehicle.
 
     Returns:
-        tails, the tail errors in lengths of the paper's vehicle [m], of lost episodes the cap; and which were lost.
+        `tails`, the steady-state errors in metres of the paper's vehicle, failures at the error cap; `lost`, failures.
     """
     tails, lost = [], []
     for case in CASES:
@@ -230,7 +231,7 @@ def _measured(name: str, vehicle: str, options: Options, weights: str) -> dict[s
 
 
 def error_ratio(policy: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[float, float, float]:
-    """Return the geometric mean over paired episodes of one's tail error over another's, with its 95 % interval."""
+    """Return the geometric mean over paired episodes of one policy's error over another's, with its 95 % interval."""
     logs = [np.log(np.array(a) / np.array(b)) for a, b in zip(policy["tails"], other["tails"], strict=True)]
     drawn_again = resamplings(tuple(map(len, logs)))
     sums: Array = sum((w @ own / len(own) for w, own in zip(drawn_again, logs, strict=True)), np.zeros(1))
@@ -240,18 +241,18 @@ def error_ratio(policy: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[fl
 
 
 def fine_tuning_section() -> str:
-    """Return what docs/training.md says about what was measured."""
+    """Return the part of docs/fine-tuning.md with the results."""
     record = read_json(DOCS / FINE_TUNING_FILE)
     asked, vehicles = _compared(record["agent"]), record["vehicles"].items()
     gaps = [f"{name} for {vehicle}" for vehicle, found in vehicles for name in asked if name not in found]
     missing = f" Not measured yet: {', '.join(gaps)}." if gaps else ""
     return (
-        f"What that is worth for `{record['agent']}`, in the cruise cases of published vehicles, {record['episodes']} "
-        "fresh episodes each; everybody is told the vehicle. The typical error is the geometric mean of tails, those "
-        "of lost episodes cut at the cap; *typical over alone* is the geometric mean of ratios over paired episodes, "
-        "*mean over alone* that over cases of the ratio of mean tails, which large errors decide. Intervals (95 %) are "
-        f"over episodes. One training seed.{missing}\n\n"
-        f"{fine_tuning_table(record)}{worth(record)}{tuned_verdict(record)}"
+        f"`{record['agent']}` in the cruise cases of published vehicles, {record['episodes']} held-out episodes each, "
+        "one training seed. All policies are given the vehicle model. The *typical error* is the geometric mean of the "
+        "steady-state errors, with failures at the error cap. *Typical ratio*: the geometric mean of the ratios to the "
+        "agent trained for the vehicle alone. *Mean ratio*: the same with mean errors, which large errors dominate. "
+        f"Intervals (95 %) are over episodes.{missing}\n\n"
+        f"{fine_tuning_table(record)}{tuned_table(record)}"
     )
 
 
@@ -259,7 +260,7 @@ def fine_tuning_table(record: Mapping[str, Any]) -> str:
     """Return what was measured as a table in Markdown."""
     count = record["episodes"] * len(CASES)
     lines = [
-        f"| vehicle | policy | typical error [cm] | typical over alone | mean over alone | lost of {count} |",
+        f"| vehicle | policy | typical error [cm] | typical ratio | mean ratio | failures of {count} |",
         "|---|---|---|---|---|---|",
     ]
     asked = _compared(record["agent"])
@@ -294,30 +295,26 @@ def _share(ends: tuple[float, float, float] | None) -> str:
     return "-" if ends is None else "{:.2f} ({:.2f} ... {:.2f})".format(*ends)
 
 
-def worth(record: Mapping[str, Any]) -> str:
-    """Return what tuning makes of the agent's error, and of that of its rival; nothing where that is not measured."""
-    asked = {record["agent"]: "the agent as it is", RIVAL: f"`{RIVAL}`"}
-    lines = []
+def tuned_table(record: Mapping[str, Any]) -> str:
+    """Return the ratios of the tuned agents' errors to those of other policies as a table; "" without tuned agents."""
+    rows = []
     for vehicle, found in record["vehicles"].items():
-        if _TUNED in found and asked.keys() <= found.keys():
-            shares = [
-                f"{_share(error_ratio(found[_TUNED], found[name]))} times that of {of}" for name, of in asked.items()
-            ]
-            lines.append(f"for `{vehicle}` {' and '.join(shares)}")
-    return f"\nThe typical error of the tuned agent is {'; '.join(lines)}.\n" if lines else ""
-
-
-def tuned_verdict(record: Mapping[str, Any]) -> str:
-    """Return whether tuned agents are as near as those trained alone, vehicle by vehicle; nothing where none was."""
-    lines = []
-    for vehicle, found in record["vehicles"].items():
-        if _TUNED in found and ALONE in found:
-            shares = [ends for ends in _over_alone(found[_TUNED], found) if ends is not None]
-            words = ["within" if high <= _GOAL else "beyond" if low > _GOAL else "undecided" for _, low, high in shares]
-            lines.append(f"`{vehicle}` {words[0]} by the typical error, {words[1]} by the mean one")
-    if not lines:
+        if _TUNED in found:
+            others = (record["agent"], RIVAL)
+            ratios = [_share(error_ratio(found[_TUNED], found[name]) if name in found else None) for name in others]
+            rows.append([f"`{vehicle}`", *ratios, *map(_verdict, _over_alone(found[_TUNED], found))])
+    if not rows:
         return ""
+    heads = ["vehicle", f"ratio to `{record['agent']}`", f"ratio to `{RIVAL}`", "by typical ratio", "by mean ratio"]
     return (
-        f"\nIs a tuned agent within {_GOAL:g} times the error of one trained alone? {'; '.join(lines)}. *Within* and "
-        "*beyond* are said where the whole interval lies there.\n"
+        "\nTypical ratios of the tuned agent, and whether its error is within "
+        f"{_GOAL:g} times that of the agent trained for the vehicle alone, with the whole interval:\n\n"
+        f"{table(heads, rows, right=False)}"
     )
+
+
+def _verdict(ratio: tuple[float, float, float] | None) -> str:
+    if ratio is None:
+        return "-"
+    _, low, high = ratio
+    return "within" if high <= _GOAL else "beyond" if low > _GOAL else "undecided"

@@ -1,4 +1,4 @@
-"""The values of docs/elsewhere.md: what two simulators say about the same policies."""
+"""The values of docs/elsewhere.md: the same policies in two simulators."""
 
 from __future__ import annotations
 
@@ -9,42 +9,38 @@ from baselines.tools.files import read_json
 from research.transfer.comparison import GROWTH, TAU, TRANSFER_FILE
 
 
-def context(page: str) -> dict[str, Any]:
+def context(_: str = "") -> dict[str, Any]:
     """Return the tables of each vehicle."""
-    del page
-    return {"vehicles": [_vehicle(name, record) for name, record in read_json(TRANSFER_FILE).items()]}
+    vehicles = [_vehicle(name, record) for name, record in read_json(TRANSFER_FILE).items()]
+    return {"vehicles": vehicles, "tau": f"{TAU:g}", "growth": f"{GROWTH:g}"}
 
 
 def _vehicle(name: str, record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the page shows of a vehicle, of what the study has kept."""
-    tau, cases, causes, trials = (record[key] for key in ("tau", "cases", "causes", "trials"))
+    """Return what the page shows of a vehicle."""
+    tau, cases, causes = (record[key] for key in ("tau", "cases", "causes"))
     policies = sorted(record["policies"].items(), key=lambda item: item[1]["plane_m"])
-    runs = [(f"{r['F_u']:.3g} N ahead", f"{r['plane']:.3g} m/s", f"{r['space']:.3g} m/s") for r in trials["straight"]]
-    turns = [(f"{r['F_r']:.3g} N m in yaw", f"{r['plane']:.3g} m", f"{r['space']:.3g} m") for r in trials["turns"]]
+    ranks = [*(f"{tau['by_case'][case]:.2f}" for case in cases), f"{tau['all']:.2f} ({_ends(tau['ci95'])})"]
     return {
         "name": name,
         "verdict": verdict(record),
         "cases": cases,
         "policies": [_policy(policy, own, cases) for policy, own in policies],
-        "ranks": [
-            *((case, f"{tau['by_case'][case]:.2f}") for case in cases),
-            ("all", f"**{tau['all']:.2f}** ({_ends(tau['ci95'])})"),
-            ("all, by medians", f"{tau['medians']:.2f}"),
-        ],
+        "ranks": ["tau", *ranks, f"{tau['medians']:.2f}"],
         "causes": {
             "case": causes["case"],
             "policies": [f"`{policy}`" for policy in causes["policies"]],
             "growth": [(what, *(f"{of[p]:.2f}" for p in causes["policies"])) for what, of in causes["growth"].items()],
         },
-        "trials": runs + turns,
+        "trials": _trials(record["trials"]),
     }
 
 
 def _policy(name: str, own: Mapping[str, Any], cases: list[str]) -> list[Any]:
-    growth = f"{own['growth']:.2f} ({_ends(own['ci95'])})"
-    by_case = (f"{own['growth_by_case'][case]:.2f}" for case in cases)
+    low, high = own["ci95"]
+    growth = f"{own['growth']:.2g} ({low:.2g} ... {high:.2g})"
+    by_case = (f"{own['growth_by_case'][case]:.2g}" for case in cases)
     errors = f"{own['plane_m']:.3g}", f"{own['space_m']:.3g}"
-    return [f"`{name}`", *errors, growth, own["lost_plane"], own["lost_space"], *by_case]
+    return [f"`{name}`", *errors, growth, f"{own['lost_plane']} / {own['lost_space']}", *by_case]
 
 
 def _ends(interval: tuple[float, float]) -> str:
@@ -52,15 +48,29 @@ def _ends(interval: tuple[float, float]) -> str:
     return f"{low:.2f} ... {high:.2f}"
 
 
+def _trials(record: Mapping[str, Any]) -> str:
+    """Return how steady motion differs, in a sentence."""
+    speeds, diameters = ([r["space"] / r["plane"] for r in record[kind]] for kind in ("straight", "turns"))
+    return (
+        f"Under the same surge force the steady speed in 6-DOF is {min(speeds):.2f} to {max(speeds):.2f} times that in "
+        f"the plane. Under the same yaw torque the turning diameter is {min(diameters):.2f} to {max(diameters):.2f} "
+        "times as large."
+    )
+
+
 def verdict(record: Mapping[str, Any]) -> str:
-    """Return in a sentence how far the two simulators agree, beside what is asked for."""
+    """Return in words how far the two simulators agree."""
     policies, tau = record["policies"], record["tau"]["all"]
-    grown = [f"`{name}`" for name, own in policies.items() if own["growth"] > GROWTH]
+    best, best_there = (min(policies, key=lambda name: policies[name][place]) for place in ("plane_m", "space_m"))
+    ratios = sorted((own["growth"], name) for name, own in policies.items())
+    grown = sum(own["growth"] > GROWTH for own in policies.values())
     lost, before = (sum(own[place] for own in policies.values()) for place in ("lost_space", "lost_plane"))
     runs = record["episodes"] * len(record["cases"]) * len(policies)
-    ranks = f"Kendall's tau {tau:.2f}, {'at least' if tau >= TAU else 'below'} the {TAU:g} that is asked for"
-    errors = f"errors of {', '.join(grown)} more than {GROWTH:g} times larger" if grown else "no error 1.5 times larger"
+    both = f"`{best}` has the smallest error in both simulators"
+    each = f"`{best}` has the smallest error in the plane, `{best_there}` in 6-DOF"
     return (
-        f"{len(policies)} policies, {len(record['cases'])} cases, {record['episodes']} episodes of each. {ranks}; "
-        f"{errors}; {lost} of {runs} episodes lost, in the plane {before}."
+        f"Kendall's tau is {tau:.2f} ({_ends(record['tau']['ci95'])}). {both if best == best_there else each}. The "
+        f"errors in 6-DOF are {ratios[0][0]:.2f} (`{ratios[0][1]}`) to {ratios[-1][0]:.2f} (`{ratios[-1][1]}`) times "
+        f"those in the plane; the ratio of {grown} of {len(policies)} policies exceeds {GROWTH:g}. Failures: {lost} "
+        f"of {runs} episodes in 6-DOF, {before} in the plane."
     )

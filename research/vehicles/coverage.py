@@ -104,19 +104,19 @@ def _table(record: Mapping[str, Any]) -> str:
 
 
 def coverage_section() -> str:
-    """Return what docs/identify.md says about the logs of each vehicle."""
+    """Return the part of docs/identify.md about the logs of each vehicle."""
     return "\n".join(_of_vehicle(*record) for record in read_json(DOCS / _FILE).items())
 
 
 def _of_vehicle(name: str, record: Mapping[str, Any]) -> str:
-    """Return what the page says about the logs of a vehicle."""
+    """Return the part about the logs of one vehicle."""
     logs, rows = record["logs"], record["parameters"].values()
     there = [row["near"] for row in rows if row["true"] != 0]
     not_there = [row["near"] for row in rows if row["true"] == 0]
     says = (
         f"**{name[0].upper()}{name[1:]}**, {logs} logs, {record['processor_s']:.1f} s of processor time each. "
-        f"Of the numbers that are not 0 in truth, {_share(there, logs)} are inside their interval or within 5 %; "
-        f"of those that are 0, {_share(not_there, logs)}; in {record['whole']} of {logs} logs all of them."
+        f"Of the parameters that are not 0, {_share(there, logs)} are inside their interval or within 5 %; of those "
+        f"that are 0, {_share(not_there, logs)}. In {record['whole']} of {logs} logs this holds for all parameters."
     )
     return f"{says}\n\n{_table(record)}"
 

@@ -1,4 +1,4 @@
-"""Tables of published vehicles and of tuned gains, for docs/vehicles.md and docs/controllers.md."""
+"""Tables of published vehicles and of tuned gains, for docs/vehicles.md and docs/policies.md."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _HEADS = (
 
 
 def published_vehicles() -> str:
-    """Return the vehicles with their numbers, and where those come from, as two tables in Markdown."""
+    """Return the vehicles with their numbers and the sources of these, as two tables in Markdown."""
     every = [PAPER, *map(craft, fleet())]
     sources = [(f"`{c.name}`", c.source, c.left_out, c.ours) for c in every[1:]]
     numbers = table(_HEADS, map(_row, every), right=False)
@@ -42,4 +42,6 @@ def tuned_gains() -> str:
             errors = f"{1e3 * v['error_m']:.3g}", f"{v['score']:.3f}", f"{100 * v['lost']:.1f} %"
             ratios = f"{v['effort_ratio']:.2f}", f"{v['smoothness_ratio']:.1f}"
             rows.append((f"`{name}`", regime, len(record["gains"]), *errors, *ratios))
-    return table(("controller", "regime", "gains", "error [mm]", "score", "lost", "effort", "rate"), rows)
+    return table(
+        ("controller", "speed range", "gains", "error [mm]", "score", "failures", "effort", "command rate"), rows
+    )

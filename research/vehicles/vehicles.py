@@ -1,9 +1,9 @@
-"""What gains from the vehicle's parameters are worth: `python -m research vehicle-gains`; docs/vehicles.md shows it.
+"""What gains from the vehicle's parameters are worth: `python -m research vehicle-gains`, docs/vehicle-gains.md.
 
-`scaling` compares policies that are made for a vehicle in its own units with the same ones that are told the vehicle
-and left with the gains of the paper's. `search` compares those gains with what a search for that vehicle finds, on
-episodes that the search has not seen. `agent` runs an agent beside predictive control with either gains. Errors are
-mean tail RMSE, capped as in the score, as a share of the vehicle's length scale.
+`scaling` compares policies that are made for a vehicle in its own units with policies that have the vehicle model and
+the gains of the paper's vehicle. `search` compares the gains from the parameters with those of a search for the
+vehicle, on episodes that the search has not seen. `agent` runs an agent and predictive control with either gains.
+Errors are mean steady-state errors, capped as in the score, as a share of the vehicle's length scale.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ _SCALED = ("integral-normalised", "los-pid", "ekf", "nmpc")
 """Policies that `scaling` compares, if none are named."""
 SEARCHED = ("backstepping-tuned", "los-pid", "lqi", "ekf", "nmpc")
 """Controllers whose gains `search` searches, if none are named."""
-MEASURED_AGENT = "helm-any"  # whom `agent` runs
+MEASURED_AGENT = "helm-any"  # the agent that `agent` runs
 SIDES = ("parameters", "searched", MEASURED_AGENT)
-"""Who runs side by side: predictive control with gains from the parameters and with searched ones, and the agent."""
+"""The compared policies: predictive control with gains from the parameters and with searched ones, and the agent."""
 NEAR_SEARCHED = 1.2
 """How many times the error of searched gains that of gains from parameters may be, to be called near."""
 
@@ -66,7 +66,7 @@ class Options:
     """Against the gains of the paper's vehicle, or against a search for the vehicle; or an agent against what a search
     found for nmpc."""
     vehicle: UseAppendAction[tuple[str, ...]] = ()
-    """A vehicle's name; may be given again. None: all of the fleet."""
+    """A vehicle's name; may be given again. None: all published vehicles."""
     policy: UseAppendAction[tuple[str, ...]] = ()
     """A controller's name; may be given again."""
     fresh: int = 64
@@ -80,7 +80,7 @@ class Options:
 
 
 def scaling(craft: Craft, names: Sequence[str], episodes: int) -> dict[str, Any]:
-    """Return what each policy does in the storm, told the vehicle alone (before) and made for it (after)."""
+    """Return the errors of each policy in the storm, given the vehicle model only (before) and made for it (after)."""
     scenario = changed(PRESETS[SEARCHED_SCENARIO], None if craft == PAPER else craft)
     cell, length = drawn(scenario, episodes, VALIDATION_SEED), Units.of(craft.vehicle).length
     cap = LARGEST_TAIL[_REGIME] * length
@@ -122,7 +122,7 @@ def searched(craft: Craft, name: str, options: Options) -> dict[str, Any]:
 
 
 def beside(craft: Craft, gains: Mapping[str, float], episodes: int) -> dict[str, Any]:
-    """Return the capped tails [m of the paper's vehicle] of each of `SIDES`, by case, and how many each one lost.
+    """Return the capped errors [m of the paper's vehicle] of each of `SIDES`, by case, and the failures of each.
 
     Args:
         craft: the vehicle.

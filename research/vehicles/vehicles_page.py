@@ -1,4 +1,4 @@
-"""What docs/vehicles.md shows of `research.vehicles.vehicles`, and of the expert's stability on the fleet."""
+"""The measured part of docs/vehicle-gains.md: stability and gains on the published vehicles."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ LOBES = 1.75  # times as fast as a path's turn rate that the lobes of a figure-e
 
 
 def worst_growth(vehicle: Craft, policy: str = "backstepping") -> float:
-    """Return the fastest growth [1/s] of small errors of a law made for a vehicle: negative where all of them fade.
+    """Return the largest real part [1/s] of the eigenvalues of a law on a vehicle: negative if it is locally stable.
 
-    Looked at are straight lines and turns as fast as those of its presets, at speeds up to the design speed, as fast
-    as its fins need at least.
+    The motions are straight lines and turns as fast as those of the presets, at speeds from the slowest at which the
+    fins steer up to the design speed.
     """
     law, top = make_policy(policy, vehicle=vehicle.vehicle), vehicle.vehicle.speed
     time = Units.of(vehicle.vehicle).time
@@ -53,17 +53,17 @@ def _table(names: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def stability_table() -> str:
-    """Return where the expert was examined on each vehicle, and how long the slowest error lasts there."""
+    """Return the speeds at which the expert was examined on each vehicle, and the half-life of the slowest error."""
     rows = []
     for c in (PAPER, *map(craft, fleet())):
         growth, top = worst_growth(c), c.vehicle.speed
-        word = f"halves in {math.log(2) / -growth:.3g} s" if growth < 0 else "grows"
+        word = f"{math.log(2) / -growth:.3g}" if growth < 0 else "unstable"
         rows.append([f"`{c.name}`", f"{max(_SHARES[0] * top, c.slowest):.2g} ... {top:.3g}", word])
-    return _table(["vehicle", "speeds [m/s]", "the slowest small error"], rows)
+    return _table(["vehicle", "speeds [m/s]", "half-life of the slowest error [s]"], rows)
 
 
 def scaling_table(record: Mapping[str, Any]) -> str:
-    """Return the errors [% of L] with gains of the paper's vehicle and with gains of the vehicle's own."""
+    """Return the errors [% of L] with the gains of the paper's vehicle and with gains for the vehicle."""
     names = list(next(iter(record.values()))["policies"])
     rows = [
         [f"`{vehicle}`", *(_change(entry["policies"][name]) for name in names)]
@@ -82,7 +82,7 @@ def _percent(error: float, lost: int) -> str:
 
 
 def search_table(record: Mapping[str, Any]) -> str:
-    """Return how gains from parameters compare with searched ones: the ratio of the errors, with its interval."""
+    """Return the ratio of the errors with gains from parameters to those with searched gains, with its interval."""
     rows = [
         [
             f"`{vehicle}`",
@@ -98,11 +98,11 @@ def search_table(record: Mapping[str, Any]) -> str:
 
 
 def gains_section() -> str:
-    """Return what docs/vehicles.md says of gains that follow the vehicle, as `research.vehicles.vehicles` measured."""
+    """Return the part of docs/vehicle-gains.md that `research.vehicles.vehicles` measured."""
     record = read_json(DOCS / VEHICLES_FILE)
     stable = (
-        "**Stable.** The expert is locally stable on each vehicle, in still water, on straight lines and in turns as "
-        "fast as those of its presets:"
+        "### Stability\n\nThe expert is locally stable on each vehicle in still water, on straight lines and in turns "
+        "as fast as those of the presets:"
     )
     parts = (stable, stability_table(), *_scaling(record["scaling"]), *_search(record["search"]), *_agent(record))
     return "\n\n".join(parts)
@@ -113,11 +113,11 @@ def _scaling(record: Mapping[str, Any]) -> tuple[str, str]:
     errors = [p[key] for e in record.values() for p in e["policies"].values() for key in ("before", "after")]
     widest = max((e["interval"][1] - e["interval"][0]) / 2 / e["error"] for e in errors)
     says = (
-        f"**Against the gains of the paper's vehicle.** `{SEARCHED_SCENARIO}`, {first['episodes']} episodes on each of "
-        f"{len(record)} vehicles: mean tail error in per cent of L, that of a lost episode counted as the score caps "
-        "it, and in brackets how many were lost. On the left of an arrow the policy is told the vehicle and keeps the "
-        "gains of the paper's, on the right it is made for it. 95 % intervals (bootstrap over episodes) reach up to "
-        f"{100 * widest:.0f} % of a mean to either side."
+        f"### Gains of the paper's vehicle\n\n`{SEARCHED_SCENARIO}`, {first['episodes']} episodes on each of "
+        f"{len(record)} vehicles: mean steady-state error in per cent of L, with failures at the error cap, and in "
+        "parentheses the number of failures. Left of the arrow the policy has the vehicle model and the gains of the "
+        "paper's vehicle, right of it the gains follow the vehicle. 95 % intervals (bootstrap over episodes) reach "
+        f"up to {100 * widest:.0f} % of the mean on each side."
     )
     return says, scaling_table(record)
 
@@ -129,11 +129,11 @@ def _search(record: Mapping[str, Any]) -> tuple[str, str]:
     (evaluations, episodes), fresh = found[0]["budget"], found[0]["episodes"]
     within = f"{100 * (NEAR_SEARCHED - 1):.0f} %"
     says = (
-        f"**Against a search for the vehicle.** {evaluations} evaluations of {episodes} episodes in all cases of "
-        f"cruise, beginning at the gains from the parameters; then both on {fresh} other episodes. In {near} of "
-        f"{len(found)} pairs of vehicle and controller the gains from the parameters are within {within} of the "
-        f"searched ones; the geometric mean of the ratios is {middle:.2f}. A longer search would find more: the ratios "
-        "are what this budget shows, no bound."
+        f"### Gains from a search\n\nA search for one vehicle has {evaluations} evaluations of {episodes} episodes in "
+        f"all cruise cases and begins at the gains from the parameters. Both then run {fresh} other episodes. In "
+        f"{near} of {len(found)} pairs of vehicle and controller the gains from the parameters are within {within} of "
+        f"the searched ones. The geometric mean of the ratios is {middle:.2f}. A longer search could find better "
+        "gains. Errors are in per cent of L, with failures in parentheses:"
     )
     return says, search_table(record)
 
@@ -154,21 +154,19 @@ def _agent(record: Mapping[str, Any]) -> tuple[str, str]:
     ((evaluations, episodes),) = budgets
     (fresh,) = {sum(map(len, entry["tails"][MEASURED_AGENT].values())) for entry in found.values()}
     says = (
-        f"**`{MEASURED_AGENT}` beside `{RIVAL}` with searched gains.** As many evaluations for each vehicle "
-        f"({evaluations} of {episodes} episodes), all cases of cruise, {fresh} fresh episodes each, the same "
-        f"for all; errors "
-        f"as above. The ratio is the geometric mean over cases of that of mean errors: over all {len(found)} "
-        f"vehicles the "
-        f"agent has {over[0]} of the error of `{RIVAL}` with gains from the parameters, and {over[1]} of that with "
-        "searched ones. The agent is tuned to none of them, one set of weights; slow motion is not searched."
+        f"### `{MEASURED_AGENT}` and `{RIVAL}` with searched gains\n\nThe gains of `{RIVAL}` are searched for each "
+        f"vehicle ({evaluations} evaluations of {episodes} episodes). All run the same {fresh} held-out episodes in "
+        "all cruise cases. The ratio is the geometric mean over cases of the ratios of mean errors. Over all "
+        f"{len(found)} vehicles the error of the agent is {over[0]} times that of `{RIVAL}` with gains from the "
+        f"parameters, and {over[1]} times that with searched gains. The agent has one set of weights for all vehicles."
     )
     names = [
         "vehicle",
         f"`{RIVAL}`, from parameters",
         "searched",
         f"`{MEASURED_AGENT}`",
-        "agent over the first",
-        "over the second",
+        "ratio to parameters",
+        "ratio to searched",
     ]
     return says, _table(names, rows)
 

@@ -1,12 +1,8 @@
 """Equations as data: the printed forms give the equation's own numbers, derivatives those of torch."""
 
 import functools
-import logging
 import math
-import os
-import stat
-import subprocess
-import sys
+import pickle
 from dataclasses import replace
 
 import mpmath
@@ -261,79 +257,36 @@ def test_wrong_arrays_are_refused():
         kernel(4, z=good, h=rest["h"], push=rest["push"])
 
 
-@pytest.fixture
-def cache(tmp_path, monkeypatch):
-    """An empty cache of compiled code."""
-    monkeypatch.setenv(native.CACHE, str(tmp_path / "cache"))
-    monkeypatch.delenv(native.SWITCH, raising=False)
-    for kept in (native.library, native.compiler):
-        kept.cache_clear()
-    yield tmp_path / "cache"
-    for kept in (native.library, native.compiler):
-        kept.cache_clear()
+@pytest.mark.parametrize(
+    ("operation", "values"),
+    [
+        ("div", (1.0, 0.0)), ("div", (-1.0, 0.0)), ("div", (1.0, -0.0)), ("div", (0.0, 0.0)), ("log", (0.0,)),
+        ("log", (-1.0,)), ("exp", (1000.0,)), ("sqrt", (-1.0,)), ("sin", (math.inf,)), ("floor", (math.inf,)),
+        ("floor", (-math.inf,)), ("floor", (-0.0,)), ("floor", (-1.5,)), ("single", (1e39,)), ("single", (0.1,)),
+    ],
+)  # fmt: skip
+def test_constants_are_folded_as_numpy_computes_them(operation, values):
+    """And without a warning of NumPy's; the same function on floats, where a kernel runs without a compiler."""
+    graph = Graph()
+    folded = graph.apply(operation, *map(graph.constant, values)).value
+    kernel = Kernel.traced(lambda a: {"out": [a[0].graph.apply(operation, *a)]}, {"a": len(values)})
+    given = np.array(values)[:, None]
+    with np.errstate(all="ignore"):
+        names = {"div": np.divide, "single": np.float32}
+        expected = float(names.get(operation, getattr(np, operation, None))(*values))
+    on_float = given.copy()
+    out = {"out": np.empty((1, 1))}
+    kernel._on_one({"a": on_float, **out})(0, 1)
+    for found in (folded, out["out"].item()):
+        np.testing.assert_equal(found, expected)  # tells 0 and -0 apart
 
 
-SOURCE = "double auv_test(void) { return 3; }\n"
-
-
-@needs_compiler
-def test_a_library_is_built_once(cache, monkeypatch):
-    assert native.library(SOURCE) is not None
-    (file,) = cache.iterdir()
-    assert stat.S_IMODE(cache.stat().st_mode) == 0o700
-    native.library.cache_clear()
-    monkeypatch.setattr(native, "_compile", lambda *_: pytest.fail("it is there already"))
-    assert native.library(SOURCE) is not None
-    assert [file] == [*cache.iterdir()]
-
-
-@needs_compiler
-def test_an_unwritable_cache_costs_no_more_than_the_cache(cache, caplog):
-    cache.write_text("a file where the folder should be")
-    with caplog.at_level(logging.INFO, "auv_gym"):
-        assert native.library(SOURCE) is not None
-    assert "cannot be kept" in caplog.text
-
-
-def test_without_a_compiler_one_line_says_so(cache, caplog, monkeypatch):
-    monkeypatch.setenv("PATH", str(cache))
-    monkeypatch.delenv("CC", raising=False)
-    with caplog.at_level(logging.INFO, "auv_gym"):
-        assert native.library(SOURCE) is None
-        assert native.library(SOURCE + "\n") is None
-    assert [record.levelname for record in caplog.records] == ["INFO"]
-    assert "gcc or clang" in caplog.text
-    kernel = Kernel.traced(lambda a: {"out": (a[0] * 2.0,)}, {"a": 1})
-    np.testing.assert_array_equal(kernel(a=np.array([[1.5, 2.5]]))["out"], [[3.0, 5.0]])
-
-
-def test_a_broken_compiler_is_as_good_as_none(cache, caplog, monkeypatch, tmp_path):
-    broken = tmp_path / "broken-cc"
-    broken.write_text('#!/bin/sh\n[ "$1" = --version ] && echo 1.0 && exit 0\necho "no disk" >&2\nexit 1\n')
-    broken.chmod(0o755)
-    monkeypatch.setenv("CC", str(broken))
-    with caplog.at_level(logging.INFO, "auv_gym"):
-        assert native.library(SOURCE) is None
-    assert "no disk" in caplog.text
-
-
-@needs_compiler
-def test_a_damaged_library_is_built_anew(cache):
-    assert native.library(SOURCE) is not None
-    (file,) = cache.iterdir()
-    file.unlink()  # the loaded one stays mapped
-    file.write_bytes(b"not a library")
-    native.library.cache_clear()
-    assert native.library(SOURCE) is not None
-
-
-@needs_compiler
-def test_processes_that_build_at_once_share_one_library(cache):
-    code = f"from auv_gym.codegen import native; assert native.library({SOURCE!r}).auv_test"
-    environment = {**os.environ, native.CACHE: str(cache)}
-    running = [subprocess.Popen([sys.executable, "-c", code], env=environment) for _ in range(3)]
-    assert [process.wait(60) for process in running] == [0, 0, 0]
-    assert len([*cache.iterdir()]) == 1
+def test_a_kernel_that_has_run_can_be_pickled():
+    kernel, given = oscillator(False), {"z": np.ones((2, 4)), "h": np.full((1, 4), 0.1), "push": np.ones((3, 1, 4))}
+    expected = kernel(3, **given)
+    again = pickle.loads(pickle.dumps(kernel))(3, **given)
+    for name, array in expected.items():
+        np.testing.assert_array_equal(again[name], array)
 
 
 def test_one_step_of_the_vehicle_as_a_kernel():

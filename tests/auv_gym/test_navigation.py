@@ -29,7 +29,7 @@ from baselines.evaluation.runner import Cell, Recorded, run_all
 from baselines.evaluation.score import BY_ORACLE, LARGEST_TAIL, regime_of, waters_of
 from baselines.training.apg.torch_network import torch_network
 from research.results.collection import Results
-from research.results.navigation import navigation
+from research.results.navigation import additional_errors, navigation_alone, navigation_part
 from research.suites.deep import (
     INSTRUMENTS,
     MISSION,
@@ -295,7 +295,7 @@ def test_who_keeps_its_estimate_on_the_reference_has_the_error_of_the_navigation
 
 
 def test_the_page_tells_the_instruments():
-    text = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "suites.md").read_text(encoding="utf-8")
     s, r = INSTRUMENTS, INSTRUMENTS.reckoning
     for words in (
         f"every {r.interval[0]:g} to {r.interval[1]:g} s, {s.position:g} m on each axis",
@@ -306,12 +306,12 @@ def test_the_page_tells_the_instruments():
         f"walks {r.walk:g} rad/sqrt(s)",
         f"in storms {OUTAGES:g} a minute, each {OUTAGE_TIME[0]:g} to {OUTAGE_TIME[1]:g} s long",
         f"in missions of {MISSION['slow']:g} s and {MISSION['cruise']:g} s",
-        f"from a tail of {LARGEST_TAIL['deep']:g} m",
+        f"from a steady-state error of {LARGEST_TAIL['deep']:g} m",
     ):
         assert words in text
 
 
-def test_results_begin_with_the_error_of_the_navigation():
+def test_results_have_the_error_of_the_navigation_and_what_each_policy_adds():
     suite = suites.load_suite("deep-v1")
     few = dataclasses.replace(
         suite,
@@ -320,11 +320,9 @@ def test_results_begin_with_the_error_of_the_navigation():
     )
     runs = run_all(("backstepping", "oracle", "open-loop"), few.cells)
     results = Results.of(few, [dataclasses.replace(r, recorded=Recorded("2000-01-01", {})) for r in runs])
-    text = "\n\n".join(navigation(results, ["slow"]))
+    errors = navigation_alone(results, "slow")
+    assert list(errors) == ["slow-deep"]
     floor = navigation_tails(few.cells[0]).mean()
-    rows = [line.strip("| ").split(" | ") for line in text.split("### Navigation")[1].split("###")[0].splitlines()]
-    shown = {row[0].strip("`"): [float(x) for x in row[1:3]] for row in rows if len(row) == 4 and row[1][-1].isdigit()}
-    assert shown["navigation"] == pytest.approx([floor, floor], abs=5e-4)
-    for run in (runs[0], runs[2]):
-        assert shown.pop(run.policy)[0] == pytest.approx(run.measures.tail.mean() - floor, abs=5e-4)
-    assert list(shown) == ["navigation"]  # the oracle needs none
+    assert f"| slow | {1e3 * floor:.0f} | {1e3 * floor:.0f} |" in navigation_part({"slow": errors})
+    shown = {name: float(text.split(" (")[0]) for name, text in additional_errors(results, errors).items()}
+    assert shown == {r.policy: round(1e3 * (r.measures.tail.mean() - floor)) for r in (runs[0], runs[2])}

@@ -1,7 +1,6 @@
 """The vector environment, held against scalar environments; its contract with Gymnasium; the residual wrapper."""
 
 import importlib
-import resource
 import subprocess
 import sys
 
@@ -9,7 +8,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
-from gymnasium.wrappers import vector as wrappers
 
 from auv_gym.envs.lanes import Lanes
 from auv_gym.scenarios.exogenous import Tape
@@ -18,6 +16,7 @@ from auv_gym.scenarios.scenario import Scenario
 from baselines import make_policy
 from baselines.control.backstepping import Backstepping
 
+wrappers = pytest.importorskip("gymnasium.wrappers.vector")  # since Gymnasium 1.0
 TRACK = "auv_gym:UnderactuatedAUVTrack-v0"
 RESIDUAL = "auv_gym:UnderactuatedAUVTrackResidual-v0"
 SHORT = {name: {**scenario.to_dict(), "steps": 100} for name, scenario in PRESETS.items()}
@@ -384,6 +383,7 @@ def test_16384_vehicles_fit_in_a_gibibyte():
 
 
 def test_memory_does_not_grow():
+    resource = pytest.importorskip("resource")  # not on Windows
     env = vector(n=64, scenario={**PRESETS["cruise-storm"].to_dict(), "steps": 20})
     env.reset(seed=0)
     actions = np.zeros((64, 2), dtype=np.float32)

@@ -229,7 +229,7 @@ def test_the_shipped_table_leaves_an_agent_what_it_is():
     json.dumps(dict(values.values))
 
 
-@pytest.mark.parametrize("page", ["training", "tutorials/log-to-agent"])
+@pytest.mark.parametrize("page", ["fine-tuning", "tutorials/log-to-agent"])
 def test_documented_commands_run(page, call, monkeypatch):
     """In their order, with a small agent in the place of the one that ships; vehicle.toml is that of the tutorial."""
     monkeypatch.setattr("baselines.training.beginning.agent_folder", lambda _: Path("runs/train/apg-small-slow/agent"))
@@ -239,7 +239,11 @@ def test_documented_commands_run(page, call, monkeypatch):
         re.search(r"^```toml\n(.*?)^```$", tutorial, re.MULTILINE | re.DOTALL)[1], encoding="utf-8"
     )
     text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
-    lines = [line for line in re.findall(r"^python train.py ([^#\n]*)", text, re.MULTILINE) if "--vehicle" in line]
+    lines = [
+        line
+        for line in re.findall(r"^(?:python train.py|auv-gym train) ([^#\n]*)", text, re.MULTILINE)
+        if "--vehicle" in line
+    ]
     assert lines
     for line in lines:
         scenario = () if "--scenario" in line else ("--scenario", "small.toml")
@@ -257,15 +261,13 @@ def test_what_fine_tuning_is_worth_is_measured(tmp_path, monkeypatch, capsys):
     assert [len(own["helm"][name]) for name in ("tails", "lost")] == [2, 2]
     own["alone"] = {"tails": [[2 * x for x in case] for case in own["helm"]["tails"]], "lost": [0, 0]}
     assert fine_tuning.error_ratio(own["helm"], own["alone"]) == pytest.approx((0.5, 0.5, 0.5))
-    assert "the agent as it is | " in fine_tuning.fine_tuning_table(record)
+    assert "the original agent | " in fine_tuning.fine_tuning_table(record)
     assert "| 0.50 (0.50 ... 0.50) | 0.50 (0.50 ... 0.50) |" in fine_tuning.fine_tuning_table(record)
-    assert fine_tuning.tuned_verdict(record) == ""
+    assert fine_tuning.tuned_table(record) == ""
     own["tuned"] = {"tails": [own["helm"]["tails"][0], [5 * x for x in own["helm"]["tails"][1]]], "lost": [0, 0]}
-    assert "`otter` beyond by the typical error, beyond by the mean one" in fine_tuning.tuned_verdict(record)
-    assert fine_tuning.worth(record) == ""
     own["nmpc"] = {"tails": [[4 * x for x in case] for case in own["tuned"]["tails"]], "lost": [0, 0]}
-    worth = fine_tuning.worth({**record, "agent": "helm"})
-    assert "for `otter` 2.24 (2.24 ... 2.24) times that of the agent as it is and 0.25 (0.25 ... 0.25) times" in worth
+    ratios = "2.24 (2.24 ... 2.24) | 0.25 (0.25 ... 0.25)"
+    assert f"| `otter` | {ratios} | beyond | beyond |" in fine_tuning.tuned_table({**record, "agent": "helm"})
     capsys.readouterr()
     assert run(fine_tuning.main, fine_tuning.PROGRAM, words) == 0
     assert capsys.readouterr().out == ""  # all is there

@@ -329,6 +329,65 @@ def test_a_changed_policy_is_not_taken_for_finished_work(call, small, tmp_path, 
     assert tails[0] == tails[1] != tails[2]
 
 
+def test_a_resumed_run_says_what_is_watched(call, small, tmp_path, capsys):
+    (tmp_path / "mine.py").write_text(PUSHES.format(0.1))
+    Path("w.txt").write_text("1")
+    loop = "import json, sys; print('{}', flush=True) if json.loads(input()) else 0\n"
+    loop += "for line in sys.stdin:\n    n = len(json.loads(line)['starts'])\n"
+    loop += "    print(json.dumps({'actions': [[0, 0]] * n}), flush=True)\n"
+    Path("program.py").write_text(loop)
+    program = f"cmd:{sys.executable} program.py --weights=w.txt"
+    policies = ("--policy", "mine.py:Push", program, "--scenario", small, "--episodes", "1", "--jobs", "1")
+    assert call(*policies) == 0
+    assert "watches" not in capsys.readouterr().err
+    assert call(*policies, "--resume") == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "watches" in line]
+    assert [line.startswith("note: --resume watches the file mine.py,") for line in lines] == [True, False]
+    assert "program.py, w.txt, and nothing else" in lines[1]
+
+
+SLEEPS = """
+import time
+import numpy as np
+
+
+class Push:
+    def predict(self, observation, *_):
+        time.sleep(0.005)
+        return np.zeros((len(observation), 2)), None
+"""
+
+
+def test_a_time_limit_holds_for_a_finished_run(call, small, tmp_path, capsys):
+    """Its time is that on the clock: this policy sleeps. A limit that it keeps does not make it run again."""
+    (tmp_path / "mine.py").write_text(SLEEPS)
+    common = ("--scenario", small, "--policy", "mine.py:Push", "--episodes", "1", "--jobs", "1", "--resume")
+    for limit, status, state in (("1", 0, "done"), ("2", 0, "known"), ("0.001", 1, "failed"), ("0.9", 0, "known")):
+        assert call(*common, "--step-limit", limit) == status
+        assert f"mine.py:Push in small: {state}" in capsys.readouterr().err
+    row = json.loads((tmp_path / "runs" / "evaluate" / "results.json").read_text())["results"][1]
+    assert row["decision_ms"] > 5
+
+
+def test_runs_of_another_simulator_run_again(call, small, tmp_path, monkeypatch, capsys):
+    common = ("--scenario", small, "slow-calm", "--episodes", "1", "--jobs", "1", "--resume")
+    note = "note: runs that another version of the simulator has left are run again\n"
+    for module in ("runner", "command"):
+        monkeypatch.setattr(f"baselines.evaluation.{module}.simulator_fingerprint", lambda: "the one")
+    for state, count in (("done", 0), ("known", 0)):
+        assert call(*common) == 0
+        err = capsys.readouterr().err
+        assert err.count(f": {state}") == 2
+        assert err.count(note) == count
+    for module in ("runner", "command"):
+        monkeypatch.setattr(f"baselines.evaluation.{module}.simulator_fingerprint", lambda: "another")
+    for state, count in (("done", 1), ("known", 0)):
+        assert call(*common) == 0
+        err = capsys.readouterr().err
+        assert err.count(f": {state}") == 2
+        assert err.count(note) == count
+
+
 def test_a_policy_that_changes_while_it_runs_is_refused(tmp_path):
     file = tmp_path / "mine.py"
     file.write_text(PUSHES.format(0.1))

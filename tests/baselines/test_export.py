@@ -2,6 +2,7 @@
 
 import ctypes
 import json
+import math
 import os
 import re
 import shutil
@@ -152,6 +153,123 @@ def test_headers_compile_without_a_warning(tmp_path, compiler, precision, weight
         "sqrt",
         "sqrtf",
     }
+
+
+@pytest.mark.parametrize("compiler", ["g++", "clang++"])
+@pytest.mark.parametrize("name", ["apg-slow", "sac-slow", "helm-small"])
+def test_headers_are_cpp_too(tmp_path, compiler, name):
+    """As it is included by a program for Arduino or ROS, in one file, or in two."""
+    needed(compiler)
+    (tmp_path / "agent.h").write_text(c_header(exported(name)), encoding="utf-8")
+    (tmp_path / "agent.cpp").write_text('#define AUV_AGENT_IMPLEMENTATION\n#include "agent.h"\n', encoding="utf-8")
+    use = '#include "agent.h"\nint main() { auv_agent_memory m; auv_agent_start(&m); return m.command[0] != 0; }\n'
+    (tmp_path / "main.cpp").write_text(use, encoding="utf-8")
+    ran(tmp_path, compiler, "-fsyntax-only", "-Wall", "-Wextra", "-Werror", "agent.cpp", "main.cpp")
+    ran(tmp_path, compiler, "agent.cpp", "main.cpp", "-o", "program", "-lm")
+    ran(tmp_path, tmp_path / "program")
+
+
+BAD = (math.nan, math.inf, -math.inf, 1e30)
+
+
+class Steered:
+    """A compiled header, its memory, and a vehicle that moves straight on, nearly on its path."""
+
+    def __init__(self, name, precision):
+        self.agent = exported(name)
+        self.real = np.dtype(precision)
+        library = native.library(f"#define AUV_AGENT_IMPLEMENTATION\n{c_header(self.agent, precision)}")
+        self.functions = {kind: library[f"auv_agent_{kind}"] for kind in ("start", "observe", "step", "steer")}
+        self.memory = np.full(sum(self.agent.memory.values()) + 2, 7.0, self.real)
+        self.command = np.full(2, 7.0, self.real)
+        self.call("start", self.memory)
+        assert not self.memory.any()
+
+    def call(self, kind, *arrays):
+        return self.functions[kind](*(ctypes.c_void_p(array.ctypes.data) for array in arrays))
+
+    def view(self, k):
+        reference = (0.1 * k, 0.0, 0.0, 1.0, 0.0, 0.0, 70.0, 0.0)
+        measured = (0.1 * k + 0.2, 0.1 * np.sin(k), 0.05, 0.9, 0.02, 0.01)
+        ahead = [x for n in self.agent.preview for x in (0.1 * n, 0.0)]
+        return np.array([*measured, *reference, 400.0, 200.0, 0.1, *ahead], self.real)
+
+    def observation(self, k):
+        seen = np.zeros(len(self.agent.columns), self.real)
+        self.call("observe", self.memory, self.view(k), seen)
+        return seen
+
+    def steer(self, view):
+        return self.call("steer", self.memory, view, self.command)
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("name", KINDS)
+def test_a_bad_number_costs_a_header_one_command(name, precision):
+    """In each measurement and each setting: the last command again, a status that says so, and nothing else."""
+    compiled()
+    it = Steered(name, precision)
+    bad = it.view(0)
+    bad[0] = math.nan
+    assert it.steer(bad) == 1
+    assert not it.command.any()
+    assert not it.memory.any()
+    assert [it.steer(it.view(k)) for k in range(5)] == [0] * 5
+    assert it.command.any()
+    memory, command = it.memory.copy(), it.command.copy()
+    for make, call in ((it.view, it.steer), (it.observation, lambda row: it.call("step", it.memory, row, it.command))):
+        for i in range(len(make(5))):
+            for value in BAD:
+                bad = make(5)
+                bad[i] = value
+                it.command[:] = 7.0
+                assert call(bad) == 1, f"{value} in entry {i}"
+                np.testing.assert_array_equal(it.command, command)
+                np.testing.assert_array_equal(it.memory, memory)
+    assert it.steer(it.view(5)) == 0
+    expected, after = it.command.copy(), it.memory.copy()
+    for zeros in ([16], [14], [15], [14, 15], [14, 15, 16]):  # limits and control period
+        it.memory[:] = memory
+        bad = it.view(5)
+        bad[zeros] = 0.0
+        it.steer(bad)
+        assert np.isfinite(it.command).all()
+        assert np.isfinite(it.memory).all()
+        assert it.steer(it.view(5)) == 0
+    it.memory[:] = memory
+    assert it.steer(it.view(5)) == 0
+    np.testing.assert_array_equal(it.command, expected)
+    np.testing.assert_array_equal(it.memory, after)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_bad_number_costs_a_model_one_command(name):
+    """As any runtime runs it; the other row of the batch goes on."""
+    import onnxruntime
+
+    precision = "float32"
+    agent = exported(name)
+    session = onnxruntime.InferenceSession(onnx_model(agent, precision).SerializeToString())
+    shapes = {value.name: (2, value.shape[1]) for value in session.get_inputs()}
+    given = {value: np.zeros(shape, precision) for value, shape in shapes.items() if value != "observation"}
+    observations = [moment.observation.astype(precision) for moment in episodes(name).play(make_policy(name), 6)]
+    for observation in observations[:4]:
+        _, *memory = session.run(None, {"observation": observation, **given})
+        given = dict(zip(given, memory, strict=True))
+    good = observations[4]
+    expected = session.run(None, {"observation": good, **given})
+    for i in range(good.shape[1]):
+        for value in BAD:
+            bad = good.copy()
+            bad[0, i] = value
+            action, *memory = session.run(None, {"observation": bad, **given})
+            last = good[0, 15:17].copy()
+            last[np.arange(15, 17) == i] = 0.0
+            np.testing.assert_array_equal(action[0], last, err_msg=f"{value} in column {i}")
+            for old, new in zip(given.values(), memory, strict=True):
+                np.testing.assert_array_equal(new[0], old[0])
+            for new, usual in zip((action, *memory), expected, strict=True):
+                np.testing.assert_array_equal(new[1], usual[1])
 
 
 @pytest.mark.parametrize(

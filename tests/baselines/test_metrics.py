@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from rich.console import Console
+from scipy import stats
 
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation import metrics
@@ -43,6 +44,7 @@ def measures(tail, lost=None, steps=600):
 def test_summary_by_hand():
     s = metrics.summarise(Measures.joined([measures([1.0]), measures([3.0], [True], 200)]))
     assert s.tail_rmse_m.mean == s.rmse_m == 2
+    assert s.tail_rmse_m.median == 2
     assert s.tail_rmse_m.p95 == pytest.approx(2.9)
     assert s.tail_rmse_m.cvar95 == 3
     assert (s.episodes, s.saturation) == (2, 0.5)
@@ -134,6 +136,23 @@ def test_score_intervals_are_paired():
     assert s.ci95 == pytest.approx((0.7, 0.7))
     noisy = score([hard], [0.3 * rng.permutation(hard)], [0.0 * hard])
     assert noisy.ci95[1] - noisy.ci95[0] > 0.05
+
+
+@pytest.mark.parametrize("count", [2, 20, 260])
+def test_bootstrap_interval_is_that_of_scipy(count):
+    values = np.random.default_rng(count).lognormal(0, 2, count)
+    options = {"n_resamples": metrics.RESAMPLES, "rng": np.random.default_rng(0)}
+    np.testing.assert_allclose(
+        metrics.bootstrap_interval(values), stats.bootstrap((values,), np.mean, **options).confidence_interval
+    )
+
+
+@pytest.mark.parametrize(("lost", "episodes"), [(0, 2080), (1, 20), (19, 20), (20, 20)])
+def test_intervals_of_shares_are_those_of_scipy(lost, episodes):
+    upper = stats.binomtest(lost, episodes, alternative="less").proportion_ci(0.95).high
+    assert metrics.most_lost(lost, episodes) == pytest.approx(upper, rel=1e-12)
+    both = stats.binomtest(lost, episodes).proportion_ci(0.95)
+    assert metrics.share_interval(lost, episodes) == pytest.approx((both.low, both.high), rel=1e-12)
 
 
 def test_bootstrap_interval():

@@ -29,7 +29,7 @@ from baselines.evaluation.runner import drawn, run_all
 from baselines.tools.command_line import UsageError
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "enter.md").read_text(encoding="utf-8")
+PAGE, SUBMIT = ((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("programs.md", "enter.md"))
 PYTHON = shlex.quote(sys.executable)
 COMPILED = ("cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-O2", "-o", "my_controller", "my_controller.c", "-lm")
 EXAMPLES = {
@@ -51,8 +51,8 @@ TELL = "    print(json.dumps(answer), flush=True)\n"
 
 
 def written():
-    """Write the named blocks of the page into the working directory."""
-    for _, text in re.findall(r"^```(\w+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL):
+    """Write the named blocks of the pages into the working directory."""
+    for _, text in re.findall(r"^```(\w+)\n(.*?)^```$", PAGE + SUBMIT, re.MULTILINE | re.DOTALL):
         if name := re.match(r"(?:#|//|/\*) (\w+\.\w+)", text):
             Path(name[1]).write_text(text, encoding="utf-8")
 
@@ -243,6 +243,36 @@ def test_no_process_is_left_behind():
     assert gone(*pids)
 
 
+SPAWNING = """
+import json, os, subprocess, sys, time
+for options in {}:
+    child = subprocess.Popen(["sleep", "1000"], **options)
+    open("pids", "a").write(f"{{os.getpid()}} {{child.pid}} ")
+hello = json.loads(sys.stdin.readline())
+print("{{}}", flush=True)
+sys.stdin.readline()
+print('{{"actions": [[0, 0]]}}', flush=True)
+time.sleep(1000)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not show the environment of a process")
+@pytest.mark.parametrize("rows", [1, 4096], ids=["waits for the answer", "the question does not fit the pipe"])
+def test_the_time_of_an_answer_is_bounded_where_a_child_holds_the_pipes(rows, monkeypatch):
+    """It has been started in the program's session, in one of its own, and by a process that has ended."""
+    text = SPAWNING.format('[{"stdin": 0}, {"stdin": 0, "start_new_session": True}]')
+    orphan = """subprocess.run(["sh", "-c", "setsid sleep 1000 & echo $! > orphan"], stdin=0)"""
+    text = text.replace("hello =", f"{orphan}\nhello =", 1)
+    policy = make_policy(program(text))
+    pids = [int(pid) for file in ("pids", "orphan") for pid in Path(file).read_text().split()]
+    assert all(map(alive, pids))
+    monkeypatch.setattr(programs, "START", 0.3)
+    policy.step_limit = 0.0
+    with pytest.raises(ProgramError, match=r"it has not answered for 0\.3 s"):
+        policy.predict(np.zeros((rows, 18)))
+    assert gone(*pids)
+
+
 def test_none_is_left_where_evaluate_is_ended(tmp_path):
     """By SIGTERM, with the program in a worker process."""
     name = program(LOOP.replace("hello =", "import os; open(f'pid{os.getpid()}', 'w'); hello =", 1) + TELL)
@@ -271,6 +301,33 @@ def test_its_fingerprint_is_the_command_and_its_files():
     assert fingerprint(name) != before
 
 
+def test_files_that_a_command_names_belong_to_its_fingerprint(tmp_path, monkeypatch):
+    """Behind "=", and in a folder or the folders in it; of caches, and of what is not named, nothing does."""
+    files = {
+        "w.txt": "cmd:x --weights=w.txt",
+        "model/deep/w.txt": "cmd:x model",
+        "model/w.txt": "cmd:x --model=model",
+        "model/.hidden": None,
+        "model/__pycache__/x.pyc": None,
+        "other.txt": None,
+    }
+    for file in files:
+        Path(file).parent.mkdir(parents=True, exist_ok=True)
+        Path(file).write_text("1")
+    names = [name for name in files.values() if name]
+    for file, name in files.items():
+        before = {name: fingerprint(name) for name in names}
+        Path(file).write_text("2")
+        changed = {name for name in names if fingerprint(name) != before[name]}
+        assert changed == ({name for name in names if "model" in name} if file[0] == "m" and name else {name} - {None})
+    before = fingerprint("cmd:x model")
+    Path("model/w.txt").rename("model/v.txt")
+    assert fingerprint("cmd:x model") != before
+    monkeypatch.setattr(programs, "MOST_FILES", 1)
+    with pytest.raises(UsageError, match="names the folder model, which holds more than 1 files"):
+        evaluate.main(["--policy", program(LOOP + TELL) + " model", "--scenario", "slow-calm", "--out", "out"])
+
+
 def test_its_name_is_no_path_of_another_kind():
     for name in ("cmd:a.py:b", "cmd:model.zip", "cmd:x.onnx", "cmd:x:fade", "cmd:" + "x" * 5000):
         assert is_path(name)
@@ -279,6 +336,21 @@ def test_its_name_is_no_path_of_another_kind():
             make_policy(name)
     with pytest.raises(ValueError, match="takes no option 'gains'"):
         make_policy("cmd:true", gains="paper")
+
+
+def test_a_program_is_not_asked_what_to_do_with_no_number():
+    """It has seen nothing of it: its next question is the next good observation."""
+    text = LOOP + "    answer = {'actions': [[k / 64, -k / 64]]}\n" + TELL
+    policy = make_policy(program(text))
+    row = make_env(PRESETS["slow-calm"]).reset(seed=0)[0]
+    action, memory = policy.predict(row)
+    np.testing.assert_array_equal(action, [1 / 64, -1 / 64])
+    row[15:17] = action
+    bad = row.copy()
+    bad[2] = np.nan
+    held, memory = policy.predict(bad, memory)
+    np.testing.assert_array_equal(held, action)
+    np.testing.assert_array_equal(policy.predict(row, memory)[0], [2 / 64, -2 / 64])
 
 
 def test_a_large_batch_passes_through_the_pipes():

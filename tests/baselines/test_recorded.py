@@ -3,7 +3,10 @@
 import ast
 import dataclasses
 import json
+import os
 import shutil
+import subprocess
+import sys
 import zipfile
 from pathlib import Path
 
@@ -27,6 +30,7 @@ from research.results.study_files import load_studies
 from research.suites import command
 from research.suites.verify import PolicyVerdict, cells_to_run, verdict_line
 
+ROOT = Path(__file__).parents[2]
 SAMPLE = {
     "benchmark-v1": "cruise-storm",
     "ood-v1": "slow-current-x1.5",
@@ -139,6 +143,47 @@ def test_code_counts_and_what_it_says_of_itself_does_not(tmp_path):
         digests.append(fingerprints._unit(file).digest)
     assert digests[0] == digests[1] != digests[2]
     assert fingerprints._plain(ast.parse("'alone'\nx = 1")) == fingerprints._plain(ast.parse("x = 1"))
+
+
+def simulator_of(folder):
+    """Return the fingerprint of the simulator in a folder, in a process of its own."""
+    code = "from baselines.evaluation.fingerprints import simulator_fingerprint as f; print(f())"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(folder), str(ROOT)))}
+    return subprocess.check_output([sys.executable, "-c", code], text=True, cwd=folder, env=environment).strip()
+
+
+def test_the_simulator_is_its_equations_and_not_what_is_said_of_them(tmp_path):
+    copy = tmp_path / "auv_gym"
+    shutil.copytree(ROOT / "auv_gym", copy, ignore=shutil.ignore_patterns("__pycache__"))
+    now = fingerprints.simulator_fingerprint()
+    assert simulator_of(tmp_path) == now
+    for file in copy.rglob("*.py"):
+        text = file.read_text().replace("auv_gym.physics.dynamics", "auv_gym.physics.motion")
+        text = text.replace('"""', '"""Another word. ', 1)
+        file.write_text(f'{text}\n"""More words."""\n# a comment\n')
+    dynamics = (copy / "physics" / "dynamics.py").rename(copy / "physics" / "motion.py")
+    (copy / "physics" / "dynamics.py").write_text("from auv_gym.physics.motion import *\n")  # for the policies
+    for name in ("native", "cache"):
+        with (copy / "codegen" / f"{name}.py").open("a") as stream:
+            stream.write("\nANOTHER = 3\n")
+    assert simulator_of(tmp_path) == now
+    text = dynamics.read_text()
+    assert "+ X) / m11" in text
+    dynamics.write_text(text.replace("+ X) / m11", "+ 0.5 * X) / m11", 1))
+    assert simulator_of(tmp_path) != now
+
+
+def test_rows_of_another_simulator_count_and_a_note_says_so(rows, monkeypatch):
+    suite = suites.load_suite("ood-v1")
+    for policy in ("backstepping", "open-loop"):
+        recorded.stamp_recorded(suite, policy)
+    found = recorded.load_recorded(suite, rows)
+    assert (found.refused, found.note) == ({}, "")
+    monkeypatch.setattr(recorded, "simulator_fingerprint", lambda: "another")
+    changed = recorded.load_recorded(suite, rows)
+    assert changed.note == "the code of the simulator has changed since rows of ood-v1 were recorded"
+    assert changed.refused == {}
+    assert [run.policy for run in changed.runs] == [run.policy for run in found.runs]
 
 
 @pytest.mark.parametrize("name", ["lqi", "ekf", "nmpc", "integral-normalised", "backstepping-tuned"])

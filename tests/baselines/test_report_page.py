@@ -13,6 +13,7 @@ from baselines import list_policies
 from baselines.evaluation.options import Options
 from baselines.evaluation.report.html import report_html
 from baselines.evaluation.report.numbers import compare, pool
+from baselines.evaluation.report.page import _library, _packed
 from baselines.evaluation.report.page_data import FEW
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import run_all
@@ -179,3 +180,20 @@ def test_pictures_of_the_pages(browser, pages, tmp_path):
     assert sorted(shown) == sorted(file.name for file in tmp_path.iterdir())
     for name in shown:
         assert 5_000 < (ROOT / "docs" / "images" / name).stat().st_size < 250_000
+
+
+def test_charts_code_of_others_is_not_used(tmp_path, monkeypatch):
+    """Where others may write to the cache, what lies in it could be any script."""
+    monkeypatch.setenv("AUV_GYM_CACHE", str(tmp_path))
+    tmp_path.chmod(0o700)
+    _library.cache_clear()
+    code = _library()
+    (file,) = tmp_path.iterdir()
+    assert file.read_text() == code
+    planted = _packed("window.caught = 1")
+    file.write_text(planted)
+    for mode, expected in ((0o700, planted), (0o777, code)):
+        tmp_path.chmod(mode)
+        _library.cache_clear()
+        assert _library() == expected
+    _library.cache_clear()

@@ -94,7 +94,7 @@ def typed(line):
         if option in words:
             words[words.index(option) + 1] = value
     for before, main in (
-        (["python", "evaluate.py"], evaluate.main),
+        (["auv-gym", "evaluate"], evaluate.main),
         (["auv-gym", "submit"], submit.main),
         (["python", "-m", "research", "leaderboard"], command.main),
     ):
@@ -107,8 +107,7 @@ def typed(line):
 def test_the_tutorial_leads_to_the_leaderboard(capsys):
     """Its lines, one after the other: in the end the controller is on the page, with the scores of evaluate.py."""
     for line in LINES:
-        if "cmd:" not in line:  # a program, see test_programs.py
-            assert typed(line) == DONE, line
+        assert typed(line) == DONE, line
     out = capsys.readouterr().out
     assert Path("runs/evaluate/my-controller.npz").stat().st_size < LARGEST_SUBMISSION
     assert "Reproduced: all 24 numbers" in out
@@ -360,6 +359,21 @@ def test_an_entry_is_not_replaced_by_chance(made, capsys):
         command.main(arguments)
     assert command.main([*arguments, "--replace"]) == DONE
     assert "1 entries" in capsys.readouterr().out
+
+
+def test_only_the_policy_that_was_submitted_verifies(made, capsys):
+    """Another one that does the same does not, however many episodes it repeats."""
+    assert command.main(["enter", "expert.npz", "--out", "pages"]) == DONE
+    file = "leaderboard/benchmark-v2/expert.npz"
+    assert command.main(["reproduce", file, EXPERT, "--share", "1", "--out", "pages", "--jobs", "1"]) == FAILED
+    captured = capsys.readouterr()
+    assert "Reproduced: all 24 numbers" in captured.out
+    assert f"not verified: {EXPERT} is not the policy that was submitted" in captured.err
+    assert boards(Path("leaderboard"))[0].verified == {}
+    with pytest.raises(UsageError, match=r"--share is 0\.01; an entry is verified by 0\.05 or more"):
+        command.main(["reproduce", file, EXPERT, "--share", "0.01"])
+    with pytest.raises(UsageError, match="seed"):
+        command.main(["reproduce", file, EXPERT, "--seed", "3"])
 
 
 def test_what_was_verified_is_that_very_file(made):

@@ -560,7 +560,9 @@ def test_shipped_agents_are_installed_and_unknown_ones_refused(call, monkeypatch
         shipped.main(["dqn-small"])
 
 
-@pytest.mark.parametrize("page", ["install", "training", "tutorials/first-agent", "tutorials/vehicle", "../README"])
+@pytest.mark.parametrize(
+    "page", ["install", "training", "training-options", "tutorials/first-agent", "tutorials/vehicle"]
+)
 def test_documented_commands_run(page, call, monkeypatch):
     """In their order, in one folder, with small networks for a moment; hyper-parameter files are those of the page."""
     monkeypatch.setattr("baselines.training.run_folder.validation_cell", lambda s, _: drawn(replace(s, steps=15), 1, 0))

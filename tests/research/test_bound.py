@@ -26,7 +26,7 @@ def test_ten_thousand_episodes_and_none_lost():
     assert every.lost == 0
     assert every.largest_error_m < 0.1  # a vehicle that spins is metres away
     assert nearer(counts) == []
-    assert f"0 of {every.episodes} episodes lost" in in_words(counts)
+    assert f"0 of {every.episodes} episodes failed" in in_words(counts)
 
 
 def test_a_run_goes_on_where_the_last_one_ended(tmp_path, monkeypatch, capsys):
@@ -35,7 +35,7 @@ def test_a_run_goes_on_where_the_last_one_ended(tmp_path, monkeypatch, capsys):
     file = tmp_path / "new" / "bound.json"
     assert main(["--episodes", "6", "--out", str(file)]) == 0
     assert main(["--episodes", "10", "--out", str(file)]) == 0
-    assert "0 of 10 episodes lost" in capsys.readouterr().out
+    assert "0 of 10 episodes failed" in capsys.readouterr().out
     counts = optimum_counts(file)
     assert [count.episodes for count in counts.values()] == [5, 5]
     cell = drawn(SHORT[1], 5, OPTIMUM.first)

@@ -26,6 +26,7 @@ from research.transfer.comparison import concordance, pooled
 from research.transfer.six_dof import AS_PUBLISHED, Deviation, Outside, SpatialMotion, coriolis, cross_flow, place_rates
 from research.transfer.worlds import SIX_DOF_MODELS, Own
 
+ROOT = Path(__file__).parents[2]
 NOWHERE = Outside(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -168,6 +169,8 @@ def test_logs_are_those_of_a_vehicle(name, tmp_path):
     assert run(command.main, command.PROGRAM, ["--vehicle", name, "--log", str(tmp_path / "log.csv")]) == 0
     kept = Log.load(tmp_path / "log.csv")
     np.testing.assert_allclose(kept.measured, trials.log(name).measured, atol=1e-6)
+    if name == "otter":  # the tutorial's log, as its command writes it
+        np.testing.assert_allclose(Log.load(ROOT / "docs/tutorials/otter.csv").measured, kept.measured, atol=1e-6)
     assert np.ptp(kept.measured[:, 2]) > 1.0
     assert np.hypot(*kept.measured[:, 3:5].T).max() < 3.5
 
@@ -215,6 +218,7 @@ def kept():
 
 def test_what_the_page_says_in_words_holds(kept):
     remus, boat = kept["remus100"], kept["otter"]
+    assert max(remus["tau"]["all"], boat["tau"]["all"]) < comparison.TAU
     for turn in remus["trials"]["turns"]:
         assert 1.6 < turn["space"] / turn["plane"] < 2.2
     for policy in remus["causes"]["policies"]:

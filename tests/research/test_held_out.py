@@ -84,5 +84,3 @@ def test_the_words_of_the_page_and_of_the_readme_are_true():
     readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
     slow, cruise = (own[f"`helm`, {regime}"][3] for regime in ("slow", "cruise"))
     assert f"by {slow} in slow motion and by {cruise} at cruise" in readme
-    for page in ("README.md", "docs/policies.md"):
-        assert f"up to {100 * most_lost(0, 2080):.2f} %" in (ROOT / page).read_text(encoding="utf-8")

@@ -10,11 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.units import POWERS, Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.vehicles import PAPER, craft, fleet
 from baselines import make_policy
-from baselines.control.stability import linearise_policy
+from baselines.control.linearisation import linearise
 from baselines.tools.command_line import run
 from baselines.tuning.objective import TuningEpisodes, rewound_scenarios
 from baselines.tuning.search import TUNING_SEED
@@ -51,7 +52,7 @@ def test_expert_is_stable_on_random_hulls_of_any_size(ratio, surge, sway, yaw, l
     for U in (0.1, 0.39, 0.41, 1.5):
         turn_rate = min(0.14 if U < 0.4 else 0.21, SLIP * own[4] / 215.0)
         for w in (0.0, turn_rate / units.time):
-            assert linearise_policy(hull, law, U, w, 0.1 * units.time).eigenvalues[0].real < 0
+            assert linearise(hull, lambda o: law.forces(o, ARRAYS), U, w).eigenvalues[0].real < 0
 
 
 def test_a_course_of_another_vehicle_is_in_the_papers_units():
@@ -122,7 +123,7 @@ def test_an_agent_runs_beside_predictive_control_of_either_gains(tmp_path, capsy
     assert tails["parameters"] == tails["searched"] != tails["helm-any"]
     assert [len(own) for own in tails["helm-any"].values()] == [1] * 8
     says, rows = vehicles_page._agent(record)
-    assert "over all 1 vehicles" in says
+    assert "Over all 1 vehicles" in says
     own, theirs = (np.concatenate(list(tails[side].values())) for side in ("helm-any", "parameters"))
     assert rows.splitlines()[-1].count(f" {np.exp(np.log(own / theirs).mean()):.2f} (") == 2
 
@@ -136,7 +137,7 @@ def test_the_papers_vehicle_is_the_same_before_and_after():
 def test_the_readme_says_how_the_agent_does_beside_searched_gains():
     """One seed of it, tuned to no vehicle."""
     pattern = r"(\d\.\d\d \(\d\.\d\d \.\.\. \d\.\d\d\))"
-    measured = re.search(f"{pattern} of that with searched ones", (ROOT / "docs/vehicles.md").read_text("utf-8"))[1]
+    measured = re.search(f"{pattern} times that with searched", (ROOT / "docs/vehicle-gains.md").read_text("utf-8"))[1]
     said = rf"searched for each vehicle it has {pattern} times the error at cruise"
     [shown] = re.findall(said, (ROOT / "README.md").read_text(encoding="utf-8"))
     assert shown == measured

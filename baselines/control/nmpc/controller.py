@@ -7,7 +7,7 @@ in a current and in waves heading and velocities follow from them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache, partial
 from typing import Any
 
@@ -27,7 +27,6 @@ from baselines.control.nmpc.problem import (
     STATE_ROWS,
     CostWeights,
     Horizon,
-    Integers,
     OptimalControl,
     Plan,
     Stage,
@@ -58,9 +57,6 @@ NMPC_GAINS = (*COST_GAINS, *FILTER_TUNING)
 NMPC_ADVERSE_GAINS = (*COST_GAINS, *FAULT_TUNING)
 """Names of the gains where the filter believes in faults: its `FaultTuning` in place of the `Tuning`."""
 
-Solver = Callable[[Plan, Horizon, Integers], Plan]
-"""Returns a better plan than the first one, after at most so many steps, shape (N,)."""
-
 
 class PredictiveControl:
     """The controller with its filter, a `Controller`; its memory is the filter's, then the commands planned last.
@@ -70,20 +66,19 @@ class PredictiveControl:
 
     preview = PREVIEW
 
-    def __init__(self, gains: Mapping[str, float], vehicle: Vehicle, solver: str = "batch") -> None:
+    def __init__(self, gains: Mapping[str, float], vehicle: Vehicle) -> None:
         """Make the controller.
 
         Args:
             gains: named in `NMPC_GAINS`, or in `NMPC_ADVERSE_GAINS`.
             vehicle: that it believes in.
-            solver: one of `SOLVERS`.
         """
         self.vehicle = vehicle
         self.filter = ExtendedKalmanFilter(vehicle, tuning_of(gains))
         scale = {"surge": 0.01, "yaw": 0.01}
         weights = CostWeights(**{name: scale.get(name, 1.0) * gains[name] for name in COST_GAINS})
         self.problem = OptimalControl(vehicle, weights)
-        self._solve = SOLVERS[solver](self.problem)
+        self.solve = partial(improved_plan, self.problem)  # a better plan, after at most so many steps, shape (N,)
         self._next = one_period_on(np.array(PREVIEW, dtype=np.float64))
 
     def start(self, n: int) -> Memory:
@@ -105,7 +100,7 @@ class PredictiveControl:
         ahead = horizon(terms, z, aim, share, acting)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             guess = self._guess(z, o, np.einsum("jk,nki->jin", self._next, planned), fresh, ahead)
-            plan = self._solve(guess, ahead, np.where(fresh, FIRST_STEPS, _STEPS))
+            plan = self.solve(guess, ahead, np.where(fresh, FIRST_STEPS, _STEPS))
         # A vehicle that spins too fast for the prediction is left to the law that is safe from that.
         law = np.array(tracking_forces(o, self.vehicle, GAINS["normalised"], ARRAYS))
         commands = np.where(np.isfinite(plan.cost), plan.commands, law)
@@ -244,24 +239,9 @@ def one_period_on(ends: Array) -> Array:
     return np.asarray(overlap / overlap.sum(axis=1, keepdims=True))
 
 
-def _batch(problem: OptimalControl) -> Solver:
-    return partial(improved_plan, problem)
-
-
-def _casadi(problem: OptimalControl) -> Solver:
-    from baselines.control.nmpc.casadi_solver import CasadiSolver
-
-    return CasadiSolver(problem, len(PREVIEW))
-
-
-SOLVERS: Mapping[str, Callable[[OptimalControl], Solver]] = {"batch": _batch, "casadi": _casadi}
-"""Ways to solve the same problem: all vehicles side by side on arrays; one after the other by CasADi."""
-
-
 def make_nmpc(
     gains: Mapping[str, float] | None = None,
     vehicle: Vehicle | str | dict[str, Any] = PAPER_VEHICLE,
-    solver: str = "batch",
     adverse: bool = False,
 ) -> Remembering:
     """Return the controller as a policy; it needs the preview `PREVIEW`.
@@ -270,13 +250,10 @@ def make_nmpc(
         gains: at every speed, in place of the tuned ones, which depend on the speed; their names are in `NMPC_GAINS`,
             or in `NMPC_ADVERSE_GAINS`.
         vehicle: the vehicle that it believes in; an object, a name or a dict.
-        solver: "batch", or "casadi" for an independent one that takes one vehicle after the other, to convergence.
         adverse: whether its filter believes in faults of sensors and actuators.
 
     Raises:
-        ValueError: unknown vehicle or solver, wrong gains, or CasADi is not installed.
+        ValueError: unknown vehicle or wrong gains.
     """
-    if solver not in SOLVERS:
-        raise ValueError(f"unknown solver {solver!r}; allowed are {', '.join(SOLVERS)}")
     name, names = ("nmpc-adverse", NMPC_ADVERSE_GAINS) if adverse else ("nmpc", NMPC_GAINS)
-    return tuned_policy(name, names, partial(PredictiveControl, solver=solver), gains, vehicle)
+    return tuned_policy(name, names, PredictiveControl, gains, vehicle)

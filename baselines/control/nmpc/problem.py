@@ -1,6 +1,6 @@
 """An optimal control problem for many vehicles at once: what is known, what is predicted, and what it costs.
 
-`gauss_newton` solves it by kernels, `casadi_solver` with CasADi.
+`gauss_newton` solves it by kernels.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from auv_gym.codegen.native import cache_folders
+from auv_gym.codegen.cache import cache_folders, open_own, own_folder
 from auv_gym.installation import install
 from baselines.tools.files import finite, write_atomically
 
@@ -87,14 +87,15 @@ def _library() -> str:
         raise ImportError(_MISSING) from error
     version = f"{metadata.version('vl-convert-python')} {_SNIPPET}"
     name = f"charts-{hashlib.sha256(version.encode()).hexdigest()[:16]}.txt"
-    folders = list(cache_folders())
-    for folder in folders:
-        with suppress(OSError, ValueError, EOFError, zlib.error):  # it is not there, or damaged
-            code = (folder / name).read_text(encoding="ascii")
+    for folder in cache_folders():
+        with suppress(OSError, ValueError, EOFError, zlib.error), open_own(folder / name) as file:
+            code = file.read().decode("ascii")  # else it is not there, damaged, or not this user's
             gzip.decompress(base64.b64decode(code))
             return code
     code = _packed(vl_convert.javascript_bundle(_SNIPPET))
-    with suppress(OSError):  # it is made again the next time
-        folders[0].mkdir(parents=True, exist_ok=True, mode=0o700)
-        write_atomically(folders[0] / name, code)
+    for folder in cache_folders():
+        with suppress(OSError):  # it is made again the next time
+            write_atomically(own_folder(folder) / name, code)
+            (folder / name).chmod(0o644)  # no umask lets others write
+            break
     return code

@@ -1,13 +1,14 @@
-"""The same optimal control problem by CasADi: multiple shooting, solved to convergence, one vehicle after the other.
+"""The optimal control problem of `nmpc` by CasADi: multiple shooting, solved to convergence, vehicle by vehicle.
 
-It is what the arrays' solver is compared with, and what a single vehicle takes with a standard tool (J. A. E. Andersson
-et al., CasADi, Math. Program. Comput. 11:1-36, 2019; L. Vanroye et al., FATROP, IEEE/RSJ IROS 2023).
+An independent solver to compare with: J. A. E. Andersson et al., CasADi, Math. Program. Comput. 11:1-36, 2019;
+L. Vanroye et al., FATROP, IEEE/RSJ IROS 2023.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+import casadi
 import numpy as np
 
 from auv_gym.physics.namespaces import Array
@@ -33,17 +34,11 @@ class CasadiSolver:
         stages: K, the number of stages.
         method: CasADi's name of the solver, "fatrop" or "ipopt".
 
-    Raises:
-        ValueError: CasADi is not installed.
     """
 
     def __init__(self, problem: OptimalControl, stages: int, method: str = "fatrop") -> None:
-        try:
-            import casadi
-        except ImportError:
-            raise ValueError("solver casadi needs CasADi, which is not installed: pip install 'auv-gym[mpc]'") from None
         self.problem = problem
-        self._solve = _compiled(casadi, problem, stages, method)
+        self._solve = _compiled(problem, stages, method)
         self._bounds = _bounds(stages)
 
     def __call__(self, plan: Plan, ahead: Horizon, steps: Integers) -> Plan:
@@ -62,7 +57,7 @@ class CasadiSolver:
         return Plan(*(np.where(best.cost <= plan.cost, a, b) for a, b in zip(best, plan, strict=True)))
 
 
-def _compiled(casadi: Any, problem: OptimalControl, stages: int, method: str) -> Any:
+def _compiled(problem: OptimalControl, stages: int, method: str) -> Any:
     """Return the solver; its unknowns are, stage by stage, the state and the commands as shares of their limits."""
     start, limits = casadi.SX.sym("start", STATE_ROWS), casadi.SX.sym("limits", COMMAND_SIZE)
     known = [casadi.SX.sym(f"ahead{k}", KNOWN) for k in range(stages)]

@@ -1,0 +1,11 @@
+// Sphinx's scores, but for names of the code: they are found behind all pages.
+var Scorer = {
+  objNameMatch: -10,
+  objPartialMatch: -20,
+  objPrio: {},
+  objPrioDefault: -100,
+  title: 15,
+  partialTitle: 7,
+  term: 5,
+  partialTerm: 2,
+};

@@ -1,0 +1,228 @@
+"""One bad number is one bad decision: whatever measurement is no number, the command stays and so does the memory."""
+
+import math
+
+import numpy as np
+import pytest
+
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.physics.namespaces import ARRAYS
+from auv_gym.scenarios.presets import PRESETS
+from auv_gym.task.observation import BOUNDS, SCALES, SIZE, TERMS, Observation, bounds, encode_observation
+from auv_gym.task.policy import LARGEST, last_commands, measured, preview_of, usable
+from baselines import list_policies, make_policy
+from baselines.agents import filters
+from baselines.policy import Batched, Privileged, Remembering
+
+PLAIN = [name for name in list_policies() if not isinstance(make_policy(name), Privileged)]
+WRAPPED = ["helm:fade", "helm:guard", "apg-cruise:guard=ekf"]
+BAD = (math.nan, math.inf, -math.inf, 1e30, -1e30)
+LAST = slice(15, 17)  # the last action among the terms
+N = 3
+pytestmark = pytest.mark.filterwarnings("ignore:this policy was trained at", "ignore:these gains are stable")
+
+
+def environment(policy):
+    return UnderactuatedAUVTrackVectorEnv(N, "cruise-storm", preview=preview_of(policy))
+
+
+def begun(name, steps=4):
+    """Return a policy, what it remembers after some control periods, and the next two observations of each vehicle."""
+    policy = make_policy(name)
+    env = environment(policy)
+    observation, memory = env.reset(seed=3)[0], None
+    for _ in range(steps):
+        action, memory = policy.predict(observation, memory)
+        observation = env.step(action)[0]
+    following = env.step(policy.predict(observation, memory)[0])[0]
+    return policy, memory, observation, following
+
+
+def assert_same(one, other):
+    """Assert that two memories are the same to the bit."""
+    assert (one is None) == (other is None)
+    for a, b in zip(one or (), other or (), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def of_lane(memory, i):
+    return memory and tuple(array[i : i + 1].copy() for array in memory)
+
+
+@pytest.mark.parametrize("name", [*PLAIN, *WRAPPED])
+def test_one_vehicle_repeats_its_command(name):
+    """For every entry of the observation, and every value that is none."""
+    policy, memory, observation, following = begun(name)
+    own, good, after = of_lane(memory, 1), observation[1], following[1]
+    expected, kept = policy.predict(after, own)
+    for column in range(len(good)):
+        for value in BAD:
+            bad = good.copy()
+            bad[column] = value
+            action, held = policy.predict(bad, own)
+            commanded = good[LAST].astype(np.float32)
+            if column in (15, 16):
+                commanded[column - 15] = 0.0
+            np.testing.assert_array_equal(action, commanded, err_msg=f"{value} in column {column}")
+            assert (action.dtype, action.shape) == (np.float32, (2,))
+            assert_same(held, own)
+    again, remembered = policy.predict(after, held)
+    np.testing.assert_array_equal(again, expected)
+    assert_same(remembered, kept)
+    if isinstance(policy, Batched):
+        assert policy.repeated == len(good) * len(BAD)
+
+
+@pytest.mark.parametrize("name", [*PLAIN, *WRAPPED])
+def test_the_others_of_a_batch_go_on(name):
+    policy, memory, observation, following = begun(name)
+    expected, after = policy.predict(observation, memory)
+    for value, column in ((math.nan, 0), (math.inf, 4), (1e30, 12), (math.nan, len(observation[0]) - 1)):
+        bad = observation.copy()
+        bad[1, column] = value
+        action, held = policy.predict(bad, memory)
+        np.testing.assert_array_equal(action[[0, 2]], expected[[0, 2]])
+        np.testing.assert_array_equal(action[1], observation[1, LAST].astype(np.float32))
+        for i in range(N):
+            assert_same(of_lane(held, i), of_lane(memory if i == 1 else after, i))
+    assert np.isfinite(policy.predict(following, held)[0]).all()
+
+
+@pytest.mark.parametrize("name", [*PLAIN, *WRAPPED])
+def test_an_episode_that_begins_with_one_begins_with_the_next(name):
+    """Alone, in a batch, and where the episode of one vehicle of a batch begins in the middle."""
+    policy = make_policy(name)
+    env = environment(policy)
+    first = env.reset(seed=3)[0]
+    second = env.step(np.zeros((N, 2)))[0]
+    bad = first.copy()
+    bad[1, 0] = math.nan
+    action, memory = policy.predict(bad[1])
+    np.testing.assert_array_equal(action, [0.0, 0.0])
+    action, memory = policy.predict(second[1], memory)
+    expected, after = policy.predict(second[1])
+    np.testing.assert_array_equal(action, expected)
+    assert_same(memory, after)
+
+    _, memory = policy.predict(first)
+    start = np.array([False, True, False])
+    expected, after = policy.predict(second, memory, start)
+    for state, begins in ((None, None), (memory, start)):
+        action, waiting = policy.predict(bad, state, begins)
+        np.testing.assert_array_equal(action[1], [0.0, 0.0])
+        action, waiting = policy.predict(bad, waiting) if state else (action, waiting)
+        found, remembered = policy.predict(second, waiting)
+        np.testing.assert_array_equal(found[1], expected[1])
+        assert_same(of_lane(remembered, 1), of_lane(after, 1))
+        if state is None:
+            np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("name", [*PLAIN, *WRAPPED])
+@pytest.mark.parametrize("value", [1e6, 3e3])
+def test_a_position_far_away_is_forgotten(name, value):
+    """It is a number, so it is acted on; what is remembered of it stays finite, and so do the commands."""
+    policy, memory, observation, _ = begun(name)
+    env = environment(policy)
+    observation = env.reset(seed=5)[0]
+    memory = None
+    for k in range(60):
+        seen = observation.copy()
+        if k == 10:
+            seen[:, 0] = value
+        action, memory = policy.predict(seen, memory)
+        assert np.isfinite(action).all()
+        assert all(np.isfinite(array).all() for array in memory or ())
+        observation = env.step(action)[0]
+
+
+def test_filters_remember_nothing_beyond_their_bounds():
+    """Whatever is observed, as long as it is an observation: alone they grow beyond any number within ten steps."""
+    rng, n = np.random.default_rng(0), 200
+    memory, seen = np.zeros((filters.ROWS, n)), None
+    most = np.array(list(filters.LARGEST_ESTIMATE.values()))[:, None]
+    for k in range(100):
+        rows = rng.uniform(-1, 1, (SIZE, n)) * BOUNDS[:, None]
+        rows[11:13] /= np.hypot(*rows[11:13])
+        rows[[13, 14, 17]] = np.abs(rows[[13, 14, 17]]) + 0.1
+        o = Observation._make(rows * SCALES[:, None])
+        seen = seen if k % 3 else o  # else nothing new is observed
+        with np.errstate(all="ignore"):
+            believed, memory = filters.filtered(seen, np.hypot(seen.u_R, seen.v_R) + 0.02, memory, ARRAYS)
+        memory = np.array(memory)
+        for i, estimate in enumerate(believed.estimates):
+            rows = memory[filters.SHARED + i * len(most) : filters.SHARED + (i + 1) * len(most)]
+            assert (np.abs(rows) <= most).all()
+            assert np.isfinite(np.array(estimate)).all()
+
+
+class Spoilt(Remembering):
+    """A controller whose memory can be spoilt, and which acts without looking at it, or not."""
+
+    def __init__(self, law):
+        super().__init__(self)
+        self.law = law
+
+    def start(self, n):
+        return (np.zeros((n, 2)),)
+
+    def forces(self, o, memory, extra):
+        (count,) = memory
+        with np.errstate(all="ignore"):
+            return 10.0 + self.law(count[:, 0]), np.zeros(len(count)), (count + 1.0,)
+
+
+@pytest.mark.parametrize("law", [lambda x: x, lambda x: 0.0 * np.where(x < 1e9, x, 0.0)])
+def test_a_memory_that_gives_no_number_begins_again(law):
+    """Whether the command shows it or not; the other vehicles keep theirs."""
+    policy = Spoilt(law)
+    rows = np.tile(encode_observation(Observation(*np.ones(SIZE))._replace(F_u_max=100.0, F_r_max=100.0)), (3, 1))
+    memory = (np.array([[1.0, 1.0], [math.nan, 1.0], [3.0, math.inf]]),)
+    action, after = policy.predict(rows, memory, np.zeros(3, dtype=bool))
+    fresh, _ = policy.predict(rows, None, np.ones(3, dtype=bool))
+    np.testing.assert_array_equal(after[0], [[2.0, 2.0], [1.0, 1.0], [1.0, 1.0]])
+    np.testing.assert_array_equal(action[1:], fresh[1:])
+    assert action[0, 0] == pytest.approx(0.01 * (10.0 + law(np.ones(1))[0]))
+    assert policy.repeated == 0
+
+
+class Fails(Batched):
+    """A policy without memory that gives no number."""
+
+    def actions(self, rows, state, episode_start, deterministic):
+        return np.full((len(rows), 2), math.nan, dtype=np.float32), state
+
+
+def test_a_policy_without_numbers_is_not_excused():
+    """What a model or a program gives for a good measurement is its own fault, which evaluate.py names."""
+    assert np.isnan(Fails().predict(np.ones(SIZE))[0]).all()
+
+
+def test_what_is_usable():
+    rows = np.tile(encode_observation(Observation(*np.full(SIZE, 0.5))), (6, 1))
+    assert measured(rows)
+    assert usable(rows).all()
+    rows[1, 3], rows[2, 13], rows[3, 17], rows[4, 6], rows[5, 0] = LARGEST * 1.1, 0.0, -1.0, math.nan, LARGEST * 0.9
+    assert usable(rows).tolist() == [True, False, False, False, False, True]
+    assert not measured(rows)
+    rows[:, LAST] = [[0.5, -0.5], [1.5, 0.1], [math.nan, -1.0], [0.0, math.inf], [1.0, 1.0], [-1.0, 0.25]]
+    expected = [[0.5, -0.5], [0.0, 0.1], [0.0, -1.0], [0.0, 0.0], [1.0, 1.0], [-1.0, 0.25]]
+    np.testing.assert_array_equal(last_commands(rows), np.array(expected, np.float32))
+    assert [TERMS[i].name for i in range(SIZE)][LAST] == ["a_u", "a_r"]
+
+
+@pytest.mark.parametrize("name", ["backstepping", "helm", "ekf", "apg-cruise:guard=ekf"])
+def test_large_numbers_that_can_be_measured_are_acted_on(name):
+    """Their squares add up to more than that of the largest one: whether each is usable is looked at one by one."""
+    policy, memory, observation, _ = begun(name)
+    observation[1, :2] = 0.9 * LARGEST
+    assert not measured(observation)
+    action, _ = policy.predict(observation, memory)
+    assert np.isfinite(action).all()
+    assert (action[1] != last_commands(observation)[1]).any()
+
+
+def test_every_vehicle_is_observed_within_what_is_usable():
+    for preset in PRESETS.values():
+        assert (bounds(preset.span) < LARGEST).all()
+    assert (bounds(2**31) < LARGEST).all(), "the widest one that can be encoded"
