@@ -99,7 +99,7 @@ def content_hash(parts: Sequence[DatasetPart]) -> str:
     digest = hashlib.sha256()
     for part in parts:
         for r in part.records:
-            for array in (r.observations[:, :SIZE], r.actions, r.rewards, r.errors, r.saturated, np.array(r.lost)):
+            for array in (r.observations[:, :SIZE], r.actions, r.rewards, r.errors, r.saturated, np.array(r.failed)):
                 digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
 
@@ -187,15 +187,15 @@ def _columns(record: EpisodeRecord) -> dict[str, Any]:
         "observations": record.observations[:, :SIZE],
         "actions": record.actions,
         "rewards": record.rewards.tolist(),
-        "terminations": (ends & record.lost).tolist(),
-        "truncations": (ends & (not record.lost)).tolist(),
+        "terminations": (ends & record.failed).tolist(),
+        "truncations": (ends & (not record.failed)).tolist(),
         "infos": {"position_error": record.errors, "saturated": record.saturated, "time": record.times},
     }
 
 
 def dataset_card(parts: Sequence[DatasetPart], scenario: Scenario, name: str, command: str) -> str:
     """Return what a dataset is, as Markdown: its parts, how to make it again, its hash, versions and licence."""
-    from baselines.evaluation.metrics import tail_rmse
+    from baselines.evaluation.metrics import steady_rmse
     from baselines.tools.files import versions
 
     rows = []
@@ -205,8 +205,8 @@ def dataset_card(parts: Sequence[DatasetPart], scenario: Scenario, name: str, co
         returns = np.array([r.total_reward for r in part.records])
         rows.append(
             f"| `{part.policy}` | {part.noise:g} | {len(part.records)} | {sum(len(r.actions) for r in part.records)} "
-            f"| {returns.mean():.1f} | {returns.min():.1f} | {tail_rmse(errors.T).mean():.3g} "
-            f"| {sum(r.lost for r in part.records)} |"
+            f"| {returns.mean():.1f} | {returns.min():.1f} | {steady_rmse(errors.T).mean():.3g} "
+            f"| {sum(r.failed for r in part.records)} |"
         )
     made = ", ".join(f"{key} {value}" for key, value in versions().items())
     licence = importlib.metadata.metadata("auv-gym")["License-Expression"] or "MIT"

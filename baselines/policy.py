@@ -268,25 +268,25 @@ class BySpeed:
         return np.where(fast, C_u, F_u), np.where(fast, C_r, F_r), chosen
 
 
-def renewed(state: Memory | None, fresh: Memory, episode_start: NDArray[np.bool_] | None) -> Memory:
+def renewed(state: Memory | None, held_out: Memory, episode_start: NDArray[np.bool_] | None) -> Memory:
     """Return the memory of N vehicles, begun anew where `state` is None or `episode_start` is True.
 
     Args:
         state: as the last control instant left it.
-        fresh: that of episodes which begin, arrays of the same shapes.
+        held_out: that of episodes which begin, arrays of the same shapes.
         episode_start: shape (N,), or one for all.
 
     Raises:
         ValueError: `state` is of another number of vehicles or arrays.
     """
     if state is None:
-        return fresh
-    if len(state) != len(fresh) or any(len(a) != len(b) for a, b in zip(state, fresh, strict=True)):
-        raise ValueError(f"state is of {len(state[0])} vehicles, the observation of {len(fresh[0])}")
+        return held_out
+    if len(state) != len(held_out) or any(len(a) != len(b) for a, b in zip(state, held_out, strict=True)):
+        raise ValueError(f"state is of {len(state[0])} vehicles, the observation of {len(held_out[0])}")
     if episode_start is None or not np.any(episode_start):
         return state
-    begins = np.broadcast_to(episode_start, len(fresh[0]))
-    return tuple(np.where(along(begins, a), b, a) for a, b in zip(state, fresh, strict=True))
+    begins = np.broadcast_to(episode_start, len(held_out[0]))
+    return tuple(np.where(along(begins, a), b, a) for a, b in zip(state, held_out, strict=True))
 
 
 def warn_of_lost_memory(rows: NDArray[Any], episode_start: NDArray[np.bool_] | None) -> None:

@@ -19,12 +19,12 @@ def steps(usual: int, quick: int) -> int:
     return quick if QUICK else usual
 
 
-def tail_error(policy: str, scenario: str = "cruise-calm") -> float:
+def steady_error(policy: str, scenario: str = "cruise-calm") -> float:
     """Return the tail error [m] that `evaluate.py` finds for a policy, a name or a path."""
     words = ["--policy", policy, "--scenario", scenario, "--episodes", "2", "--jobs", "1", "--out", "scored"]
     subprocess.run([sys.executable, str(ROOT / "evaluate.py"), *words], check=True, stdout=subprocess.DEVNULL)
     results = json.loads(Path("scored", "results.json").read_text(encoding="utf-8"))["results"]
-    error: float = next(r for r in results if r["policy"] == policy)["tail_rmse_m"]["mean"]
+    error: float = next(r for r in results if r["policy"] == policy)["steady_rmse_m"]["mean"]
     assert 0 <= error < 1000, error
     return error
 

@@ -12,7 +12,7 @@ import gymnasium as gym
 import minari
 import numpy as np
 import torch
-from common import IDS, figure, steps, tail_error, works
+from common import IDS, figure, steady_error, steps, works
 from offline_policy import write_policy
 
 if __name__ == "__main__":
@@ -36,7 +36,7 @@ if __name__ == "__main__":
             dataset, updates, updates, show_progress=False, logger_adapter=d3rlpy.logging.NoopAdapterFactory()
         )
         algorithm.save_policy("policy.pt")
-        errors.append(tail_error(write_policy(torch.jit.load("policy.pt"), Path(type(algorithm).__name__))))
+        errors.append(steady_error(write_policy(torch.jit.load("policy.pt"), Path(type(algorithm).__name__))))
     for env_id in IDS:
         env = gym.make(env_id)
         online = d3rlpy.algos.SACConfig(batch_size=32).create(device="cpu:0")

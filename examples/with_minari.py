@@ -11,7 +11,7 @@ import gymnasium as gym
 import minari
 import numpy as np
 import torch
-from common import IDS, TRACK, figure, steps, tail_error, works
+from common import IDS, TRACK, figure, steady_error, steps, works
 from minari import DataCollector
 from offline_policy import write_policy
 from torch import nn
@@ -59,5 +59,5 @@ if __name__ == "__main__":
     subprocess.run([sys.executable, "-m", "baselines", "dataset", *words, "--id", "auv_gym/clone-v0"], check=True)
     net = cloned(minari.load_dataset("auv_gym/clone-v0"), steps(20_000, 1000))
     example = torch.zeros(1, 18)
-    error = tail_error(write_policy(torch.jit.trace(net, example), Path("cloned")))
+    error = steady_error(write_policy(torch.jit.trace(net, example), Path("cloned")))
     works(f"DataCollector on both ids; auv-gym dataset; a clone of the expert{figure(error)} in cruise-calm")

@@ -4,7 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from common import IDS, steps, tail_error, works
+from common import IDS, steady_error, steps, works
 
 HYPERPARAMETERS = """
 {env}:
@@ -33,5 +33,5 @@ if __name__ == "__main__":
         zoo("train", *common, "--conf-file", str(conf), "-f", "logs", "-n", str(steps(50_000, 256)), "--verbose", "0")
         zoo("enjoy", *common, "-f", "logs", "-n", "20", "--no-render")
         run = max(Path("logs", "ppo").glob(f"{env}_*"), key=lambda path: path.stat().st_mtime)
-        errors.append(tail_error(str(run / f"{env}.zip")))
+        errors.append(steady_error(str(run / f"{env}.zip")))
     works("train and enjoy on both ids, with normalisation; evaluate.py scores the models in its folders")

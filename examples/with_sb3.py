@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import sb3_contrib
 import stable_baselines3
-from common import IDS, RESIDUAL, TRACK, steps, tail_error, works
+from common import IDS, RESIDUAL, TRACK, steady_error, steps, works
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecNormalize
@@ -50,5 +50,5 @@ if __name__ == "__main__":
         check_env(gym.make(env_id).unwrapped)
     names = (*ON_POLICY, *OFF_POLICY, "ARS")
     models = {(n, e): train(n, e, Path(n, "residual" if e == RESIDUAL else "track")) for n in names for e in IDS}
-    errors = [tail_error(str(models["PPO", RESIDUAL])), tail_error(str(models["SAC", TRACK]))]
+    errors = [steady_error(str(models["PPO", RESIDUAL])), steady_error(str(models["SAC", TRACK]))]
     works(f"{', '.join(names)} on both ids; VecNormalize; evaluate.py scores what was saved ({len(errors)} models)")

@@ -15,7 +15,7 @@ COMMANDS = {
     "filter-gains": Command("research.trainings.filter_gains", "eval"),
     "fine-tuning": Command("research.trainings.fine_tuning", "train"),
     "guards": Command("research.robustness.guards", "eval"),
-    "held-out": Command("research.results.fresh", "eval"),
+    "held-out": Command("research.results.held_out", "eval"),
     "identification-coverage": Command("research.vehicles.coverage", "eval"),
     "leaderboard": Command("research.leaderboard.command", "eval"),
     "model-error": Command("research.robustness.model_error", "eval"),

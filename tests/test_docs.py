@@ -147,10 +147,10 @@ def compared(page, width, tmp_path, capsys, monkeypatch):
     )
     assert evaluate.main([*command[1].split(), "--jobs", "1", "--out", str(tmp_path)]) == 0
     lines = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
-    (block,) = (block for block in blocks(page) if "tail [m]" in block.text)
+    (block,) = (block for block in blocks(page) if "steady [m]" in block.text)
     assert block.text in "\n".join(lines)
     results = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))["results"]
-    return {result["policy"]: result["tail_rmse_m"] for result in results}
+    return {result["policy"]: result["steady_rmse_m"] for result in results}
 
 
 def test_table_of_the_quickstart_is_what_the_command_prints(tmp_path, capsys, monkeypatch):

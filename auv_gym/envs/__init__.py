@@ -12,13 +12,13 @@ from auv_gym.installation import install
 if TYPE_CHECKING:
     from auv_gym.envs.lanes import ScenarioLike
     from auv_gym.physics.vehicle import Vehicle
-    from auv_gym.scenarios.vehicles import Craft
+    from auv_gym.scenarios.vehicles import VehicleModel
 
 
 def make_track_vector_env(
     num_envs: int = 1,
     scenario: ScenarioLike | Sequence[ScenarioLike] = "paper-circle",
-    vehicle: Vehicle | Craft | str | Mapping[str, Any] | None = None,
+    vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None = None,
     control_dt: float | None = None,
     render_mode: str | None = None,
     backend: str = "numpy",

@@ -14,11 +14,14 @@ from auv_gym.scenarios.episode import checked_options
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.scenarios.vehicles import Craft
+from auv_gym.scenarios.vehicles import VehicleModel
 
 
 def scenarios_of(
-    scenario: Any, num_envs: int, vehicle: Vehicle | Craft | str | Mapping[str, Any] | None, control_dt: float | None
+    scenario: Any,
+    num_envs: int,
+    vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None,
+    control_dt: float | None,
 ) -> list[Scenario]:
     """Return the scenario of each of N vehicles.
 

@@ -20,7 +20,7 @@ from auv_gym.planning.planner import plan
 from auv_gym.scenarios.episode import Episode, with_options
 from auv_gym.scenarios.exogenous import Tape
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.scenarios.vehicles import Craft
+from auv_gym.scenarios.vehicles import VehicleModel
 from auv_gym.task.kernels import begun
 from auv_gym.task.observation import Observation, check_reference, decode
 from auv_gym.task.policy import Forces
@@ -82,7 +82,7 @@ class Lanes:
         self,
         num_envs: int,
         scenario: ScenarioLike | Sequence[ScenarioLike],
-        vehicle: Vehicle | Craft | str | Mapping[str, Any] | None,
+        vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None,
         control_dt: float | None,
         preview: Sequence[int] = (),
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,

@@ -112,7 +112,7 @@ class VectorResidualAction(
             self._over = np.zeros(self.num_envs, dtype=bool)
             self._base, self._memory = self.expert.predict(observation, None, begun)
         else:  # the others have seen their observation already
-            base, memory = self._predicted(observation[begun], begun, fresh=True)
+            base, memory = self._predicted(observation[begun], begun, held_out=True)
             self._base, self._over = _replaced(self._base, begun, base), self._over & ~begun
             if self._memory is not None and memory is not None:
                 self._memory = tuple(_replaced(m, begun, new) for m, new in zip(self._memory, memory, strict=True))
@@ -134,7 +134,7 @@ class VectorResidualAction(
         done = terminated | truncated
         if "final_obs" in info:
             last = np.stack(info["final_obs"][done])
-            bases, _ = self._predicted(last, done, fresh=False)
+            bases, _ = self._predicted(last, done, held_out=False)
             for i, final, base in zip(done.nonzero()[0], last, bases, strict=True):
                 info["final_obs"][i] = np.concatenate((final, base))
         same = self.autoreset_mode == AutoresetMode.SAME_STEP
@@ -143,11 +143,11 @@ class VectorResidualAction(
         return np.concatenate((observation, self._base), axis=1), reward, terminated, truncated, info
 
     def _predicted(
-        self, observation: NDArray[Any], mask: NDArray[np.bool_], *, fresh: bool
+        self, observation: NDArray[Any], mask: NDArray[np.bool_], *, held_out: bool
     ) -> tuple[NDArray[np.float32], tuple[NDArray[Any], ...] | None]:
         """Return the expert's actions and memory for the n observations of the lanes where the mask is True."""
         memory = None if self._memory is None else tuple(m[mask] for m in self._memory)
-        return self.expert.predict(observation, memory, np.full(len(observation), fresh))
+        return self.expert.predict(observation, memory, np.full(len(observation), held_out))
 
 
 def _replaced(old: NDArray[Any], where: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:

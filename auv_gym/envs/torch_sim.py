@@ -37,7 +37,7 @@ from auv_gym.envs.vector_api import AutoresetMode, VectorEnv
 from auv_gym.physics.namespaces import Indices, tensors
 from auv_gym.physics.rows import filled, leaves
 from auv_gym.physics.vehicle import Vehicle
-from auv_gym.scenarios.vehicles import Craft
+from auv_gym.scenarios.vehicles import VehicleModel
 from auv_gym.task import simulation
 from auv_gym.task.observation import Observation, encode
 from auv_gym.task.preview import encode_preview, observation_bounds
@@ -76,11 +76,11 @@ def simulate(
         parts: what is in use.
     """
     p = Parameters.of(parameters.unbind(), parts)
-    plant, terms, (reward, lost, squared_error, saturated) = simulation.step(
+    plant, terms, (reward, failed, squared_error, saturated) = simulation.step(
         filled(PLANT, state.unbind()), action.unbind(), sample.unbind(), p, TENSORS
     )
     rows, observation = torch.stack(leaves(plant)), encode(terms, TENSORS, parts.span)
-    return TorchTransition(rows, observation, reward, lost.to(state.dtype), squared_error, saturated.to(state.dtype))
+    return TorchTransition(rows, observation, reward, failed.to(state.dtype), squared_error, saturated.to(state.dtype))
 
 
 @cache
@@ -157,7 +157,7 @@ class TorchSimulator(VectorEnv[Tensor, Tensor, Tensor]):
         self,
         num_envs: int = 1,
         scenario: ScenarioLike | Sequence[ScenarioLike] = "paper-circle",
-        vehicle: Vehicle | Craft | str | Mapping[str, Any] | None = None,
+        vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None = None,
         control_dt: float | None = None,
         device: str | torch.device = "cpu",
         dtype: str | torch.dtype = "float32",
@@ -250,8 +250,8 @@ class TorchSimulator(VectorEnv[Tensor, Tensor, Tensor]):
         # Always of one layout, and all with a graph or all without: every other combination would be compiled anew.
         inputs = state, commands.T.contiguous(), sample, self._constants
         with torch.set_grad_enabled(graph):
-            landed, rows, reward, lost, squared, saturated = self._step(*inputs)
-        terminated, truncated = lost > 0.5, torch.as_tensor(host.truncating, device=self.device)
+            landed, rows, reward, failed, squared, saturated = self._step(*inputs)
+        terminated, truncated = failed > 0.5, torch.as_tensor(host.truncating, device=self.device)
         if waiting is not None:
             going = torch.as_tensor(~waiting, device=self.device)
             reward, terminated, truncated = torch.where(going, reward, 0.0), terminated & going, truncated & going

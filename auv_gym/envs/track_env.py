@@ -25,7 +25,7 @@ from auv_gym.scenarios.exogenous import Tape
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.scenarios.vehicles import Craft
+from auv_gym.scenarios.vehicles import VehicleModel
 from auv_gym.task.kernels import STATES, Vehicles, begun
 from auv_gym.task.observation import Observation, check_reference, decoded_terms
 from auv_gym.task.policy import Law
@@ -133,7 +133,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
     def __init__(
         self,
         scenario: Scenario | str | Mapping[str, Any] = "paper-circle",
-        vehicle: Vehicle | Craft | str | Mapping[str, Any] | None = None,
+        vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None = None,
         control_dt: float | None = None,
         render_mode: str | None = None,
         preview: Sequence[int] = (),
@@ -280,9 +280,9 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         vehicle = self._vehicle
         vehicle.action[0, 0], vehicle.action[1, 0] = command
         vehicle.step(self._row)
-        (reward,), (lost,), (error,), (saturated,) = vehicle.now.outcome.tolist()
+        (reward,), (failed,), (error,), (saturated,) = vehicle.now.outcome.tolist()
         truncated = self._k >= self._steps
-        terminated = lost > 0.0
+        terminated = failed > 0.0
         self._over = truncated or terminated
         self._info = {"position_error": error, "saturated": saturated > 0.0, "time": self._k * self._dt}
         if self.render_mode is not None:

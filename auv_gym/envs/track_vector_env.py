@@ -18,7 +18,7 @@ from auv_gym.physics.errors import to_body
 from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.episode import Episode
-from auv_gym.scenarios.vehicles import Craft
+from auv_gym.scenarios.vehicles import VehicleModel
 from auv_gym.task.kernels import Bodies, MadeBodies, Vehicles
 from auv_gym.task.observation import SIZE, decode
 from auv_gym.task.policy import Forces, Law
@@ -64,7 +64,7 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         self,
         num_envs: int = 1,
         scenario: ScenarioLike | Sequence[ScenarioLike] = "paper-circle",
-        vehicle: Vehicle | Craft | str | Mapping[str, Any] | None = None,
+        vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None = None,
         control_dt: float | None = None,
         render_mode: str | None = None,
         preview: Sequence[int] = (),
@@ -149,8 +149,8 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         lanes.coming()
         vehicles.action[:] = commands.T
         vehicles.step(lanes.row + 1)
-        reward, lost, errors, saturated = vehicles.now.outcome.copy()
-        terminated, saturated, truncated = lost > 0, saturated > 0, lanes.truncating
+        reward, failed, errors, saturated = vehicles.now.outcome.copy()
+        terminated, saturated, truncated = failed > 0, saturated > 0, lanes.truncating
         if waiting is not None:
             reward, terminated, truncated = np.where(waiting, 0.0, reward), terminated & ~waiting, truncated & ~waiting
         done = terminated | truncated

@@ -19,7 +19,7 @@ from auv_gym.physics.units import Units, in_paper_units
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.paths import Path
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.scenarios.vehicles import PAPER, Craft, as_craft, as_vehicle
+from auv_gym.scenarios.vehicles import PAPER, VehicleModel, as_vehicle, as_vehicle_model
 from auv_gym.scenarios.vehicles.scaling import actuators_in, scaled, scaled_part
 
 MOST_SUBSTEPS = 64
@@ -28,7 +28,7 @@ MOST_SUBSTEPS = 64
 
 def changed(
     scenario: Scenario,
-    vehicle: Vehicle | Craft | str | Mapping[str, Any] | None = None,
+    vehicle: Vehicle | VehicleModel | str | Mapping[str, Any] | None = None,
     control_dt: float | None = None,
 ) -> Scenario:
     """Return a scenario with another known vehicle or control period.
@@ -44,8 +44,8 @@ def changed(
     Raises:
         ValueError: the vehicle is unknown, or the period is no number or longer than the episode.
     """
-    if (craft := as_craft(vehicle)) is not None:
-        scenario = replace(adapted(craft, scenario), name=f"{scenario.name}@{craft.name}")
+    if (vehicle_model := as_vehicle_model(vehicle)) is not None:
+        scenario = replace(adapted(vehicle_model, scenario), name=f"{scenario.name}@{vehicle_model.name}")
     elif vehicle is not None:
         scenario = replace(scenario, vehicle=as_vehicle(vehicle))
     if control_dt is not None:
@@ -54,24 +54,24 @@ def changed(
     return scenario
 
 
-def adapted(craft: Craft, scenario: Scenario) -> Scenario:
+def adapted(vehicle_model: VehicleModel, scenario: Scenario) -> Scenario:
     """Return a scenario of the paper's vehicle as one of another vehicle; a path that is not drawn stays as it is.
 
     Raises:
         ValueError: paths are slower than its fins can steer it, or no integration step is short enough for it.
     """
-    return _Fit(craft).scenario(scenario)
+    return _Fit(vehicle_model).scenario(scenario)
 
 
 @dataclass(frozen=True)
 class _Fit:
     """The factors between the paper's vehicle and another one, and what they make of the parts of a scenario."""
 
-    craft: Craft
+    vehicle_model: VehicleModel
 
     @property
     def units(self) -> Units:
-        return Units.of(self.craft.vehicle)
+        return Units.of(self.vehicle_model.vehicle)
 
     def scenario(self, scenario: Scenario) -> Scenario:
         length, time = self.units.length, self.units.time
@@ -86,7 +86,7 @@ class _Fit:
         changes |= {"mismatch": self.mismatch(scenario.mismatch, top), "actuators": self.actuators(scenario.actuators)}
         return self.stepped(
             scenario,
-            vehicle=self.craft.vehicle,
+            vehicle=self.vehicle_model.vehicle,
             control_dt=float(f"{scenario.control_dt * time:.2g}"),
             error_scale=scenario.error_scale * length,
             lost_distance=scenario.lost_distance * length,
@@ -100,27 +100,27 @@ class _Fit:
     @property
     def turn_rate(self) -> float:
         """The factor of turn rates: one over time, or what the vehicle asks for."""
-        own = self.craft.turn_rate
+        own = self.vehicle_model.turn_rate
         return self.units.factor(time=-1) if own is None else own / 0.12
 
     def check_speed(self, speed: Interval, name: str) -> None:
         low = speed[0] if isinstance(speed, tuple) else speed
-        if low < self.craft.slowest * (1 - 1e-9):
+        if low < self.vehicle_model.slowest * (1 - 1e-9):
             raise ValueError(
                 f"scenario {name!r} asks for {low:.3g} m/s of this vehicle, whose fins steer it from "
-                f"{self.craft.slowest:g} m/s on; take a faster one, as those of the cruise regime"
+                f"{self.vehicle_model.slowest:g} m/s on; take a faster one, as those of the cruise regime"
             )
 
     def drag(self, top: float) -> tuple[float, float, float]:
         """Return the factors of the drag per velocity at the fastest speed [m/s] of a path."""
-        mine, paper = self.craft.drag(top), PAPER.drag(0.0)
+        mine, paper = self.vehicle_model.drag(top), PAPER.drag(0.0)
         return mine[0] / paper[0], mine[1] / paper[1], mine[2] / paper[2]
 
     def waves(self, waves: RandomWaves | None, top: float) -> RandomWaves | None:
         """Return waves whose forces are the same share of the drag, quadratic drag and lift included."""
         if waves is None:
             return None
-        v, (d_u, d_v, d_r) = self.craft.vehicle, self.craft.drag(top)
+        v, (d_u, d_v, d_r) = self.vehicle_model.vehicle, self.vehicle_model.drag(top)
         yaw = waves.yaw * d_r / v.d33 / self.units.length  # of d33 U / (1 m)
         return replace(waves, surge=waves.surge * d_u / v.d11, sway=waves.sway * d_v / v.d22, yaw=yaw)
 
@@ -134,9 +134,9 @@ class _Fit:
 
     def actuators(self, given: Actuators) -> Actuators:
         """Return actuators with the same share of the vehicle's own limits, and of its own lag."""
-        own, time = self.craft.actuators, self.units.time
+        own, time = self.vehicle_model.actuators, self.units.time
         force, torque = (own.F_u_max / PAPER.actuators.F_u_max, own.F_r_max / PAPER.actuators.F_r_max)
-        slow = time if self.craft.lag is None else self.craft.lag / 0.2
+        slow = time if self.vehicle_model.lag is None else self.vehicle_model.lag / 0.2
         return replace(
             given,
             F_u_max=given.F_u_max * force,

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from auv_gym.physics.actuators import Actuators
 from auv_gym.physics.disturbances import RandomCurrent, RandomWaves
-from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES
+from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES
 from auv_gym.scenarios.scenario import RandomPath, Scenario
 
 Mixture = tuple[tuple[Scenario, float], ...]
@@ -19,9 +19,9 @@ _WAVELENGTHS = {"slow": (5.0, 20.0), "cruise": (20.0, 80.0)}  # [m] of a sheared
 OUTAGE_TIMES = {"slow": (0.5, 3.0), "cruise": (0.3, 2.0)}  # [s] how long an outage of the position fix lasts
 
 
-def regime_mixture(regime: str, weights: Mapping[str, float] = CASE_WEIGHTS) -> Mixture:
+def speed_range_mixture(speed_range: str, weights: Mapping[str, float] = CASE_WEIGHTS) -> Mixture:
     """Return the eight cases of a regime with weights by case, 1 for those that have none."""
-    return tuple((PRESETS[f"{regime}-{case}"], weights.get(case, 1.0)) for case in CASES)
+    return tuple((PRESETS[f"{speed_range}-{case}"], weights.get(case, 1.0)) for case in CASES)
 
 
 def weighed(mixture: Mixture, weight: float) -> Mixture:
@@ -29,27 +29,27 @@ def weighed(mixture: Mixture, weight: float) -> Mixture:
     return tuple((scenario, weight * share) for scenario, share in mixture)
 
 
-def adverse(regime: str) -> Scenario:
+def adverse(speed_range: str) -> Scenario:
     """Return a storm in which anything may be wrong, and mostly a little: sensors, commands, actuators and current.
 
     The kinds of trouble are those of unmodelled-v1, all at once and each down to none; the ranges are a little wider.
     """
-    storm = PRESETS[f"{regime}-storm"]
+    storm = PRESETS[f"{speed_range}-storm"]
     act, waves, current, noise = storm.actuators, storm.waves, storm.current, storm.sensors
     assert isinstance(waves, RandomWaves)
     assert isinstance(current, RandomCurrent)
     return replace(
         storm,
-        name=f"{regime}-adverse",
+        name=f"{speed_range}-adverse",
         sensors=replace(
             noise,
             heading_bias=(-0.06, 0.06),
             velocity_bias=(-3 * noise.velocity, 3 * noise.velocity),
             yaw_rate_bias=(-0.006, 0.006),
             outages=1.0,
-            outage_time=OUTAGE_TIMES[regime],
+            outage_time=OUTAGE_TIMES[speed_range],
         ),
-        current=replace(current, shear=(0.0, 0.25), wavelength=_WAVELENGTHS[regime], speed=(0.05, 0.35)),
+        current=replace(current, shear=(0.0, 0.25), wavelength=_WAVELENGTHS[speed_range], speed=(0.05, 0.35)),
         waves=replace(waves, band=(0.15, 1.1)),
         actuators=Actuators(
             act.F_u_max, act.F_r_max, lag=(0.0, 0.7), effectiveness=(0.6, 1.0), reach=(0.45, 1.0), delay=(0.0, 3.0)
@@ -74,20 +74,20 @@ def hasty() -> Scenario:
 
 SLEW_TIMES = (0.5, 1.0)  # [s] in which slewing actuators go from zero to their limits
 SLEWING: Mapping[str, Mixture] = {
-    f"{regime}-slew": tuple(
-        (slewing(PRESETS[f"{regime}-{case}"], seconds), 0.25)
+    f"{speed_range}-slew": tuple(
+        (slewing(PRESETS[f"{speed_range}-{case}"], seconds), 0.25)
         for case in ("storm", "actuator")
         for seconds in SLEW_TIMES
     )
-    for regime in REGIMES
+    for speed_range in SPEED_RANGES
 }
 """Storms, and the slow actuators of calm water, that also slew, by regime; their weights add up to 1."""
 _WRONG: Mapping[str, Mixture] = {
-    f"{regime}-wrong": (
-        (adverse(regime), 0.5),
-        *((slewing(adverse(regime), seconds), 0.25) for seconds in SLEW_TIMES),
+    f"{speed_range}-wrong": (
+        (adverse(speed_range), 0.5),
+        *((slewing(adverse(speed_range), seconds), 0.25) for seconds in SLEW_TIMES),
     )
-    for regime in REGIMES
+    for speed_range in SPEED_RANGES
 }
 """Storms in which anything may be wrong, half of them on slewing actuators; the weights add up to 1."""
 HARDEST: Mapping[str, float] = {"noise": 2.0, "actuator": 4.0, "storm": 4.0}
@@ -99,9 +99,15 @@ WRONG_WEIGHTS = {"slow": 0.5, "cruise": 1.0}  # of storms in which anything may 
 
 def everything() -> Mixture:
     """Return what `helm` learns: the cases of both regimes, slewing actuators, and storms where anything is wrong."""
-    cases = (part for regime in REGIMES for part in regime_mixture(regime, {**HARDEST, "waves": 2.0}))
-    slew = (part for regime in REGIMES for part in weighed(SLEWING[f"{regime}-slew"], SLEW_WEIGHT))
-    wrong = (part for regime in REGIMES for part in weighed(_WRONG[f"{regime}-wrong"], WRONG_WEIGHTS[regime]))
+    cases = (
+        part for speed_range in SPEED_RANGES for part in speed_range_mixture(speed_range, {**HARDEST, "waves": 2.0})
+    )
+    slew = (part for speed_range in SPEED_RANGES for part in weighed(SLEWING[f"{speed_range}-slew"], SLEW_WEIGHT))
+    wrong = (
+        part
+        for speed_range in SPEED_RANGES
+        for part in weighed(_WRONG[f"{speed_range}-wrong"], WRONG_WEIGHTS[speed_range])
+    )
     return (*cases, *slew, *wrong, (hasty(), HASTY_WEIGHT))
 
 
@@ -109,7 +115,10 @@ MIXTURES: Mapping[str, Mixture] = {
     "helm": everything(),
     **SLEWING,
     **_WRONG,
-    **{regime: regime_mixture(regime) for regime in REGIMES},
-    **{f"{regime}-adverse": (*regime_mixture(regime), (adverse(regime), ADVERSE_WEIGHT)) for regime in REGIMES},
+    **{speed_range: speed_range_mixture(speed_range) for speed_range in SPEED_RANGES},
+    **{
+        f"{speed_range}-adverse": (*speed_range_mixture(speed_range), (adverse(speed_range), ADVERSE_WEIGHT))
+        for speed_range in SPEED_RANGES
+    },
 }
 """Mixtures by name."""

@@ -12,14 +12,14 @@ from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch, RandomWa
 from auv_gym.physics.intervals import Interval
 from auv_gym.physics.sensors import Sensors
 from auv_gym.scenarios.fitting import changed
-from auv_gym.scenarios.names import CASES, REGIMES, STEPS
+from auv_gym.scenarios.names import CASES, SPEED_RANGES, STEPS
 from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
 
-__all__ = ["CASES", "PAPER_SCENARIO", "PRESETS", "REGIMES", "as_scenario", "list_scenarios"]
+__all__ = ["CASES", "PAPER_SCENARIO", "PRESETS", "SPEED_RANGES", "as_scenario", "list_scenarios"]
 
 
 @dataclass(frozen=True)
-class _Regime:
+class _SpeedRange:
     """What distinguishes the paper's slow speeds from an AUV's cruise."""
 
     path: RandomPath
@@ -34,20 +34,20 @@ class _Regime:
     lost_distance: float
 
 
-_REGIMES = {
-    "slow": _Regime(
+_SPEED_RANGES = {
+    "slow": _SpeedRange(
         RandomPath(speed=(0.1, 0.3), turn_rate=0.04), 0.2, (100.0, 50.0), (40.0, 20.0), 0.3,
         Sensors(position=0.03, heading=0.015, velocity=0.01, yaw_rate=0.004), 0.04, 1.0, 0.2, 10.0,
     ),
-    "cruise": _Regime(
+    "cruise": _SpeedRange(
         RandomPath(speed=(0.5, 1.5), turn_rate=0.12), 0.1, (400.0, 200.0), (250.0, 100.0), 1.0,
         Sensors(position=0.05, heading=0.015, velocity=0.02, yaw_rate=0.005), 0.12, 0.4, 0.5, 30.0,
     ),
 }  # fmt: skip
 
 
-def _preset(regime: str, case: str) -> Scenario:
-    g = _REGIMES[regime]
+def _preset(speed_range: str, case: str) -> Scenario:
+    g = _SPEED_RANGES[speed_range]
     limits = g.limits
     lag: Interval = 0.0
     changes: dict[str, Any] = {}
@@ -69,7 +69,7 @@ def _preset(regime: str, case: str) -> Scenario:
     if case == "storm":
         lag = (0.12, 0.36)
     s = (-g.start, g.start)
-    name = f"{regime}-{case}"
+    name = f"{speed_range}-{case}"
     return Scenario(
         name=name,
         path=g.path,
@@ -92,7 +92,9 @@ PAPER_SCENARIO = Scenario(
 )
 """Section V: the 10 m circle at 0.1 m/s, from rest and 0.5 m, 1 m, 20 deg off, in any of the eight signs."""
 
-PRESETS = {s.name: s for s in (PAPER_SCENARIO, *(_preset(regime, case) for regime in REGIMES for case in CASES))}
+PRESETS = {
+    s.name: s for s in (PAPER_SCENARIO, *(_preset(speed_range, case) for speed_range in SPEED_RANGES for case in CASES))
+}
 """Scenarios by name: add an entry here to use it as `gym.make(..., scenario=NAME)`."""
 
 

@@ -37,7 +37,7 @@ class Outcome(NamedTuple):
     """What the task makes of a control step: floats, or rows of shape (N,)."""
 
     reward: Any
-    lost: Any  # 1 where the vehicle is lost, else 0
+    failed: Any  # 1 where the vehicle is lost, else 0
     error: Any  # [m] of the position
     saturated: Any  # 1 where an actuator was commanded to its limit, else 0
 
@@ -70,8 +70,10 @@ def step_kernel(parts: Parts, forces: Forces | None = None) -> Kernel:
             base = seen[SIZE:]
             action = [corrected(*three, SYMBOLS) for three in zip(base, authority, action, strict=True)]
         p = Parameters.of(parameters, parts)
-        after, terms, (reward, lost, squared_error, saturated) = step(filled(PLANT, plant), action, samples, p, SYMBOLS)
-        outcome = Outcome(reward, lost, SYMBOLS.sqrt(squared_error), saturated)
+        after, terms, (reward, failed, squared_error, saturated) = step(
+            filled(PLANT, plant), action, samples, p, SYMBOLS
+        )
+        outcome = Outcome(reward, failed, SYMBOLS.sqrt(squared_error), saturated)
         return {"next_plant": leaves(after), "next_seen": _observed(terms, forces, parts), "outcome": outcome}
 
     rows = {"plant": PLANT_ROWS, "seen": columns(forces), "action": ACTIONS, "authority": ACTIONS}

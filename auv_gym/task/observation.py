@@ -167,6 +167,6 @@ def reward(
     return 1 / ns.sqrt(1 + squared_error / (error_scale * error_scale)) - rate_weight * squared_change
 
 
-def lost(squared_error: Number, lost_distance: Number) -> Number:
+def failed(squared_error: Number, lost_distance: Number) -> Number:
     """Return whether the vehicle is lost: farther than lost_distance [m] from the reference."""
     return (squared_error <= lost_distance * lost_distance) ^ True  # so that what is no number any more is lost, too

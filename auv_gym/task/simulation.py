@@ -17,7 +17,7 @@ from auv_gym.physics.navigation import Reckoning
 from auv_gym.physics.rows import filled, leaves, numbered
 from auv_gym.physics.sensors import low_pass
 from auv_gym.physics.vehicle import Coefficients
-from auv_gym.task.observation import lost, reward
+from auv_gym.task.observation import failed, reward
 
 
 class PlantMemory(NamedTuple):
@@ -251,7 +251,7 @@ def step(
     squared_error = e_x * e_x + e_y * e_y
     outcome = (
         reward(squared_error, d_u * d_u + d_r * d_r, p.error_scale, p.rate_weight, ns),
-        lost(squared_error, p.lost_distance),
+        failed(squared_error, p.lost_distance),
         squared_error,
         (abs(a_u) >= 1.0) | (abs(a_r) >= 1.0),
     )

@@ -74,13 +74,13 @@ def speed_share(speed: Number) -> Number:
 
 
 @cache
-def gains(regime: str) -> tuple[tuple[FilterGainTable, FilterGainTable], ...]:
+def gains(speed_range: str) -> tuple[tuple[FilterGainTable, FilterGainTable], ...]:
     """Return for each filter the coefficients of its gains in a regime, in SI units: of `ALONG`, then of `ACROSS`.
 
     A row for each entry holds one for each measurement: the coefficients of 1, s, s^2, ... of s = `speed_share`.
     """
     record = json.loads(FILTER_GAINS.read_text(encoding="utf-8"))
-    return tuple((own["along"], own["across"]) for own in record[regime])
+    return tuple((own["along"], own["across"]) for own in record[speed_range])
 
 
 def filtered(
@@ -100,7 +100,7 @@ def filtered(
         hull: the vehicle as it is known, in units in which it has the paper's vehicle's mass, length and speed.
     """
     age, x_before, y_before, *rows = memory
-    fresh = age <= 0.0
+    held_out = age <= 0.0
     motion = reference_motion(o, hull, ns)
     half = 0.5 * o.dt * o.dt
     step = o.dt * motion.v_x - half * motion.a_x, o.dt * motion.v_y - half * motion.a_y
@@ -115,7 +115,7 @@ def filtered(
         ahead = transition(own, command, step, o.dt, hull, ns)
         z = _corrected(ahead, measured, held, o, tables, speed_share(speed), ns)
         first, wild = (*measured, *[0.0 * o.dt] * (len(z) - len(measured))), _wild(z)
-        begun = [ns.where(fresh | wild, a, b) for a, b in zip(first, z, strict=True)]
+        begun = [ns.where(held_out | wild, a, b) for a, b in zip(first, z, strict=True)]
         if found:
             still = [*found[0][: PLACE.V_x], *first[PLACE.V_x :]]  # where the first one is, in still water
             joined = (age < _SETTLED) | _far(found[0], z, speed) | wild

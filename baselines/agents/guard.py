@@ -159,10 +159,10 @@ class Guarded(Batched):
         step = o.dt * rate
         mean, share, left, alarms, exhausted = (before[:, i] for i in range(5))
         still = np.maximum(left - o.dt, 0.0)
-        fresh = begins | ((still == 0.0) & (left > 0.0))  # what begins, and what is handed back
-        mean = np.where(fresh, np.maximum(now, t.start), mean + first_order(step, t.horizon) * (now - mean))
+        held_out = begins | ((still == 0.0) & (left > 0.0))  # what begins, and what is handed back
+        mean = np.where(held_out, np.maximum(now, t.start), mean + first_order(step, t.horizon) * (now - mean))
         exhausted = exhausted + first_order(step, t.memory) * ((np.abs(o.a_r) >= AT_LIMIT) - exhausted)
-        exhausted = np.where(fresh, 0.0, exhausted)
+        exhausted = np.where(held_out, 0.0, exhausted)
         over = (now > t.energy) & (exhausted > t.exhausted) | (now > t.most)
         alarm = (still == 0.0) & over & (now > t.growth * mean)
         left = np.where(alarm, t.hold / rate * t.longer ** np.minimum(alarms, MOST_GROWTH), still)

@@ -79,12 +79,12 @@ class OnnxModel(Batched):
         """
         del deterministic
         n, width = len(rows), self._sizes["observation"][0]
-        fresh = tuple(np.zeros((n, *self._sizes[name]), self._types[name]) for name in self._memory)
-        memory = renewed(state, fresh, episode_start)
+        held_out = tuple(np.zeros((n, *self._sizes[name]), self._types[name]) for name in self._memory)
+        memory = renewed(state, held_out, episode_start)
         given = {"observation": rows[:, :width].astype(self._types["observation"])}
         with guarded("the ONNX model fails"):
             action, *after = self._session.run(self._wanted, given | dict(zip(self._memory, memory, strict=True)))
-        if any(a.shape != b.shape for a, b in zip((action, *after), (np.empty((n, 2)), *fresh), strict=True)):
+        if any(a.shape != b.shape for a, b in zip((action, *after), (np.empty((n, 2)), *held_out), strict=True)):
             shapes = [a.shape for a in (action, *after)]
             raise ValueError(f"the ONNX model gives arrays of shapes {shapes} for {n} observations")
         return action.astype(np.float32), tuple(after)

@@ -157,7 +157,7 @@ class _Talk:
             raise ProgramError(f"cannot start {COMMAND}{command}: {error.strerror}: {error.filename}") from error
         except ValueError as error:
             raise ProgramError(f"cannot start {COMMAND}{command}: {error}") from error
-        self._process, self._said = process, _Tail(process.stderr)
+        self._process, self._said = process, _SteadyRmse(process.stderr)
         self.end = weakref.finalize(self, _end, process, mark)
 
     def blamed(self) -> _Blamed:
@@ -205,7 +205,7 @@ class _Blamed:
             raise ProgramError(" ".join(f"{COMMAND}{self.talk.command}: {error}".split())) from None
 
 
-class _Tail:
+class _SteadyRmse:
     """The end of what a program says on its standard error, read so that it never has to wait for a reader."""
 
     def __init__(self, stream: Any) -> None:

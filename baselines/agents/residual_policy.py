@@ -174,12 +174,12 @@ class ResidualPolicy(Batched):
         """Return this policy's own memory of n vehicles."""
         if state and len(state[0]) == n and (episode_start is None or not np.count_nonzero(episode_start)):
             return state[: self.OWN]
-        fresh = (
+        held_out = (
             np.zeros((n, self.inputs.memory)),
             np.zeros((n, OUTPUTS)),
             np.zeros((n, self.network.memory), self.precision),
         )
-        return renewed(state and state[: self.OWN], fresh, episode_start)
+        return renewed(state and state[: self.OWN], held_out, episode_start)
 
     def _at(self, n: int) -> _Desk:
         """Return the arrays of n vehicles, those of the last call if it was of as many."""

@@ -81,18 +81,18 @@ def adaptive(
     o: Observation, before: AdaptiveMemory, g: AdaptiveGains, vehicle: Coefficients, ns: Namespace
 ) -> tuple[AdaptiveMemory, tuple[Number, Number]]:
     """Return what is remembered, and F_u [N], F_r [N m]; see `traced.LawEquation`."""
-    c, fresh = vehicle, before.count <= 0.0
+    c, held_out = vehicle, before.count <= 0.0
     measured = o.u_R + o.u_e, o.v_R + o.v_e, o.r_R + o.r_e
     predicted, sigma = _adapted(o, before, measured, g.predictor, c, ns)
     V_u, V_v = current_of(sigma, measured[2], c)
     V_x, V_y = to_world(V_u, V_v, o.cos_psi, o.sin_psi)
-    share = ns.where(fresh, 0.0, 1 - ns.exp(-g.drift * o.dt))
+    share = ns.where(held_out, 0.0, 1 - ns.exp(-g.drift * o.dt))
     V_x = ns.clip(before.V_x + share * (V_x - before.V_x), -V, V)
     V_y = ns.clip(before.V_y + share * (V_y - before.V_y), -V, V)
     V_u, V_v = to_body(V_x, V_y, o.cos_psi, o.sin_psi)
     u, v, r = measured[0] - V_u, measured[1] - V_v, measured[2]
     known = (c.d11 * V_u - (c.m22 - c.m11) * r * V_v) / c.m11, yaw_of_current(measured, (u, v), c)
-    share = ns.where(fresh, 0.0, 1 - ns.exp(-g.bandwidth * o.dt))
+    share = ns.where(held_out, 0.0, 1 - ns.exp(-g.bandwidth * o.dt))
     X = before.X + share * (c.m11 * (sigma[0] - known[0]) - before.X)
     N = before.N + share * (c.m33 * (sigma[2] - known[1]) - before.N)
     plan, R = planned(PlannedReference(*before[:_PLAN]), reference_motion(o, c, ns), Sea(V_x, V_y), o.dt, c, ns)
@@ -121,14 +121,14 @@ def _adapted(
         vehicle: as it is known.
         ns: the namespace of the numbers.
     """
-    fresh, pole = before.count <= 0.0, ns.exp(-p * o.dt)
+    held_out, pole = before.count <= 0.0, ns.exp(-p * o.dt)
     follow, adapt = 1 - pole * pole, (1 - pole) * (1 - pole)
     last, found = before[AT_LAST], before[AT_SIGMA]
     moved = foreseen_velocities(o, last, found, vehicle, ns)  # from what was measured then
     predicted, sigma = [], []
     axes = zip(measured, before[AT_PREDICTED], last, moved, found, effective_periods(o.dt, vehicle, ns), strict=True)
     for nu, old, then, now, value, period in axes:
-        error = ns.where(fresh, 0.0, ns.clip(now + (1 - follow) * (old - then), -V, V) - nu)
+        error = ns.where(held_out, 0.0, ns.clip(now + (1 - follow) * (old - then), -V, V) - nu)
         predicted.append(nu + error)
         sigma.append(ns.clip(value - adapt / period * error, -LARGEST_SIGMA, LARGEST_SIGMA))
     return tuple(predicted), tuple(sigma)

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from auv_gym.physics.intervals import check_number
 from auv_gym.physics.namespaces import FLOATS, Namespace, Number
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
-from auv_gym.scenarios.presets import REGIMES
+from auv_gym.scenarios.presets import SPEED_RANGES
 from auv_gym.scenarios.vehicles import as_vehicle
 from auv_gym.task.policy import Law
 from baselines.gains.loading import GAINS_FOLDER, load_gains
@@ -210,5 +210,5 @@ def make_tuned(
     Raises:
         ValueError: unknown vehicle, or a file is not what it must be, see `load_gains`.
     """
-    slow, cruise = (Gains(**load_gains(name, regime, names)) for regime in REGIMES)
+    slow, cruise = (Gains(**load_gains(name, speed_range, names)) for speed_range in SPEED_RANGES)
     return Backstepping((slow, cruise), vehicle)

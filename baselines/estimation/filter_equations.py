@@ -134,23 +134,23 @@ def updated(o: Observation, coefficients: Coefficients, tuning: Any, memory: Bel
             symbols.
         memory: zeros at the start of an episode but for the noise, or as the last call returned it.
     """
-    motion, units, fresh = (
+    motion, units, held_out = (
         reference_motion(o, coefficients, SYMBOLS),
         FilterUnits.of(o, coefficients),
         memory.count[0] <= 0.0,
     )
     measured, step = _measured(o, motion), _step(memory.motion, motion, o.dt)
     moved = [a - b + c for a, b, c in zip(measured, memory.fix, step, strict=False)]
-    held = ~fresh & (moved[0] * moved[0] + moved[1] * moved[1] < _HELD * _HELD)
+    held = ~held_out & (moved[0] * moved[0] + moved[1] * moved[1] < _HELD * _HELD)
     actions = [(o.a_u, o.a_r), *zip(memory.actions[::2], memory.actions[1::2], strict=True)]
     first, deviation = prior(measured, units, tuning, len(memory.state) > STATE_SIZE)
     z, P = foreseen(memory.state, symmetric(memory.covariance), actions, step, o, coefficients)
     P = _sum(P, excitation(o.dt, units, tuning, len(z)))
     shown = [a - b for a, b in zip(shows(z), shows(memory.state), strict=True)]
     past = [x + shown[i % SENSORS] for i, x in enumerate(memory.past)]
-    z = [SYMBOLS.where(fresh, a, b) for a, b in zip(first, z, strict=True)]
+    z = [SYMBOLS.where(held_out, a, b) for a, b in zip(first, z, strict=True)]
     prior_P = diagonal([d * d for d in deviation])
-    P = symmetric([SYMBOLS.where(fresh, a, b) for a, b in zip(triangle(prior_P), triangle(P), strict=True)])
+    P = symmetric([SYMBOLS.where(held_out, a, b) for a, b in zip(triangle(prior_P), triangle(P), strict=True)])
     expected = shows(z)
     fix = measured[:2]
     measured = [*(SYMBOLS.where(held, a, b) for a, b in zip(expected[:2], fix, strict=True)), *measured[2:]]
@@ -159,7 +159,7 @@ def updated(o: Observation, coefficients: Coefficients, tuning: Any, memory: Bel
     measured[PLACE.psi] = expected[PLACE.psi] + innovation[PLACE.psi]  # continuous, for the differences
     noise = _found_noise(measured, past, memory.noise, memory.count[0], o.dt, held)
     z, P, fits = measured_update(z, P, innovation, noise, held)
-    fit = SYMBOLS.where(fresh, 0.0, SYMBOLS.exp(-o.dt / FIT_MEMORY) * memory.fit[0] + fits)
+    fit = SYMBOLS.where(held_out, 0.0, SYMBOLS.exp(-o.dt / FIT_MEMORY) * memory.fit[0] + fits)
     past = [*measured, *past[: 2 * SENSORS]]
     kept = [a for pair in actions[:LATE] for a in pair] if memory.actions else []
     return Belief([memory.count[0] + 1.0], z, triangle(P), motion[1:], fix, past, noise, [fit], kept)

@@ -105,13 +105,13 @@ def planned(
         coefficients: of the vehicle.
         ns: the namespace of the numbers.
     """
-    fresh = memory.count <= 0.0
-    x_1, x_2 = (ns.where(fresh, motion.a_x, a_x) for a_x in (memory.a_x, memory.before_x))
-    y_1, y_2 = (ns.where(fresh, motion.a_y, a_y) for a_y in (memory.a_y, memory.before_y))
+    held_out = memory.count <= 0.0
+    x_1, x_2 = (ns.where(held_out, motion.a_x, a_x) for a_x in (memory.a_x, memory.before_x))
+    y_1, y_2 = (ns.where(held_out, motion.a_y, a_y) for a_y in (memory.a_y, memory.before_y))
     # The rate of the acceleration, by the backward difference of second order.
     jerk = (1.5 * motion.a_x - 2 * x_1 + 0.5 * x_2) / dt, (1.5 * motion.a_y - 2 * y_1 + 0.5 * y_2) / dt
     along = _along(motion, jerk, sea, coefficients, ns)
-    w, rest = _sideslip(memory, along, sea.Y, fresh, dt, coefficients, ns)
+    w, rest = _sideslip(memory, along, sea.Y, held_out, dt, coefficients, ns)
     psi, u, v, r, F_u, F_r, _ = in_sideslip(along, w, coefficients, (sea.Y, sea.Y_rate), ns)
     after = PlannedReference(memory.count + 1.0, motion.a_x, motion.a_y, x_1, y_1, w, rest)
     return after, WaterReference(psi, u, v, r, F_u, F_r)
@@ -134,7 +134,7 @@ def _sideslip(
     memory: PlannedReference,
     along: PathRates,
     Y: Number,
-    fresh: Number,
+    held_out: Number,
     dt: Number,
     coefficients: Coefficients,
     ns: Namespace,
@@ -149,7 +149,7 @@ def _sideslip(
 
     w, rest = sideslip_step(memory.w, memory.rest, rest_of, coefficients.d22 / Dm * dt, _LARGEST_SINE, ns)
     first = ns.clip(steady_sideslip(along, coefficients, ns), -_LARGEST_SINE, _LARGEST_SINE)
-    return ns.where(fresh, first, w), ns.where(fresh, rest_of(first), rest)
+    return ns.where(held_out, first, w), ns.where(held_out, rest_of(first), rest)
 
 
 def braked(along: PathRates, hardest: Number, ns: Namespace = ARRAYS) -> PathRates:

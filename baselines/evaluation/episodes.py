@@ -29,7 +29,7 @@ class EpisodeRecord:
     rewards: Array  # shape (K,)
     errors: Array  # [m] distance to the reference, shape (K + 1,)
     saturated: NDArray[np.bool_]  # whether an actuator was commanded to its limit before that time, shape (K + 1,)
-    lost: bool  # it ended beyond the scenario's `lost_distance`; else its time was over
+    failed: bool  # it ended beyond the scenario's `lost_distance`; else its time was over
 
     @property
     def total_reward(self) -> float:
@@ -128,5 +128,5 @@ def _record(
         rewards=np.array([m.reward[i] for m in own]),
         errors=errors[: steps + 1, i],
         saturated=np.array([False, *(bool(m.saturated[i]) for m in own)]),
-        lost=bool(own[-1].lost[i]),
+        failed=bool(own[-1].failed[i]),
     )

@@ -45,17 +45,17 @@ class Measures:
     """What is measured of M episodes, one entry each: arrays of shape (M,)."""
 
     rmse: Array  # [m]
-    tail: Array  # [m] tail RMSE
+    steady_rmse: Array  # [m] tail RMSE
     settling: Array  # [s]
     effort: Array
     smoothness: Array
     saturation: Array  # share of the steps with an actuator commanded to its limit
     total_reward: Array
     steps: Array  # control steps until the end
-    lost: NDArray[np.bool_]  # ended farther from the reference than the scenario allows
+    failed: NDArray[np.bool_]  # ended farther from the reference than the scenario allows
 
     def __len__(self) -> int:
-        return len(self.tail)
+        return len(self.steady_rmse)
 
     def __getitem__(self, episodes: slice) -> Measures:
         return Measures(*(getattr(self, field.name)[episodes] for field in fields(self)))
@@ -69,8 +69,8 @@ class Measures:
 class Ended(NamedTuple):
     """How episodes ended, arrays of one shape."""
 
-    tail: Array  # [m] tail RMSE; of an episode that was lost it means nothing
-    lost: NDArray[np.bool_]  # ended beyond the scenario's lost distance
+    steady_rmse: Array  # [m] tail RMSE; of an episode that was lost it means nothing
+    failed: NDArray[np.bool_]  # ended beyond the scenario's lost distance
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Summary:
 
     episodes: int
     rmse_m: float  # [m]
-    tail_rmse_m: Spread  # [m]
+    steady_rmse_m: Spread  # [m]
     settling_s: float  # [s]
     effort: float
     smoothness: float
@@ -103,7 +103,7 @@ def rmse(errors: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(np.square(errors), axis=0)))
 
 
-def tail_rmse(errors: Array) -> Array:
+def steady_rmse(errors: Array) -> Array:
     """Return sqrt(mean_(k > floor(N/3)) e_k^2) [m]: the error once the start is forgotten."""
     return rmse(errors[len(errors) // 3 :])
 
@@ -181,15 +181,15 @@ def distribution(values: Array, interval: bool = True) -> Spread:
     return Spread(float(np.mean(values)), ends, float(median), float(p95), cvar(values))
 
 
-def most_lost(lost: int, episodes: int) -> float:
+def failure_bound(failed: int, episodes: int) -> float:
     """Return the upper end of a share's one-sided 95 % interval (Clopper and Pearson): for none about 3 / episodes."""
-    return float(betaincinv(lost + 1, episodes - lost, 0.95)) if lost < episodes else 1.0
+    return float(betaincinv(failed + 1, episodes - failed, 0.95)) if failed < episodes else 1.0
 
 
-def share_interval(lost: int, episodes: int) -> tuple[float, float]:
+def share_interval(failed: int, episodes: int) -> tuple[float, float]:
     """Return the two-sided 95 % interval of a share (Clopper and Pearson), of independent episodes."""
-    low = betaincinv(lost, episodes - lost + 1, 0.025) if lost > 0 else 0.0
-    high = betaincinv(lost + 1, episodes - lost, 0.975) if lost < episodes else 1.0
+    low = betaincinv(failed, episodes - failed + 1, 0.025) if failed > 0 else 0.0
+    high = betaincinv(failed + 1, episodes - failed, 0.975) if failed < episodes else 1.0
     return float(low), float(high)
 
 
@@ -198,7 +198,7 @@ def summarise(m: Measures, interval: bool = True) -> Summary:
     return Summary(
         episodes=len(m),
         rmse_m=float(np.mean(m.rmse)),
-        tail_rmse_m=distribution(m.tail, interval),
+        steady_rmse_m=distribution(m.steady_rmse, interval),
         settling_s=float(np.mean(m.settling)),
         effort=float(np.mean(m.effort)),
         smoothness=float(np.mean(m.smoothness)),
@@ -207,6 +207,6 @@ def summarise(m: Measures, interval: bool = True) -> Summary:
     )
 
 
-def ratio(value: float, yardstick: float) -> float:
+def ratio(value: float, anchor_error: float) -> float:
     """Return value / yardstick, nan where the yardstick is zero."""
-    return value / yardstick if yardstick else math.nan
+    return value / anchor_error if anchor_error else math.nan

@@ -21,13 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.installation import RECORD, checkout, found, left_out
-from auv_gym.scenarios.presets import REGIMES
+from auv_gym.scenarios.presets import SPEED_RANGES
 from baselines.agents.agent import Agent
 from baselines.agents.names import agent_folder, bare_name
 from baselines.evaluation.fingerprints import fingerprint, simulator_fingerprint
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.runner import Recorded, Run
-from baselines.evaluation.score import regime_of
+from baselines.evaluation.score import speed_range_of
 from baselines.evaluation.store import Stored, reading, write
 from baselines.evaluation.suites import Suite
 from baselines.policies import list_policies
@@ -107,11 +107,14 @@ def read_recorded(suite: Suite, policy: str, folder: Path = RECORDED_FOLDER) -> 
     with reading(found(folder, f"{source}/{policy}.npz")) as stored:
         record, rows = stored.record, stored.arrays["measures"].astype(np.float64)
         bounds = np.cumsum([0, *record["episodes"]]).tolist()
-        cells, when = suite.cells_in(record.get("regimes", REGIMES)), Recorded(record["date"], record["versions"])
+        cells, when = (
+            suite.cells_in(record.get("speed_ranges", SPEED_RANGES)),
+            Recorded(record["date"], record["versions"]),
+        )
         runs = []
         for i, (cell, a, b) in enumerate(zip(cells, bounds[:-1], bounds[1:], strict=True)):
-            *values, lost = rows[:, a:b]
-            measures: Any = (*values, lost > 0)
+            *values, failed = rows[:, a:b]
+            measures: Any = (*values, failed > 0)
             run = Run(policy, cell.scenario, cell.hash, Measures(*measures), recorded=when)
             seconds, decision = float(record["seconds"][i]), float(record["decision_seconds"][i])
             runs.append(replace(run, seconds=seconds, decision_seconds=decision))
@@ -162,11 +165,11 @@ def stamp_recorded(suite: Suite, policy: str, folder: Path = RECORDED_FOLDER) ->
     write_atomically(folder / STAMPS_FILE, json_text(dict(sorted(stamps.items()))))
 
 
-def regimes_of(policy: str) -> tuple[str, ...]:
+def speed_ranges_of(policy: str) -> tuple[str, ...]:
     """Return the regimes that a policy is made for: an agent's are those of the scenarios that it was trained on."""
     folder = agent_folder(bare_name(policy))
-    own = {regime_of(scenario) for scenario in Agent.load(folder).scenarios} if folder else set()
-    return tuple(regime for regime in REGIMES if regime in own) or REGIMES
+    own = {speed_range_of(scenario) for scenario in Agent.load(folder).scenarios} if folder else set()
+    return tuple(speed_range for speed_range in SPEED_RANGES if speed_range in own) or SPEED_RANGES
 
 
 def save_recorded(
@@ -174,7 +177,7 @@ def save_recorded(
     runs: Sequence[Run],
     versions: Mapping[str, str],
     folder: Path = RECORDED_FOLDER,
-    regimes: Sequence[str] = REGIMES,
+    speed_ranges: Sequence[str] = SPEED_RANGES,
 ) -> None:
     """Write the file of one policy's runs, one in each cell of a suite, or of some of its regimes.
 
@@ -182,7 +185,7 @@ def save_recorded(
         ValueError: a run failed, or is missing.
     """
     policy, own = runs[0].policy, {run.scenario.name: run for run in runs if run.measures is not None}
-    cases = [cell.scenario.name for cell in suite.cells_in(regimes)]
+    cases = [cell.scenario.name for cell in suite.cells_in(speed_ranges)]
     if missing := [case for case in cases if case not in own]:
         raise ValueError(f"{policy} has no result in {', '.join(missing)}")
     ordered = [own[case] for case in cases]
@@ -194,7 +197,7 @@ def save_recorded(
         "policy": policy,
         "date": datetime.now(timezone.utc).date().isoformat(),
         "versions": dict(versions),
-        "regimes": list(regimes),
+        "speed_ranges": list(speed_ranges),
         "episodes": [len(part) for part in parts],
         "seconds": [run.seconds for run in ordered],
         "decision_seconds": [run.decision_seconds for run in ordered],

@@ -21,10 +21,10 @@ from baselines.evaluation import recorded
 from baselines.evaluation.about import NOTHING, checked_about, checked_name
 from baselines.evaluation.fingerprints import fingerprint, watched
 from baselines.evaluation.options import Options
-from baselines.evaluation.recorded import regimes_of
+from baselines.evaluation.recorded import speed_ranges_of
 from baselines.evaluation.rollout import make_env
 from baselines.evaluation.runner import Cell, Run, drawn
-from baselines.evaluation.score import EXPERT, Anchors, regime_of
+from baselines.evaluation.score import EXPERT, Anchors, speed_range_of
 from baselines.evaluation.suites import list_suites, load_suite
 from baselines.policies import make_policy
 from baselines.tools.command_line import UsageError, printable
@@ -140,14 +140,14 @@ def _foreign(policy: str, task: _Task, notes: list[str]) -> list[Cell]:
 
     A note says so; in scenarios of the user's own choice it says that the agent runs in them all the same.
     """
-    regimes = regimes_of(policy)
-    others = [cell for cell in task.cells if regime_of(cell.scenario.name) not in (*regimes, None)]
+    speed_ranges = speed_ranges_of(policy)
+    others = [cell for cell in task.cells if speed_range_of(cell.scenario.name) not in (*speed_ranges, None)]
     if others and task.anchors is not None:
-        notes.append(f"{policy} was trained in {' and '.join(regimes)} motion and runs in those cells alone")
+        notes.append(f"{policy} was trained in {' and '.join(speed_ranges)} motion and runs in those cells alone")
         return others
     if others:
         names = ", ".join(cell.scenario.name for cell in others)
-        notes.append(f"{policy} was trained in {' and '.join(regimes)} motion, and not for {names}")
+        notes.append(f"{policy} was trained in {' and '.join(speed_ranges)} motion, and not for {names}")
     return []
 
 

@@ -23,7 +23,7 @@ from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.kernels import MadeBodies
 from auv_gym.task.policy import Policy, preview_of
 from baselines.agents.programs import ProgramPolicy
-from baselines.evaluation.metrics import Measures, Track, effort, rmse, settling_time, smoothness, tail_rmse
+from baselines.evaluation.metrics import Measures, Track, effort, rmse, settling_time, smoothness, steady_rmse
 from baselines.policy import Privileged
 
 EVALUATED_ENV = "auv_gym:UnderactuatedAUVTrack-v0"  # of the environment that policies are run in
@@ -59,7 +59,7 @@ class Moment(NamedTuple):
     reward: Array  # shape (N,)
     error: Array  # [m] distance to the reference after the step, shape (N,)
     running: NDArray[np.bool_]  # shape (N,), not ended before the step; what is said of the others means nothing
-    lost: NDArray[np.bool_]  # shape (N,), ended by this step, beyond the lost distance
+    failed: NDArray[np.bool_]  # shape (N,), ended by this step, beyond the lost distance
     saturated: NDArray[np.bool_]  # shape (N,), an actuator was commanded to its limit
     following: Array  # what is observed next, of the next episode one step after the end, shape (N, terms)
 
@@ -127,8 +127,10 @@ def play(policy: Policy, begun: Begun, steps: int, watch: Watch | None = None) -
         watch.count(env.num_envs, k)
         command = _checked(action, running, k)
         following, reward, terminated, truncated, info = env.step(command)
-        first, ended, lost = ended, terminated | truncated, running & terminated
-        yield Moment(observation, command, reward, info["position_error"], running, lost, info["saturated"], following)
+        first, ended, failed = ended, terminated | truncated, running & terminated
+        yield Moment(
+            observation, command, reward, info["position_error"], running, failed, info["saturated"], following
+        )
         observation, running = following, running & ~ended
         if not running.any():
             return
@@ -222,15 +224,15 @@ class EpisodeLog:
         """Begin with nothing."""
         self.errors, self._rewards, self._actions = np.zeros((steps, n)), np.zeros((steps, n)), np.zeros((steps, n, 2))
         self.rows: list[Array] = []  # of the traced episodes, see `_row`
-        self.running, self._lost, self._length = np.ones(n, dtype=bool), np.zeros(n, dtype=bool), np.full(n, steps)
+        self.running, self._failed, self._length = np.ones(n, dtype=bool), np.zeros(n, dtype=bool), np.full(n, steps)
 
     def add(self, k: int, m: Moment) -> None:
         """Take up step k; episodes that have ended keep their last error."""
         self._actions[k], self._rewards[k] = np.clip(m.command, -1.0, 1.0), np.where(m.running, m.reward, 0.0)
         self.errors[k] = np.where(m.running, m.error, self.errors[k - 1])
-        self._lost |= m.lost
-        self._length[m.lost] = k + 1
-        self.running = m.running & ~m.lost
+        self._failed |= m.failed
+        self._length[m.failed] = k + 1
+        self.running = m.running & ~m.failed
         if not self.running.any():
             self.errors[k + 1 :] = self.errors[k]
 
@@ -246,14 +248,14 @@ class EpisodeLog:
         commands = [self._actions[:n, i] for i, n in enumerate(self._length.tolist())]
         return Measures(
             rmse=rmse(self.errors),
-            tail=tail_rmse(self.errors),
+            steady_rmse=steady_rmse(self.errors),
             settling=settling_time(self.errors, scenario.error_scale, scenario.control_dt),
             effort=np.array([effort(c) for c in commands]),
             smoothness=np.array([smoothness(c) for c in commands]),
             saturation=np.array([np.mean((np.abs(c) >= 1).any(axis=1)) for c in commands]),
             total_reward=self._rewards.sum(axis=0),
             steps=self._length.astype(np.float64),
-            lost=self._lost,
+            failed=self._failed,
         )
 
 

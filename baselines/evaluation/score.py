@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.units import Units
-from auv_gym.scenarios.presets import REGIMES
+from auv_gym.scenarios.presets import SPEED_RANGES
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.metrics import RESAMPLES, Ended, Measures, resamplings, seed_shares
 
@@ -31,7 +31,7 @@ FORESIGHTED = (ORACLE, OPTIMUM_POLICY)
 RIVAL = "nmpc"  # the strongest policy that does not learn, where sensors and actuators are as told
 ADVERSE_RIVAL = "nmpc-adverse"  # the strongest one where they are not
 DEEP = "deep"  # where positions are reckoned: scenarios called REGIME-deep or REGIME-deep-CASE
-LARGEST_TAIL: Mapping[str, float] = {"slow": 0.6, "cruise": 2.0, DEEP: 5.0}
+ERROR_CAPS: Mapping[str, float] = {"slow": 0.6, "cruise": 2.0, DEEP: 5.0}
 """Tail RMSE [m] from which an episode counts as lost, by regime; the capped score counts no more than that for it.
 
 That is for the paper's vehicle; for another one it is as many times as long as the vehicle is, see `cap_of`."""
@@ -92,15 +92,15 @@ def paired(*measures: Measures) -> list[Measures]:
     return [m if len(m) == shortest else m[:shortest] for m in measures]
 
 
-def regime_of(scenario: str) -> str | None:
+def speed_range_of(scenario: str) -> str | None:
     """Return the regime that a scenario's name begins with, if any."""
-    return next((regime for regime in REGIMES if scenario.startswith(f"{regime}-")), None)
+    return next((speed_range for speed_range in SPEED_RANGES if scenario.startswith(f"{speed_range}-")), None)
 
 
-def waters_of(scenario: str) -> str | None:
-    """Return what of `LARGEST_TAIL` a scenario belongs to: its regime, or `DEEP` in both."""
-    regime = regime_of(scenario)
-    return DEEP if regime and f"{scenario}-".startswith(f"{regime}-{DEEP}-") else regime
+def cap_key(scenario: str) -> str | None:
+    """Return what of `ERROR_CAPS` a scenario belongs to: its regime, or `DEEP` in both."""
+    speed_range = speed_range_of(scenario)
+    return DEEP if speed_range and f"{scenario}-".startswith(f"{speed_range}-{DEEP}-") else speed_range
 
 
 def vehicle_of(scenario: str) -> str:
@@ -119,38 +119,38 @@ def in_paper_metres(m: Measures, scenario: Scenario) -> Measures:
     So measured, the errors of a ship and of a torpedo can be added up, and have the same cap.
     """
     unit = unit_of(scenario)
-    return m if unit == 1 else replace(m, rmse=m.rmse / unit, tail=m.tail / unit)
+    return m if unit == 1 else replace(m, rmse=m.rmse / unit, steady_rmse=m.steady_rmse / unit)
 
 
 def cap_of(scenario: Scenario) -> float:
     """Return the tail RMSE [m] from which an episode of a scenario is lost, infinite where it belongs to no regime."""
-    return unit_of(scenario) * largest_tail(scenario.name)
+    return unit_of(scenario) * error_cap(scenario.name)
 
 
-def largest_tail(scenario: str) -> float:
+def error_cap(scenario: str) -> float:
     """Return the same in metres of the paper's vehicle, by the scenario's name; see `in_paper_metres`."""
-    waters = waters_of(scenario)
-    return LARGEST_TAIL[waters] if waters else math.inf
+    key = cap_key(scenario)
+    return ERROR_CAPS[key] if key else math.inf
 
 
-def is_lost(ended: Measures | Ended, cap: float) -> NDArray[np.bool_]:
+def has_failed(ended: Measures | Ended, cap: float) -> NDArray[np.bool_]:
     """Return which episodes are lost, the one rule of it: those that ended so, and those whose tail reaches the cap.
 
     Args:
         ended: how they ended.
         cap: tail RMSE [m] from which they count as lost, see `cap_of`.
     """
-    return ended.lost | ~(ended.tail < cap)
+    return ended.failed | ~(ended.steady_rmse < cap)
 
 
-def losses(ended: Measures | Ended, cap: float) -> int:
-    """Return how many episodes are lost, see `is_lost`."""
-    return int(is_lost(ended, cap).sum())
+def count_failures(ended: Measures | Ended, cap: float) -> int:
+    """Return how many episodes are lost, see `has_failed`."""
+    return int(has_failed(ended, cap).sum())
 
 
 def capped(ended: Measures | Ended, cap: float) -> Array:
     """Return the tail RMSE [m] with the cap in place of those of episodes that are lost; without a cap as it is."""
-    return np.where(is_lost(ended, cap), cap, ended.tail) if math.isfinite(cap) else ended.tail
+    return np.where(has_failed(ended, cap), cap, ended.steady_rmse) if math.isfinite(cap) else ended.steady_rmse
 
 
 def relative_error(rival: Sequence[Array], own: Sequence[Array]) -> Score:

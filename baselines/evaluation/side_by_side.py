@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from auv_gym.task.policy import Policy
-from baselines.evaluation.metrics import Ended, tail_rmse
+from baselines.evaluation.metrics import Ended, steady_rmse
 from baselines.evaluation.rollout import Moment, Repeatable, beginning
 from baselines.evaluation.runner import Cell
 
@@ -36,11 +36,11 @@ class SideBySide:
         Raises:
             PolicyError: its actions are not finite.
         """
-        errors, lost = np.zeros((self.steps, len(self.of))), np.zeros(len(self.of), dtype=bool)
+        errors, failed = np.zeros((self.steps, len(self.of))), np.zeros(len(self.of), dtype=bool)
         for k, moment in enumerate(self._episodes.play(policy, self.steps)):
             watch(k, moment)
             errors[k] = moment.error
-            lost |= moment.lost
+            failed |= moment.failed
         own = (self.of == i for i in range(len(self.cells)))
         steps = (cell.scenario.steps for cell in self.cells)
-        return [Ended(tail_rmse(errors[:n, mine]), lost[mine]) for n, mine in zip(steps, own, strict=True)]
+        return [Ended(steady_rmse(errors[:n, mine]), failed[mine]) for n, mine in zip(steps, own, strict=True)]

@@ -23,7 +23,7 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.records import to_record
-from auv_gym.scenarios.vehicles import Craft, as_vehicle
+from auv_gym.scenarios.vehicles import VehicleModel, as_vehicle
 from auv_gym.task.observation import TERMS, Observation, decode, encode
 from auv_gym.task.policy import Law, traceable
 from auv_gym.task.preview import preview_columns
@@ -97,7 +97,7 @@ class Exported:
         }
 
 
-def exported(name: str, vehicle: Vehicle | Craft | str = PAPER_VEHICLE) -> Exported:
+def exported(name: str, vehicle: Vehicle | VehicleModel | str = PAPER_VEHICLE) -> Exported:
     """Return the parts of an agent, by its name or its folder, for a vehicle; see `baselines.similar`.
 
     A published vehicle, by its name or file, brings the bounds of its observations; a hull alone has the paper's.
@@ -125,7 +125,7 @@ def exported(name: str, vehicle: Vehicle | Craft | str = PAPER_VEHICLE) -> Expor
     return Exported(folder.name, agent, record["weights_sha256"], see, network, command, own, span)
 
 
-def widest_span(vehicle: Vehicle | Craft | str) -> int:
+def widest_span(vehicle: Vehicle | VehicleModel | str) -> int:
     """Return the widest span of the observations of a vehicle's presets, see `auv_gym.task.observation.bounds`."""
     spans = [1]
     for preset in PRESETS.values():

@@ -9,22 +9,22 @@ from pathlib import Path
 from typing import Any
 
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
-from auv_gym.scenarios.presets import REGIMES
+from auv_gym.scenarios.presets import SPEED_RANGES
 from auv_gym.scenarios.vehicles import as_vehicle
 from baselines.policy import BySpeed, Controller, Remembering
 
 GAINS_FOLDER = Path(__file__).parent  # of the gains, NAME-REGIME.json
 
 
-def gain_file(name: str, regime: str) -> Path:
+def gain_file(name: str, speed_range: str) -> Path:
     """Return where the gains of a controller for a regime are kept.
 
     Raises:
         ValueError: the regime is neither slow nor cruise.
     """
-    if regime not in REGIMES:
-        raise ValueError(f"unknown regime {regime!r}; allowed are {', '.join(REGIMES)}")
-    return GAINS_FOLDER / f"{name}-{regime}.json"
+    if speed_range not in SPEED_RANGES:
+        raise ValueError(f"unknown regime {speed_range!r}; allowed are {', '.join(SPEED_RANGES)}")
+    return GAINS_FOLDER / f"{name}-{speed_range}.json"
 
 
 def checked_gains(gains: Any, names: Sequence[str], source: str) -> dict[str, float]:
@@ -42,33 +42,33 @@ def checked_gains(gains: Any, names: Sequence[str], source: str) -> dict[str, fl
     return {key: float(gains[key]) for key in names}
 
 
-def load_gains(name: str, regime: str, names: Sequence[str], part: str = "gains") -> dict[str, float]:
+def load_gains(name: str, speed_range: str, names: Sequence[str], part: str = "gains") -> dict[str, float]:
     """Return the gains of a controller for a regime, "slow" or "cruise".
 
     Args:
         name: the controller's name, which its files begin with.
-        regime: "slow" or "cruise".
+        speed_range: "slow" or "cruise".
         names: the names of its gains.
         part: "gains", or "start" for those that the search began at; where there was no search, they are the same.
 
     Raises:
         ValueError: there is no such regime or file, the file is not valid JSON, or its gains are not those of `names`.
     """
-    record = gain_record(name, regime)
-    return checked_gains(record.get(part, record.get("gains")), names, str(gain_file(name, regime)))
+    record = gain_record(name, speed_range)
+    return checked_gains(record.get(part, record.get("gains")), names, str(gain_file(name, speed_range)))
 
 
-def gain_record(name: str, regime: str) -> dict[str, Any]:
+def gain_record(name: str, speed_range: str) -> dict[str, Any]:
     """Return the file of a controller's gains for a regime; what is no record is taken for its gains.
 
     Raises:
         ValueError: there is no such regime or file, or the file is not valid JSON.
     """
-    file = gain_file(name, regime)
+    file = gain_file(name, speed_range)
     try:
         record = json.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        command = f"auv-gym tune {name} --regime {regime}"
+        command = f"auv-gym tune {name} --speed-range {speed_range}"
         how = f'write some to begin at, {{"gains": ...}}, then {command}'
         raise ValueError(f"there are no gains in {file}; {how}") from None
     except ValueError as error:
@@ -98,5 +98,5 @@ def tuned_policy(
     known = as_vehicle(vehicle)
     if gains is not None:
         return Remembering(controller(checked_gains(gains, names, name), known))
-    slow, cruise = (controller(load_gains(name, regime, names), known) for regime in REGIMES)
+    slow, cruise = (controller(load_gains(name, speed_range, names), known) for speed_range in SPEED_RANGES)
     return Remembering(BySpeed(slow, cruise))

@@ -43,7 +43,7 @@ FINEST = 1.0  # largest product of an integration step and the vehicle's fastest
 _SUBSTEPS = (1, 2, 4)  # integration steps that a row may have
 _RATIOS = np.geomspace(1e-2, 1e2, 33)  # of yaw rate and sway velocity at which damping must not give power
 
-LOST = (
+FAILED_START = (
     "the simulator follows this log from no values that were tried; are commands in [N] and [N m], do they hold until "
     "the next row, and are rows close enough for the vehicle?"
 )
@@ -100,7 +100,7 @@ def first_estimates(log: Log, over_ground: bool, terms: Sequence[str], known: Ma
             shown = tuple(n for n in _shown(log, rough, terms, known) if n not in held)
             shares = dict(zip(COEFFICIENTS, rough.shares.tolist(), strict=True))
             return Begin(values, _scales(log, rough), _bounds(log, rough), shown, shares)
-    raise ValueError(LOST)
+    raise ValueError(FAILED_START)
 
 
 def _indices(names: Sequence[str], chosen: Sequence[str]) -> Indices:

@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 from auv_gym.physics.actuators import Actuators
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.presets import PRESETS
-from auv_gym.scenarios.vehicles import as_craft, as_vehicle
+from auv_gym.scenarios.vehicles import as_vehicle, as_vehicle_model
 from baselines.identification import Identified, Log, identify
 from baselines.identification.begin import is_current
 from baselines.identification.columns import Format
@@ -146,8 +146,8 @@ def _known(given: Sequence[str]) -> dict[str, float]:
 
 def _actuators(like: str) -> Actuators:
     """Return the actuators of a vehicle by name or file."""
-    craft = as_craft(like)
-    return Actuators() if craft is None else craft.actuators
+    vehicle_model = as_vehicle_model(like)
+    return Actuators() if vehicle_model is None else vehicle_model.actuators
 
 
 def _written_example(options: Options) -> int:

@@ -120,8 +120,8 @@ class _Run:
         self.state: State = (zero, zero, zero, zero + U, zero, zero)
         self.ahead = (rows["d11"] + rows["X_uu"] * U) * U  # the thrust that holds the speed, or its revolutions
         if kind == "revolutions":
-            lost = self.stern.T_nu * U
-            self.ahead = (lost + np.sqrt(lost**2 + 4 * self.stern.T_nn * self.ahead)) / (2 * self.stern.T_nn)
+            failed = self.stern.T_nu * U
+            self.ahead = (failed + np.sqrt(failed**2 + 4 * self.stern.T_nn * self.ahead)) / (2 * self.stern.T_nn)
         self.acting: tuple[Array, Array] = (self.ahead, zero + (rows["neutral"] if kind != "force" else 0.0))
 
     def step(self, side: Array) -> None:

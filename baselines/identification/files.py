@@ -58,7 +58,7 @@ def interval(estimate: ParameterEstimate) -> str:
 
 
 def vehicle_text(found: Identified, vehicle: Vehicle, log: str, like: Actuators | None = None) -> str:
-    """Return vehicle.toml, a file of `auv_gym.scenarios.vehicles.Craft`, with intervals as comments.
+    """Return vehicle.toml, a file of `auv_gym.scenarios.vehicles.VehicleModel`, with intervals as comments.
 
     Args:
         found: the fit.

@@ -13,8 +13,8 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import SIGNED_PARAMETERS, Vehicle
 from baselines.identification.begin import (
     EVIDENCE,
+    FAILED_START,
     FIRST_SEGMENT,
-    LOST,
     NEEDED,
     OPTIONAL,
     PLAIN_TERMS,
@@ -175,7 +175,7 @@ def identify(
             break
         rows *= LONGER
     if search is None:
-        raise ValueError(LOST)
+        raise ValueError(FAILED_START)
     found = search.run()
     if not found.misfit and begin.sizes is not None:  # the log itself shows what it needs to
         found = _Search(search.model, replace(begin, values=found.values, sizes=None), known, candidates).run()

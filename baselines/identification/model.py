@@ -66,13 +66,13 @@ def _kernel(kind: str, wind: bool, crossed: bool, substeps: int, over_ground: bo
     lanes = LOG_STATES + len(names) + len(CURRENT_NAMES) + 1
 
     def equation(plant: Any, tangent: Any, times: Any, values: Any, seed: Any) -> Mapping[str, Sequence[Any]]:
-        one, other, dt, gain, mean, d_gain, d_mean, begins, fresh, V_x, V_y, W_x, W_y, *first = times
+        one, other, dt, gain, mean, d_gain, d_mean, begins, held_out, V_x, V_y, W_x, W_y, *first = times
         named = dict(zip(names, values, strict=True))
         state = [SYMBOLS.where(begins > 0.5, a, b) for a, b in zip(first, plant[:LOG_STATES], strict=True)]
         command = one, other
         if kind == "force":
             command = tuple(SYMBOLS.clip(c, -named[n], named[n]) for c, n in zip(command, LIMIT_NAMES, strict=True))
-        before = [SYMBOLS.where(fresh > 0.5, a, b) for a, b in zip(command, plant[LOG_STATES:], strict=True)]
+        before = [SYMBOLS.where(held_out > 0.5, a, b) for a, b in zip(command, plant[LOG_STATES:], strict=True)]
         acting, after = respond((before[0], before[1]), command, Response(gain, mean, math.inf, math.inf), SYMBOLS)
         air = (V_x - W_x, V_y - W_y) if wind else None
         coefficients = [named[n] for n in (COEFFICIENTS if crossed else Coefficients._fields)]

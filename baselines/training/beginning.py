@@ -16,7 +16,7 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.fitting import changed, in_vehicle_units
 from auv_gym.scenarios.mixtures import Mixture
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.scenarios.vehicles import Craft
+from auv_gym.scenarios.vehicles import VehicleModel
 from baselines.agents.agent import WEIGHTS, Agent
 from baselines.agents.names import agent_folder, shipped_agents
 from baselines.tools.files import read_bytes
@@ -91,7 +91,7 @@ def loaded(origin: Origin) -> Agent:
     return Agent.load(folder)
 
 
-def fitted(mixture: Mixture, craft: Craft) -> tuple[Mixture, tuple[str, ...]]:
+def fitted(mixture: Mixture, vehicle_model: VehicleModel) -> tuple[Mixture, tuple[str, ...]]:
     """Return a mixture whose scenarios fit a vehicle, and why some of them were left out.
 
     Raises:
@@ -106,7 +106,7 @@ def fitted(mixture: Mixture, craft: Craft) -> tuple[Mixture, tuple[str, ...]]:
                 "out --vehicle, or name scenarios of the paper's vehicle"
             )
         try:
-            found.append((changed(scenario, craft), weight))
+            found.append((changed(scenario, vehicle_model), weight))
         except ValueError as error:
             reasons.append(str(error))
     if not found:

@@ -88,7 +88,7 @@ def _finish(run: RunFolder, agent: Agent, command: str) -> float:
         "seconds": round(run.seconds, 1),
         "versions": {**versions(), **{name: version(name) for name in ("stable-baselines3", "torch")}},
         "scores": {"validation episodes": round(kept["score"], 3)},
-        "validation": {name: kept[name] for name in ("timesteps", "score", "error_m", "lost")},
+        "validation": {name: kept[name] for name in ("timesteps", "score", "error_m", "failed")},
     }
     region = run.validation.run(agent.policy(vehicle=run.config.vehicle)).region
     replace(agent, region=region, training={**training, **agent.training}).save(run.folder / AGENT_FOLDER, curve)

@@ -14,7 +14,7 @@ from typing import Any
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.mixtures import MIXTURES, Mixture
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.scenarios.vehicles import as_craft, as_vehicle
+from auv_gym.scenarios.vehicles import as_vehicle, as_vehicle_model
 from baselines.evaluation.request import checked, checked_folder, checked_scenario
 from baselines.evaluation.score import EXPERT
 from baselines.tools.command_line import UsageError
@@ -111,8 +111,8 @@ def _scenarios(options: Options, begun: InitialAgent | None) -> tuple[Mixture, V
         given = resolved(options.scenario or DEFAULT_SCENARIO)
     if options.vehicle is not None:
         as_vehicle(options.vehicle)  # refuses what is no vehicle
-        if (craft := as_craft(options.vehicle)) is not None:
-            given, reasons = fitted(given, craft)
+        if (vehicle_model := as_vehicle_model(options.vehicle)) is not None:
+            given, reasons = fitted(given, vehicle_model)
             if reasons:
                 print(f"note: {len(reasons)} scenarios are left out: {reasons[0]}", file=sys.stderr)
     return in_own_units(given)

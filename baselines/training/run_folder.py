@@ -168,7 +168,7 @@ class RunFolder:
             OSError: the folder cannot be written to.
         """
         verdict = self.validation.run(agent.policy(vehicle=self.config.vehicle, precision=VALIDATION_PRECISION))
-        self.log(timesteps, score=verdict.score, error_m=verdict.error_m, lost=verdict.lost)
+        self.log(timesteps, score=verdict.score, error_m=verdict.error_m, failed=verdict.failed)
         if self.validated["timesteps"] == timesteps:
             self.weights = agent.weights
 

@@ -20,10 +20,10 @@ from auv_gym.task.policy import Policy
 from baselines.agents.features import ERROR_FEATURES, scaled_errors
 from baselines.evaluation.rollout import Moment
 from baselines.evaluation.runner import Cell, drawn
-from baselines.evaluation.score import capped, is_lost, largest_tail, regime_of
+from baselines.evaluation.score import capped, error_cap, has_failed, speed_range_of
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.evaluation.suites import load_suite
-from baselines.evaluation.suites.yardsticks import Yardstick, measured_yardsticks, recorded_yardsticks
+from baselines.evaluation.suites.anchor_errors import AnchorErrors, measured_anchor_errors, recorded_anchor_errors
 from baselines.tools.files import guarded, json_text, read_json, write_atomically
 from baselines.tools.seeds import VALIDATION
 
@@ -32,7 +32,7 @@ VALIDATED_EPISODES = 64  # of each scenario that the suite does not hold
 _FEW = 12  # the same where a training takes a minute
 _SEEN = 0.999
 """Share of the control steps of the validation episodes whose errors an agent's region holds."""
-YARDSTICKS = "validation.json"  # file of a run folder that keeps what expert and oracle do where no suite does
+ANCHOR_ERRORS = "validation.json"  # file of a run folder that keeps what expert and oracle do where no suite does
 VALIDATION_PRECISION = "float32"  # of agents' networks here: a fifth of the time, and a score that differs by 1e-6
 
 
@@ -42,7 +42,7 @@ class Verdict:
 
     score: float  # 0: the expert, 1: the oracle; from tails of at most the cap
     error_m: float  # mean capped tail RMSE [m]
-    lost: float  # share of the episodes that were lost, or whose tail reaches the cap
+    failed: float  # share of the episodes that were lost, or whose tail reaches the cap
     region: tuple[float, ...]  # what `_SEEN` of the scaled errors stay below, see `features.scaled_errors`
 
 
@@ -70,8 +70,8 @@ class Validation:
         self.cells = cells
         self._caps = [_cap(cell.scenario) for cell in cells]
         self._episodes = SideBySide(cells)
-        known = self._by_regime(_yardsticks(cells, folder, brief))
-        self.yardsticks = {regime: _means(own) for regime, own in known.items()}
+        known = self._by_speed_range(_anchor_errors(cells, folder, brief))
+        self.anchor_errors = {speed_range: _means(own) for speed_range, own in known.items()}
 
     def run(self, policy: Policy) -> Verdict:
         """Return what a policy does, the mean over scenarios; the score is that over regimes.
@@ -86,25 +86,27 @@ class Validation:
             scaled[k] = np.where(moment.running, seen, math.nan)
 
         found = list(zip(self._caps, self._episodes.run(policy, watch), strict=True))
-        tails = [capped(ended, cap) for cap, ended in found]
-        gone = [is_lost(ended, cap) for cap, ended in found]
-        scores = [self.score(_mean(own), regime) for regime, own in self._by_regime(tails).items()]
-        return Verdict(float(np.mean(scores)), _mean(tails), _mean(gone), _seen(scaled))
+        steady_rmses = [capped(ended, cap) for cap, ended in found]
+        gone = [has_failed(ended, cap) for cap, ended in found]
+        scores = [
+            self.score(_mean(own), speed_range) for speed_range, own in self._by_speed_range(steady_rmses).items()
+        ]
+        return Verdict(float(np.mean(scores)), _mean(steady_rmses), _mean(gone), _seen(scaled))
 
-    def score(self, error_m: float, regime: str | None) -> float:
+    def score(self, error_m: float, speed_range: str | None) -> float:
         """Return the score of a mean capped tail [m] in the scenarios of a regime, None for those of no regime.
 
         Where the oracle is no better than the expert, 1 is no error.
         """
-        expert_m, oracle_m = self.yardsticks[regime]
+        expert_m, oracle_m = self.anchor_errors[speed_range]
         best = oracle_m if oracle_m < expert_m else 0.0
         return (expert_m - error_m) / (expert_m - best) if expert_m > 0 else math.nan
 
-    def _by_regime(self, values: Sequence[Any]) -> dict[str | None, list[Any]]:
+    def _by_speed_range(self, values: Sequence[Any]) -> dict[str | None, list[Any]]:
         """Return values of each cell by the cell's regime."""
         found: dict[str | None, list[Any]] = {}
         for cell, value in zip(self.cells, values, strict=True):
-            found.setdefault(regime_of(cell.scenario.name), []).append(value)
+            found.setdefault(speed_range_of(cell.scenario.name), []).append(value)
         return found
 
 
@@ -115,7 +117,7 @@ def _seen(scaled: Array) -> tuple[float, ...]:
 
 
 def _cap(scenario: Scenario) -> float:
-    cap = largest_tail(scenario.name)
+    cap = error_cap(scenario.name)
     return cap if math.isfinite(cap) else scenario.lost_distance
 
 
@@ -123,30 +125,30 @@ def _mean(cells: Sequence[Any]) -> float:
     return float(np.mean([np.mean(cell) for cell in cells]))
 
 
-def _yardsticks(cells: Sequence[Cell], folder: Path | None, brief: bool) -> list[Yardstick]:
+def _anchor_errors(cells: Sequence[Cell], folder: Path | None, brief: bool) -> list[AnchorErrors]:
     """Return what expert and oracle do in each cell: the suite's where it has it, else the folder's."""
-    known = [recorded_yardsticks(cell) for cell in cells]
+    known = [recorded_anchor_errors(cell) for cell in cells]
     if all(known):
         return list(filter(None, known))
-    file = folder / YARDSTICKS if folder else None
+    file = folder / ANCHOR_ERRORS if folder else None
     key = hashlib.sha256(" ".join([__version__, *(cell.hash for cell in cells)]).encode()).hexdigest()
     if file and (found := _read(file, key)):
         return found
-    found = [its or measured_yardsticks(cell, brief) for its, cell in zip(known, cells, strict=True)]
+    found = [its or measured_anchor_errors(cell, brief) for its, cell in zip(known, cells, strict=True)]
     if file:
-        write_atomically(file, json_text({"hash": key, "yardsticks": found}))
+        write_atomically(file, json_text({"hash": key, "anchor_errors": found}))
     return found
 
 
-def _means(yardsticks: Iterable[Yardstick]) -> Yardstick:
+def _means(anchor_errors: Iterable[AnchorErrors]) -> AnchorErrors:
     """Return the means over cells, of the expert and of the oracle."""
-    return Yardstick(*(_mean(its) for its in zip(*yardsticks, strict=True)))
+    return AnchorErrors(*(_mean(its) for its in zip(*anchor_errors, strict=True)))
 
 
-def _read(file: Path, key: str) -> list[Yardstick] | None:
+def _read(file: Path, key: str) -> list[AnchorErrors] | None:
     """Return what a file has kept for the episodes of a key; None where it is missing, damaged or of others."""
     with suppress(OSError, ValueError), guarded(str(file)):
         record = read_json(file)
-        own = [Yardstick(*(math.inf if x is None else float(x) for x in its)) for its in record["yardsticks"]]
+        own = [AnchorErrors(*(math.inf if x is None else float(x) for x in its)) for its in record["anchor_errors"]]
         return own if record["hash"] == key else None
     return None

@@ -21,7 +21,7 @@ from auv_gym.physics.disturbances import RandomMismatch
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.scenarios.fitting import adapted
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.scenarios.vehicles import Craft
+from auv_gym.scenarios.vehicles import VehicleModel
 
 SUBSTEPS = 2
 """Integration steps in a control period, for all vehicles side by side; a model that needs more is not taken."""
@@ -83,7 +83,7 @@ def _fitted(scenario: Scenario, rng: np.random.Generator) -> Scenario:
                 return other
 
 
-def _drawn(rng: np.random.Generator) -> Craft:
+def _drawn(rng: np.random.Generator) -> VehicleModel:
     """Return a random vehicle in the paper's units.
 
     Raises:
@@ -104,7 +104,7 @@ def _drawn(rng: np.random.Generator) -> Craft:
     fin = x["fin"] if finned else 0.0
     slowest = 0.4 if finned else 0.0  # [m/s] none of slow motion
     acts = Actuators(*limits, fin=fin, astern=x["astern"] if rng.random() < SOME else 1.0)
-    return Craft("drawn", "", "", "", "", vehicle, acts, x["turn_rate"], x["lag"], slowest)
+    return VehicleModel("drawn", "", "", "", "", vehicle, acts, x["turn_rate"], x["lag"], slowest)
 
 
 def with_model_error(vehicle: Vehicle, rng: np.random.Generator) -> Vehicle:

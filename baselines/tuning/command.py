@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from auv_gym.scenarios.vehicles import PAPER, Craft, as_craft, list_vehicles
+from auv_gym.scenarios.vehicles import PAPER, VehicleModel, as_vehicle_model, list_vehicles
 from baselines.gains.loading import checked_gains, gain_file, load_gains
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, parse, typed
@@ -53,7 +53,7 @@ class Options:
 
     name: Annotated[Positional[str], arg(metavar="NAME")]
     """The controller."""
-    regime: Annotated[Literal["slow", "cruise"], arg(metavar="slow|cruise")] = "cruise"
+    speed_range: Annotated[Literal["slow", "cruise"], arg(metavar="slow|cruise")] = "cruise"
     """Speeds, limits and disturbances to tune for."""
     evaluations: int = EVALUATIONS
     """How often episodes are run; 0 measures the gains that the search would begin at."""
@@ -79,10 +79,10 @@ def main(arguments: Sequence[str]) -> int:
     """
     options = parse(Options, arguments, PROGRAM)
     budget = _checked(options)
-    tunable, craft = TUNABLES[options.name], known_craft(options.vehicle)
+    tunable, vehicle_model = TUNABLES[options.name], known_vehicle_model(options.vehicle)
     start = _start(options, tunable)
-    courses = partial(_course, options.regime, tunable.world, craft)
-    factory = partial(tunable.factory, vehicle=craft.in_paper_units.vehicle)
+    courses = partial(_course, options.speed_range, tunable.world, vehicle_model)
+    factory = partial(tunable.factory, vehicle=vehicle_model.in_paper_units.vehicle)
     try:
         courses(options.episodes, VALIDATION_SEED)
     except ValueError as error:  # fins that do not steer it so slowly
@@ -90,8 +90,8 @@ def main(arguments: Sequence[str]) -> int:
     gains = tune(factory, courses, start, budget, options.price) if options.evaluations else dict(start)
     record = {
         "policy": options.name,
-        "regime": options.regime,
-        **({} if craft == PAPER else {"vehicle": craft.name}),
+        "speed_range": options.speed_range,
+        **({} if vehicle_model == PAPER else {"vehicle": vehicle_model.name}),
         "gains": gains,
         "start": dict(start),
         **({"price": options.price} if options.price else {}),
@@ -99,7 +99,7 @@ def main(arguments: Sequence[str]) -> int:
         "evaluations": options.evaluations,
         "episodes": options.episodes,
         "world": tunable.world,
-        "validation": _validated(options.regime, tunable, gains, craft),
+        "validation": _validated(options.speed_range, tunable, gains, vehicle_model),
         "date": datetime.now(timezone.utc).date().isoformat(),
         "versions": {name: importlib.metadata.version(name) for name in ("cma", "gymnasium", "numpy", "scipy")},
     }
@@ -111,38 +111,38 @@ def main(arguments: Sequence[str]) -> int:
     return DONE
 
 
-def known_craft(vehicle: str) -> Craft:
+def known_vehicle_model(vehicle: str) -> VehicleModel:
     """Return a vehicle with its limits and speeds, by name or file.
 
     Raises:
         UsageError: there is none.
     """
     try:
-        craft = PAPER if vehicle == PAPER.name else as_craft(vehicle)
+        vehicle_model = PAPER if vehicle == PAPER.name else as_vehicle_model(vehicle)
     except (OSError, ValueError) as error:
         raise UsageError(str(error)) from error
-    if craft is None:
+    if vehicle_model is None:
         raise UsageError(f"unknown vehicle {vehicle!r}; allowed are {', '.join(list_vehicles())}, or a .toml file")
-    return craft
+    return vehicle_model
 
 
 def _file(options: Options) -> Path:
     """Return where the gains go."""
     if options.vehicle != PAPER.name:
-        return Path("runs/tune") / f"{options.name}-{options.regime}@{Path(options.vehicle).stem}.json"
+        return Path("runs/tune") / f"{options.name}-{options.speed_range}@{Path(options.vehicle).stem}.json"
     if options.price:
-        return Path("runs/tune") / f"{options.name}-{options.regime}-{options.price:g}.json"
-    return gain_file(options.name, options.regime)
+        return Path("runs/tune") / f"{options.name}-{options.speed_range}-{options.price:g}.json"
+    return gain_file(options.name, options.speed_range)
 
 
-def _course(regime: str, world: str, craft: Craft, episodes: int, seed: int) -> TuningEpisodes:
-    return course(regime, episodes, seed, world, craft)
+def _course(speed_range: str, world: str, vehicle_model: VehicleModel, episodes: int, seed: int) -> TuningEpisodes:
+    return course(speed_range, episodes, seed, world, vehicle_model)
 
 
-def _validated(regime: str, tunable: Tunable, gains: GainSet, craft: Craft) -> dict[str, Any]:
+def _validated(speed_range: str, tunable: Tunable, gains: GainSet, vehicle_model: VehicleModel) -> dict[str, Any]:
     """Return what gains do on the validation episodes, beside the expert."""
-    episodes = TuningEpisodes(regime, VALIDATION_EPISODES, VALIDATION_SEED, tunable.world, craft)
-    own = craft.in_paper_units.vehicle
+    episodes = TuningEpisodes(speed_range, VALIDATION_EPISODES, VALIDATION_SEED, tunable.world, vehicle_model)
+    own = vehicle_model.in_paper_units.vehicle
     policies = tunable.factory(dict(gains), vehicle=own), make_policy("backstepping", vehicle=own)
     result, expert = (episodes.run(policy) for policy in policies)
     return {"episodes": VALIDATION_EPISODES, "seed": VALIDATION_SEED, **compared(result, expert)}
@@ -152,7 +152,7 @@ def _checked(options: Options) -> Budget:
     """Return the budget; raise UsageError if an option is wrong."""
     if options.name not in TUNABLES:
         raise UsageError(f"unknown controller {options.name!r}; allowed are {', '.join(TUNABLES)}")
-    turns = len(rewound_scenarios(options.regime, "adverse"))
+    turns = len(rewound_scenarios(options.speed_range, "adverse"))
     if options.episodes < turns or options.episodes % turns:
         raise UsageError(f"--episodes is {options.episodes}; it must be a positive multiple of {turns}")
     if options.evaluations < 0:
@@ -177,7 +177,7 @@ def _start(options: Options, tunable: Tunable) -> GainSet:
         if options.start is not None:
             start = checked_gains(read_json(options.start).get("gains"), tunable.names, str(options.start))
         else:
-            start = load_gains(options.name, options.regime, tunable.names, part)
+            start = load_gains(options.name, options.speed_range, tunable.names, part)
     except (AttributeError, OSError) as error:
         raise UsageError(f"--start {options.start} holds no gains: {error}") from error
     except ValueError as error:

@@ -133,9 +133,9 @@ def _typical(policies: Sequence[str], scenario: Scenario, options: Options, work
         PolicyError: a policy failed.
     """
     cell = drawn(scenario, options.episodes or 1, options.seed)
-    tails = {}
+    steady_rmses = {}
     for run in run_all(policies, (cell,), workers, math.inf):
         if run.measures is None:
             raise PolicyError(f"{run.policy} in {scenario.name}: {run.error}")
-        tails[run.policy] = run.measures.tail
-    return typical(tails), leads(tails, scenario)
+        steady_rmses[run.policy] = run.measures.steady_rmse
+    return typical(steady_rmses), leads(steady_rmses, scenario)

@@ -125,8 +125,8 @@ class Picture:
         width, height = canvas.extent.tolist()
         canvas.card((8.0, 8.0, width - 16.0, 50.0))
         canvas.box((18.0, 18.0, 8.0, 30.0), panel.hull, radius=3.0)
-        ended = voyage.lost and time >= voyage.time[-1]
-        now = "lost" if ended else f"{instant.error:.2f} m off"
+        ended = voyage.failed and time >= voyage.time[-1]
+        now = "failed" if ended else f"{instant.error:.2f} m off"
         mean = f"{float(voyage.error[voyage.time <= time].mean()):.3f} m on average"
         for name, size, value, large, y, colors in (
             (panel.label, 16.0, now, 18.0, 24.0, (INK, ALERT)),

@@ -11,7 +11,7 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.metrics import bootstrap_interval
 
-Tails = Mapping[str, Array]
+SteadyRmses = Mapping[str, Array]
 """Tail RMSE [m] of policies by name, an entry for each of N episodes that are the same for all."""
 
 
@@ -34,9 +34,9 @@ class Lead(NamedTuple):
         )
 
 
-def leads(tails: Tails, scenario: Scenario) -> list[Lead]:
+def leads(steady_rmses: SteadyRmses, scenario: Scenario) -> list[Lead]:
     """Return how far each policy but the first keeps nearer to the reference than the first does."""
-    (first, others), *rest = tails.items()
+    (first, others), *rest = steady_rmses.items()
     return [
         Lead(
             name,
@@ -50,13 +50,13 @@ def leads(tails: Tails, scenario: Scenario) -> list[Lead]:
     ]
 
 
-def typical(tails: Tails) -> int:
+def typical(steady_rmses: SteadyRmses) -> int:
     """Return the number of the episode whose errors relate to one another as they do in the median episode.
 
     Of each policy but the first, the logarithm of its tail over the first one's is compared with the median of that
     over all episodes; the typical episode has the smallest sum of absolute differences. With one policy it is the tail
     itself that is compared.
     """
-    (_, first), *rest = tails.items()
+    (_, first), *rest = steady_rmses.items()
     logs = [np.log(own / first) for _, own in rest] or [np.log(first)]
     return int(np.argmin(sum(np.abs(values - np.median(values)) for values in logs)))

@@ -34,7 +34,7 @@ class Voyage:
     state: Array  # as in `Instant`, psi without jumps, shape (K, 6)
     reference: Array  # as in `Instant`, shape (K, 3)
     current: Array  # [m/s], shape (K, 2)
-    lost: bool  # whether it ended beyond the scenario's `lost_distance`
+    failed: bool  # whether it ended beyond the scenario's `lost_distance`
 
     @property
     def error(self) -> Array:
@@ -67,14 +67,14 @@ def voyage(name: str, scenario: Scenario, episode: Episode) -> Voyage:
     if isinstance(policy, Privileged):
         policy.prepare(scenario, [episode])
     env, observation = beginning([(scenario, [episode])], preview_of(policy))
-    rows, lost = [_row(env)], False
+    rows, failed = [_row(env)], False
     for k, moment in enumerate(play(policy, (env, observation), scenario.steps)):
-        lost = bool(moment.lost[0])
-        if not lost and k + 1 < scenario.steps:
+        failed = bool(moment.failed[0])
+        if not failed and k + 1 < scenario.steps:
             rows.append(_row(env))
     state, reference, current = (np.array(column) for column in zip(*rows, strict=True))
     state[:, 2], reference[:, 2] = np.unwrap(state[:, 2]), np.unwrap(reference[:, 2])
-    return Voyage(name, scenario.control_dt * np.arange(float(len(rows))), state, reference, current, lost)
+    return Voyage(name, scenario.control_dt * np.arange(float(len(rows))), state, reference, current, failed)
 
 
 def _row(env: Any) -> tuple[Array, Array, Array]:

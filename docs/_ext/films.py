@@ -15,7 +15,7 @@ from sphinx.util.docutils import SphinxDirective
 
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
-from baselines.evaluation.score import regime_of
+from baselines.evaluation.score import speed_range_of
 
 FOLDER = "films"
 """Where the files are, beside the folder of the built pages."""
@@ -28,8 +28,8 @@ QUICK = "paper-circle"
 
 def filmed(scenario: str) -> tuple[str, ...]:
     """Return the policies of a scenario's film: the expert and, where there is one, the regime's agent."""
-    regime = regime_of(scenario)
-    return ("backstepping", f"apg-{regime}") if regime else ("backstepping",)
+    speed_range = speed_range_of(scenario)
+    return ("backstepping", f"apg-{speed_range}") if speed_range else ("backstepping",)
 
 
 def film(scenario: Scenario, folder: Path) -> Path:

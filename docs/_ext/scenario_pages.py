@@ -17,11 +17,11 @@ from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.recorded import load_recorded
 from baselines.evaluation.report.columns import COLUMNS, ranked
 from baselines.evaluation.report.numbers import Entry, compare
-from baselines.evaluation.score import regime_of
+from baselines.evaluation.score import speed_range_of
 from baselines.evaluation.suites import load_suite
 from research.pages import table
 
-SHOWN = ("tail [m]", "p95 [m]", "score", "lost", "settled [s]", "effort")
+SHOWN = ("steady [m]", "p95 [m]", "score", "failures", "settled [s]", "effort")
 """Columns of the evaluation that a page has."""
 SUITE = "benchmark-v2"
 PAGE = """# {name}
@@ -103,7 +103,7 @@ def write(app: Sphinx) -> None:
     entries = [result.entry for result in compare(load_recorded(suite).runs, suite.anchors)]
     for name, scenario in PRESETS.items():
         own = [entry for entry in entries if entry.place == name]
-        texts[f"{name}.md"] = page(scenario, cases[name.removeprefix(f"{regime_of(name)}-")], own)
+        texts[f"{name}.md"] = page(scenario, cases[name.removeprefix(f"{speed_range_of(name)}-")], own)
     replace_folder(source / "scenarios", texts)
 
 

@@ -20,7 +20,7 @@ from baselines.evaluation import recorded, suites
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.rollout import Moment, Repeatable, beginning, rollout
 from baselines.evaluation.runner import drawn
-from baselines.evaluation.score import Score, capped, fixed, fixed_ends, largest_tail, lead, regime_of
+from baselines.evaluation.score import Score, capped, error_cap, fixed, fixed_ends, lead, speed_range_of
 from baselines.export.c_header import c_header
 from baselines.export.onnx_model import onnx_model
 from baselines.export.parts import Exported, exported
@@ -121,7 +121,7 @@ def _measured(name: str, episodes: int) -> Measured:
 
 def _moments(agent: Exported, policy: Policy) -> list[Moment]:
     """Return what a policy does in the episodes for comparison."""
-    scenario = PRESETS[f"{regime_of(agent.agent.scenarios[0])}-{_CASE}"]
+    scenario = PRESETS[f"{speed_range_of(agent.agent.scenarios[0])}-{_CASE}"]
     cell = scenario, drawn(scenario, 4, _SEED).episodes
     return list(Repeatable(lambda preview: beginning([cell], preview)).play(policy, scenario.steps))
 
@@ -159,15 +159,15 @@ def _scores(name: str, policies: Mapping[str, Policy], episodes: int) -> dict[st
     kept = [{r.scenario.name: r.measures for r in recorded.read_recorded(suite, p)} for p in (*suite.anchors, name)]
     cells = [cell for cell in suite.cells if cell.scenario.name in kept[-1]]
 
-    def tails(rows: Mapping[str, Measures | None]) -> list[NDArray[np.float64]]:
+    def steady_rmses(rows: Mapping[str, Measures | None]) -> list[NDArray[np.float64]]:
         found = ((c.scenario.name, rows[c.scenario.name]) for c in cells)
-        return [capped(m[:episodes], largest_tail(cell)) for cell, m in found if m is not None]
+        return [capped(m[:episodes], error_cap(cell)) for cell, m in found if m is not None]
 
-    expert, oracle, own = (tails(rows) for rows in kept)
+    expert, oracle, own = (steady_rmses(rows) for rows in kept)
     result = {"numpy": _triple(lead(expert, expert, [t[None] for t in own], oracle))}
     for key, policy in policies.items():
         runs = [rollout(policy, c.scenario, c.episodes[:episodes]).measures for c in cells]
-        theirs = [capped(m, largest_tail(c.scenario.name)) for c, m in zip(cells, runs, strict=True)]
+        theirs = [capped(m, error_cap(c.scenario.name)) for c, m in zip(cells, runs, strict=True)]
         result[key] = _triple(lead(expert, theirs, [t[None] for t in own], oracle))
     return result
 
@@ -192,8 +192,8 @@ def main(arguments: Sequence[str]) -> int:
         except ImportError:
             raise UsageError(f"what is measured needs the libraries: {install('export')}") from None
         last = found[-1]
-        lost = f"{fixed(last.lost32[0], 6)} ({fixed_ends(last.lost32[1:], 6)})"
-        print(f"{name}: {last.c_us:.1f} us, {last.instructions:,.0f} instructions, score lost {lost}", flush=True)
+        failed = f"{fixed(last.lost32[0], 6)} ({fixed_ends(last.lost32[1:], 6)})"
+        print(f"{name}: {last.c_us:.1f} us, {last.instructions:,.0f} instructions, score lost {failed}", flush=True)
     agents = _kept(options.out, options.episodes) | {m.name: asdict(m) for m in found}
     record = {"episodes": options.episodes, "agents": [agents[name] for name in shipped_agents() if name in agents]}
     options.out.parent.mkdir(parents=True, exist_ok=True)

@@ -11,7 +11,7 @@ from typing import Any
 
 from baselines.evaluation.report.numbers import Entry
 from baselines.evaluation.submission.files import LARGEST_SUBMISSION, Submission, read_submission, save_submission
-from baselines.evaluation.submission.scores import entries, yardsticks
+from baselines.evaluation.submission.scores import anchor_errors, entries
 from baselines.evaluation.suites import Suite, list_suites
 from baselines.tools.command_line import printable
 from baselines.tools.files import json_text, read_bytes, read_json, write_atomically
@@ -67,7 +67,7 @@ def boards(folder: Path) -> list[Leaderboard]:
         submissions = tuple(_placed(file) for file in files)
         suite = submissions[0].suite
         own = {file.stem: stamp for file in files if (stamp := stamps.get(_key(file))) and _counts(file, stamp)}
-        found.append(Leaderboard(suite, submissions, tuple(entries(submissions, yardsticks(suite))), own))
+        found.append(Leaderboard(suite, submissions, tuple(entries(submissions, anchor_errors(suite))), own))
     return found
 
 

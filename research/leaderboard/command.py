@@ -20,7 +20,7 @@ from baselines.evaluation.runner import STEP_LIMIT
 from baselines.evaluation.submission.command import check_numbers, episodes_to_run, read_file, reproduce
 from baselines.evaluation.submission.files import Submission, submission_of
 from baselines.evaluation.submission.reproduction import REPRODUCED_SHARE
-from baselines.evaluation.submission.scores import yardsticks
+from baselines.evaluation.submission.scores import anchor_errors
 from baselines.policies import list_policies
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
 from baselines.tools.files import write_atomically
@@ -97,7 +97,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def _enter(options: Options) -> None:
     submission = read_file(Path(options.words[0]))
-    yardsticks(submission.suite)
+    anchor_errors(submission.suite)
     checked_folder(options.folder, "folder")
     try:
         print(f"Entered {enter(submission, options.folder, options.replace)}")

@@ -65,8 +65,8 @@ def _table(board: Leaderboard, entries: Sequence[Entry]) -> str:
         s, text = by_name[entry.policy], {column.key: column.text(entry) for column in COLUMNS}
         figures = (
             [text["score.mean"], text["score.ci95"]],
-            [text["tail_rmse_m.mean"]],
-            text["lost"].partition(" (")[::2],
+            [text["steady_rmse_m.mean"]],
+            text["failed"].partition(" (")[::2],
             [text["effort_ratio"], text["smoothness_ratio"]],
             [text["decision_ms"]],
             costs(s),
@@ -133,6 +133,6 @@ def leaderboard_json(boards: Sequence[Leaderboard]) -> str:
 
 
 def _record(board: Leaderboard, entry: Entry, s: Submission) -> dict[str, Any]:
-    own = {"name": s.name, "regime": entry.place, **record(entry), **asdict(s.about)}
+    own = {"name": s.name, "speed_range": entry.place, **record(entry), **asdict(s.about)}
     own |= {"policy": s.policy, "fingerprint": s.fingerprint, "date": s.date, "versions": dict(s.versions)}
     return own | {"verified": board.verified.get(s.name)}

@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES
+from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES
 from auv_gym.scenarios.scenario import Scenario
 from baselines.control.privileged.solver import GOOD
 from baselines.evaluation.fingerprints import fingerprint
-from baselines.evaluation.metrics import most_lost
+from baselines.evaluation.metrics import failure_bound
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import Cell, drawn
-from baselines.evaluation.score import EXPERT, OPTIMUM_POLICY, ORACLE, largest_tail, losses
+from baselines.evaluation.score import EXPERT, OPTIMUM_POLICY, ORACLE, count_failures, error_cap
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, checked_record, parse
 from baselines.tools.files import json_text, read_json, write_atomically
@@ -34,7 +34,7 @@ PROGRAM = "python -m research bound"
 _FILE = DATA / "bound.json"  # what was counted
 OPTIMUM_EPISODES = 10_000  # of all cases together
 _AT_ONCE = 125  # episodes of a case that are solved together
-SCENARIOS = tuple(PRESETS[f"{regime}-{case}"] for regime in REGIMES for case in CASES)
+SCENARIOS = tuple(PRESETS[f"{speed_range}-{case}"] for speed_range in SPEED_RANGES for case in CASES)
 """The cases, of both speed ranges."""
 
 
@@ -56,9 +56,9 @@ class OptimumCount:
     """Counts of some episodes of a case, those of the first seeds of `OPTIMUM`."""
 
     episodes: int = 0
-    lost: int = 0  # see `score.is_lost`
-    tails_m: float = 0.0  # the sum of the steady-state errors
-    largest_tail_m: float = 0.0
+    failed: int = 0  # see `score.has_failed`
+    steady_rmses_m: float = 0.0  # the sum of the steady-state errors
+    largest_steady_rmse_m: float = 0.0
     largest_error_m: float = 0.0  # at any instant after the first third: a vehicle that spins is metres away
     astray: tuple[Mapping[str, Any], ...] = field(default=())
     """Episodes whose error is not below `GOOD`: seed, error, and those of oracle and expert [m]."""
@@ -67,9 +67,9 @@ class OptimumCount:
         """Return the count of these episodes and of others."""
         return OptimumCount(
             self.episodes + more.episodes,
-            self.lost + more.lost,
-            self.tails_m + more.tails_m,
-            max(self.largest_tail_m, more.largest_tail_m),
+            self.failed + more.failed,
+            self.steady_rmses_m + more.steady_rmses_m,
+            max(self.largest_steady_rmse_m, more.largest_steady_rmse_m),
             max(self.largest_error_m, more.largest_error_m),
             (*self.astray, *more.astray),
         )
@@ -80,23 +80,27 @@ def counted(scenario: Scenario, first: int, episodes: int) -> OptimumCount:
     seed = OPTIMUM.first + first
     cell = drawn(scenario, episodes, seed)
     found = rollout(make_policy(OPTIMUM_POLICY, scenario.vehicle), scenario, cell.episodes)
-    tail = found.measures.tail
-    far = np.flatnonzero(~(tail < GOOD)).tolist()
-    rivals = {policy: _tails(policy, cell, far) for policy in (ORACLE, EXPERT)} if far else {}
+    steady_rmse = found.measures.steady_rmse
+    far = np.flatnonzero(~(steady_rmse < GOOD)).tolist()
+    rivals = {policy: _steady_rmses(policy, cell, far) for policy in (ORACLE, EXPERT)} if far else {}
     astray = tuple(
-        {"seed": seed + i, f"{OPTIMUM_POLICY}_m": float(tail[i]), **{f"{p}_m": rivals[p][j] for p in rivals}}
+        {"seed": seed + i, f"{OPTIMUM_POLICY}_m": float(steady_rmse[i]), **{f"{p}_m": rivals[p][j] for p in rivals}}
         for j, i in enumerate(far)
     )
     errors = found.errors[scenario.steps // 3 :]
-    lost = losses(found.measures, largest_tail(scenario.name))
-    return OptimumCount(episodes, lost, float(tail.sum()), float(tail.max()), float(errors.max()), astray)
+    failed = count_failures(found.measures, error_cap(scenario.name))
+    return OptimumCount(
+        episodes, failed, float(steady_rmse.sum()), float(steady_rmse.max()), float(errors.max()), astray
+    )
 
 
-def _tails(policy: str, cell: Cell, few: Sequence[int]) -> list[float]:
+def _steady_rmses(policy: str, cell: Cell, few: Sequence[int]) -> list[float]:
     """Return a policy's steady-state errors [m] in a few of a cell's episodes."""
     own = [cell.episodes[i] for i in few]
-    tails: list[float] = rollout(make_policy(policy, cell.scenario.vehicle), cell.scenario, own).measures.tail.tolist()
-    return tails
+    steady_rmses: list[float] = rollout(
+        make_policy(policy, cell.scenario.vehicle), cell.scenario, own
+    ).measures.steady_rmse.tolist()
+    return steady_rmses
 
 
 def optimum_counts(file: Path = _FILE) -> dict[str, OptimumCount]:
@@ -124,10 +128,11 @@ def all_cases(counts: Mapping[str, OptimumCount]) -> OptimumCount:
 def in_words(counts: Mapping[str, OptimumCount]) -> str:
     """Return what was counted, in words."""
     every = all_cases(counts)
-    at_most = 100 * most_lost(every.lost, every.episodes)
+    at_most = 100 * failure_bound(every.failed, every.episodes)
     return (
-        f"{every.lost} of {every.episodes} episodes failed (95 % upper confidence bound {at_most:.2g} %); steady-state "
-        f"error: mean {1e3 * every.tails_m / every.episodes:.3f} mm, largest {1e3 * every.largest_tail_m:.3f} mm; "
+        f"{every.failed} of {every.episodes} episodes failed (95 % upper confidence bound {at_most:.2g} %); "
+        f"steady-state error: mean {1e3 * every.steady_rmses_m / every.episodes:.3f} mm, largest "
+        f"{1e3 * every.largest_steady_rmse_m:.3f} mm; "
         f"largest error at any time after the first third: {1e3 * every.largest_error_m:.3f} mm; episodes with a "
         f"steady-state error of {1e3 * GOOD:g} mm or more: {len(every.astray)}"
     )
@@ -173,4 +178,4 @@ def main(arguments: Sequence[str]) -> int:
     worse = nearer(counts)
     for line in worse:
         print(f"{called(PROGRAM)}: another policy is nearer: {line}", file=sys.stderr)
-    return FAILED if worse or all_cases(counts).lost else DONE
+    return FAILED if worse or all_cases(counts).failed else DONE

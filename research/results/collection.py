@@ -10,7 +10,7 @@ from baselines.evaluation import recorded, suites
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.report.numbers import Entry, measures_of, pool
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import OPTIMUM_POLICY, Score, paired, regime_of, score
+from baselines.evaluation.score import OPTIMUM_POLICY, Score, paired, score, speed_range_of
 from baselines.evaluation.suites import Suite
 
 SUITES = ("benchmark-v2", "ood-v1", "unmodelled-v1", "deep-v1", "sealed-v1")
@@ -30,20 +30,20 @@ class Results:
     runs: tuple[Run, ...]
     pooled: list[Entry]
     scores: dict[str, dict[str, Score]]  # of each policy in each case alone, by policy, by case
-    tails: dict[str, dict[str, float]]  # [m] mean error of each policy in each case alone, by policy, by case
+    steady_rmses: dict[str, dict[str, float]]  # [m] mean error of each policy in each case alone, by policy, by case
 
     @classmethod
     def of(cls, suite: Suite, runs: Sequence[Run]) -> Results:
         """Return the results of recorded runs, those of the suite's anchors among them."""
         cases, (zero, one) = measures_of(runs), suite.anchors
         scores: dict[str, dict[str, Score]] = {}
-        tails: dict[str, dict[str, float]] = {}
+        steady_rmses: dict[str, dict[str, float]] = {}
         for run_ in runs:
             policy, name = run_.policy, run_.scenario.name
             three = paired(*(cases[name][key] for key in (zero, policy, one)))
-            scores.setdefault(policy, {})[name] = score(*([m.tail] for m in three))
-            tails.setdefault(policy, {})[name] = float(cases[name][policy].tail.mean())
-        return cls(suite, tuple(runs), pool(runs, suite.anchors), scores, tails)
+            scores.setdefault(policy, {})[name] = score(*([m.steady_rmse] for m in three))
+            steady_rmses.setdefault(policy, {})[name] = float(cases[name][policy].steady_rmse.mean())
+        return cls(suite, tuple(runs), pool(runs, suite.anchors), scores, steady_rmses)
 
     @cached_property
     def cases(self) -> dict[str, dict[str, Measures]]:
@@ -55,9 +55,11 @@ class Results:
         """The policies, in the order of the registry."""
         return list(self.scores)
 
-    def measures(self, policy: str, regime: str) -> list[Measures]:
+    def measures(self, policy: str, speed_range: str) -> list[Measures]:
         """Return what was measured of a policy in the cases of a speed range."""
-        own = [run_ for run_ in self.runs if run_.policy == policy and regime_of(run_.scenario.name) == regime]
+        own = [
+            run_ for run_ in self.runs if run_.policy == policy and speed_range_of(run_.scenario.name) == speed_range
+        ]
         return [run_.measures for run_ in own if run_.measures is not None]
 
 
@@ -70,7 +72,7 @@ def better_than(best: str, results: Results) -> list[tuple[str, str, float]]:
     for case, measures in results.cases.items():
         for policy in sorted(set(measures) - {best, OPTIMUM_POLICY}) if best in measures else ():
             own, its = paired(measures[policy], measures[best])
-            if (gain := float((its.tail - own.tail).mean())) > 0:
+            if (gain := float((its.steady_rmse - own.steady_rmse).mean())) > 0:
                 found.append((case, policy, gain))
     return found
 

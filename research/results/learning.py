@@ -9,24 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import Array
-from auv_gym.scenarios.presets import REGIMES
+from auv_gym.scenarios.presets import SPEED_RANGES
 from baselines.agents.names import agent_of, shipped_agents
 from baselines.evaluation import recorded
-from baselines.evaluation.report.columns import lost_text
+from baselines.evaluation.report.columns import failures_text
 from baselines.evaluation.score import (
     ADVERSE_RIVAL,
     RIVAL,
     Score,
+    error_cap,
+    has_failed,
     interval_text,
-    is_lost,
-    largest_tail,
     lead,
-    regime_of,
     score_text,
     seeds_score,
+    speed_range_of,
 )
 from research.pages import table
-from research.results import fresh
+from research.results import held_out
 from research.results.collection import SUITES, Results, results_of
 from research.results.study_files import Study, load_studies
 
@@ -56,8 +56,8 @@ def context(_: str = "") -> dict[str, Any]:
 def held_out_results() -> list[Results]:
     """Return what is recorded of held-out episodes, of the suites whose anchors ran."""
     runs = {
-        suite: recorded.load_recorded(suite, fresh.HELD_OUT_FOLDER).runs
-        for suite in map(fresh.fresh, fresh.HELD_OUT_EPISODES)
+        suite: recorded.load_recorded(suite, held_out.HELD_OUT_FOLDER).runs
+        for suite in map(held_out.held_out, held_out.HELD_OUT_EPISODES)
     }
     return [Results.of(suite, own) for suite, own in runs.items() if set(suite.anchors) <= {r.policy for r in own}]
 
@@ -73,36 +73,41 @@ def lead_rows(results: Results, held_out: Results | None, studies: Mapping[str, 
     """
     rows = []
     for name, study in studies.items():
-        own, regime = study.suites.get(results.suite.source[0]), study.regime
+        own, speed_range = study.suites.get(results.suite.source[0]), study.speed_range
         if own is None or name.startswith(SHORT):
             continue
         agent = agent_of(name)
-        tails = dict(zip(own.cells, own.tails, strict=True))
-        again = {case: tail[None] for case, tail in _tails(held_out, agent, regime).items()} if held_out else {}
-        zero, one = (_tails(results, policy, regime) for policy in results.suite.anchors)
-        base = np.concatenate([m.smoothness for m in results.measures(results.suite.anchors.zero, regime)]).mean()
+        steady_rmses = dict(zip(own.cells, own.steady_rmses, strict=True))
+        again = (
+            {case: steady_rmse[None] for case, steady_rmse in _steady_rmses(held_out, agent, speed_range).items()}
+            if held_out
+            else {}
+        )
+        zero, one = (_steady_rmses(results, policy, speed_range) for policy in results.suite.anchors)
+        base = np.concatenate([m.smoothness for m in results.measures(results.suite.anchors.zero, speed_range)]).mean()
         rows.append([
-            f"`{name}`" if agent == name else f"`{agent}`, {regime}",
-            str(len(own.tails[0])),
-            score_text(seeds_score([zero[c] for c in tails], own.tails, [one[c] for c in tails])),
-            *_texts(_lead(results, regime, tails, rival)),
-            *(_texts(_lead(held_out, regime, again, rival)) if held_out and again else ("-", "-")),
-            lost_text(own.losses(), sum(tail.size for tail in own.tails)),
+            f"`{name}`" if agent == name else f"`{agent}`, {speed_range}",
+            str(len(own.steady_rmses[0])),
+            score_text(seeds_score([zero[c] for c in steady_rmses], own.steady_rmses, [one[c] for c in steady_rmses])),
+            *_texts(_lead(results, speed_range, steady_rmses, rival)),
+            *(_texts(_lead(held_out, speed_range, again, rival)) if held_out and again else ("-", "-")),
+            failures_text(own.count_failures(), sum(steady_rmse.size for steady_rmse in own.steady_rmses)),
             f"{float(own.smoothness.mean()) / base:.2g}",
         ])  # fmt: skip
     return rows
 
 
-def _tails(results: Results, policy: str, regime: str) -> dict[str, Array]:
+def _steady_rmses(results: Results, policy: str, speed_range: str) -> dict[str, Array]:
     """Return the steady-state errors [m] of a policy by case of a speed range, shape (M,) each; {} without any."""
-    own = [r for r in results.runs if r.policy == policy and regime_of(r.scenario.name) == regime]
-    return {r.scenario.name: r.measures.tail for r in own if r.measures is not None}
+    own = [r for r in results.runs if r.policy == policy and speed_range_of(r.scenario.name) == speed_range]
+    return {r.scenario.name: r.measures.steady_rmse for r in own if r.measures is not None}
 
 
-def _lead(results: Results, regime: str, seeds: Mapping[str, Array], rival: str) -> Score:
+def _lead(results: Results, speed_range: str, seeds: Mapping[str, Array], rival: str) -> Score:
     """Return by how much agents, errors of shape (S, M) by case, score above a rival in the episodes that both ran."""
     zero, its, one = (
-        _tails(results, policy, regime) for policy in (results.suite.anchors.zero, rival, results.suite.anchors.one)
+        _steady_rmses(results, policy, speed_range)
+        for policy in (results.suite.anchors.zero, rival, results.suite.anchors.one)
     )
     count = {case: min(len(its[case]), own.shape[1]) for case, own in seeds.items()}
     return lead(*([kind[case][..., :n] for case, n in count.items()] for kind in (zero, its, seeds, one)))
@@ -112,10 +117,10 @@ def _texts(value: Score) -> tuple[str, str]:
     return score_text(value), interval_text(value)
 
 
-def _failed(results: Results, policy: str, regime: str) -> NDArray[np.bool_]:
+def _failed(results: Results, policy: str, speed_range: str) -> NDArray[np.bool_]:
     """Return which episodes of a speed range a policy fails, case by case, shape (M,); (0,) if it did not run."""
-    own = [r for r in results.runs if r.policy == policy and regime_of(r.scenario.name) == regime]
-    parts = [is_lost(r.measures, largest_tail(r.scenario.name)) for r in own if r.measures]
+    own = [r for r in results.runs if r.policy == policy and speed_range_of(r.scenario.name) == speed_range]
+    parts = [has_failed(r.measures, error_cap(r.scenario.name)) for r in own if r.measures]
     return np.concatenate(parts) if parts else np.zeros(0, dtype=np.bool_)
 
 
@@ -123,19 +128,22 @@ def _opened(results: Results) -> list[list[str]]:
     """Return the leads of shipped agents in the suite that was sealed, which no study ran in, and their failures."""
     rows = []
     for name in shipped_agents():
-        for regime in REGIMES:
-            if own := _tails(results, name, regime):
-                seeds = {case: tail[None] for case, tail in own.items()}
-                leads = (_lead(results, regime, seeds, rival) for rival in _RIVALS.values())
-                failed = _failed(results, name, regime)
+        for speed_range in SPEED_RANGES:
+            if own := _steady_rmses(results, name, speed_range):
+                seeds = {case: steady_rmse[None] for case, steady_rmse in own.items()}
+                leads = (_lead(results, speed_range, seeds, rival) for rival in _RIVALS.values())
+                failed = _failed(results, name, speed_range)
                 texts = (f"{score_text(value)} ({interval_text(value)})" for value in leads)
-                rows.append([f"`{name}`, {regime}", *texts, f"{failed.sum()} of {len(failed)}"])
+                rows.append([f"`{name}`, {speed_range}", *texts, f"{failed.sum()} of {len(failed)}"])
     return rows
 
 
 def versus_expert(results: Results, policy: str) -> tuple[int, int, int]:
     """Return how many failures a policy adds to the expert's, how many it prevents, and of how many episodes."""
-    pairs = [(_failed(results, policy, regime), _failed(results, "backstepping", regime)) for regime in REGIMES]
+    pairs = [
+        (_failed(results, policy, speed_range), _failed(results, "backstepping", speed_range))
+        for speed_range in SPEED_RANGES
+    ]
     own, its = (np.concatenate(side) for side in zip(*(p for p in pairs if len(p[0]) == len(p[1])), strict=True))
     return int((own & ~its).sum()), int((~own & its).sum()), len(own)
 
@@ -156,7 +164,12 @@ def _short_rows(results: Results, studies: Mapping[str, Study]) -> list[list[str
     rows = []
     for study in (study for name, study in studies.items() if name.startswith(SHORT)):
         own = study.suites[results.suite.source[0]]
-        zero, one = ([_tails(results, p, study.regime)[case] for case in own.cells] for p in results.suite.anchors)
-        points, episodes = seeds_score(zero, own.tails, one), sum(tail.size for tail in own.tails)
-        rows.append((points.mean, [study.about, *_texts(points), lost_text(own.losses(), episodes)]))
+        zero, one = (
+            [_steady_rmses(results, p, study.speed_range)[case] for case in own.cells] for p in results.suite.anchors
+        )
+        points, episodes = (
+            seeds_score(zero, own.steady_rmses, one),
+            sum(steady_rmse.size for steady_rmse in own.steady_rmses),
+        )
+        rows.append((points.mean, [study.about, *_texts(points), failures_text(own.count_failures(), episodes)]))
     return [row for _, row in sorted(rows, key=lambda entry: -entry[0])]

@@ -8,10 +8,10 @@ import numpy as np
 
 from auv_gym.physics.namespaces import Array
 from baselines.evaluation.metrics import bootstrap_interval
-from baselines.evaluation.score import FORESIGHTED, regime_of
+from baselines.evaluation.score import FORESIGHTED, speed_range_of
 from research.pages import table
 from research.results.collection import Results
-from research.suites.deep import navigation_tails
+from research.suites.deep import navigation_rmses
 
 ADDITIONAL = "additional error [mm]"
 _TEXT = """## Navigation
@@ -23,19 +23,21 @@ interval. It can be negative: a policy can average the jumps of the estimate, or
 them. The policy that scores 1 needs no navigation, so all other scores are near 0."""
 
 
-def navigation_alone(results: Results, regime: str) -> dict[str, Array]:
+def navigation_alone(results: Results, speed_range: str) -> dict[str, Array]:
     """Return the errors [m] of the navigation by case, one for each episode; {} without dead reckoning."""
-    own = [cell for cell in results.suite.cells if regime_of(cell.scenario.name) == regime]
-    return {cell.scenario.name: navigation_tails(cell) for cell in own if cell.scenario.sensors.reckoning}
+    own = [cell for cell in results.suite.cells if speed_range_of(cell.scenario.name) == speed_range]
+    return {cell.scenario.name: navigation_rmses(cell) for cell in own if cell.scenario.sensors.reckoning}
 
 
 def additional_errors(results: Results, navigation: Mapping[str, Array]) -> dict[str, str]:
     """Return the error [mm] that each policy adds to that of the navigation, with its interval, as text."""
     found = {}
     for policy in [p for p in results.policies if p not in FORESIGHTED]:
-        tails = [(results.cases[case].get(policy), errors) for case, errors in navigation.items()]
-        if tails and all(own is not None for own, _ in tails):
-            more = np.concatenate([own.tail - errors[: len(own.tail)] for own, errors in tails if own is not None])
+        steady_rmses = [(results.cases[case].get(policy), errors) for case, errors in navigation.items()]
+        if steady_rmses and all(own is not None for own, _ in steady_rmses):
+            more = np.concatenate(
+                [own.steady_rmse - errors[: len(own.steady_rmse)] for own, errors in steady_rmses if own is not None]
+            )
             low, high = bootstrap_interval(more)
             found[policy] = f"{_mm(more.mean())} ({_mm(low)} ... {_mm(high)})"
     return found
@@ -50,7 +52,7 @@ def navigation_part(errors: Mapping[str, Mapping[str, Array]]) -> str:
     if not any(errors.values()):
         return ""
     cases = [case.partition("-")[2] for case in next(iter(errors.values()))]
-    rows = [[regime, *_means(own)] for regime, own in errors.items()]
+    rows = [[speed_range, *_means(own)] for speed_range, own in errors.items()]
     return f"{_TEXT}\n\n{table(['speed range', *cases, 'all'], rows)}"
 
 

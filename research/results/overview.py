@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.colors import LogNorm
 
 from auv_gym.physics.namespaces import Array
-from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES
+from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES
 from auv_gym.scenarios.scenario import RandomPath
 from baselines.evaluation.metrics import bootstrap_interval
-from baselines.evaluation.report.columns import COLUMNS, lost_text
+from baselines.evaluation.report.columns import COLUMNS, failures_text
 from baselines.evaluation.report.numbers import Entry
 from baselines.evaluation.score import OPTIMUM_POLICY
 from baselines.tools.figure_style import COLOURS, MARKERS, panels, styled, to_png
@@ -39,20 +39,25 @@ def context(_: str = "") -> dict[str, Any]:
     results = _results()
     rows = []
     for name, needs in _POLICIES.items():
-        slow, cruise = (_entry(results, name.format(regime), regime) for regime in REGIMES)
+        slow, cruise = (_entry(results, name.format(speed_range), speed_range) for speed_range in SPEED_RANGES)
         episodes = sum(entry.summary.episodes for entry in (slow, cruise) if entry.summary is not None)
         rates = " / ".join(_text(entry, "smoothness_ratio") for entry in (slow, cruise))
         times = " / ".join(f"{1e6 * entry.decision_seconds:.2g}" for entry in (slow, cruise))
-        lost = lost_text(slow.lost + cruise.lost, episodes)
-        errors = (_error(_tails(results, name.format(regime), regime)) for regime in REGIMES)
-        rows.append([f"`{name.format('*')}`", *errors, lost, rates, times, needs])
+        failed = failures_text(slow.failed + cruise.failed, episodes)
+        errors = (_error(_steady_rmses(results, name.format(speed_range), speed_range)) for speed_range in SPEED_RANGES)
+        rows.append([f"`{name.format('*')}`", *errors, failed, rates, times, needs])
     return {
         "rows": rows,
         "episodes": sum(len(cell.episodes) for cell in results.suite.cells),
-        "speeds": {regime: " to ".join(f"{speed:g}" for speed in _speeds(regime)) for regime in REGIMES},
-        "ratios": {regime: _mean(results, "helm", regime) / _mean(results, "nmpc", regime) for regime in REGIMES},
-        "optimum": {regime: 1e3 * _mean(results, OPTIMUM_POLICY, regime) for regime in REGIMES},
-        "estimation": {regime: 1e3 * _estimation(results, regime) for regime in REGIMES},
+        "speeds": {
+            speed_range: " to ".join(f"{speed:g}" for speed in _speeds(speed_range)) for speed_range in SPEED_RANGES
+        },
+        "ratios": {
+            speed_range: _mean(results, "helm", speed_range) / _mean(results, "nmpc", speed_range)
+            for speed_range in SPEED_RANGES
+        },
+        "optimum": {speed_range: 1e3 * _mean(results, OPTIMUM_POLICY, speed_range) for speed_range in SPEED_RANGES},
+        "estimation": {speed_range: 1e3 * _estimation(results, speed_range) for speed_range in SPEED_RANGES},
     }
 
 
@@ -69,59 +74,61 @@ def _results() -> Results:
     return results
 
 
-def _entry(results: Results, policy: str, regime: str) -> Entry:
-    return next(entry for entry in results.pooled if (entry.policy, entry.place) == (policy, regime))
+def _entry(results: Results, policy: str, speed_range: str) -> Entry:
+    return next(entry for entry in results.pooled if (entry.policy, entry.place) == (policy, speed_range))
 
 
 def _text(entry: Entry, key: str) -> str:
     return next(column for column in COLUMNS if column.key == key).text(entry)
 
 
-def _tails(results: Results, policy: str, regime: str) -> Array:
+def _steady_rmses(results: Results, policy: str, speed_range: str) -> Array:
     """Return the steady-state errors [m] of all episodes of a speed range, shape (M,)."""
-    return np.concatenate([m.tail for m in results.measures(policy, regime)])
+    return np.concatenate([m.steady_rmse for m in results.measures(policy, speed_range)])
 
 
-def _mean(results: Results, policy: str, regime: str) -> float:
-    return float(_tails(results, policy, regime).mean())
+def _mean(results: Results, policy: str, speed_range: str) -> float:
+    return float(_steady_rmses(results, policy, speed_range).mean())
 
 
-def _speeds(regime: str) -> tuple[float, float]:
+def _speeds(speed_range: str) -> tuple[float, float]:
     """Return the smallest and the largest speed [m/s] of a speed range."""
-    path = PRESETS[f"{regime}-calm"].path
+    path = PRESETS[f"{speed_range}-calm"].path
     assert isinstance(path, RandomPath)
     assert isinstance(path.speed, tuple)
     return path.speed
 
 
-def _estimation(results: Results, regime: str) -> float:
+def _estimation(results: Results, speed_range: str) -> float:
     """Return the estimation lower bound [m], the mean over cases; where measurements are exact it is the optimum's."""
-    bounds, best = recorded_floors(results.suite.source[1]), results.tails[OPTIMUM_POLICY]
-    names = [f"{regime}-{case}" for case in CASES]
-    return float(np.mean([max(bounds[name].tail_m, best[name]) if name in bounds else best[name] for name in names]))
+    bounds, best = recorded_floors(results.suite.source[1]), results.steady_rmses[OPTIMUM_POLICY]
+    names = [f"{speed_range}-{case}" for case in CASES]
+    return float(
+        np.mean([max(bounds[name].steady_rmse_m, best[name]) if name in bounds else best[name] for name in names])
+    )
 
 
-def _error(tails: Array) -> str:
+def _error(steady_rmses: Array) -> str:
     """Return the mean error [mm] with its interval."""
-    mean, low, high = (f"{1e3 * value:.3g}" for value in (tails.mean(), *bootstrap_interval(tails)))
+    mean, low, high = (f"{1e3 * value:.3g}" for value in (steady_rmses.mean(), *bootstrap_interval(steady_rmses)))
     return f"{mean} ({low} to {high})"
 
 
 def _errors(results: Results) -> Any:
     figure, [axes] = panels(1, 2, (8.2, 3.4), sharey=True)
     names = list(_POLICIES)
-    for ax, regime in zip(axes, REGIMES, strict=True):
+    for ax, speed_range in zip(axes, SPEED_RANGES, strict=True):
         for i, name in enumerate(names):
-            tails = 1e3 * _tails(results, name.format(regime), regime)
-            ax.plot(bootstrap_interval(tails), [i, i], color=COLOURS[0], linewidth=2)
-            ax.plot(tails.mean(), i, color=COLOURS[0], marker=MARKERS[0], markersize=5)
+            steady_rmses = 1e3 * _steady_rmses(results, name.format(speed_range), speed_range)
+            ax.plot(bootstrap_interval(steady_rmses), [i, i], color=COLOURS[0], linewidth=2)
+            ax.plot(steady_rmses.mean(), i, color=COLOURS[0], marker=MARKERS[0], markersize=5)
         for value, label, style in (
-            (1e3 * _mean(results, OPTIMUM_POLICY, regime), "full-information optimum", "-"),
-            (1e3 * _estimation(results, regime), "estimation lower bound", "--"),
+            (1e3 * _mean(results, OPTIMUM_POLICY, speed_range), "full-information optimum", "-"),
+            (1e3 * _estimation(results, speed_range), "estimation lower bound", "--"),
         ):
             ax.axvline(value, color=COLOURS[1], linestyle=style, linewidth=1.2, label=label)
         ax.set_xscale("log")
-        ax.set_title(f"{regime}: mean steady-state error [mm]")
+        ax.set_title(f"{speed_range}: mean steady-state error [mm]")
     axes[0].set_yticks(range(len(names)), [name.format("*") for name in names])
     axes[0].set_ylim(len(names) - 0.5, -0.5)
     figure.legend(*axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8)
@@ -129,9 +136,10 @@ def _errors(results: Results) -> Any:
 
 
 def _heat_map(results: Results) -> Any:
-    names = [f"{regime}-{case}" for regime in REGIMES for case in CASES]
+    names = [f"{speed_range}-{case}" for speed_range in SPEED_RANGES for case in CASES]
     values = np.array([
-        [1e3 * results.tails[policy.format(name.partition("-")[0])][name] for name in names] for policy in _POLICIES
+        [1e3 * results.steady_rmses[policy.format(name.partition("-")[0])][name] for name in names]
+        for policy in _POLICIES
     ])  # fmt: skip
     figure, [[ax]] = panels(1, 1, (9.4, 3.6))
     image = ax.imshow(values, aspect="auto", cmap="viridis_r", norm=LogNorm(0.1, 1000))
@@ -154,10 +162,10 @@ def _heat_map(results: Results) -> Any:
 
 def _command_rates(results: Results) -> Any:
     figure, [axes] = panels(1, 2, (8.2, 3.2), sharey=True)
-    for ax, regime in zip(axes, REGIMES, strict=True):
+    for ax, speed_range in zip(axes, SPEED_RANGES, strict=True):
         for policy in _POLICIES:
-            name = policy.format(regime)
-            rate, error = _entry(results, name, regime).smoothness_ratio, 1e3 * _mean(results, name, regime)
+            name = policy.format(speed_range)
+            rate, error = _entry(results, name, speed_range).smoothness_ratio, 1e3 * _mean(results, name, speed_range)
             ax.plot(rate, error, color=COLOURS[0], marker=MARKERS[0], markersize=5)
             below = policy in _BELOW
             ax.annotate(
@@ -167,6 +175,6 @@ def _command_rates(results: Results) -> Any:
         ax.set_xscale("log")
         ax.set_yscale("log")
         ax.margins(0.15)
-        ax.set_xlabel(f"{regime}: command rate, relative to backstepping")
+        ax.set_xlabel(f"{speed_range}: command rate, relative to backstepping")
     axes[0].set_ylabel("mean steady-state error [mm]")
     return figure

@@ -15,7 +15,7 @@ from auv_gym.physics.namespaces import Array
 from baselines.evaluation import suites
 from baselines.evaluation.metrics import Ended, Measures
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import capped, in_paper_metres, largest_tail, losses
+from baselines.evaluation.score import capped, count_failures, error_cap, in_paper_metres
 from baselines.evaluation.store import Stored, reading, write
 from baselines.tools.files import versions
 from research import DATA
@@ -31,8 +31,8 @@ class InSuite:
 
     hash: str  # of the suite
     cells: tuple[str, ...]  # names of their scenarios
-    tails: tuple[Array, ...]  # steady-state RMSE [m of the paper's vehicle], shape (S, M) for each cell
-    lost: tuple[NDArray[np.bool_], ...]  # ended beyond `lost_distance`, shape (S, M) for each cell
+    steady_rmses: tuple[Array, ...]  # steady-state RMSE [m of the paper's vehicle], shape (S, M) for each cell
+    failed: tuple[NDArray[np.bool_], ...]  # ended beyond `lost_distance`, shape (S, M) for each cell
     effort: Array  # mean over all episodes, shape (S,); see `metrics`
     smoothness: Array  # mean over all episodes, shape (S,); see `metrics`
     decision_seconds: float  # of an agent for one vehicle and control step
@@ -44,34 +44,34 @@ class InSuite:
         Raises:
             ValueError: one failed.
         """
-        if failed := [run for own in runs for run in own if run.measures is None]:
-            raise ValueError(f"{failed[0].policy} failed in {failed[0].scenario.name}: {failed[0].error}")
+        if broken := [run for own in runs for run in own if run.measures is None]:
+            raise ValueError(f"{broken[0].policy} failed in {broken[0].scenario.name}: {broken[0].error}")
         measures = [[in_paper_metres(r.measures, r.scenario) for r in own if r.measures is not None] for own in runs]
         whole = [Measures.joined(own) for own in measures]
         by_cell = list(zip(*measures, strict=True))
         return cls(
             suites.load_suite(suite).hash,
             tuple(run.scenario.name for run in runs[0]),
-            tuple(np.stack([m.tail for m in cell]) for cell in by_cell),
-            tuple(np.stack([m.lost for m in cell]) for cell in by_cell),
+            tuple(np.stack([m.steady_rmse for m in cell]) for cell in by_cell),
+            tuple(np.stack([m.failed for m in cell]) for cell in by_cell),
             np.array([m.effort.mean() for m in whole]),
             np.array([m.smoothness.mean() for m in whole]),
             float(np.mean([run.decision_seconds for own in runs for run in own])),
         )
 
     def capped(self) -> tuple[Array, ...]:
-        """Return the steady-state errors, those of failures cut at `score.LARGEST_TAIL`."""
+        """Return the steady-state errors, those of failures cut at `score.ERROR_CAPS`."""
         return tuple(capped(*cell) for cell in self._ended)
 
-    def losses(self) -> int:
-        """Return the number of failures of all seeds, see `score.is_lost`."""
-        return sum(losses(*cell) for cell in self._ended)
+    def count_failures(self) -> int:
+        """Return the number of failures of all seeds, see `score.has_failed`."""
+        return sum(count_failures(*cell) for cell in self._ended)
 
     @property
     def _ended(self) -> list[tuple[Ended, float]]:
         """The ends of the episodes of each cell, and their error cap [m]."""
-        parts = zip(self.tails, self.lost, map(largest_tail, self.cells), strict=True)
-        return [(Ended(tail, lost), cap) for tail, lost, cap in parts]
+        parts = zip(self.steady_rmses, self.failed, map(error_cap, self.cells), strict=True)
+        return [(Ended(steady_rmse, failed), cap) for steady_rmse, failed, cap in parts]
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Study:
     """Agents that differ in the training seed alone."""
 
     about: str
-    regime: str
+    speed_range: str
     command: str
     date: str  # ISO 8601
     versions: Mapping[str, str]
@@ -90,7 +90,7 @@ class Study:
     def of(
         cls,
         about: str,
-        regime: str,
+        speed_range: str,
         command: str,
         runs: Mapping[str, Sequence[Sequence[Run]]],
         curves: Sequence[Sequence[Mapping[str, float]]],
@@ -102,7 +102,7 @@ class Study:
         """
         return cls(
             about,
-            regime,
+            speed_range,
             command,
             datetime.now(timezone.utc).date().isoformat(),
             versions(),
@@ -114,7 +114,7 @@ class Study:
 def save_study(name: str, study: Study, folder: Path = STUDIES_FOLDER) -> None:
     """Write a study to its file."""
     arrays: dict[str, Any] = {f"curve/{i}": curve for i, curve in enumerate(study.curves)}
-    record: dict[str, Any] = {key: getattr(study, key) for key in ("about", "regime", "command", "date")}
+    record: dict[str, Any] = {key: getattr(study, key) for key in ("about", "speed_range", "command", "date")}
     record |= {"versions": dict(study.versions), "suites": {}}
     for suite, found in study.suites.items():
         record["suites"][suite], own = packed_study(suite, found)
@@ -126,10 +126,10 @@ def packed_study(suite: str, found: InSuite) -> tuple[dict[str, Any], dict[str, 
     """Return what agents do in a suite as plain JSON and arrays by name, see `unpacked_study`."""
     entry = asdict(found)
     arrays: dict[str, NDArray[Any]] = {}
-    for key in ("tails", "lost"):
-        kind = np.float32 if key == "tails" else np.bool_
+    for key in ("steady_rmses", "failed"):
+        kind = np.float32 if key == "steady_rmses" else np.bool_
         arrays[f"{suite}/{key}"] = np.concatenate(entry.pop(key), axis=1).astype(kind)
-    lengths = [tail.shape[1] for tail in found.tails]
+    lengths = [steady_rmse.shape[1] for steady_rmse in found.steady_rmses]
     entry |= {"effort": found.effort.tolist(), "smoothness": found.smoothness.tolist(), "lengths": lengths}
     return entry, arrays
 
@@ -140,10 +140,12 @@ def unpacked_study(suite: str, packed_entry: Mapping[str, Any], arrays: Mapping[
     if entry["hash"] != suites.load_suite(suite).hash:
         return None
     bounds = np.cumsum(entry.pop("lengths"))[:-1]
-    tails, lost = (tuple(np.split(arrays[f"{suite}/{key}"], bounds, axis=1)) for key in ("tails", "lost"))
+    steady_rmses, failed = (
+        tuple(np.split(arrays[f"{suite}/{key}"], bounds, axis=1)) for key in ("steady_rmses", "failed")
+    )
     values: dict[str, Any] = {key: np.array(entry.pop(key)) for key in ("effort", "smoothness")}
     entry["cells"] = tuple(entry["cells"])
-    return InSuite(tails=tuple(t.astype(np.float64) for t in tails), lost=lost, **entry, **values)
+    return InSuite(steady_rmses=tuple(t.astype(np.float64) for t in steady_rmses), failed=failed, **entry, **values)
 
 
 def load_studies(folder: Path = STUDIES_FOLDER) -> dict[str, Study]:

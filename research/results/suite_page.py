@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 
 from baselines.evaluation.report.columns import COLUMNS, NONE, Column, ranked
 from baselines.evaluation.report.numbers import Entry
-from baselines.evaluation.score import OPTIMUM_POLICY, ORACLE, interval_text, regime_of, score_text
+from baselines.evaluation.score import OPTIMUM_POLICY, ORACLE, interval_text, score_text, speed_range_of
 from baselines.tools.figure_style import COLOURS, MARKERS, panels, styled, to_png
 from research.lower_bounds import bound
 from research.pages import table
@@ -20,10 +20,10 @@ from research.results.collection import ROUNDING, Results, better_than, results_
 from research.results.navigation import ADDITIONAL, additional_errors, navigation_alone, navigation_part
 
 _COLUMNS = {
-    "tail_rmse_m.mean": ("error [mm]", 1e3),
-    "tail_rmse_m.cvar95": ("worst 5 % [mm]", 1e3),
+    "steady_rmse_m.mean": ("error [mm]", 1e3),
+    "steady_rmse_m.cvar95": ("worst 5 % [mm]", 1e3),
     "score.mean": ("score", 1.0),
-    "lost": ("failures", 1.0),
+    "failed": ("failures", 1.0),
     "effort_ratio": ("effort", 1.0),
     "smoothness_ratio": ("command rate", 1.0),
     "decision_ms": ("time [us]", 1e3),
@@ -42,7 +42,7 @@ def context(page: str) -> dict[str, Any]:
     """Return the values of the template of a suite's page."""
     name = page.rpartition("/")[2]
     results = results_of(name)
-    return {"template": "suite", "name": name, **(_context(results) if results else {"regimes": []})}
+    return {"template": "suite", "name": name, **(_context(results) if results else {"speed_ranges": []})}
 
 
 def figures(page: str) -> dict[str, bytes]:
@@ -57,23 +57,25 @@ def figures(page: str) -> dict[str, bytes]:
 
 def _context(results: Results) -> dict[str, Any]:
     suite = results.suite
-    regimes = list(dict.fromkeys(entry.place for entry in results.pooled))
-    errors = {regime: navigation_alone(results, regime) for regime in regimes}
+    speed_ranges = list(dict.fromkeys(entry.place for entry in results.pooled))
+    errors = {speed_range: navigation_alone(results, speed_range) for speed_range in speed_ranges}
     dates = sorted({run.recorded.date for run in results.runs if run.recorded is not None})
     return {
         "what": WHAT[suite.name],
         "suite": suite,
         "episodes": sum(len(cell.episodes) for cell in suite.cells),
         "dates": " and ".join(dates),
-        "regimes": [_regime(results, regime, additional_errors(results, own)) for regime, own in errors.items()],
+        "speed_ranges": [
+            _speed_range(results, speed_range, additional_errors(results, own)) for speed_range, own in errors.items()
+        ],
         "bound": _bound(results),
         "navigation": navigation_part(errors),
     }
 
 
-def _regime(results: Results, regime: str, additional: Mapping[str, str]) -> tuple[str, int, str]:
+def _speed_range(results: Results, speed_range: str, additional: Mapping[str, str]) -> tuple[str, int, str]:
     """Return a speed range, how many episodes it has, and the table of all policies in it."""
-    entries = ranked([entry for entry in results.pooled if entry.place == regime])
+    entries = ranked([entry for entry in results.pooled if entry.place == speed_range])
     columns = {"policy": [f"`{entry.policy}`" for entry in entries]}
     for column in COLUMNS:
         if column.key in _COLUMNS:
@@ -81,8 +83,10 @@ def _regime(results: Results, regime: str, additional: Mapping[str, str]) -> tup
             columns[heading] = [_cell(column, factor, entry, interval=not additional) for entry in entries]
     if additional:
         columns[ADDITIONAL] = [additional.get(entry.policy, NONE) for entry in entries]
-    episodes = sum(len(cell.episodes) for cell in results.suite.cells if regime_of(cell.scenario.name) == regime)
-    return regime, episodes, table(list(columns), zip(*columns.values(), strict=True))
+    episodes = sum(
+        len(cell.episodes) for cell in results.suite.cells if speed_range_of(cell.scenario.name) == speed_range
+    )
+    return speed_range, episodes, table(list(columns), zip(*columns.values(), strict=True))
 
 
 def _cell(column: Column, factor: float, entry: Entry, *, interval: bool) -> str:
@@ -98,9 +102,9 @@ def _cell(column: Column, factor: float, entry: Entry, *, interval: bool) -> str
 
 def _bound(results: Results) -> str:
     """Return what the full-information optimum leaves to gain, and which policy is better than it."""
-    if OPTIMUM_POLICY not in results.tails:
+    if OPTIMUM_POLICY not in results.steady_rmses:
         return f"`{OPTIMUM_POLICY}` is not recorded yet."
-    least, most = (1e3 * end(results.tails[OPTIMUM_POLICY].values()) for end in (min, max))
+    least, most = (1e3 * end(results.steady_rmses[OPTIMUM_POLICY].values()) for end in (min, max))
     beaten = [(c, p) for c, p, gain in better_than(OPTIMUM_POLICY, results) if gain > ROUNDING]
     names = ", ".join(f"`{policy}` in `{case}`" for case, policy in beaten) or "none"
     first = len(results.suite.cells) - len({case for case, _, _ in better_than(ORACLE, results)})
@@ -123,23 +127,25 @@ def error_figure(results: Results) -> Figure:
         if entry.summary is not None:
             by_policy.setdefault(entry.policy.replace(f"-{entry.place}", "-*"), []).append(entry)
     order = sorted(by_policy, key=lambda policy: np.mean([np.log(_error(entry)) for entry in by_policy[policy]]))
-    regimes = list(dict.fromkeys(entry.place for entry in results.pooled))
+    speed_ranges = list(dict.fromkeys(entry.place for entry in results.pooled))
     figure, [[ax]] = panels(1, 1, (7.2, 0.8 + 0.17 * len(order)))
     for i, policy in enumerate(order):
         for entry in by_policy[policy]:
-            k = regimes.index(entry.place)
-            ends = 1e3 * np.array(entry.summary.tail_rmse_m.ci95 if entry.summary else ())
+            k = speed_ranges.index(entry.place)
+            ends = 1e3 * np.array(entry.summary.steady_rmse_m.ci95 if entry.summary else ())
             ax.plot(ends, [i, i], color=COLOURS[k], linewidth=1.6)
             ax.plot(_error(entry), i, color=COLOURS[k], marker=MARKERS[k], markersize=4, linestyle="")
     ax.set_xscale("log")
     ax.set_yticks(range(len(order)), order, fontsize=7)
     ax.set_ylim(len(order) - 0.4, -0.6)
     ax.set_xlabel("mean steady-state error [mm] with 95 % interval")
-    looks = [Line2D([], [], label=r, color=COLOURS[k], marker=MARKERS[k], linestyle="") for k, r in enumerate(regimes)]
+    looks = [
+        Line2D([], [], label=r, color=COLOURS[k], marker=MARKERS[k], linestyle="") for k, r in enumerate(speed_ranges)
+    ]
     ax.legend(handles=looks, loc="upper right")
     return figure
 
 
 def _error(entry: Entry) -> float:
     """Return the mean error [mm]."""
-    return 1e3 * entry.summary.tail_rmse_m.mean if entry.summary else math.inf
+    return 1e3 * entry.summary.steady_rmse_m.mean if entry.summary else math.inf

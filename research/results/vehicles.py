@@ -12,22 +12,22 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from auv_gym.physics.namespaces import Array
-from auv_gym.scenarios.presets import REGIMES
+from auv_gym.scenarios.presets import SPEED_RANGES
 from baselines.evaluation.metrics import Measures
-from baselines.evaluation.report.columns import lost_text
+from baselines.evaluation.report.columns import failures_text
 from baselines.evaluation.score import (
     FORESIGHTED,
     OPTIMUM_POLICY,
     RIVAL,
     Score,
     capped,
+    count_failures,
+    error_cap,
     fixed,
     fixed_ends,
-    largest_tail,
-    losses,
     paired,
-    regime_of,
     relative_error,
+    speed_range_of,
     vehicle_of,
 )
 from baselines.tools.figure_style import panels, styled, to_png
@@ -56,13 +56,13 @@ class Pair:
     @cached_property
     def error(self) -> Score:
         """The geometric mean over cells of the policy's mean error, capped, over the rival's."""
-        sides = ([capped(m, largest_tail(name)) for name, m in side.items()] for side in (self.rival, self.own))
+        sides = ([capped(m, error_cap(name)) for name, m in side.items()] for side in (self.rival, self.own))
         return relative_error(*sides)
 
     @property
-    def lost(self) -> int:
+    def failed(self) -> int:
         """How many episodes the policy fails."""
-        return sum(losses(m, largest_tail(name)) for name, m in self.own.items())
+        return sum(count_failures(m, error_cap(name)) for name, m in self.own.items())
 
     @property
     def episodes(self) -> int:
@@ -79,9 +79,11 @@ def _mean(values: Iterable[Array]) -> float:
     return float(np.concatenate(list(values)).mean())
 
 
-def pairs_of(results: Results, regime: str = "") -> dict[str, Pair]:
+def pairs_of(results: Results, speed_range: str = "") -> dict[str, Pair]:
     """Return the policies that ran in all cells of a speed range, or in all there are, the smallest error first."""
-    cases = {name: case for name, case in results.cases.items() if not regime or regime_of(name) == regime}
+    cases = {
+        name: case for name, case in results.cases.items() if not speed_range or speed_range_of(name) == speed_range
+    }
     found = {}
     for policy in results.policies:
         if all(policy in case for case in cases.values()):
@@ -117,7 +119,7 @@ def _row(policy: str, pair: Pair) -> list[str]:
     return [
         f"`{policy}`",
         *_ratios(pair.error, pair.among(_disturbed).error),
-        lost_text(pair.lost, pair.episodes),
+        failures_text(pair.failed, pair.episodes),
         *(_ratio(pair.over(what)) for what in ("effort", "smoothness")),
     ]
 
@@ -132,17 +134,28 @@ def seed_rows(rival: Mapping[str, Measures], studies: Mapping[str, Study]) -> li
     agents: dict[str, list[InSuite]] = {}
     for name, study in studies.items():
         if VEHICLES_SUITE in study.suites:
-            agents.setdefault(name.removesuffix(f"-{study.regime}"), []).append(study.suites[VEHICLES_SUITE])
+            agents.setdefault(name.removesuffix(f"-{study.speed_range}"), []).append(study.suites[VEHICLES_SUITE])
     rows = []
     for agent, found in agents.items():
-        tails = {cell: tail for each in found for cell, tail in zip(each.cells, each.capped(), strict=True)}
-        if rival.keys() <= tails.keys():
-            theirs = {cell: capped(m, largest_tail(cell))[: tails[cell].shape[1]] for cell, m in rival.items()}
+        steady_rmses = {
+            cell: steady_rmse for each in found for cell, steady_rmse in zip(each.cells, each.capped(), strict=True)
+        }
+        if rival.keys() <= steady_rmses.keys():
+            theirs = {cell: capped(m, error_cap(cell))[: steady_rmses[cell].shape[1]] for cell, m in rival.items()}
             disturbed = list(filter(_disturbed, rival))
-            ratios = (relative_error([theirs[c] for c in few], [tails[c] for c in few]) for few in (theirs, disturbed))
+            ratios = (
+                relative_error([theirs[c] for c in few], [steady_rmses[c] for c in few]) for few in (theirs, disturbed)
+            )
             own = [each for each in found if {*each.cells} <= rival.keys()]
-            lost, total = sum(each.losses() for each in own), sum(tails[cell].size for cell in rival)
-            rows.append([f"`{agent}`", str(len(next(iter(tails.values())))), *_ratios(*ratios), lost_text(lost, total)])
+            failed, total = sum(each.count_failures() for each in own), sum(steady_rmses[cell].size for cell in rival)
+            rows.append(
+                [
+                    f"`{agent}`",
+                    str(len(next(iter(steady_rmses.values())))),
+                    *_ratios(*ratios),
+                    failures_text(failed, total),
+                ]
+            )
     return rows
 
 
@@ -169,7 +182,7 @@ def nearer_than_optimum(results: Results) -> list[tuple[str, int, str, float]]:
     for name, case in results.cases.items():
         for policy in case if OPTIMUM_POLICY in case else ():
             own, best = paired(case[policy], case[OPTIMUM_POLICY])
-            gain = best.tail - own.tail
+            gain = best.steady_rmse - own.steady_rmse
             if policy != OPTIMUM_POLICY and gain.max() > ROUNDING:
                 found.append((name, int(gain.argmax()), policy, float(gain.max())))
     return sorted(found, key=lambda entry: -entry[-1])
@@ -185,10 +198,10 @@ def figures(_: str = "") -> dict[str, bytes]:
 
 def _map(results: Results, vehicles: Sequence[str]) -> Figure:
     """Return a map of the errors over the rival's: a row for each policy, a column a vehicle, a panel a speed range."""
-    own = {regime: {p: pair for p, pair in pairs_of(results, regime).items() if p not in FORESIGHTED}
-           for regime in REGIMES}  # fmt: skip
+    own = {speed_range: {p: pair for p, pair in pairs_of(results, speed_range).items() if p not in FORESIGHTED}
+           for speed_range in SPEED_RANGES}  # fmt: skip
     fig, [axes] = panels(1, len(own), (9.6, 1.6 + 0.27 * max(map(len, own.values()))))
-    for ax, (regime, pairs) in zip(axes, own.items(), strict=True):
+    for ax, (speed_range, pairs) in zip(axes, own.items(), strict=True):
         shown = [v for v in vehicles if any(vehicle_of(n) == v for n in next(iter(pairs.values())).own)]
         values = np.array([
             [pair.among(lambda name, v=v: vehicle_of(name) == v).error.mean for v in shown]  # type: ignore[misc]
@@ -200,7 +213,7 @@ def _map(results: Results, vehicles: Sequence[str]) -> Figure:
             ax.text(j, i, _ratio(value), ha="center", va="center", fontsize=7, color=colour)
         ax.set_xticks(range(len(shown)), shown, rotation=40, ha="right", rotation_mode="anchor")
         ax.set_yticks(range(len(pairs)), list(pairs))
-        ax.set_title(regime)
+        ax.set_title(speed_range)
         ax.grid(visible=False)
     fig.colorbar(image, ax=axes, label=f"error / {RIVAL}", shrink=0.9)
     return fig

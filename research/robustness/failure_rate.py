@@ -20,14 +20,14 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from auv_gym.scenarios.mixtures import adverse
-from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES
+from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.fingerprints import fingerprint
-from baselines.evaluation.metrics import most_lost
+from baselines.evaluation.metrics import failure_bound
 from baselines.evaluation.request import checked_policies, checked_scenario
 from baselines.evaluation.rollout import PolicyError, rollout
 from baselines.evaluation.runner import drawn
-from baselines.evaluation.score import largest_tail, losses
+from baselines.evaluation.score import count_failures, error_cap
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, checked_record, parse
 from baselines.tools.files import json_text, read_json, write_atomically
@@ -38,11 +38,11 @@ PROGRAM = "python -m research failure-rate"
 _FILE = DATA / "certificates.json"  # what was counted
 _EPISODES = 10_000  # of all scenarios that are named together
 _AT_ONCE = 250  # episodes of a scenario that run side by side
-ADVERSE = tuple(f"{regime}-adverse" for regime in REGIMES)
+ADVERSE = tuple(f"{speed_range}-adverse" for speed_range in SPEED_RANGES)
 """Names of the storms with sensor and actuator faults."""
 FailureCount = Mapping[str, Any]
 """What a policy did in the first seeds of `FAILURE_RATE` of a scenario: `scenario` (SHA-256 of it), `episodes`,
-`lost` (see `score.is_lost`), `largest_tail_m` [m]."""
+`failed` (see `score.has_failed`), `largest_steady_rmse_m` [m]."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Options:
 
     policy: Annotated[Positional[tuple[str, ...]], arg(metavar="POLICY [POLICY ...]")]
     """Policies by name, folder or file."""
-    scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = REGIMES
+    scenario: Annotated[tuple[str, ...], arg(metavar="S [S ...]", help_behavior_hint="")] = SPEED_RANGES
     """Presets, scenario files, slow or cruise for the eight cases of a regime, slow-adverse or cruise-adverse for
     storms with sensor and actuator faults."""
     episodes: int = _EPISODES
@@ -70,11 +70,11 @@ def _scenarios_of(name: str) -> tuple[Scenario, ...]:
     Raises:
         UsageError: it stands for none.
     """
-    if name in REGIMES:
+    if name in SPEED_RANGES:
         return tuple(PRESETS[f"{name}-{case}"] for case in CASES)
     if name in ADVERSE:
         return (adverse(name.partition("-")[0]),)
-    return (checked_scenario(name, (*REGIMES, *ADVERSE)),)
+    return (checked_scenario(name, (*SPEED_RANGES, *ADVERSE)),)
 
 
 def _counted(policy: str, scenario: Scenario, first: int, episodes: int) -> tuple[int, int, float]:
@@ -85,7 +85,7 @@ def _counted(policy: str, scenario: Scenario, first: int, episodes: int) -> tupl
     """
     cell = drawn(scenario, episodes, FAILURE_RATE.first + first)
     found = rollout(make_policy(policy, scenario.vehicle), scenario, cell.episodes).measures
-    return episodes, losses(found, largest_tail(scenario.name)), float(found.tail.max())
+    return episodes, count_failures(found, error_cap(scenario.name)), float(found.steady_rmse.max())
 
 
 def failure_counts(file: Path = _FILE) -> dict[str, dict[str, Any]]:
@@ -103,8 +103,10 @@ def failure_counts(file: Path = _FILE) -> dict[str, dict[str, Any]]:
 
 def together(counts: Iterable[FailureCount]) -> tuple[int, int, float]:
     """Return failures, episodes and the largest tail [m] of several counts."""
-    lost, episodes, tails = zip(*((c["lost"], c["episodes"], c["largest_tail_m"]) for c in counts), strict=True)
-    return sum(lost), sum(episodes), max(tails)
+    failed, episodes, steady_rmses = zip(
+        *((c["failed"], c["episodes"], c["largest_steady_rmse_m"]) for c in counts), strict=True
+    )
+    return sum(failed), sum(episodes), max(steady_rmses)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -127,9 +129,9 @@ def main(arguments: Sequence[str]) -> int:
                 share = -(-options.episodes // len(scenarios))  # of each, rounded up
                 for target in (*range(_AT_ONCE, share, _AT_ONCE), share):  # in turns, so that none is ahead if it stops
                     counts = [_until(policy, scenario, target, options.out) for scenario in scenarios]
-                lost, episodes, _ = together(counts)
-                at_most = f"{100 * most_lost(lost, episodes):.2g} % (one-sided, 95 %)"
-                print(f"{policy}, {name}: {lost} of {episodes} lost, at most {at_most}", flush=True)
+                failed, episodes, _ = together(counts)
+                at_most = f"{100 * failure_bound(failed, episodes):.2g} % (one-sided, 95 %)"
+                print(f"{policy}, {name}: {failed} of {episodes} lost, at most {at_most}", flush=True)
     except PolicyError as error:
         print(f"{called(PROGRAM)}: {policy} failed: {error}", file=sys.stderr)
         return FAILED
@@ -146,15 +148,15 @@ def _until(policy: str, scenario: Scenario, episodes: int, out: Path) -> Failure
         counts = own["counts"] if own.get("fingerprint") == print_ else {}
         count: dict[str, Any] = counts.get(scenario.name, {})
         if count.get("scenario") != digest:
-            count = {"scenario": digest, "episodes": 0, "lost": 0, "largest_tail_m": 0.0}
+            count = {"scenario": digest, "episodes": 0, "failed": 0, "largest_steady_rmse_m": 0.0}
         if count["episodes"] >= episodes:
             return count
-        ran, lost, worst = _counted(policy, scenario, count["episodes"], min(_AT_ONCE, episodes - count["episodes"]))
+        ran, failed, worst = _counted(policy, scenario, count["episodes"], min(_AT_ONCE, episodes - count["episodes"]))
         count = {
             "scenario": digest,
             "episodes": count["episodes"] + ran,
-            "lost": count["lost"] + lost,
-            "largest_tail_m": max(count["largest_tail_m"], worst),
+            "failed": count["failed"] + failed,
+            "largest_steady_rmse_m": max(count["largest_steady_rmse_m"], worst),
         }
         record[policy] = {"fingerprint": print_, "counts": {**counts, scenario.name: count}}
         write_atomically(out, json_text(record))

@@ -21,14 +21,14 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from auv_gym.physics.namespaces import Array
-from auv_gym.scenarios.presets import REGIMES
+from auv_gym.scenarios.presets import SPEED_RANGES
 from auv_gym.scenarios.scenario import Scenario
 from baselines.control.backstepping import StabilityWarning
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.request import checked_folder, checked_policies
 from baselines.evaluation.rollout import PolicyError
 from baselines.evaluation.runner import Cell, drawn
-from baselines.evaluation.score import LARGEST_TAIL, capped, losses
+from baselines.evaluation.score import ERROR_CAPS, capped, count_failures
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, check_words, parse
@@ -61,7 +61,7 @@ class Options:
 
     policy: Annotated[Positional[tuple[str, ...]], arg(metavar="POLICY [POLICY ...]")]
     """Policies by name, folder or file."""
-    regime: Annotated[tuple[str, ...], arg(metavar="R [R ...]", help_behavior_hint="")] = REGIMES
+    speed_range: Annotated[tuple[str, ...], arg(metavar="R [R ...]", help_behavior_hint="")] = SPEED_RANGES
     """Slow, cruise, or both."""
     sea: Annotated[tuple[str, ...], arg(metavar="K [K ...]", help_behavior_hint="")] = SEA_KINDS
     """What is stretched: storm, the ranges of the presets' storm on slewing thrusters; adverse, those of the storm of
@@ -77,18 +77,18 @@ class Search:
     """Whom to lose, and in which seas."""
 
     policy: str
-    regime: str
+    speed_range: str
     kind: str
 
     @property
     def name(self) -> str:
         """Name of the scenario that is found."""
         plain = "".join(c if c.isalnum() else "-" for c in self.policy)
-        return f"{self.regime}-{self.kind}-that-loses-{plain}"
+        return f"{self.speed_range}-{self.kind}-that-loses-{plain}"
 
     def scenario(self, severity: float, towards: Array) -> Scenario:
         """Return the sea at a severity in a direction; see `seas.sea`."""
-        return sea(self.regime, self.kind, self.name, severity, towards)
+        return sea(self.speed_range, self.kind, self.name, severity, towards)
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class _Found:
     fingerprint: str  # of the policy
     severity: float  # inf: none
     coordinates: dict[str, float]  # by name: severity times direction, but for the current's own direction
-    lost: int  # of `CONFIRMED` fresh episodes
+    failed: int  # of `CONFIRMED` fresh episodes
     episodes: int  # that the search has run
 
 
@@ -108,14 +108,14 @@ def closeness(search: Search, cells: Sequence[Cell]) -> tuple[Array, Array]:
     The first is the logarithm of the middle tail error over the one from which an episode is lost: 0 and more where
     most are; shape (cells,) each.
     """
-    cap = LARGEST_TAIL[search.regime]
+    cap = ERROR_CAPS[search.speed_range]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StabilityWarning)
         warnings.filterwarnings("ignore", "this agent was trained at reference speeds")
         ended = SideBySide(cells).run(make_policy(search.policy, cells[0].scenario.vehicle))
-    tails = [capped(e, cap) for e in ended]
-    lost = [losses(e, cap) for e in ended]
-    return np.log(np.array([np.quantile(t, 0.5, method="lower") for t in tails]) / cap), np.array(lost)
+    steady_rmses = [capped(e, cap) for e in ended]
+    failed = [count_failures(e, cap) for e in ended]
+    return np.log(np.array([np.quantile(t, 0.5, method="lower") for t in steady_rmses]) / cap), np.array(failed)
 
 
 def crossing(severities: Sequence[float], near: Sequence[float]) -> float:
@@ -153,7 +153,7 @@ def found_by(search: Search, generations: int) -> _Found:
     Raises:
         PolicyError: the policy's actions are not finite.
     """
-    size = len(names(search.regime, search.kind))
+    size = len(names(search.speed_range, search.kind))
     options: dict[str, Any] = {"popsize": _POPULATION, "seed": _SEED, "verbose": -9, "bounds": [-1.0, 1.0]}
     strategy = strategies().CMAEvolutionStrategy(np.full(size, 0.3), 0.5, options | {"CMA_diagonal": True})
     best, ran, direction = math.inf, 0, np.zeros(size)
@@ -178,11 +178,11 @@ def _confirmed(search: Search, severity: float, towards: Array, ran: int) -> _Fo
     while math.isfinite(severity) and severity < 2.0 * _FIRST[-1]:
         ran += CONFIRMED
         cell = drawn(search.scenario(severity, towards), CONFIRMED, seed)
-        lost = int(closeness(search, [cell])[1][0])
-        if 2 * lost >= CONFIRMED:
-            *place, direction = names(search.regime, search.kind)
+        failed = int(closeness(search, [cell])[1][0])
+        if 2 * failed >= CONFIRMED:
+            *place, direction = names(search.speed_range, search.kind)
             where = {name: severity * float(x) for name, x in zip(place, towards, strict=False)}
-            return _Found(digest, severity, {**where, direction: float(towards[-1])}, lost, ran)
+            return _Found(digest, severity, {**where, direction: float(towards[-1])}, failed, ran)
         severity *= _STEPS
     return _Found(digest, math.inf, {}, 0, ran)
 
@@ -211,7 +211,7 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    check_words("regime", options.regime, REGIMES)
+    check_words("speed range", options.speed_range, SPEED_RANGES)
     check_words("sea", options.sea, SEA_KINDS)
     if not 1 <= options.generations <= 10_000:
         raise UsageError(f"--generations is {options.generations}; it must be in [1, 10000]")
@@ -222,7 +222,9 @@ def main(arguments: Sequence[str]) -> int:
         found_seas(_record(folder))
     except (ImportError, ValueError) as error:
         raise UsageError(str(error)) from error
-    searches = [Search(p, regime, kind) for kind in options.sea for regime in options.regime for p in policies]
+    searches = [
+        Search(p, speed_range, kind) for kind in options.sea for speed_range in options.speed_range for p in policies
+    ]
     for search in searches:
         try:
             found = found_by(search, options.generations)
@@ -235,7 +237,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def _write(search: Search, found: _Found, folder: Path) -> None:
     """Add what was found to a folder, and say it."""
-    about = {"policy": search.policy, "regime": search.regime, "sea": search.kind}
+    about = {"policy": search.policy, "speed_range": search.speed_range, "sea": search.kind}
     file = _record(folder)
     write_atomically(file, json_text({**found_seas(file), search.name: {**about, **asdict(found)}}))
     if math.isinf(found.severity):
@@ -244,4 +246,4 @@ def _write(search: Search, found: _Found, folder: Path) -> None:
     (*_, direction) = found.coordinates
     towards = [x / (1.0 if name == direction else found.severity) for name, x in found.coordinates.items()]
     search.scenario(found.severity, np.array(towards)).save(folder / f"{search.name}.toml")
-    print(f"{search.name}: severity {found.severity:.3f}, {found.lost} of {CONFIRMED} episodes lost", flush=True)
+    print(f"{search.name}: severity {found.severity:.3f}, {found.failed} of {CONFIRMED} episodes lost", flush=True)

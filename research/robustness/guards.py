@@ -19,7 +19,7 @@ from baselines.evaluation import recorded, suites
 from baselines.evaluation.fingerprints import fingerprint
 from baselines.evaluation.request import checked_policies
 from baselines.evaluation.runner import Cell
-from baselines.evaluation.score import EXPERT, capped, is_lost, largest_tail
+from baselines.evaluation.score import EXPERT, capped, error_cap, has_failed
 from baselines.evaluation.side_by_side import SideBySide
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, check_words, parse
@@ -29,8 +29,8 @@ from research import DATA
 PROGRAM = "python -m research guards"
 GUARDS_FILE = DATA / "guards.json"  # what guards did
 FINGERPRINT = "fingerprint"  # entry beside the rows of a policy
-COUNTS = "episodes", "lost", "guarded_lost", "expert_keeps", "guarded_expert_keeps"
-TAILS = "tail_mm", "guarded_tail_mm"
+COUNTS = "episodes", "failed", "guarded_failed", "expert_keeps", "guarded_expert_keeps"
+STEADY_RMSES = "steady_rmse_mm", "guarded_steady_rmse_mm"
 _SUITES = ("benchmark-v1", "ood-v1", "unmodelled-v1", "sealed-v1")
 """Suites in which policies fail."""
 _AT_ONCE = 520  # episodes side by side
@@ -58,32 +58,32 @@ def in_suite(policy: str, suite: suites.Suite, most: int) -> dict[str, Any]:
     by_policy = {name: {r.scenario.name: r for r in recorded.read_recorded(suite, name)} for name in (EXPERT, policy)}
     cells = [cell for cell in suite.cells if cell.scenario.name in by_policy[policy]]
     counts = dict.fromkeys(COUNTS, 0)
-    tails: dict[str, list[Array]] = {key: [] for key in TAILS}
+    steady_rmses: dict[str, list[Array]] = {key: [] for key in STEADY_RMSES}
     for cell in cells:
         few, name = cell.episodes[:most], cell.scenario.name
-        cap = largest_tail(name)
+        cap = error_cap(name)
         measured = [by_policy[who][name].measures for who in (EXPERT, policy)]
         expert, bare = (m[: len(few)] for m in measured if m is not None)
-        gone = [is_lost(m, cap) for m in (expert, bare)]
-        tail, lost = _with_guard(policy, Cell(cell.scenario, few), cap)
+        gone = [has_failed(m, cap) for m in (expert, bare)]
+        steady_rmse, failed = _with_guard(policy, Cell(cell.scenario, few), cap)
         counts["episodes"] += len(few)
-        for key, mine in (("", gone[1]), ("guarded_", lost)):
+        for key, mine in (("", gone[1]), ("guarded_", failed)):
             counts[f"{key}lost"] += int(mine.sum())
             counts[f"{key}expert_keeps"] += int((mine & ~gone[0]).sum())
-        tails["tail_mm"].append(capped(bare, cap))
-        tails["guarded_tail_mm"].append(tail)
-    return {**counts, **{key: 1e3 * float(np.concatenate(own).mean()) for key, own in tails.items()}}
+        steady_rmses["steady_rmse_mm"].append(capped(bare, cap))
+        steady_rmses["guarded_steady_rmse_mm"].append(steady_rmse)
+    return {**counts, **{key: 1e3 * float(np.concatenate(own).mean()) for key, own in steady_rmses.items()}}
 
 
 def _with_guard(policy: str, cell: Cell, cap: float) -> tuple[Array, Any]:
     """Return capped tails [m] of a policy with a guard in a cell, and which episodes it loses."""
-    tails, lost = [], []
+    steady_rmses, failed = [], []
     for first in range(0, len(cell.episodes), _AT_ONCE):
         part = Cell(cell.scenario, cell.episodes[first : first + _AT_ONCE])
         (ended,) = SideBySide([part]).run(make_policy(f"{policy}{GUARD}", cell.scenario.vehicle))
-        lost.append(is_lost(ended, cap))
-        tails.append(capped(ended, cap))
-    return np.concatenate(tails), np.concatenate(lost)
+        failed.append(has_failed(ended, cap))
+        steady_rmses.append(capped(ended, cap))
+    return np.concatenate(steady_rmses), np.concatenate(failed)
 
 
 def main(arguments: Sequence[str]) -> int:

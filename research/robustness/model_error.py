@@ -21,7 +21,7 @@ from tyro.conf import arg
 
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
-from auv_gym.scenarios.names import REGIMES
+from auv_gym.scenarios.names import SPEED_RANGES
 from auv_gym.task.policy import Policy
 from baselines.agents.agent import Agent
 from baselines.agents.names import agent_folder
@@ -30,14 +30,14 @@ from baselines.evaluation import recorded
 from baselines.evaluation.rollout import PolicyError
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import (
+    ERROR_CAPS,
     EXPERT,
     FORESIGHTED,
-    LARGEST_TAIL,
     RIVAL,
     Score,
     capped,
+    count_failures,
     lead,
-    losses,
     seeds_score,
 )
 from baselines.evaluation.side_by_side import SideBySide
@@ -114,17 +114,17 @@ def wrong(vehicle: Vehicle, mistaken: Mapping[str, float], size: float, way: _Wa
     return replace(vehicle, **{name: (1 + size * mistaken[name]) * getattr(vehicle, name) for name in way.names})
 
 
-def cells_of(regime: str, episodes: int) -> list[Cell]:
+def cells_of(speed_range: str, episodes: int) -> list[Cell]:
     """Return the first episodes of each cell of a speed range in the suite."""
-    return [Cell(cell.scenario, cell.episodes[:episodes]) for cell in load_suite(_SUITE).cells_in((regime,))]
+    return [Cell(cell.scenario, cell.episodes[:episodes]) for cell in load_suite(_SUITE).cells_in((speed_range,))]
 
 
-def with_wrong_models(name: str, regime: str, episodes: int | None = None) -> dict[str, Any]:
+def with_wrong_models(name: str, speed_range: str, episodes: int | None = None) -> dict[str, Any]:
     """Return the loss of a policy's capped score with wrong vehicle models, as plain numbers.
 
     Args:
         name: of the policy; none that uses more than the observation.
-        regime: the speed range, "slow" or "cruise".
+        speed_range: the speed range, "slow" or "cruise".
         episodes: of each case. None: `_EPISODES`, or fewer of one that takes its time.
 
     Raises:
@@ -132,26 +132,26 @@ def with_wrong_models(name: str, regime: str, episodes: int | None = None) -> di
         PolicyError: its actions are not finite.
     """
     models, usual = LESS.get(name, (_MODELS, _EPISODES))
-    sizes, cells = ERROR_SIZES[-1:] if name in LESS else ERROR_SIZES, cells_of(regime, episodes or usual)
+    sizes, cells = ERROR_SIZES[-1:] if name in LESS else ERROR_SIZES, cells_of(speed_range, episodes or usual)
     known, true = cells[0].scenario.vehicle, SideBySide(cells)
-    zero, one = (_recorded(policy, regime, cells) for policy in load_suite(_SUITE).anchors)
-    right, lost = _tails(name, known, true, regime)
+    zero, one = (_recorded(policy, speed_range, cells) for policy in load_suite(_SUITE).anchors)
+    right, failed = _steady_rmses(name, known, true, speed_range)
 
     def compared(way: _Way, size: float) -> dict[str, Any]:
         each, gone = [], []
         for vehicle in (wrong(known, mistakes(k), size, way) for k in range(models)):
-            tails, own = _tails(name, vehicle, true, regime)
-            each.append(tails)
+            steady_rmses, own = _steady_rmses(name, vehicle, true, speed_range)
+            each.append(steady_rmses)
             gone.append(own)
         rows = [np.array(own) for own in zip(*each, strict=True)]
-        return {"size": size, "lost": gone, **_compared(zero, right, rows, one)}
+        return {"size": size, "failed": gone, **_compared(zero, right, rows, one)}
 
     return {
         "episodes": len(cells[0].episodes),
-        "cases": [cell.scenario.name.removeprefix(f"{regime}-") for cell in cells],
+        "cases": [cell.scenario.name.removeprefix(f"{speed_range}-") for cell in cells],
         "right": {
             "score": _ends(seeds_score(zero, [row[None] for row in right], one)),
-            "lost": lost,
+            "failed": failed,
             "error_m": [round(float(row.mean()), 6) for row in right],
             "first_m": [np.round(row[:KEPT_EPISODES], 6).tolist() for row in right],
         },
@@ -159,20 +159,20 @@ def with_wrong_models(name: str, regime: str, episodes: int | None = None) -> di
     }
 
 
-def _recorded(policy: str, regime: str, cells: Sequence[Cell]) -> list[Array]:
+def _recorded(policy: str, speed_range: str, cells: Sequence[Cell]) -> list[Array]:
     """Return the recorded capped errors [m] of a policy in episodes of the suite, cell by cell."""
     runs = {run.scenario.name: run.measures for run in recorded.read_recorded(load_suite(_SUITE), policy)}
     rows = ((runs[cell.scenario.name], len(cell.episodes)) for cell in cells)
-    return [capped(row[:count], LARGEST_TAIL[regime]) for row, count in rows if row is not None]
+    return [capped(row[:count], ERROR_CAPS[speed_range]) for row, count in rows if row is not None]
 
 
-def _tails(name: str, model: Vehicle, there: SideBySide, regime: str) -> tuple[list[Array], int]:
+def _steady_rmses(name: str, model: Vehicle, there: SideBySide, speed_range: str) -> tuple[list[Array], int]:
     """Return the capped errors [m] of a policy with a vehicle model, cell by cell, and the number of failures."""
-    cap = LARGEST_TAIL[regime]
+    cap = ERROR_CAPS[speed_range]
     with warnings.catch_warnings():  # that its law may be unstable for such a model is a part of the price
         warnings.simplefilter("ignore", StabilityWarning)
         ended = there.run(acting(name, model))
-    return [capped(e, cap) for e in ended], sum(losses(e, cap) for e in ended)
+    return [capped(e, cap) for e in ended], sum(count_failures(e, cap) for e in ended)
 
 
 def _compared(zero: Sequence[Array], right: Sequence[Array], each: Sequence[Array], one: Sequence[Array]) -> Any:
@@ -212,7 +212,7 @@ class Options:
 
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = _POLICIES
     """Policies by name, or agents by their folder."""
-    regime: Annotated[tuple[str, ...], arg(metavar="R [R ...]", help_behavior_hint="")] = REGIMES
+    speed_range: Annotated[tuple[str, ...], arg(metavar="R [R ...]", help_behavior_hint="")] = SPEED_RANGES
     """Speed ranges: slow, cruise."""
     episodes: Annotated[int | None, arg(metavar="INT", help_behavior_hint="")] = None
     """Episodes of each case. Default: 12, of nmpc 6."""
@@ -228,7 +228,7 @@ def main(arguments: Sequence[str]) -> int:
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("policy", [name for name in options.policy if agent_folder(name) is None], list_policies())
-    check_words("regime", options.regime, REGIMES)
+    check_words("speed range", options.speed_range, SPEED_RANGES)
     if privileged := [name for name in options.policy if name in FORESIGHTED]:
         raise UsageError(f"{privileged[0]} uses more than the observation, so no model of it is wrong; leave it out")
     if options.episodes is not None and options.episodes < 2:
@@ -238,7 +238,10 @@ def main(arguments: Sequence[str]) -> int:
         file = options.out / f"{Path(name).name}.json"
         record = read_json(file) if file.exists() else {}
         try:
-            record |= {regime: with_wrong_models(name, regime, options.episodes) for regime in options.regime}
+            record |= {
+                speed_range: with_wrong_models(name, speed_range, options.episodes)
+                for speed_range in options.speed_range
+            }
         except (ValueError, PolicyError) as error:
             print(f"{called(PROGRAM)}: {name}: {error}", file=sys.stderr)
             return FAILED
@@ -255,24 +258,26 @@ def context(_: str = "", folder: Path = MODEL_ERROR_FOLDER) -> dict[str, Any]:
     """
     found = {file.stem: read_json(file) for file in folder.glob("*.json")}
     own = dict(sorted(found.items(), key=lambda item: (item[0] == EXPERT, item[0] == RIVAL, item[0])))
-    places = [(regime, key) for regime in REGIMES for key in WAYS]
+    places = [(speed_range, key) for speed_range in SPEED_RANGES for key in WAYS]
     return {
         "records": {
-            regime: [row for name, record in own.items() if regime in record for row in _rows(name, record[regime])]
-            for regime in REGIMES
+            speed_range: [
+                row for name, record in own.items() if speed_range in record for row in _rows(name, record[speed_range])
+            ]
+            for speed_range in SPEED_RANGES
         },
         "sizes": [f"up to {100 * size:.0f} %" for size in ERROR_SIZES],
         "largest": f"{100 * ERROR_SIZES[-1]:.0f} %",
-        "columns": [f"{regime}: {WAYS[key].says}" for regime, key in places],
+        "columns": [f"{speed_range}: {WAYS[key].says}" for speed_range, key in places],
         "summary": [[f"`{name}`", *(_at_most(record, *place) for place in places)] for name, record in own.items()],
     }
 
 
-def _at_most(record: Mapping[str, Any], regime: str, key: str) -> str:
+def _at_most(record: Mapping[str, Any], speed_range: str, key: str) -> str:
     """Return the mean change of the score with the largest errors."""
-    if regime not in record:
+    if speed_range not in record:
         return "-"
-    return f"{max(record[regime]['wrong'][key], key=lambda at: float(at['size']))['above'][0]:+.3f}"
+    return f"{max(record[speed_range]['wrong'][key], key=lambda at: float(at['size']))['above'][0]:+.3f}"
 
 
 def _rows(name: str, of: Mapping[str, Any]) -> Iterator[list[str]]:
@@ -286,8 +291,8 @@ def _rows(name: str, of: Mapping[str, Any]) -> Iterator[list[str]]:
         growth = f"{of['cases'][i]}, {1e3 * right['error_m'][i]:.1f} -> {1e3 * last['error_m'][i]:.1f} mm"
         less = [f"{sizes[size]['above'][0]:+.3f}" if size in sizes else "-" for size in ERROR_SIZES[:-1]]
         above = [*less, _spread(last["above"])]
-        lost = f"{sum(last['lost'])} of {len(last['lost']) * episodes}; {right['lost']} of {episodes}"
-        yield [f"`{name}`", f"{right['score'][0]:.3f}", way.says, *above, f"{min(last['hulls']):+.3f}", growth, lost]
+        failed = f"{sum(last['failed'])} of {len(last['failed']) * episodes}; {right['failed']} of {episodes}"
+        yield [f"`{name}`", f"{right['score'][0]:.3f}", way.says, *above, f"{min(last['hulls']):+.3f}", growth, failed]
 
 
 def _spread(ends: Sequence[float]) -> str:

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from baselines.evaluation.metrics import most_lost
-from baselines.evaluation.score import regime_of
+from baselines.evaluation.metrics import failure_bound
+from baselines.evaluation.score import speed_range_of
 from baselines.tools.files import read_json
 from research.robustness import failure_rate, falsification, guards
 
@@ -27,7 +27,12 @@ def context(_: str = "") -> dict[str, Any]:
         "at_most": at_most,
         "seas": [_sea(name, found) for name, found in sorted(falsification.found_seas().items(), key=_place)],
         "suites": [
-            [f"`{policy}`", suite, *(row[key] for key in guards.COUNTS), *(f"{row[k]:.2f}" for k in guards.TAILS)]
+            [
+                f"`{policy}`",
+                suite,
+                *(row[key] for key in guards.COUNTS),
+                *(f"{row[k]:.2f}" for k in guards.STEADY_RMSES),
+            ]
             for policy, own in kept.items()
             for suite, row in own.items()
             if suite != guards.FINGERPRINT
@@ -39,20 +44,20 @@ def _rates(policy: str, counts: Mapping[str, failure_rate.FailureCount]) -> list
     """Return a row of a policy for each set of scenarios that its episodes were drawn from."""
     groups: dict[str, list[failure_rate.FailureCount]] = {}
     for name, count in counts.items():
-        place = name if name in failure_rate.ADVERSE else f"the eight cases, {regime_of(name)}"
+        place = name if name in failure_rate.ADVERSE else f"the eight cases, {speed_range_of(name)}"
         groups.setdefault(place, []).append(count)
     rows = []
     for place, own in groups.items():
-        lost, episodes, worst = failure_rate.together(own)
-        at_most = f"{100 * most_lost(lost, episodes):.2g} %"
+        failed, episodes, worst = failure_rate.together(own)
+        at_most = f"{100 * failure_bound(failed, episodes):.2g} %"
         alike = "" if len({count["episodes"] for count in own}) == 1 else ", some more often"
-        rows.append([f"`{policy}`", f"{place}{alike}", str(episodes), str(lost), at_most, f"{100 * worst:.3g}"])
+        rows.append([f"`{policy}`", f"{place}{alike}", str(episodes), str(failed), at_most, f"{100 * worst:.3g}"])
     return rows
 
 
 def _place(item: tuple[str, Mapping[str, Any]]) -> tuple[str, str, float]:
     found = item[1]
-    return found["sea"], found["regime"], -(found["severity"] or math.inf)
+    return found["sea"], found["speed_range"], -(found["severity"] or math.inf)
 
 
 def _sea(name: str, found: Mapping[str, Any]) -> list[str]:
@@ -61,9 +66,9 @@ def _sea(name: str, found: Mapping[str, Any]) -> list[str]:
     severity = found["severity"]
     return [
         f"`{found['policy']}`",
-        f"{found['regime']}, {found['sea']}",
+        f"{found['speed_range']}, {found['sea']}",
         "none found" if severity is None else f"[{severity:.2f}](seas/{name}.toml)",
-        f"{found['lost']} of {falsification.CONFIRMED}",
+        f"{found['failed']} of {falsification.CONFIRMED}",
         str(found["episodes"]),
         ", ".join(f"{key} {x:+.2f}" for key, x in largest),
     ]

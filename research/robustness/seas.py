@@ -59,7 +59,7 @@ def _upwards(interval: Interval, most: float = math.inf) -> Range:
     return Range(0.0, 0.0, high, 0.0, most)
 
 
-def ranges(regime: str, kind: str) -> dict[str, Range]:
+def ranges(speed_range: str, kind: str) -> dict[str, Range]:
     """Return the ranges of a kind of sea, by name; they are read from the storm's and the adverse storm's scenarios.
 
     Raises:
@@ -67,7 +67,7 @@ def ranges(regime: str, kind: str) -> dict[str, Range]:
     """
     if kind not in SEA_KINDS:
         raise ValueError(f"unknown kind of sea {kind!r}; allowed are {', '.join(SEA_KINDS)}")
-    storm = PRESETS[f"{regime}-storm"] if kind == "storm" else adverse(regime)
+    storm = PRESETS[f"{speed_range}-storm"] if kind == "storm" else adverse(speed_range)
     current, waves, mismatch, path, start = storm.current, storm.waves, storm.mismatch, storm.path, storm.start
     assert isinstance(current, RandomCurrent)
     assert isinstance(waves, RandomWaves)
@@ -119,16 +119,16 @@ DIRECTION = "direction"
 """The coordinate of the current's direction: half turns, whatever the severity."""
 
 
-def names(regime: str, kind: str) -> tuple[str, ...]:
+def names(speed_range: str, kind: str) -> tuple[str, ...]:
     """Return the names of a sea's coordinates; the last one is the current's direction."""
-    return (*ranges(regime, kind), DIRECTION)
+    return (*ranges(speed_range, kind), DIRECTION)
 
 
-def sea(regime: str, kind: str, name: str, severity: float, towards: Sequence[float] | Array) -> Scenario:
+def sea(speed_range: str, kind: str, name: str, severity: float, towards: Sequence[float] | Array) -> Scenario:
     """Return the scenario of a sea.
 
     Args:
-        regime: "slow" or "cruise".
+        speed_range: "slow" or "cruise".
         kind: one of `SEA_KINDS`.
         name: of the scenario.
         severity: how far it lies from calm water, in units of the storm's ranges.
@@ -137,10 +137,10 @@ def sea(regime: str, kind: str, name: str, severity: float, towards: Sequence[fl
     Raises:
         ValueError: there is no such sea: the vehicle could not be integrated, for example.
     """
-    known = ranges(regime, kind)
+    known = ranges(speed_range, kind)
     *place, direction = map(float, towards)
     v = {key: r.at(severity * x) for (key, r), x in zip(known.items(), place, strict=True)}
-    storm = PRESETS[f"{regime}-storm"] if kind == "storm" else adverse(regime)
+    storm = PRESETS[f"{speed_range}-storm"] if kind == "storm" else adverse(speed_range)
     mismatch: dict[str, Any] = {key: v[key] for key in ("mass", "ratio", "m33", "d11", "d22", "d33", "quadratic")}
     turn = v["turn_rate"]
     path = PATHS["line"](v["speed"]) if abs(turn) < 1e-4 else PATHS["circle"](v["speed"], turn)

@@ -16,9 +16,9 @@ from auv_gym.planning.paths import Path, Spline
 from auv_gym.planning.planner import plan
 from auv_gym.planning.sideslip import path_rates
 from auv_gym.scenarios.episode import Episode
-from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES, as_scenario
+from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES, as_scenario
 from auv_gym.scenarios.scenario import RandomPath, Scenario
-from auv_gym.scenarios.vehicles import craft, fleet
+from auv_gym.scenarios.vehicles import vehicle_model, vehicle_names
 from baselines.evaluation.runner import Cell
 from baselines.evaluation.score import BY_BOUND, BY_ORACLE, Anchors
 from baselines.evaluation.suites import rounded
@@ -65,24 +65,24 @@ class Recipe:
 
 
 def _benchmark(per_family: int) -> list[Recipe]:
-    scenarios = [PRESETS[f"{regime}-{case}"] for regime in REGIMES for case in CASES]
+    scenarios = [PRESETS[f"{speed_range}-{case}"] for speed_range in SPEED_RANGES for case in CASES]
     return [Recipe(scenario, episodes=per_family * len(FAMILIES)) for scenario in scenarios]
 
 
 def _out_of_distribution() -> list[Recipe]:
     recipes = []
-    for regime in REGIMES:
-        current, storm = PRESETS[f"{regime}-current"], PRESETS[f"{regime}-storm"]
+    for speed_range in SPEED_RANGES:
+        current, storm = PRESETS[f"{speed_range}-current"], PRESETS[f"{speed_range}-storm"]
         assert current.current is not None
         stronger = replace(current.current, speed=_scaled(current.current.speed, STRONGER))
-        turning = replace(current.current, turn=_TURN[regime])
+        turning = replace(current.current, turn=_TURN[speed_range])
         recipes += [
-            Recipe(replace(current, name=f"{regime}-current-x1.5", current=stronger)),
+            Recipe(replace(current, name=f"{speed_range}-current-x1.5", current=stronger)),
             Recipe(_worse(storm)),
-            Recipe(replace(storm, name=f"{regime}-lawnmower"), families=("lawnmower",)),
-            Recipe(replace(storm, name=f"{regime}-waypoints"), path=waypoints),
-            Recipe(replace(current, name=f"{regime}-current-sheared", current=_sheared(current, regime))),
-            Recipe(replace(current, name=f"{regime}-current-turning", current=turning)),
+            Recipe(replace(storm, name=f"{speed_range}-lawnmower"), families=("lawnmower",)),
+            Recipe(replace(storm, name=f"{speed_range}-waypoints"), path=waypoints),
+            Recipe(replace(current, name=f"{speed_range}-current-sheared", current=_sheared(current, speed_range))),
+            Recipe(replace(current, name=f"{speed_range}-current-turning", current=turning)),
         ]
     return recipes
 
@@ -90,8 +90,8 @@ def _out_of_distribution() -> list[Recipe]:
 def _unmodelled() -> list[Recipe]:
     """Return storms in which something is wrong that no model-based controller has been told of."""
     recipes = []
-    for regime in REGIMES:
-        storm = PRESETS[f"{regime}-storm"]
+    for speed_range in SPEED_RANGES:
+        storm = PRESETS[f"{speed_range}-storm"]
         act, waves, velocity = storm.actuators, storm.waves, storm.sensors.velocity
         assert isinstance(waves, RandomWaves)
         biased = replace(
@@ -103,8 +103,8 @@ def _unmodelled() -> list[Recipe]:
         swell = replace(waves, band=SWELL)
         weak = replace(act, effectiveness=_LOSS)
         slow = replace(act, lag=SLUGGISH, F_u_rate=act.F_u_max / RAMP, F_r_rate=act.F_r_max / RAMP)
-        patchy = replace(storm.sensors, outages=_OUTAGES, outage_time=_OUTAGE_TIME[regime])
-        sheared = _sheared(storm, regime)
+        patchy = replace(storm.sensors, outages=_OUTAGES, outage_time=_OUTAGE_TIME[speed_range])
+        sheared = _sheared(storm, speed_range)
         broken = replace(act, effectiveness=_LOSS, delay=DELAY)
         changes: dict[str, dict[str, Any]] = {
             "bias": {"sensors": biased},
@@ -118,7 +118,7 @@ def _unmodelled() -> list[Recipe]:
             "everything": {"sensors": biased, "waves": swell, "actuators": broken, "current": sheared},
         }
         count = UNMODELLED_EPISODES * len(FAMILIES)
-        recipes += [Recipe(replace(storm, name=f"{regime}-{n}", **c), episodes=count) for n, c in changes.items()]
+        recipes += [Recipe(replace(storm, name=f"{speed_range}-{n}", **c), episodes=count) for n, c in changes.items()]
     return recipes
 
 
@@ -137,18 +137,18 @@ def _deep() -> list[Recipe]:
 def _vehicles() -> list[Recipe]:
     """Return every case with each published vehicle, at its own speeds; in slow motion those that need no fins."""
     return [
-        Recipe(as_scenario(f"{regime}-{case}@{vehicle}"), GENTLE, episodes)
-        for regime, episodes in VEHICLE_EPISODES.items()
-        for vehicle in fleet()
-        if regime == "cruise" or not craft(vehicle).actuators.fin
+        Recipe(as_scenario(f"{speed_range}-{case}@{vehicle}"), GENTLE, episodes)
+        for speed_range, episodes in VEHICLE_EPISODES.items()
+        for vehicle in vehicle_names()
+        if speed_range == "cruise" or not vehicle_model(vehicle).actuators.fin
         for case in CASES
     ]
 
 
-def _sheared(scenario: Scenario, regime: str) -> RandomCurrent:
+def _sheared(scenario: Scenario, speed_range: str) -> RandomCurrent:
     """Return the scenario's current with a shear."""
     assert isinstance(scenario.current, RandomCurrent)
-    return replace(scenario.current, shear=SHEAR, wavelength=_WAVELENGTHS[regime])
+    return replace(scenario.current, shear=SHEAR, wavelength=_WAVELENGTHS[speed_range])
 
 
 def _worse(storm: Scenario) -> Scenario:

@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.progress import run_and_show
 from baselines.evaluation.runner import STEP_LIMIT, Cell, Run
-from baselines.evaluation.suites.yardsticks import write_yardsticks
+from baselines.evaluation.suites.anchor_errors import write_anchor_errors
 from baselines.policies import list_policies
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, check_words, parse
 from baselines.tools.files import versions
@@ -33,7 +33,8 @@ class Options:
     """
 
     action: Annotated[
-        Positional[Literal["build", "check", "seal", "open", "yardsticks", "record", "verify"]], arg(metavar="ACTION")
+        Positional[Literal["build", "check", "seal", "open", "anchor_errors", "record", "verify"]],
+        arg(metavar="ACTION"),
     ]
     """build: replace a suite's file and its hash. check: compare every episode with what it generated. seal: draw a
     secret that a suite's episodes will be drawn from, keep its hash and print it, once. open: check a secret against
@@ -66,7 +67,7 @@ def main(arguments: Sequence[str]) -> int:
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("suite", options.name, (*BUILDERS, *SHARED))
-    if not options.name and options.action in ("build", "seal", "open", "yardsticks", "record"):
+    if not options.name and options.action in ("build", "seal", "open", "anchor_errors", "record"):
         raise UsageError(f"name the suite to {options.action}: {', '.join((*BUILDERS, *SHARED))}")
     check_words("policy", options.policy, list_policies())
     if options.episodes is not None and (options.episodes < 1 or options.action != "record"):
@@ -78,7 +79,7 @@ def main(arguments: Sequence[str]) -> int:
         "check": _check,
         "seal": _seal,
         "open": _open,
-        "yardsticks": _measure,
+        "anchor_errors": _measure,
         "record": _record,
         "verify": _verify,
     }
@@ -137,7 +138,7 @@ def _check(name: str, _: Options) -> int:
 
 
 def _measure(name: str, _: Options) -> int:
-    write_yardsticks(suites.load_suite(name))
+    write_anchor_errors(suites.load_suite(name))
     return DONE
 
 
@@ -145,11 +146,11 @@ def _record(name: str, options: Options) -> int:
     """Record policy by policy, so that an interruption costs one of them."""
     suite, status = suites.load_suite(name), DONE
     for policy in options.policy or tuple(list_policies()):
-        regimes = recorded.regimes_of(policy)
-        own = suite.cells_in(regimes)
+        speed_ranges = recorded.speed_ranges_of(policy)
+        own = suite.cells_in(speed_ranges)
         found = _run(policy, [Cell(cell.scenario, cell.episodes[: options.episodes]) for cell in own], options)
         try:
-            recorded.save_recorded(suite, found, versions(), regimes=regimes)
+            recorded.save_recorded(suite, found, versions(), speed_ranges=speed_ranges)
         except ValueError as error:
             reasons = dict.fromkeys(run.error for run in found if run.error)
             print(f"{called(PROGRAM)}: {error}: {'; '.join(map(str, reasons))}", file=sys.stderr)

@@ -16,11 +16,11 @@ from auv_gym.physics.namespaces import ARRAYS, Array
 from auv_gym.physics.navigation import RandomReckoning
 from auv_gym.physics.sensors import Sensors
 from auv_gym.scenarios.episode import Episode
-from auv_gym.scenarios.presets import PRESETS, REGIMES
+from auv_gym.scenarios.presets import PRESETS, SPEED_RANGES
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.simulation import SAMPLE, estimated_position
 from baselines.control.privileged.truth import Truth
-from baselines.evaluation.metrics import tail_rmse
+from baselines.evaluation.metrics import steady_rmse
 from baselines.evaluation.runner import Cell
 
 _CASES = {"deep": "calm", "deep-current": "current", "deep-storm": "storm"}
@@ -43,16 +43,16 @@ OUTAGE_TIME = (20.0, 60.0)  # [s] for how long
 def deep_worlds() -> list[Scenario]:
     """Return the scenarios of a deep suite: calm water, a current, and storms in which fixes fail."""
     found = []
-    for regime in REGIMES:
+    for speed_range in SPEED_RANGES:
         for name, case in _CASES.items():
-            preset = PRESETS[f"{regime}-{case}"]
+            preset = PRESETS[f"{speed_range}-{case}"]
             failing = replace(INSTRUMENTS, outages=OUTAGES, outage_time=OUTAGE_TIME)
             found.append(
                 replace(
                     preset,
-                    name=f"{regime}-{name}",
+                    name=f"{speed_range}-{name}",
                     sensors=failing if case == "storm" else INSTRUMENTS,
-                    steps=round(MISSION[regime] / preset.control_dt),
+                    steps=round(MISSION[speed_range] / preset.control_dt),
                     error_scale=INSTRUMENTS.position,
                 )
             )
@@ -80,6 +80,6 @@ def navigation_errors(scenario: Scenario, episodes: Sequence[Episode]) -> Array:
     return errors
 
 
-def navigation_tails(cell: Cell) -> Array:
+def navigation_rmses(cell: Cell) -> Array:
     """Return the tail RMSE [m] of such a controller in the episodes of a cell, shape (M,)."""
-    return tail_rmse(navigation_errors(cell.scenario, cell.episodes)[1:])
+    return steady_rmse(navigation_errors(cell.scenario, cell.episodes)[1:])

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from auv_gym.physics.disturbances import RandomCurrent, RandomMismatch, RandomWaves
-from auv_gym.scenarios.presets import PRESETS, REGIMES
+from auv_gym.scenarios.presets import PRESETS, SPEED_RANGES
 from auv_gym.scenarios.scenario import RandomPath, Scenario, Start
 from baselines.evaluation.suites import SuiteError
 from baselines.tools.files import json_text, read_json, write_atomically
@@ -121,31 +121,32 @@ def sealed_worlds(
         slew: time [s] in which slewing actuators go from zero to the limit.
     """
     found = []
-    for regime in REGIMES:
-        storm = PRESETS[f"{regime}-storm"]
+    for speed_range in SPEED_RANGES:
+        storm = PRESETS[f"{speed_range}-storm"]
         assert isinstance(storm.path, RandomPath)
         slewing = _slewing(storm, slew)
-        patchy = replace(storm.sensors, outages=_OUTAGES, outage_time=LONG[regime])
+        patchy = replace(storm.sensors, outages=_OUTAGES, outage_time=LONG[speed_range])
         far = Start(x_e=(-_FAR, _FAR), y_e=(-_FAR, _FAR), psi_e=(-math.pi, math.pi), surge=(0.0, 1.0))
         hulls = _hulls(storm)
         changes: Mapping[str, dict[str, Any]] = {
-            "between": {"path": replace(storm.path, speed=BETWEEN[regime])},
-            "beyond": {"path": replace(storm.path, speed=beyond[regime])},
+            "between": {"path": replace(storm.path, speed=BETWEEN[speed_range])},
+            "beyond": {"path": replace(storm.path, speed=beyond[speed_range])},
             "mission": {"steps": round(_MISSION / storm.control_dt)},
             "slew": {"actuators": slewing},
             "outages": {"sensors": patchy},
             "far-start": {"start": far},
             "hulls": {"mismatch": hulls},
             "all-at-once": {
-                "path": replace(storm.path, speed=BETWEEN[regime]),
+                "path": replace(storm.path, speed=BETWEEN[speed_range]),
                 "actuators": replace(slewing, effectiveness=(0.7, 1.0), delay=(0.0, 2.0)),
                 "sensors": replace(patchy, outages=1.0, heading_bias=(-0.04, 0.04)),
                 "mismatch": hulls,
-                "current": _sheared(storm, regime),
+                "current": _sheared(storm, speed_range),
             },
         }
         found += [
-            (replace(storm, name=f"{regime}-{name}", **change), name == "mission") for name, change in changes.items()
+            (replace(storm, name=f"{speed_range}-{name}", **change), name == "mission")
+            for name, change in changes.items()
         ]
     return found
 
@@ -160,9 +161,9 @@ def _hulls(storm: Scenario) -> RandomMismatch:
     return replace(storm.mismatch, mass=MASS_SHARES, m33=MASS_SHARES, d11=DRAG, d22=DRAG, d33=DRAG)
 
 
-def _sheared(storm: Scenario, regime: str) -> RandomCurrent:
+def _sheared(storm: Scenario, speed_range: str) -> RandomCurrent:
     """Return the storm's current, steeper and rougher, and its waves' lengths out of the usual."""
     assert isinstance(storm.current, RandomCurrent)
     assert isinstance(storm.waves, RandomWaves)
-    wavelength = {"slow": (3.0, 5.0), "cruise": (10.0, 20.0)}[regime]
+    wavelength = {"slow": (3.0, 5.0), "cruise": (10.0, 20.0)}[speed_range]
     return replace(storm.current, shear=(0.1, 0.2), wavelength=wavelength)

@@ -18,7 +18,7 @@ from scipy.linalg import solve_discrete_are
 
 from auv_gym.physics.namespaces import FLOATS, Array
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
-from auv_gym.scenarios.presets import PRESETS, REGIMES
+from auv_gym.scenarios.presets import PRESETS, SPEED_RANGES
 from auv_gym.scenarios.scenario import Scenario
 from baselines.agents.filters import (
     ACROSS,
@@ -95,9 +95,9 @@ def gain(speed: float, lag: float, tuning: Tuning, vehicle: Vehicle = PAPER_VEHI
     return np.insert(np.linalg.solve(H @ P @ H.T + R, H @ P).T, PLACE.lag, 0.0, axis=0)
 
 
-def _table(regime: str, tuning: Tuning, lag: float) -> dict[str, Any]:
+def _table(speed_range: str, tuning: Tuning, lag: float) -> dict[str, Any]:
     """Return the polynomials of a filter's gains in a regime, as `filters.gains` reads them."""
-    speeds = _SPEEDS[regime]
+    speeds = _SPEEDS[speed_range]
     K = np.array([gain(speed, lag, tuning) for speed in speeds])
     powers = np.vander([speed_share(U) for U in speeds], DEGREE + 1, increasing=True)
     fit = np.linalg.lstsq(powers, K.reshape(len(speeds), -1), rcond=None)[0].reshape(DEGREE + 1, *K.shape[1:])
@@ -115,7 +115,7 @@ def _at(name: str) -> int:
 def text() -> str:
     """Return the table of all filters as its file has it."""
     known = list(zip(TUNINGS, LAGS, strict=True))
-    record = {regime: [_table(regime, *own) for own in known] for regime in REGIMES}
+    record = {speed_range: [_table(speed_range, *own) for own in known] for speed_range in SPEED_RANGES}
     return json.dumps(record) + "\n"
 
 

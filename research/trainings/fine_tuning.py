@@ -21,12 +21,12 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.physics.units import Units
 from auv_gym.scenarios.presets import CASES
 from auv_gym.scenarios.presets import as_scenario as preset
-from auv_gym.scenarios.vehicles import fleet
+from auv_gym.scenarios.vehicles import vehicle_names
 from baselines.agents.names import agent_folder
 from baselines.evaluation.metrics import resamplings
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
-from baselines.evaluation.score import EXPERT, RIVAL, capped, in_paper_metres, largest_tail, losses, relative_error
+from baselines.evaluation.score import EXPERT, RIVAL, capped, count_failures, error_cap, in_paper_metres, relative_error
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, check_words, parse
 from baselines.tools.files import json_text, read_json, write_atomically
@@ -131,17 +131,18 @@ def errors(policy: str, vehicle: str, episodes: int) -> dict[str, Any]:
     """Return the errors of a policy in the cruise cases of a vehicle.
 
     Returns:
-        `tails`, the steady-state errors in metres of the paper's vehicle, failures at the error cap; `lost`, failures.
+        `steady_rmses`, the steady-state errors in metres of the paper's vehicle, those of failures at the error
+        cap; `failed`, the number of failures.
     """
-    tails, lost = [], []
+    steady_rmses, failed = [], []
     for case in CASES:
         scenario = preset(f"cruise-{case}@{vehicle}")
         found = drawn(scenario, episodes, FINE_TUNING.first)
         measures = rollout(make_policy(policy, scenario.vehicle), scenario, found.episodes).measures
-        own, cap = in_paper_metres(measures, scenario), largest_tail(scenario.name)
-        tails.append([float(f"{x:.4g}") for x in capped(own, cap)])
-        lost.append(losses(own, cap))
-    return {"tails": tails, "lost": lost}
+        own, cap = in_paper_metres(measures, scenario), error_cap(scenario.name)
+        steady_rmses.append([float(f"{x:.4g}") for x in capped(own, cap)])
+        failed.append(count_failures(own, cap))
+    return {"steady_rmses": steady_rmses, "failed": failed}
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -151,7 +152,7 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    check_words("vehicle", options.vehicle, fleet())
+    check_words("vehicle", options.vehicle, vehicle_names())
     check_words("agent", [options.agent], SHIPPED_TRAININGS)
     if options.episodes < 2:
         raise UsageError(f"--episodes is {options.episodes}; it must be 2 or more")
@@ -163,8 +164,8 @@ def main(arguments: Sequence[str]) -> int:
         for name in names:
             if name not in kept:
                 found = _measured(name, vehicle, options, record["weights"])
-                if failed := found.pop("status", DONE):
-                    status = max(status, failed)
+                if own := found.pop("status", DONE):
+                    status = max(status, own)
                     continue
                 kept[name] = found
                 options.out.parent.mkdir(parents=True, exist_ok=True)
@@ -232,7 +233,9 @@ def _measured(name: str, vehicle: str, options: Options, weights: str) -> dict[s
 
 def error_ratio(policy: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[float, float, float]:
     """Return the geometric mean over paired episodes of one policy's error over another's, with its 95 % interval."""
-    logs = [np.log(np.array(a) / np.array(b)) for a, b in zip(policy["tails"], other["tails"], strict=True)]
+    logs = [
+        np.log(np.array(a) / np.array(b)) for a, b in zip(policy["steady_rmses"], other["steady_rmses"], strict=True)
+    ]
     drawn_again = resamplings(tuple(map(len, logs)))
     sums: Array = sum((w @ own / len(own) for w, own in zip(drawn_again, logs, strict=True)), np.zeros(1))
     values = np.exp(sums / len(logs))
@@ -268,11 +271,11 @@ def fine_tuning_table(record: Mapping[str, Any]) -> str:
         length = Units.of(preset(f"cruise-calm@{vehicle}").vehicle).length
         for name in sorted(found, key=lambda name: asked.index(name) if name in asked else -1):
             own = found[name]
-            typical = 100 * length * math.exp(float(np.mean(np.log(own["tails"]))))
+            typical = 100 * length * math.exp(float(np.mean(np.log(own["steady_rmses"]))))
             says = f"`{name}`, {SAYS[name]}" if name in (EXPERT, RIVAL) else SAYS.get(name, f"`{name}`, {SAYS['']}")
             shares = [_share(ends) for ends in _over_alone(own, found)] if name != ALONE else ["1", "1"]
             lines.append(
-                f"| `{vehicle}` | {says}{_took(own)} | {typical:.2f} | {' | '.join(shares)} | {sum(own['lost'])} |"
+                f"| `{vehicle}` | {says}{_took(own)} | {typical:.2f} | {' | '.join(shares)} | {sum(own['failed'])} |"
             )
     return "\n".join(lines) + "\n"
 
@@ -287,7 +290,7 @@ def _over_alone(own: Mapping[str, Any], found: Mapping[str, Any]) -> list[tuple[
     """Return the typical and the mean error over that of the agent trained alone, with intervals; None without one."""
     if ALONE not in found:
         return [None, None]
-    mean = relative_error(*([np.array(case) for case in of["tails"]] for of in (found[ALONE], own)))
+    mean = relative_error(*([np.array(case) for case in of["steady_rmses"]] for of in (found[ALONE], own)))
     return [error_ratio(own, found[ALONE]), (mean.mean, *mean.ci95)]
 
 

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from auv_gym.scenarios.presets import REGIMES
+from auv_gym.scenarios.presets import SPEED_RANGES
 from baselines.control.open_loop import NO_EXPERT
 from baselines.evaluation import suites
 from baselines.evaluation.progress import run_and_show
@@ -52,7 +52,7 @@ class Variant:
     """Agents that differ in the seed alone."""
 
     about: str  # one line for the results page
-    regime: str  # in which they are run
+    speed_range: str  # in which they are run
     training: TrainOptions  # the number of seeds included
     suites: tuple[str, ...] = OF_THE_PAPER
     runs: str = ""  # folder of the runs, where it is not that of the variant's name
@@ -84,12 +84,12 @@ _FAMILIES: Mapping[str, str] = {
 }
 """What the agents that ship with the package are, by their names without the regime."""
 BRIEF: Mapping[str, Variant] = {
-    f"ppo-3m-{regime}": Variant(
+    f"ppo-3m-{speed_range}": Variant(
         "The expert corrected by a network without memory, which learns from rewards.",
-        regime,
-        replace(training("ppo", weighted(regime, **SPINS), PPO_AUTHORITY[regime]), seeds=_SEEDS),
+        speed_range,
+        replace(training("ppo", weighted(speed_range, **SPINS), PPO_AUTHORITY[speed_range]), seeds=_SEEDS),
     )
-    for regime in ("cruise", "slow")
+    for speed_range in ("cruise", "slow")
 }
 """PPO with a quarter of the steps of those that ship."""
 SHORT_TRAININGS: Mapping[str, Variant] = {
@@ -109,12 +109,14 @@ SHORT_TRAININGS: Mapping[str, Variant] = {
 
 def _shipped(name: str, each: TrainOptions) -> dict[str, Variant]:
     """Return the variants of an agent that ships: one, or one for each regime of an agent for both."""
-    family, _, regime = name.rpartition("-")
-    if regime in REGIMES:
-        return {name: Variant(_FAMILIES[family], regime, replace(each, seeds=_SEEDS))}
+    family, _, speed_range = name.rpartition("-")
+    if speed_range in SPEED_RANGES:
+        return {name: Variant(_FAMILIES[family], speed_range, replace(each, seeds=_SEEDS))}
     own = replace(each, seeds=_SEEDS)
     where = RECORDED_SUITES if name == OF_ALL_VEHICLES else OF_THE_PAPER
-    return {f"{name}-{regime}": Variant(_FAMILIES[name], regime, own, where, name) for regime in REGIMES}
+    return {
+        f"{name}-{speed_range}": Variant(_FAMILIES[name], speed_range, own, where, name) for speed_range in SPEED_RANGES
+    }
 
 
 VARIANTS: Mapping[str, Variant] = {
@@ -165,14 +167,14 @@ def main(arguments: Sequence[str]) -> int:
 def studied(variant: Variant, request: Request, jobs: int) -> Study:
     """Return what the trained agents of a request do on the suites of a variant."""
     agents = [str(folder / AGENT_FOLDER) for folder in request.folders]
-    results = {name: _rolled_out(agents, suite_cells(name, variant.regime), jobs) for name in variant.suites}
+    results = {name: _rolled_out(agents, suite_cells(name, variant.speed_range), jobs) for name in variant.suites}
     curves = [[row for row in read_progress(folder) if "score" in row] for folder in request.folders]
-    return Study.of(variant.about, variant.regime, request.command, results, curves)
+    return Study.of(variant.about, variant.speed_range, request.command, results, curves)
 
 
-def suite_cells(suite: str, regime: str) -> list[Cell]:
+def suite_cells(suite: str, speed_range: str) -> list[Cell]:
     """Return the cells of a frozen suite in a regime."""
-    return suites.load_suite(suite).cells_in((regime,))
+    return suites.load_suite(suite).cells_in((speed_range,))
 
 
 def _rolled_out(agents: Sequence[str], cells: Sequence[Cell], jobs: int) -> list[list[Run]]:

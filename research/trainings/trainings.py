@@ -55,9 +55,11 @@ def request_of(training: Options, folder: Path, jobs: int = 1) -> Request:
     return Request.of(replace(training, out=folder, jobs=jobs, resume=True), f"python {PROGRAM} {shlex.join(words)}")
 
 
-def weighted(regime: str, **weights: float) -> str:
+def weighted(speed_range: str, **weights: float) -> str:
     """Return a regime's cases, some of them with weights, as `train.py --scenario` takes them."""
-    return " ".join(f"{regime}-{case}:{weights[case]:g}" if case in weights else f"{regime}-{case}" for case in CASES)
+    return " ".join(
+        f"{speed_range}-{case}:{weights[case]:g}" if case in weights else f"{speed_range}-{case}" for case in CASES
+    )
 
 
 SLOW_AUTHORITY = (0.6, 1.6)
@@ -132,8 +134,8 @@ SHIPPED_TRAININGS: Mapping[str, Options] = {
     "apg-scratch-cruise": training("apg", "cruise", (1.0, 1.0), NO_EXPERT),
     "apg-scratch-slow": training("apg", "slow", (1.0, 1.0), NO_EXPERT, changes=SLOW_TRAINING),
     **{
-        f"ppo-{regime}": training("ppo", weighted(regime, **SPINS), authority, None, 12_000_000, WIDE)
-        for regime, authority in PPO_AUTHORITY.items()
+        f"ppo-{speed_range}": training("ppo", weighted(speed_range, **SPINS), authority, None, 12_000_000, WIDE)
+        for speed_range, authority in PPO_AUTHORITY.items()
     },
     "ppo-lstm-cruise": training("ppo_lstm", weighted("cruise", **SPINS), PPO_AUTHORITY["cruise"], None, 6_000_000),
     "ppo-lstm-slow": training("ppo_lstm", weighted("slow", **SPINS), PPO_AUTHORITY["slow"], None, 6_000_000),

@@ -69,11 +69,11 @@ class WorldBodies:
         self._before = self.now, self._world.kept()
         p = Parameters.of(tuple(self._rows), self.parts)
         with np.errstate(all="ignore"):  # what is lost may be no number any more
-            plant, terms, (reward, lost, squared, saturated) = step(
+            plant, terms, (reward, failed, squared, saturated) = step(
                 self.plant, tuple(self.action), tuple(self._samples[row]), p, ARRAYS, self._moved
             )
             seen = encode(terms, ARRAYS, self.parts.span)
-        outcome = Outcome(reward, lost, np.sqrt(squared), saturated)
+        outcome = Outcome(reward, failed, np.sqrt(squared), saturated)
         self.now = Side(np.stack(leaves(plant)), np.asarray(seen), np.stack([np.asarray(x, float) for x in outcome]))
 
     def undo(self) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.presets import as_scenario
-from auv_gym.scenarios.vehicles import craft
+from auv_gym.scenarios.vehicles import vehicle_model
 from auv_gym.task.kernels import MadeBodies
 from auv_gym.task.policy import preview_of
 from baselines.evaluation.metrics import Measures, resamplings
@@ -24,7 +24,7 @@ from research.transfer.bodies import bodies
 from research.transfer.worlds import WORLD_VARIANTS, Own
 
 TRANSFER_FILE = DATA / "transfer.json"  # what came out
-_REGIME = "cruise"  # vehicles that fins steer have no other
+_SPEED_RANGE = "cruise"  # vehicles that fins steer have no other
 PLANE = "plane"  # the simulator of three degrees of freedom
 SPACE = "space"  # the one of six
 GROWTH = 1.5  # most growth of an error that is asked for
@@ -48,26 +48,26 @@ class TransferTask:
             measures = self.played(place)
             for i, case in enumerate(self.cases):
                 own = measures[i * self.episodes : (i + 1) * self.episodes]
-                tails = [float(f"{tail:.4g}") for tail in own.tail]
-                found[case][place] = {"tail": tails, "lost": int(own.lost.sum())}
+                steady_rmses = [float(f"{steady_rmse:.4g}") for steady_rmse in own.steady_rmse]
+                found[case][place] = {"steady_rmse": steady_rmses, "failed": int(own.failed.sum())}
         return self, found
 
     @property
     def cells(self) -> list[Cell]:
         """Scenario and episodes of each case, all with the number of integration steps that the stiffest one needs."""
-        scenarios = [as_scenario(f"{_REGIME}-{case}@{self.vehicle}") for case in self.cases]
+        scenarios = [as_scenario(f"{_SPEED_RANGE}-{case}@{self.vehicle}") for case in self.cases]
         substeps = max(scenario.substeps for scenario in scenarios)
         return [drawn(replace(scenario, substeps=substeps), self.episodes, TRANSFER.first) for scenario in scenarios]
 
     def bodies(self, place: str) -> MadeBodies | None:
         """Return what makes the vehicles of a simulator; None for the plane."""
         vehicle: Any = WORLD_VARIANTS[self.vehicle][self.lacking] if self.lacking else self.vehicle
-        return bodies(lambda n: Own(vehicle, n), craft(self.vehicle).vehicle) if place == SPACE else None
+        return bodies(lambda n: Own(vehicle, n), vehicle_model(self.vehicle).vehicle) if place == SPACE else None
 
     def played(self, place: str) -> Measures:
         """Return what the policy does in one of the simulators, `PLANE` or `SPACE`, case by case."""
         cells = self.cells
-        scenario, policy = cells[0].scenario, make_policy(self.policy, craft(self.vehicle).vehicle)
+        scenario, policy = cells[0].scenario, make_policy(self.policy, vehicle_model(self.vehicle).vehicle)
         given = [(cell.scenario, cell.episodes) for cell in cells]
         begun = beginning(given, preview_of(policy), bodies=self.bodies(place))
         log = EpisodeLog(scenario.steps, self.episodes * len(cells))
@@ -91,9 +91,9 @@ def caused(vehicle: str, episodes: int) -> dict[str, Any]:
     """
     growth: dict[str, dict[str, float]] = {what: {} for what in WORLD_VARIANTS[vehicle]}
     for policy in CAUSED_POLICIES:
-        plane = TransferTask(policy, vehicle, (CAUSED,), episodes).played(PLANE).tail.mean()
+        plane = TransferTask(policy, vehicle, (CAUSED,), episodes).played(PLANE).steady_rmse.mean()
         for what, found in growth.items():
-            space = TransferTask(policy, vehicle, (CAUSED,), episodes, lacking=what).played(SPACE).tail.mean()
+            space = TransferTask(policy, vehicle, (CAUSED,), episodes, lacking=what).played(SPACE).steady_rmse.mean()
             found[policy] = float(space / plane)
     return {"case": CAUSED, "policies": list(CAUSED_POLICIES), "episodes": episodes, "growth": growth}
 
@@ -105,14 +105,14 @@ def concordance(a: Array, b: Array) -> NDArray[np.float64]:
     return np.asarray(signs.mean(axis=-1))
 
 
-def pooled(tails: Sequence[Array]) -> Array:
+def pooled(steady_rmses: Sequence[Array]) -> Array:
     """Return the mean over cases of policies' mean tails, shape (1 + resamples, P); the first as measured.
 
     Args:
-        tails: of each case [m], shape (P, episodes).
+        steady_rmses: of each case [m], shape (P, episodes).
     """
-    counts = resamplings(tuple(own.shape[1] for own in tails))
-    means = [count @ own.T / own.shape[1] for count, own in zip(counts, tails, strict=True)]
+    counts = resamplings(tuple(own.shape[1] for own in steady_rmses))
+    means = [count @ own.T / own.shape[1] for count, own in zip(counts, steady_rmses, strict=True)]
     return np.asarray(np.mean(means, axis=0))
 
 
@@ -131,11 +131,11 @@ def summarised(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[s
         results: by policy and case what `TransferTask.run` gives.
     """
     names, cases = list(results), list(next(iter(results.values())))
-    tails = {
-        place: [np.array([results[name][case][place]["tail"] for name in names]) for case in cases]
+    steady_rmses = {
+        place: [np.array([results[name][case][place]["steady_rmse"] for name in names]) for case in cases]
         for place in (PLANE, SPACE)
     }
-    plane, space = pooled(tails[PLANE]), pooled(tails[SPACE])
+    plane, space = pooled(steady_rmses[PLANE]), pooled(steady_rmses[SPACE])
     growth, taus = space / plane, concordance(plane, space)
     policies = {
         name: {
@@ -143,20 +143,24 @@ def summarised(results: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[s
             "space_m": float(space[0, i]),
             "growth": float(growth[0, i]),
             "ci95": _ends(growth[1:, i]),
-            "worst_plane_m": max(float(own[i].max()) for own in tails[PLANE]),
-            "worst_space_m": max(float(own[i].max()) for own in tails[SPACE]),
-            "lost_plane": sum(results[name][case][PLANE]["lost"] for case in cases),
-            "lost_space": sum(results[name][case][SPACE]["lost"] for case in cases),
+            "worst_plane_m": max(float(own[i].max()) for own in steady_rmses[PLANE]),
+            "worst_space_m": max(float(own[i].max()) for own in steady_rmses[SPACE]),
+            "lost_plane": sum(results[name][case][PLANE]["failed"] for case in cases),
+            "lost_space": sum(results[name][case][SPACE]["failed"] for case in cases),
             "growth_by_case": {
-                case: float(tails[SPACE][j][i].mean() / tails[PLANE][j][i].mean()) for j, case in enumerate(cases)
+                case: float(steady_rmses[SPACE][j][i].mean() / steady_rmses[PLANE][j][i].mean())
+                for j, case in enumerate(cases)
             },
         }
         for i, name in enumerate(names)
     }
-    middle = [np.mean([np.median(own, axis=1) for own in tails[place]], axis=0) for place in (PLANE, SPACE)]
-    by_case = {case: float(concordance(*(tails[p][j].mean(axis=1) for p in tails))) for j, case in enumerate(cases)}
+    middle = [np.mean([np.median(own, axis=1) for own in steady_rmses[place]], axis=0) for place in (PLANE, SPACE)]
+    by_case = {
+        case: float(concordance(*(steady_rmses[p][j].mean(axis=1) for p in steady_rmses)))
+        for j, case in enumerate(cases)
+    }
     return {
-        "episodes": tails[PLANE][0].shape[1],
+        "episodes": steady_rmses[PLANE][0].shape[1],
         "cases": cases,
         "policies": policies,
         "tau": {

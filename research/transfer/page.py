@@ -64,13 +64,13 @@ def verdict(record: Mapping[str, Any]) -> str:
     best, best_there = (min(policies, key=lambda name: policies[name][place]) for place in ("plane_m", "space_m"))
     ratios = sorted((own["growth"], name) for name, own in policies.items())
     grown = sum(own["growth"] > GROWTH for own in policies.values())
-    lost, before = (sum(own[place] for own in policies.values()) for place in ("lost_space", "lost_plane"))
+    failed, before = (sum(own[place] for own in policies.values()) for place in ("lost_space", "lost_plane"))
     runs = record["episodes"] * len(record["cases"]) * len(policies)
     both = f"`{best}` has the smallest error in both simulators"
     each = f"`{best}` has the smallest error in the plane, `{best_there}` in 6-DOF"
     return (
         f"Kendall's tau is {tau:.2f} ({_ends(record['tau']['ci95'])}). {both if best == best_there else each}. The "
         f"errors in 6-DOF are {ratios[0][0]:.2f} (`{ratios[0][1]}`) to {ratios[-1][0]:.2f} (`{ratios[-1][1]}`) times "
-        f"those in the plane; the ratio of {grown} of {len(policies)} policies exceeds {GROWTH:g}. Failures: {lost} "
+        f"those in the plane; the ratio of {grown} of {len(policies)} policies exceeds {GROWTH:g}. Failures: {failed} "
         f"of {runs} episodes in 6-DOF, {before} in the plane."
     )

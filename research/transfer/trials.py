@@ -12,7 +12,7 @@ from auv_gym.physics.actuators import Actuators
 from auv_gym.physics.dynamics import STILL_WATER, CurrentVelocity, Force, State
 from auv_gym.scenarios.fitting import adapted
 from auv_gym.scenarios.presets import PRESETS
-from auv_gym.scenarios.vehicles import Craft, craft
+from auv_gym.scenarios.vehicles import VehicleModel, vehicle_model
 from baselines.identification.log import Log
 from baselines.identification.trials import EXAMPLE_CURRENT, PlantStep, Segment, Simulated, Trial, recorded
 from research.transfer.six_dof import AS_PUBLISHED, Outside
@@ -63,7 +63,7 @@ class Commanded:
         return x, y, psi, u, v, r
 
 
-def _limits(vehicle: Craft) -> Actuators:
+def _limits(vehicle: VehicleModel) -> Actuators:
     """Return actuators with the most that a vehicle gives at its design speed, fins included, and its own lag."""
     own = vehicle.actuators
     torque = min(own.F_r_max, own.fin * vehicle.vehicle.speed**2) if own.fin else own.F_r_max
@@ -83,7 +83,7 @@ def log(name: str, seed: int = 0, current: CurrentVelocity = EXAMPLE_CURRENT) ->
     Raises:
         ValueError: there is no such vehicle.
     """
-    own = craft(name)
+    own = vehicle_model(name)
     plant, most = Commanded(Own(name, 1), current), _limits(own)
     sensors = adapted(own, PRESETS["cruise-noise"]).sensors
     if own.actuators.fin:
@@ -110,7 +110,7 @@ def steady(make: Callable[[], PlantStep], F_u: float, F_r: float, speed: float) 
 
 def in_the_plane(name: str) -> PlantStep:
     """Return the fleet's vehicle of a name as a `PlantStep`."""
-    own = craft(name)
+    own = vehicle_model(name)
     return Simulated(own.vehicle, _limits(own))
 
 
@@ -122,7 +122,7 @@ def turned(name: str) -> dict[str, list[dict[str, float]]]:
     Args:
         name: of the vehicle.
     """
-    own = craft(name)
+    own = vehicle_model(name)
     speed, most = own.vehicle.speed, _limits(own)
     cruise = own.drag(speed)[0] * speed
     makers = (lambda: in_the_plane(name)), (lambda: Commanded(Own(name, 1), speed=speed))

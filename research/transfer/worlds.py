@@ -29,7 +29,7 @@ class _Model(Protocol):
 
     @property
     def name(self) -> str:
-        """What `fleet.craft` calls it."""
+        """What `vehicle_names.vehicle_model` calls it."""
 
     @property
     def size(self) -> int:

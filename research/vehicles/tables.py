@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from auv_gym.scenarios.names import REGIMES
-from auv_gym.scenarios.vehicles import PAPER, Craft, craft, fleet
+from auv_gym.scenarios.names import SPEED_RANGES
+from auv_gym.scenarios.vehicles import PAPER, VehicleModel, vehicle_model, vehicle_names
 from baselines.gains.loading import GAINS_FOLDER
 from baselines.tools.files import read_json
 from baselines.tuning.tunables import TUNABLES
@@ -17,13 +17,13 @@ _HEADS = (
 
 def published_vehicles() -> str:
     """Return the vehicles with their numbers and the sources of these, as two tables in Markdown."""
-    every = [PAPER, *map(craft, fleet())]
+    every = [PAPER, *map(vehicle_model, vehicle_names())]
     sources = [(f"`{c.name}`", c.source, c.left_out, c.ours) for c in every[1:]]
     numbers = table(_HEADS, map(_row, every), right=False)
     return f"{numbers}\n\n{table(('name', 'source', 'left out', 'ours'), sources, right=False)}"
 
 
-def _row(c: Craft) -> tuple[str, ...]:
+def _row(c: VehicleModel) -> tuple[str, ...]:
     v, act, U = c.vehicle, c.actuators, c.vehicle.speed
     torque = min(act.F_r_max, act.fin * U * U) if act.fin else act.F_r_max
     lag = 0.2 * v.time / PAPER.vehicle.time if c.lag is None else c.lag
@@ -36,12 +36,12 @@ def tuned_gains() -> str:
     """Return what each controller's tuned gains gave on the validation episodes, as a table in Markdown."""
     rows = []
     for name in TUNABLES:
-        for regime in REGIMES:
-            record = read_json(GAINS_FOLDER / f"{name}-{regime}.json")
+        for speed_range in SPEED_RANGES:
+            record = read_json(GAINS_FOLDER / f"{name}-{speed_range}.json")
             v = record["validation"]
-            errors = f"{1e3 * v['error_m']:.3g}", f"{v['score']:.3f}", f"{100 * v['lost']:.1f} %"
+            errors = f"{1e3 * v['error_m']:.3g}", f"{v['score']:.3f}", f"{100 * v['failed']:.1f} %"
             ratios = f"{v['effort_ratio']:.2f}", f"{v['smoothness_ratio']:.1f}"
-            rows.append((f"`{name}`", regime, len(record["gains"]), *errors, *ratios))
+            rows.append((f"`{name}`", speed_range, len(record["gains"]), *errors, *ratios))
     return table(
         ("controller", "speed range", "gains", "error [mm]", "score", "failures", "effort", "command rate"), rows
     )

@@ -23,18 +23,18 @@ from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import PRESETS
-from auv_gym.scenarios.vehicles import PAPER, Craft, fleet
+from auv_gym.scenarios.vehicles import PAPER, VehicleModel, vehicle_names
 from auv_gym.task.policy import Policy
 from baselines.control import POLICIES, make_controller
 from baselines.evaluation.metrics import RESAMPLES
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
-from baselines.evaluation.score import LARGEST_TAIL, RIVAL, capped, losses
+from baselines.evaluation.score import ERROR_CAPS, RIVAL, capped, count_failures
 from baselines.gains.loading import load_gains
 from baselines.policies import make_policy
 from baselines.tools.command_line import DONE, UsageError, parse
 from baselines.tools.files import json_text, read_json, write_atomically
-from baselines.tuning.command import known_craft
+from baselines.tuning.command import known_vehicle_model
 from baselines.tuning.objective import TuningEpisodes
 from baselines.tuning.search import VALIDATION_SEED, Budget, tune
 from baselines.tuning.tunables import TUNABLES
@@ -43,7 +43,7 @@ from research import DOCS
 PROGRAM = "python -m research vehicle-gains"
 VEHICLES_FILE = "vehicles.json"  # of what was measured, in docs/
 SEARCHED_SCENARIO = "cruise-storm"  # that `scaling` runs
-_REGIME = "cruise"  # that `search` tunes for; vehicles with fins have no other
+_SPEED_RANGE = "cruise"  # that `search` tunes for; vehicles with fins have no other
 _SCALED = ("integral-normalised", "los-pid", "ekf", "nmpc")
 """Policies that `scaling` compares, if none are named."""
 SEARCHED = ("backstepping-tuned", "los-pid", "lqi", "ekf", "nmpc")
@@ -69,7 +69,7 @@ class Options:
     """A vehicle's name; may be given again. None: all published vehicles."""
     policy: UseAppendAction[tuple[str, ...]] = ()
     """A controller's name; may be given again."""
-    fresh: int = 64
+    held_out: int = 64
     """Episodes on which is compared; of a search a multiple of 8."""
     evaluations: int = 108
     """How often episodes are run to find gains."""
@@ -79,67 +79,75 @@ class Options:
     """File for what is found."""
 
 
-def scaling(craft: Craft, names: Sequence[str], episodes: int) -> dict[str, Any]:
+def scaling(vehicle_model: VehicleModel, names: Sequence[str], episodes: int) -> dict[str, Any]:
     """Return the errors of each policy in the storm, given the vehicle model only (before) and made for it (after)."""
-    scenario = changed(PRESETS[SEARCHED_SCENARIO], None if craft == PAPER else craft)
-    cell, length = drawn(scenario, episodes, VALIDATION_SEED), Units.of(craft.vehicle).length
-    cap = LARGEST_TAIL[_REGIME] * length
+    scenario = changed(PRESETS[SEARCHED_SCENARIO], None if vehicle_model == PAPER else vehicle_model)
+    cell, length = drawn(scenario, episodes, VALIDATION_SEED), Units.of(vehicle_model.vehicle).length
+    cap = ERROR_CAPS[_SPEED_RANGE] * length
 
     def done(make: Callable[[str, Vehicle], Policy], name: str) -> dict[str, float]:
-        measures = rollout(make(name, craft.vehicle), scenario, cell.episodes).measures
-        tail = capped(measures, cap)
-        spread = stats.bootstrap((tail,), np.mean, n_resamples=RESAMPLES, rng=np.random.default_rng(0), batch=256)
-        ends = (end / craft.vehicle.length for end in spread.confidence_interval)
-        return {"error": tail.mean() / craft.vehicle.length, "interval": list(ends), "lost": losses(measures, cap)}
+        measures = rollout(make(name, vehicle_model.vehicle), scenario, cell.episodes).measures
+        steady_rmse = capped(measures, cap)
+        spread = stats.bootstrap(
+            (steady_rmse,), np.mean, n_resamples=RESAMPLES, rng=np.random.default_rng(0), batch=256
+        )
+        ends = (end / vehicle_model.vehicle.length for end in spread.confidence_interval)
+        return {
+            "error": steady_rmse.mean() / vehicle_model.vehicle.length,
+            "interval": list(ends),
+            "failed": count_failures(measures, cap),
+        }
 
     made = {name: {"after": done(make_policy, name), "before": done(make_controller, name)} for name in names}
     return {"episodes": episodes, "policies": made}
 
 
-def searched(craft: Craft, name: str, options: Options) -> dict[str, Any]:
+def searched(vehicle_model: VehicleModel, name: str, options: Options) -> dict[str, Any]:
     """Return what a search for the gains of a controller finds, and how the gains from parameters compare."""
-    own, tunable = craft.in_paper_units, TUNABLES[name]
+    own, tunable = vehicle_model.in_paper_units, TUNABLES[name]
     factory = partial(tunable.factory, vehicle=own.vehicle)
-    start, budget = load_gains(name, _REGIME, tunable.names), Budget(options.evaluations, options.episodes)
+    start, budget = load_gains(name, _SPEED_RANGE, tunable.names), Budget(options.evaluations, options.episodes)
 
     def courses(episodes: int, seed: int) -> TuningEpisodes:
-        return TuningEpisodes(_REGIME, episodes, seed, tunable.world, own)
+        return TuningEpisodes(_SPEED_RANGE, episodes, seed, tunable.world, own)
 
     gains = tune(factory, courses, start, budget) if options.evaluations else dict(start)
-    fresh = courses(options.fresh, VALIDATION_SEED)
-    (mine, lost, _), (theirs, lost_there, _) = (fresh.tails(factory(dict(g))) for g in (start, gains))
+    held_out = courses(options.held_out, VALIDATION_SEED)
+    (mine, failed, _), (theirs, failed_there, _) = (held_out.steady_rmses(factory(dict(g))) for g in (start, gains))
     return {
         "budget": [options.evaluations, options.episodes],
-        "episodes": options.fresh,
+        "episodes": options.held_out,
         "error": mine.mean() / own.vehicle.length,
-        "lost": int(lost.sum()),
+        "failed": int(failed.sum()),
         "searched_error": theirs.mean() / own.vehicle.length,
-        "searched_lost": int(lost_there.sum()),
+        "searched_failed": int(failed_there.sum()),
         "ratio": mine.mean() / theirs.mean(),
         "interval": ratio_interval(mine, theirs),
         "gains": gains,
     }
 
 
-def beside(craft: Craft, gains: Mapping[str, float], episodes: int) -> dict[str, Any]:
+def beside(vehicle_model: VehicleModel, gains: Mapping[str, float], episodes: int) -> dict[str, Any]:
     """Return the capped errors [m of the paper's vehicle] of each of `SIDES`, by case, and the failures of each.
 
     Args:
-        craft: the vehicle.
+        vehicle_model: the vehicle.
         gains: what a search for it has found for predictive control.
         episodes: how many, those that searches are compared on.
     """
-    own, tunable = craft.in_paper_units, TUNABLES[RIVAL]
-    course = TuningEpisodes(_REGIME, episodes, VALIDATION_SEED, tunable.world, own)
-    start = load_gains(RIVAL, _REGIME, tunable.names)
+    own, tunable = vehicle_model.in_paper_units, TUNABLES[RIVAL]
+    course = TuningEpisodes(_SPEED_RANGE, episodes, VALIDATION_SEED, tunable.world, own)
+    start = load_gains(RIVAL, _SPEED_RANGE, tunable.names)
     controllers = (tunable.factory(dict(each), vehicle=own.vehicle) for each in (start, gains))
-    ended = [course.tails(policy) for policy in (*controllers, make_policy(MEASURED_AGENT, vehicle=own.vehicle))]
+    ended = [course.steady_rmses(policy) for policy in (*controllers, make_policy(MEASURED_AGENT, vehicle=own.vehicle))]
     return {
-        "tails": {
-            side: {case: np.round(tails, 6).tolist() for case, tails in course.by_case(tail).items()}
-            for side, (tail, _, _) in zip(SIDES, ended, strict=True)
+        "steady_rmses": {
+            side: {
+                case: np.round(steady_rmses, 6).tolist() for case, steady_rmses in course.by_case(steady_rmse).items()
+            }
+            for side, (steady_rmse, _, _) in zip(SIDES, ended, strict=True)
         },
-        "lost": {side: int(lost.sum()) for side, (_, lost, _) in zip(SIDES, ended, strict=True)},
+        "failed": {side: int(failed.sum()) for side, (_, failed, _) in zip(SIDES, ended, strict=True)},
     }
 
 
@@ -163,20 +171,26 @@ def main(arguments: Sequence[str]) -> int:
         UsageError: the arguments do not make sense.
     """
     options = parse(Options, arguments, PROGRAM)
-    crafts = [known_craft(name) for name in options.vehicle or (("paper", *fleet()))]
+    vehicle_models = [known_vehicle_model(name) for name in options.vehicle or (("paper", *vehicle_names()))]
     _check(options)
     record = read_json(options.out) if options.out.exists() else {}
-    for craft in crafts:
+    for vehicle_model in vehicle_models:
         if options.what == "scaling":
-            found = {"scaling": {craft.name: scaling(craft, options.policy or _SCALED, options.fresh)}}
+            found = {
+                "scaling": {vehicle_model.name: scaling(vehicle_model, options.policy or _SCALED, options.held_out)}
+            }
             record = _merged(record, found, options.out)
             continue
         if options.what == "agent":
-            gains = _found(record, craft.name)["gains"]
-            record = _merged(record, {"agent": {craft.name: beside(craft, gains, options.fresh)}}, options.out)
+            gains = _found(record, vehicle_model.name)["gains"]
+            record = _merged(
+                record, {"agent": {vehicle_model.name: beside(vehicle_model, gains, options.held_out)}}, options.out
+            )
             continue
         for name in options.policy or SEARCHED:
-            record = _merged(record, {"search": {craft.name: {name: searched(craft, name, options)}}}, options.out)
+            record = _merged(
+                record, {"search": {vehicle_model.name: {name: searched(vehicle_model, name, options)}}}, options.out
+            )
     return DONE
 
 
@@ -204,7 +218,7 @@ def _check(options: Options) -> None:
         if name not in allowed:
             raise UsageError(f"unknown controller {name!r}; allowed are {', '.join(allowed)}")
     turns = 1 if options.what == "scaling" else 8
-    for word in ("fresh", "episodes"):
+    for word in ("held_out", "episodes"):
         if (number := getattr(options, word)) < 2 or number % turns:
             raise UsageError(f"--{word} is {number}; it must be a positive multiple of {turns}, 2 at least")
     if options.evaluations < 0 or Budget(options.evaluations, options.episodes).last_seed > VALIDATION_SEED:

@@ -10,7 +10,7 @@ import numpy as np
 
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.units import Units
-from auv_gym.scenarios.vehicles import PAPER, Craft, craft, fleet
+from auv_gym.scenarios.vehicles import PAPER, VehicleModel, vehicle_model, vehicle_names
 from baselines.control.backstepping import Backstepping
 from baselines.control.linearisation import linearise
 from baselines.evaluation.score import RIVAL, Score, relative_error
@@ -27,7 +27,7 @@ _SLOW = 1 / 3
 LOBES = 1.75  # times as fast as a path's turn rate that the lobes of a figure-eight turn at most
 
 
-def worst_growth(vehicle: Craft, policy: str = "backstepping") -> float:
+def worst_growth(vehicle: VehicleModel, policy: str = "backstepping") -> float:
     """Return the largest real part [1/s] of the eigenvalues of a law on a vehicle: negative if it is locally stable.
 
     The motions are straight lines and turns as fast as those of the presets, at speeds from the slowest at which the
@@ -55,7 +55,7 @@ def _table(names: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def stability_table() -> str:
     """Return the speeds at which the expert was examined on each vehicle, and the half-life of the slowest error."""
     rows = []
-    for c in (PAPER, *map(craft, fleet())):
+    for c in (PAPER, *map(vehicle_model, vehicle_names())):
         growth, top = worst_growth(c), c.vehicle.speed
         word = f"{math.log(2) / -growth:.3g}" if growth < 0 else "unstable"
         rows.append([f"`{c.name}`", f"{max(_SHARES[0] * top, c.slowest):.2g} ... {top:.3g}", word])
@@ -73,12 +73,12 @@ def scaling_table(record: Mapping[str, Any]) -> str:
 
 
 def _change(entry: Mapping[str, Any]) -> str:
-    before, after = (_percent(entry[key]["error"], entry[key]["lost"]) for key in ("before", "after"))
+    before, after = (_percent(entry[key]["error"], entry[key]["failed"]) for key in ("before", "after"))
     return after if before == after else f"{before} → **{after}**"
 
 
-def _percent(error: float, lost: int) -> str:
-    return f"{100 * error:.3g}" + (f" ({lost})" if lost else "")
+def _percent(error: float, failed: int) -> str:
+    return f"{100 * error:.3g}" + (f" ({failed})" if failed else "")
 
 
 def search_table(record: Mapping[str, Any]) -> str:
@@ -87,8 +87,8 @@ def search_table(record: Mapping[str, Any]) -> str:
         [
             f"`{vehicle}`",
             f"`{name}`",
-            _percent(found["error"], found["lost"]),
-            _percent(found["searched_error"], found["searched_lost"]),
+            _percent(found["error"], found["failed"]),
+            _percent(found["searched_error"], found["searched_failed"]),
             _ratio(Score(found["ratio"], tuple(found["interval"]))),
         ]
         for vehicle, entry in sorted(record.items(), key=lambda item: item[0] != "paper")
@@ -126,11 +126,11 @@ def _search(record: Mapping[str, Any]) -> tuple[str, str]:
     found = [x for name, entry in record.items() if name != "paper" for x in entry.values()]
     near = sum(x["ratio"] <= NEAR_SEARCHED for x in found)
     middle = math.exp(sum(math.log(x["ratio"]) for x in found) / len(found))
-    (evaluations, episodes), fresh = found[0]["budget"], found[0]["episodes"]
+    (evaluations, episodes), held_out = found[0]["budget"], found[0]["episodes"]
     within = f"{100 * (NEAR_SEARCHED - 1):.0f} %"
     says = (
         f"### Gains from a search\n\nA search for one vehicle has {evaluations} evaluations of {episodes} episodes in "
-        f"all cruise cases and begins at the gains from the parameters. Both then run {fresh} other episodes. In "
+        f"all cruise cases and begins at the gains from the parameters. Both then run {held_out} other episodes. In "
         f"{near} of {len(found)} pairs of vehicle and controller the gains from the parameters are within {within} of "
         f"the searched ones. The geometric mean of the ratios is {middle:.2f}. A longer search could find better "
         "gains. Errors are in per cent of L, with failures in parentheses:"
@@ -143,8 +143,10 @@ def _agent(record: Mapping[str, Any]) -> tuple[str, str]:
     found, cells = record["agent"], {side: list[Any]() for side in SIDES}
     rows = []
     for vehicle, entry in found.items():
-        own = {side: [np.array(tails) for tails in entry["tails"][side].values()] for side in SIDES}
-        percent = [_percent(float(np.mean(own[side])) / PAPER.vehicle.length, entry["lost"][side]) for side in SIDES]
+        own = {
+            side: [np.array(steady_rmses) for steady_rmses in entry["steady_rmses"][side].values()] for side in SIDES
+        }
+        percent = [_percent(float(np.mean(own[side])) / PAPER.vehicle.length, entry["failed"][side]) for side in SIDES]
         ratios = [_ratio(relative_error(own[side], own[MEASURED_AGENT])) for side in SIDES[:2]]
         rows.append([f"`{vehicle}`", *percent, *ratios])
         for side in SIDES:
@@ -152,10 +154,10 @@ def _agent(record: Mapping[str, Any]) -> tuple[str, str]:
     over = [_ratio(relative_error(cells[side], cells[MEASURED_AGENT])) for side in SIDES[:2]]
     budgets = {tuple(record["search"][vehicle][RIVAL]["budget"]) for vehicle in found}
     ((evaluations, episodes),) = budgets
-    (fresh,) = {sum(map(len, entry["tails"][MEASURED_AGENT].values())) for entry in found.values()}
+    (held_out,) = {sum(map(len, entry["steady_rmses"][MEASURED_AGENT].values())) for entry in found.values()}
     says = (
         f"### `{MEASURED_AGENT}` and `{RIVAL}` with searched gains\n\nThe gains of `{RIVAL}` are searched for each "
-        f"vehicle ({evaluations} evaluations of {episodes} episodes). All run the same {fresh} held-out episodes in "
+        f"vehicle ({evaluations} evaluations of {episodes} episodes). All run the same {held_out} held-out episodes in "
         "all cruise cases. The ratio is the geometric mean over cases of the ratios of mean errors. Over all "
         f"{len(found)} vehicles the error of the agent is {over[0]} times that of `{RIVAL}` with gains from the "
         f"parameters, and {over[1]} times that with searched gains. The agent has one set of weights for all vehicles."

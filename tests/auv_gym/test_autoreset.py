@@ -17,8 +17,8 @@ from baselines import make_policy
 
 TASKS = ("auv_gym:UnderactuatedAUVTrack", "auv_gym:UnderactuatedAUVTrackResidual")
 SHORT = [{**PRESETS[name].to_dict(), "steps": steps} for name, steps in (("cruise-storm", 7), ("slow-storm", 11))]
-LOST = {**PRESETS["cruise-storm"].to_dict(), "steps": 40, "lost_distance": 1.0}
-MIXED = [*SHORT, LOST]
+FAILED_START = {**PRESETS["cruise-storm"].to_dict(), "steps": 40, "lost_distance": 1.0}
+MIXED = [*SHORT, FAILED_START]
 
 
 def both(task, mode, backend="numpy", **options):

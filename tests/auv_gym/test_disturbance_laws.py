@@ -31,8 +31,8 @@ def calm_policy(name, speed):
     """Return a law with the gains that its search began at; what the search found may chatter, where that pays."""
     if name == "backstepping":
         return baselines.make_policy(name)
-    regime = "cruise" if speed > CRUISE_SPEED else "slow"
-    return baselines.make_policy(name, gains=load_gains(name, regime, TUNABLES[name].names, "start"))
+    speed_range = "cruise" if speed > CRUISE_SPEED else "slow"
+    return baselines.make_policy(name, gains=load_gains(name, speed_range, TUNABLES[name].names, "start"))
 
 
 def run(name, speed, current, steps, turn_rate=0.0):
@@ -112,11 +112,11 @@ def test_observer_of_loads_converges_with_its_bandwidths():
         nu = np.array(rk4_step((0.0, 0.0, 0.0, *nu), load, V.coefficients, dt, ns=ARRAYS)[3:])
 
 
-@pytest.mark.parametrize(("regime", "speed"), [("slow", 0.2), ("cruise", 1.0)])
+@pytest.mark.parametrize(("speed_range", "speed"), [("slow", 0.2), ("cruise", 1.0)])
 @pytest.mark.parametrize("name", NAMES)
-def test_the_loop_is_stable_about_steady_motion(name, regime, speed):
+def test_the_loop_is_stable_about_steady_motion(name, speed_range, speed):
     """Eigenvalues of one control period of vehicle and controller, differentiated numerically, on a line."""
-    dt = PRESETS[f"{regime}-calm"].control_dt
+    dt = PRESETS[f"{speed_range}-calm"].control_dt
     scenario = Scenario(path=Line(speed=speed), start=Start(), control_dt=dt, steps=50)
     env = UnderactuatedAUVTrackVectorEnv(1, scenario)
     reference = decode_observation(env.reset(seed=0)[0])

@@ -27,34 +27,34 @@ from auv_gym.planning.planner import plan
 from auv_gym.scenarios.fitting import adapted, changed, in_vehicle_units
 from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.scenario import RandomPath, Start
-from auv_gym.scenarios.vehicles import PAPER, VEHICLES_FOLDER, Craft, as_vehicle, craft, fleet
+from auv_gym.scenarios.vehicles import PAPER, VEHICLES_FOLDER, VehicleModel, as_vehicle, vehicle_model, vehicle_names
 from auv_gym.scenarios.vehicles.scaling import SCENARIO_POWERS
 from auv_gym.task.observation import decode_observation
 
-FLEET = pytest.mark.parametrize("name", fleet())
+VEHICLE_NAMES = pytest.mark.parametrize("name", vehicle_names())
 
 
-@FLEET
+@VEHICLE_NAMES
 def test_numbers_are_those_of_the_source(name):
-    mine, theirs = craft(name), SOURCES[name]()
+    mine, theirs = vehicle_model(name), SOURCES[name]()
     have = {**vars(mine.vehicle), **vars(mine.actuators)}
     assert {key: have[key] for key in theirs} == pytest.approx(theirs, rel=5e-3)
     assert mine.name == name
     assert all((mine.about, mine.source, mine.left_out, mine.ours))
 
 
-@FLEET
+@VEHICLE_NAMES
 def test_drag_takes_as_much_of_the_thrust_as_it_does_of_the_papers_vehicle_at_most(name):
     """At cruise, so that current and a wrong model leave as much of it."""
-    mine = craft(name)
+    mine = vehicle_model(name)
     share, of_the_paper = (c.drag(c.vehicle.speed)[0] * c.vehicle.speed / c.actuators.F_u_max for c in (mine, PAPER))
     assert share < 1.01 * of_the_paper
 
 
-@FLEET
+@VEHICLE_NAMES
 def test_planned_forces_alone_keep_the_vehicle_on_its_path(name):
     """From the planned state in still water, in the matrix form, by Runge-Kutta steps of h: nothing is left over."""
-    mine = craft(name)
+    mine = vehicle_model(name)
     h, turn_rate = 0.02 * mine.vehicle.time, 0.3 * (mine.turn_rate or 0.12 * PAPER.vehicle.time / mine.vehicle.time)
     path = PATHS["sine"].drawn(mine.vehicle.speed, turn_rate, random.Random(1).random)
     R = plan(
@@ -74,10 +74,10 @@ def test_planned_forces_alone_keep_the_vehicle_on_its_path(name):
     assert np.abs(state[:2] - table[400, :2]).max() < 1e-6 * mine.vehicle.length
 
 
-@FLEET
+@VEHICLE_NAMES
 def test_its_storm_can_be_sailed_in_by_steps_that_are_short_enough(name):
     """Full commands to and fro: no speed leaves what thrust and drag allow."""
-    mine, env = craft(name), UnderactuatedAUVTrackEnv(f"cruise-storm@{name}")
+    mine, env = vehicle_model(name), UnderactuatedAUVTrackEnv(f"cruise-storm@{name}")
     env.reset(seed=0)
     rng, limit = np.random.default_rng(0), 3 * mine.actuators.F_u_max
     for _ in range(40):
@@ -177,8 +177,8 @@ def test_ships_have_wider_bounds_and_the_same_scales():
 
 
 def test_vehicle_by_name_and_file(tmp_path):
-    assert list_vehicles() == ["paper", *fleet()]
-    assert as_vehicle("lauv") == craft("lauv").vehicle
+    assert list_vehicles() == ["paper", *vehicle_names()]
+    assert as_vehicle("lauv") == vehicle_model("lauv").vehicle
     file = tmp_path / "mine.toml"
     file.write_text(
         (VEHICLES_FOLDER / "lauv.toml").read_text(encoding="utf-8").replace('name = "lauv"', 'name = "mine"'),
@@ -187,7 +187,7 @@ def test_vehicle_by_name_and_file(tmp_path):
     mine = changed(PRESETS["cruise-storm"], str(file))
     assert mine == replace(as_scenario("cruise-storm@lauv"), name="cruise-storm@mine")
     assert Scenario.from_dict(mine.to_dict()) == mine
-    assert Craft.load(Path(file)).vehicle == craft("lauv").vehicle
+    assert VehicleModel.load(Path(file)).vehicle == vehicle_model("lauv").vehicle
 
 
 @pytest.mark.parametrize(
@@ -216,8 +216,8 @@ def test_wrong_file_is_refused(tmp_path):
 def test_a_scenario_in_its_vehicles_own_units_is_the_same_in_other_numbers(name, sensors):
     """Every state is the same in lengths and times of the vehicle, step by step, for the same actions."""
     storm = PRESETS["cruise-storm"]
-    there = changed(replace(storm, sensors=replace(storm.sensors, **sensors)), craft(name))
-    here, units = in_vehicle_units(there), Units.of(craft(name).vehicle)
+    there = changed(replace(storm, sensors=replace(storm.sensors, **sensors)), vehicle_model(name))
+    here, units = in_vehicle_units(there), Units.of(vehicle_model(name).vehicle)
     L, T = units.length, units.time
     assert Units.of(here.vehicle) == Units()
     envs = [UnderactuatedAUVTrackEnv(scenario) for scenario in (here, there)]

@@ -58,12 +58,12 @@ def test_a_step_is_the_simulations_own_whatever_is_in_use(flags):
     for i in range(LANES):
         columns = (a[:, i].tolist() for a in (plant, action, sample, parameters))
         before, command, outside, constants = columns
-        after, terms, (reward, lost, squared, saturated) = step(
+        after, terms, (reward, failed, squared, saturated) = step(
             filled(PLANT, before), command, outside, Parameters.of(constants, parts), FLOATS
         )
         np.testing.assert_allclose(found["next_plant"][:, i], leaves(after), rtol=1e-12, atol=1e-13)
         np.testing.assert_allclose(found["next_seen"][:, i], encode(terms, FLOATS, span=1), rtol=1e-12, atol=1e-13)
-        outcome = reward, lost, math.sqrt(squared), saturated
+        outcome = reward, failed, math.sqrt(squared), saturated
         np.testing.assert_allclose(found["outcome"][:, i], outcome, rtol=1e-12, atol=1e-13)
 
 
@@ -138,9 +138,9 @@ def test_what_is_no_number_is_lost():
     plant[PLANT.x, 4] = math.nan
     given = {"seen": np.zeros((SIZE, LANES)), "authority": np.zeros((2, LANES)), "samples": sample[None]}
     parameters[PARAMETERS.lost_distance] = 100.0
-    lost = kernel(1, plant=plant, action=action, parameters=parameters, **given)["outcome"][1]
-    assert lost[4] == 1
-    assert lost.sum() == 1
+    failed = kernel(1, plant=plant, action=action, parameters=parameters, **given)["outcome"][1]
+    assert failed[4] == 1
+    assert failed.sum() == 1
 
 
 def vehicles(n=4):

@@ -26,7 +26,7 @@ from baselines.control.privileged.truth import samples
 from baselines.evaluation import suites
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import Cell, Recorded, run_all
-from baselines.evaluation.score import BY_ORACLE, LARGEST_TAIL, regime_of, waters_of
+from baselines.evaluation.score import BY_ORACLE, ERROR_CAPS, cap_key, speed_range_of
 from baselines.training.apg.torch_network import torch_network
 from research.results.collection import Results
 from research.results.navigation import additional_errors, navigation_alone, navigation_part
@@ -37,7 +37,7 @@ from research.suites.deep import (
     OUTAGES,
     deep_worlds,
     navigation_errors,
-    navigation_tails,
+    navigation_rmses,
 )
 from research.throughput.eager import Setting
 
@@ -200,7 +200,7 @@ def test_training_differentiates_it(monkeypatch):
     net = torch_network(Gru(len(FEATURES), 8, 8, 8)).to(torch.float64)
     torch.nn.init.normal_(net.head.weight, std=0.5)
     mine, theirs = (Setting(["rough", "cruise-storm"], net, steps=12) for _ in range(2))
-    assert mine.fleet.parts.reckoned
+    assert mine.vehicle_names.parts.reckoned
     value, _ = mine.run()
     found = torch.cat([p.grad.ravel() for p in net.parameters()])
     net.zero_grad()
@@ -275,9 +275,9 @@ def test_the_deep_suite_is_what_it_says():
         assert cell.scenario.duration >= 240.0
         assert min(len(e.reckoning.fixes) for e in cell.episodes) >= 8
         assert any(e.outages for e in cell.episodes) == cell.scenario.name.endswith("storm")
-        assert LARGEST_TAIL[waters_of(cell.scenario.name)] == 5.0
-        assert waters_of(cell.scenario.name) != regime_of(cell.scenario.name)
-    assert [waters_of(name) for name in ("slow-storm", "cruise-deeper", "deep", "harbour")] == [
+        assert ERROR_CAPS[cap_key(cell.scenario.name)] == 5.0
+        assert cap_key(cell.scenario.name) != speed_range_of(cell.scenario.name)
+    assert [cap_key(name) for name in ("slow-storm", "cruise-deeper", "deep", "harbour")] == [
         "slow",
         "cruise",
         None,
@@ -288,10 +288,10 @@ def test_the_deep_suite_is_what_it_says():
 def test_who_keeps_its_estimate_on_the_reference_has_the_error_of_the_navigation():
     cell = suites.load_suite("deep-v1").cells[3]
     episodes = [dataclasses.replace(e, initial_error=(0.0, 0.0, 0.0), surge=1.0) for e in cell.episodes[:6]]
-    floor = navigation_tails(Cell(cell.scenario, episodes))
-    tails = rollout(make_policy("backstepping"), cell.scenario, episodes).measures.tail
-    np.testing.assert_allclose(tails, floor, rtol=0.25)
-    assert np.corrcoef(tails, floor)[0, 1] > 0.9
+    floor = navigation_rmses(Cell(cell.scenario, episodes))
+    steady_rmses = rollout(make_policy("backstepping"), cell.scenario, episodes).measures.steady_rmse
+    np.testing.assert_allclose(steady_rmses, floor, rtol=0.25)
+    assert np.corrcoef(steady_rmses, floor)[0, 1] > 0.9
 
 
 def test_the_page_tells_the_instruments():
@@ -306,7 +306,7 @@ def test_the_page_tells_the_instruments():
         f"walks {r.walk:g} rad/sqrt(s)",
         f"in storms {OUTAGES:g} a minute, each {OUTAGE_TIME[0]:g} to {OUTAGE_TIME[1]:g} s long",
         f"in missions of {MISSION['slow']:g} s and {MISSION['cruise']:g} s",
-        f"from a steady-state error of {LARGEST_TAIL['deep']:g} m",
+        f"from a steady-state error of {ERROR_CAPS['deep']:g} m",
     ):
         assert words in text
 
@@ -322,7 +322,7 @@ def test_results_have_the_error_of_the_navigation_and_what_each_policy_adds():
     results = Results.of(few, [dataclasses.replace(r, recorded=Recorded("2000-01-01", {})) for r in runs])
     errors = navigation_alone(results, "slow")
     assert list(errors) == ["slow-deep"]
-    floor = navigation_tails(few.cells[0]).mean()
+    floor = navigation_rmses(few.cells[0]).mean()
     assert f"| slow | {1e3 * floor:.0f} | {1e3 * floor:.0f} |" in navigation_part({"slow": errors})
     shown = {name: float(text.split(" (")[0]) for name, text in additional_errors(results, errors).items()}
-    assert shown == {r.policy: round(1e3 * (r.measures.tail.mean() - floor)) for r in (runs[0], runs[2])}
+    assert shown == {r.policy: round(1e3 * (r.measures.steady_rmse.mean() - floor)) for r in (runs[0], runs[2])}

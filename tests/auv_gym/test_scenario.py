@@ -32,7 +32,7 @@ EVERYTHING = Scenario(
 )
 
 
-def test_presets_are_the_paper_and_every_case_in_both_regimes():
+def test_presets_are_the_paper_and_every_case_in_both_speed_ranges():
     assert set(PRESETS) == {"paper-circle"} | {f"{r}-{c}" for r in ("slow", "cruise") for c in CASES}
 
 

@@ -57,10 +57,10 @@ def test_reward_of_a_step(before, now, cost):
     """The vehicle is taken along by hand, so that its position error is 0.3 and 0.4 m: half a metre, one scale."""
     plant = begun()._replace(a_u=before[0], a_r=before[1])
     weak = CONSTANTS._replace(thrust_u=0.0, thrust_r=0.0)
-    _, _, (reward, lost, squared_error, _) = step(plant, now, STILL._replace(x_R=0.3, y_R=-0.4), weak, FLOATS)
+    _, _, (reward, failed, squared_error, _) = step(plant, now, STILL._replace(x_R=0.3, y_R=-0.4), weak, FLOATS)
     assert squared_error == pytest.approx(0.25, abs=1e-15)
     assert reward == pytest.approx(1 / math.sqrt(2) - cost, abs=1e-15)
-    assert lost is False
+    assert failed is False
 
 
 def test_measurement_errors_are_added():

@@ -95,10 +95,10 @@ def test_change_of_the_action_costs():
 
 
 def test_lost_is_beyond_the_distance():
-    assert not task.lost(100.0, 10.0)
-    assert task.lost(math.nextafter(100.0, math.inf), 10.0)
-    assert task.lost(math.nan, 10.0)
-    assert task.lost(np.array([0.0, math.nan, math.inf]), 10.0).tolist() == [False, True, True]
+    assert not task.failed(100.0, 10.0)
+    assert task.failed(math.nextafter(100.0, math.inf), 10.0)
+    assert task.failed(math.nan, 10.0)
+    assert task.failed(np.array([0.0, math.nan, math.inf]), 10.0).tolist() == [False, True, True]
 
 
 def test_reference_beyond_the_bounds_is_refused():

@@ -15,7 +15,7 @@ from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.units import DIMENSIONS, POWERS, Units, in_paper_units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, CrossFlow
 from auv_gym.scenarios.fitting import changed
-from auv_gym.scenarios.vehicles import PAPER, craft, fleet
+from auv_gym.scenarios.vehicles import PAPER, vehicle_model, vehicle_names
 from auv_gym.task.observation import SIZE, TERMS
 from auv_gym.task.policy import preview_of, traceable
 from baselines import make_policy
@@ -43,9 +43,9 @@ def test_a_vehicle_with_its_limits_in_the_papers_units():
     assert (own.turn_rate, own.lag, own.vehicle.speed) == (pytest.approx(0.12), pytest.approx(0.2), 1.5)
 
 
-@pytest.mark.parametrize("name", fleet())
+@pytest.mark.parametrize("name", vehicle_names())
 def test_a_vehicle_in_the_papers_units_has_its_mass_length_and_speed_and_the_same_ratios(name):
-    mine, similar = craft(name).vehicle, in_paper_units(craft(name).vehicle)
+    mine, similar = vehicle_model(name).vehicle, in_paper_units(vehicle_model(name).vehicle)
     assert Units.of(similar) == Units()
     assert similar.m22 / similar.m11 == pytest.approx(mine.m22 / mine.m11)
     for v in (similar, mine):
@@ -147,7 +147,7 @@ def test_what_looks_behind_the_observation_is_not_wrapped(name):
     assert not isinstance(make_policy(name, vehicle="otter"), Similar)
 
 
-def test_a_regimes_agent_warns_of_speeds_in_si_units():
+def test_a_speed_ranges_agent_warns_of_speeds_in_si_units():
     policy = make_policy("apg-preview-slow", vehicle="otter")
     with pytest.warns(UserWarning, match=r"trained at reference speeds of 0 to 0.27 m/s") as caught:
         run(policy, changed(PRESETS["cruise-calm"], "otter"), steps=2)

@@ -227,4 +227,4 @@ def test_the_oracle_knows_of_all_of_it():
     hard = dataclasses.replace(ALL, steps=400, actuators=Actuators(lag=0.2, delay=(1.0, 3.0), reach=(0.6, 0.9)))
     hard = dataclasses.replace(hard, sensors=Sensors(), current=dataclasses.replace(ALL.current, wavelength=40.0))
     episodes = drawn(hard, 12, 3).episodes
-    assert rollout(make_policy("oracle"), hard, episodes, 1.0).measures.tail.mean() < 0.03
+    assert rollout(make_policy("oracle"), hard, episodes, 1.0).measures.steady_rmse.mean() < 0.03

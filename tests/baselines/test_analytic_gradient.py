@@ -202,7 +202,7 @@ def test_derivatives_of_a_vehicle_in_chaos_are_shortened():
     assert (setting.window._d["d_state"][:, 1] == 0).all()
 
 
-def test_each_regime_has_its_price_and_its_share():
+def test_each_speed_range_has_its_price_and_its_share():
     settings = Settings(effort_weight=0.2, cruise_effort_weight=0.1, rate_weight=0.3, cruise_share=0.25)
     objective = settings.objective(["slow-calm", "slow-storm", "cruise-calm"])
     assert np.array(objective.loss.effort).tolist() == [0.2, 0.2, 0.1]
@@ -223,12 +223,12 @@ def test_a_batch_begins_episodes_between_windows():
         assert [len(rows) for rows in vehicles.window()] == [6, 6]
         marked = carried._replace(hidden=np.ones((3, 4)), integrals=np.ones((4, 4)))
         carried = vehicles.renew(marked, np.zeros(4))
-        fresh = carried.hidden[0] == 0
-        assert fresh.tolist() == vehicles.fresh.tolist()
-        assert (carried.integrals[0] == 0).tolist() == fresh.tolist()
-        assert (carried.state[:, fresh] != marked.state[:, fresh]).any(axis=0).all()
-        assert (carried.state[:, ~fresh] == marked.state[:, ~fresh]).all()
-        begun.append(fresh.nonzero()[0].tolist())
+        held_out = carried.hidden[0] == 0
+        assert held_out.tolist() == vehicles.held_out.tolist()
+        assert (carried.integrals[0] == 0).tolist() == held_out.tolist()
+        assert (carried.state[:, held_out] != marked.state[:, held_out]).any(axis=0).all()
+        assert (carried.state[:, ~held_out] == marked.state[:, ~held_out]).all()
+        begun.append(held_out.nonzero()[0].tolist())
     # The first episodes are 6, 12, 18 and 6 steps long, all others 18: three windows.
     assert begun == [[0, 3], [1], [2], [0, 3], [1], [2], [0, 3], [1], [2]]
 
@@ -292,10 +292,10 @@ def rows(run):
 def test_training_improves(trained):
     run, _ = trained
     scores = [row["score"] for row in rows(run) if "score" in row]
-    losses = [row["loss"] for row in rows(run) if "loss" in row]
+    count_failures = [row["loss"] for row in rows(run) if "loss" in row]
     assert len(scores) == 21
     assert max(scores) > 0.01
-    assert np.mean(losses[-10:]) < np.mean(losses[:10])
+    assert np.mean(count_failures[-10:]) < np.mean(count_failures[:10])
 
 
 def test_best_agent_is_returned(trained):

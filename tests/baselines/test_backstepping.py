@@ -115,7 +115,7 @@ def test_auto_chooses_the_gains_by_speed():
     ("u_R", "v_R", "speed", "fast"),
     [(0.0, 0.0, 0.02, False), (0.012, -0.016, 0.02, False), (0.24, 0.32, 0.4, False), (0.3, -0.27, 0.40361, True)],
 )
-def test_speed_and_regime_of_a_reference(u_R, v_R, speed, fast):
+def test_speed_and_speed_range_of_a_reference(u_R, v_R, speed, fast):
     assert reference_speed(u_R, v_R, FLOATS) == pytest.approx(speed, rel=1e-5)
     assert reference_speed(np.array([u_R]), np.array([v_R]), ARRAYS) == pytest.approx(speed, rel=1e-5)
     assert is_fast(u_R, v_R) == fast

@@ -179,9 +179,9 @@ def test_a_memory_that_gives_no_number_begins_again(law):
     rows = np.tile(encode_observation(Observation(*np.ones(SIZE))._replace(F_u_max=100.0, F_r_max=100.0)), (3, 1))
     memory = (np.array([[1.0, 1.0], [math.nan, 1.0], [3.0, math.inf]]),)
     action, after = policy.predict(rows, memory, np.zeros(3, dtype=bool))
-    fresh, _ = policy.predict(rows, None, np.ones(3, dtype=bool))
+    held_out, _ = policy.predict(rows, None, np.ones(3, dtype=bool))
     np.testing.assert_array_equal(after[0], [[2.0, 2.0], [1.0, 1.0], [1.0, 1.0]])
-    np.testing.assert_array_equal(action[1:], fresh[1:])
+    np.testing.assert_array_equal(action[1:], held_out[1:])
     assert action[0, 0] == pytest.approx(0.01 * (10.0 + law(np.ones(1))[0]))
     assert policy.repeated == 0
 

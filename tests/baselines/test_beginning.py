@@ -18,7 +18,7 @@ from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.mixtures import MIXTURES
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
-from auv_gym.scenarios.vehicles import craft
+from auv_gym.scenarios.vehicles import vehicle_model
 from baselines import make_policy
 from baselines.agents.agent import Agent
 from baselines.evaluation.rollout import rollout
@@ -106,7 +106,7 @@ def test_it_begins_with_the_agents_weights_for_a_vehicle_and_remembers_both(call
     assert same(weights_of(begun.averaged.module), weights("runs/train/apg-small-slow/agent"))
     assert not same(weights_of(begun.network), at_the_end(FOUND))
     assert config.origin.agent == "runs/train/apg-small-slow"
-    assert config.steers == craft("otter").vehicle
+    assert config.steers == vehicle_model("otter").vehicle
     assert config.names == agent.scenarios == ("cruise-small@otter", "slow-small@otter")
     assert Units.of(config.vehicle) == Units()
     assert config.vehicle.m22 / config.vehicle.m11 == pytest.approx(config.steers.m22 / config.steers.m11)
@@ -122,12 +122,12 @@ def test_what_it_validates_in_the_vehicles_units_is_what_the_agent_does_in_metre
     there = replace(changed(SMALL, "otter"), substeps=here.substeps)
     length = Units.of(there.vehicle).length
     policies = make_policy(str(folder), there.vehicle), Agent.load(folder / "agent").policy(vehicle=config.vehicle)
-    tails = [
-        rollout(policy, scenario, drawn(scenario, 3, 7).episodes).measures.tail
+    steady_rmses = [
+        rollout(policy, scenario, drawn(scenario, 3, 7).episodes).measures.steady_rmse
         for policy, scenario in zip(policies, (there, here), strict=True)
     ]
-    np.testing.assert_allclose(tails[0] / length, tails[1], rtol=1e-4)
-    assert tails[1].min() > 1e-3
+    np.testing.assert_allclose(steady_rmses[0] / length, steady_rmses[1], rtol=1e-4)
+    assert steady_rmses[1].min() > 1e-3
 
 
 def test_it_goes_on_as_if_it_had_not_been_interrupted(call, monkeypatch, capsys):
@@ -156,7 +156,7 @@ def test_it_goes_on_with_what_was_trained_for_a_vehicle(call, capsys):
     again = ("--from", FOUND, "--timesteps", 40, "--out", "again")
     assert call(*again) == 0
     assert read_config(Path("again")).scenarios == read_config(FOUND).scenarios
-    assert read_config(Path("again")).steers == craft("otter").vehicle
+    assert read_config(Path("again")).steers == vehicle_model("otter").vehicle
     capsys.readouterr()
     assert call(*again, "--vehicle", "lauv") == 2
     assert "has a vehicle of its own, so it cannot be made to fit another one" in capsys.readouterr().err
@@ -192,15 +192,15 @@ def test_contradictions_are_one_line_and_leave_nothing_behind(arguments, message
 def test_a_vehicle_without_an_agent_to_begin_with_is_trained_for_alone(call):
     assert call("--vehicle", "otter", "--scenario", "small.toml", "--timesteps", 40) == 0
     config = read_config(Path("runs/train/apg-small-otter"))
-    assert (config.origin, config.steers) == (None, craft("otter").vehicle)
+    assert (config.origin, config.steers) == (None, vehicle_model("otter").vehicle)
 
 
 def test_scenarios_that_fins_are_too_slow_for_are_left_out():
-    mixture, reasons = fitted(MIXTURES["helm"], craft("lauv"))
+    mixture, reasons = fitted(MIXTURES["helm"], vehicle_model("lauv"))
     assert len(mixture) + len(reasons) == len(MIXTURES["helm"])
     assert {scenario.name.partition("-")[0] for scenario, _ in mixture} == {"cruise"}
     own, steers = in_own_units(mixture)
-    assert steers == craft("lauv").vehicle
+    assert steers == vehicle_model("lauv").vehicle
     assert len({scenario.substeps for scenario, _ in own}) == 1
     assert [weight for _, weight in own] == [weight for _, weight in mixture]
 
@@ -258,14 +258,17 @@ def test_what_fine_tuning_is_worth_is_measured(tmp_path, monkeypatch, capsys):
     assert run(fine_tuning.main, fine_tuning.PROGRAM, words) == 0
     record = json.loads(Path("new.json").read_text(encoding="utf-8"))
     own = record["vehicles"]["otter"]
-    assert [len(own["helm"][name]) for name in ("tails", "lost")] == [2, 2]
-    own["alone"] = {"tails": [[2 * x for x in case] for case in own["helm"]["tails"]], "lost": [0, 0]}
+    assert [len(own["helm"][name]) for name in ("steady_rmses", "failed")] == [2, 2]
+    own["alone"] = {"steady_rmses": [[2 * x for x in case] for case in own["helm"]["steady_rmses"]], "failed": [0, 0]}
     assert fine_tuning.error_ratio(own["helm"], own["alone"]) == pytest.approx((0.5, 0.5, 0.5))
     assert "the original agent | " in fine_tuning.fine_tuning_table(record)
     assert "| 0.50 (0.50 ... 0.50) | 0.50 (0.50 ... 0.50) |" in fine_tuning.fine_tuning_table(record)
     assert fine_tuning.tuned_table(record) == ""
-    own["tuned"] = {"tails": [own["helm"]["tails"][0], [5 * x for x in own["helm"]["tails"][1]]], "lost": [0, 0]}
-    own["nmpc"] = {"tails": [[4 * x for x in case] for case in own["tuned"]["tails"]], "lost": [0, 0]}
+    own["tuned"] = {
+        "steady_rmses": [own["helm"]["steady_rmses"][0], [5 * x for x in own["helm"]["steady_rmses"][1]]],
+        "failed": [0, 0],
+    }
+    own["nmpc"] = {"steady_rmses": [[4 * x for x in case] for case in own["tuned"]["steady_rmses"]], "failed": [0, 0]}
     ratios = "2.24 (2.24 ... 2.24) | 0.25 (0.25 ... 0.25)"
     assert f"| `otter` | {ratios} | beyond | beyond |" in fine_tuning.tuned_table({**record, "agent": "helm"})
     capsys.readouterr()
@@ -274,7 +277,7 @@ def test_what_fine_tuning_is_worth_is_measured(tmp_path, monkeypatch, capsys):
 
 
 def test_rows_of_an_agent_with_other_weights_do_not_count(tmp_path, monkeypatch):
-    rows = {name: {"tails": [[1.0]], "lost": [0]} for name in ("helm", "backstepping", "tuned", "alone")}
+    rows = {name: {"steady_rmses": [[1.0]], "failed": [0]} for name in ("helm", "backstepping", "tuned", "alone")}
     options = replace(fine_tuning.Options(), agent="helm", episodes=1, out=tmp_path / "kept.json")
     record = {"agent": "helm", "weights": "old", "episodes": 1, "vehicles": {"otter": rows}}
     options.out.write_text(json.dumps(record), encoding="utf-8")

@@ -75,9 +75,9 @@ INTEGRATING = {
 }
 
 
-def observations(n, regime="cruise"):
+def observations(n, speed_range="cruise"):
     """Return random observations of vehicles near the plan, shape (n, 18)."""
-    env = UnderactuatedAUVTrackVectorEnv(n, f"{regime}-storm")
+    env = UnderactuatedAUVTrackVectorEnv(n, f"{speed_range}-storm")
     return env.reset(seed=7)[0]
 
 
@@ -153,17 +153,17 @@ def test_gain_is_that_of_the_riccati_recursion():
 
 
 @pytest.mark.parametrize(
-    ("regime", "lag"), [("slow", 0.02), ("slow", 0.3), ("cruise", 0.02), ("cruise", 0.3), ("cruise", 0.6)]
+    ("speed_range", "lag"), [("slow", 0.02), ("slow", 0.3), ("cruise", 0.02), ("cruise", 0.3), ("cruise", 0.6)]
 )
-def test_interpolated_gains_stabilise_vehicles_of_other_lags(regime, lag):
+def test_interpolated_gains_stabilise_vehicles_of_other_lags(speed_range, lag):
     """Eigenvalues of plant, true lag, integral and the controller's own force model over one control period.
 
     The weights are those that the search began at. What it found in slow motion is too high a gain for lags of 0.3 s:
     limit cycles of millimetres are what they cost.
     """
-    w = LqiWeights(**load_gains("lqi", regime, LqiWeights._fields, "start"))
-    dt, speeds = {"slow": (0.2, (0.1, 0.2, 0.33)), "cruise": (0.1, (0.5, 0.93, 1.5))}[regime]
-    actuators = PRESETS[f"{regime}-actuator"].actuators
+    w = LqiWeights(**load_gains("lqi", speed_range, LqiWeights._fields, "start"))
+    dt, speeds = {"slow": (0.2, (0.1, 0.2, 0.33)), "cruise": (0.1, (0.5, 0.93, 1.5))}[speed_range]
+    actuators = PRESETS[f"{speed_range}-actuator"].actuators
     for u_R in speeds:
         for r_R in (0.0, 0.07):
             A, B = error_dynamics(V, u_R, -V.m11 * u_R * r_R / V.d22, r_R)
@@ -191,7 +191,7 @@ def folder(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        (None, "there are no gains in .*auv-gym tune lqi --regime slow"),
+        (None, "there are no gains in .*auv-gym tune lqi --speed-range slow"),
         ("{", "is not valid JSON"),
         ("[1, 2]", "has the gains"),
         ('{"gains": {"heading": 1.0}}', "has the gains heading; they must be velocity, heading"),
@@ -219,7 +219,7 @@ def test_given_gains_replace_the_files(folder, name):
         baselines.make_policy(name, gains={"k9": 1.0})
 
 
-def test_unknown_regimes_and_options_are_refused():
+def test_unknown_speed_ranges_and_options_are_refused():
     with pytest.raises(ValueError, match="unknown regime 'fast'; allowed are slow, cruise"):
         load_gains("lqi", "fast", LqiWeights._fields)
     with pytest.raises(ValueError, match=r"policy 'integral' does not take these options: .*form"):

@@ -38,7 +38,7 @@ def test_a_record_is_what_the_environment_gives(policy, scenario):
         first, over, k = np.array([False]), terminated or truncated, k + 1
     np.testing.assert_allclose(record.observations[k], observation, rtol=0, atol=1e-10)
     np.testing.assert_allclose(record.positions[k], env.unwrapped.state[:2], rtol=0, atol=1e-10)
-    assert (len(record.rewards), len(record.errors), record.lost) == (k, k + 1, terminated)
+    assert (len(record.rewards), len(record.errors), record.failed) == (k, k + 1, terminated)
     assert record.total_reward == record.rewards.sum()
 
 

@@ -38,7 +38,7 @@ from baselines.policy import Remembering
 
 def every_preset(lanes_each):
     """Return an environment with so many vehicles in each benchmark scenario, whose episodes do not end."""
-    names = [f"{regime}-{case}" for regime in ("slow", "cruise") for case in CASES for _ in range(lanes_each)]
+    names = [f"{speed_range}-{case}" for speed_range in ("slow", "cruise") for case in CASES for _ in range(lanes_each)]
     scenarios = [replace(PRESETS[name], steps=601, lost_distance=64.0) for name in names]
     return UnderactuatedAUVTrackVectorEnv(len(names), scenarios), np.array(names)
 

@@ -36,9 +36,9 @@ from baselines.tools.workers import Workers
 SCRIPT = Path(__file__).parents[2] / "evaluate.py"
 SMALL = Scenario(name="small", sensors=Sensors(position=0.05), steps=45)
 ROW = {
-    "policy": str, "scenario": str, "episodes": int, "rmse_m": float, "tail_rmse_m": dict, "score": type(None),
-    "capped": type(None), "settling_s": float, "effort_ratio": float, "smoothness_ratio": float, "lost": int,
-    "lost_share": float, "lost_at_most": float,
+    "policy": str, "scenario": str, "episodes": int, "rmse_m": float, "steady_rmse_m": dict, "score": type(None),
+    "capped": type(None), "settling_s": float, "effort_ratio": float, "smoothness_ratio": float, "failed": int,
+    "failure_rate": float, "failure_rate_bound": float,
     "error_ratio": type(None), "saturation": float, "return_mean": float, "seconds": float,
     "decision_ms": float, "recorded": type(None), "error": type(None), "warnings": list,
 }  # fmt: skip
@@ -193,7 +193,7 @@ def strict_json(text):
 
 def test_results_files(call, small, tmp_path, capsys):
     assert call("--scenario", small, "--policy", "backstepping", "open-loop", "--jobs", "1", "--episodes", "3") == 0
-    assert "tail [m]" in capsys.readouterr().out
+    assert "steady [m]" in capsys.readouterr().out
     folder = tmp_path / "runs" / "evaluate"
     record = strict_json((folder / "results.json").read_text())
     assert (record["suite"], record["seed"]) == (None, 0)
@@ -205,10 +205,10 @@ def test_results_files(call, small, tmp_path, capsys):
     assert other["effort_ratio"] < 1
     for row in record["results"]:
         assert {key: type(value) for key, value in row.items()} == ROW
-        low, high = row["tail_rmse_m"]["ci95"]
-        assert low <= row["tail_rmse_m"]["mean"] <= high
+        low, high = row["steady_rmse_m"]["ci95"]
+        assert low <= row["steady_rmse_m"]["mean"] <= high
     lines = list(csv.DictReader((folder / "results.csv").read_text().splitlines()))
-    assert [float(line["tail_rmse_m"]) for line in lines] == [r["tail_rmse_m"]["mean"] for r in record["results"]]
+    assert [float(line["steady_rmse_m"]) for line in lines] == [r["steady_rmse_m"]["mean"] for r in record["results"]]
     assert not [file for file in folder.iterdir() if file.name.startswith(".")]
 
 
@@ -266,8 +266,8 @@ def test_report_is_one_page(call, small, tmp_path, bad_policies, few_recorded, c
     out, err = capsys.readouterr()
     assert "note: the recorded rows of lqi are left out: old" in err
     assert re.search(rf"\* recorded, not run now: .*oracle \({recorded_on}, auv_gym 0.1.0\)", out)
-    assert {(p["policy"], p["regime"]) for p in record["pooled"]} >= {("oracle", "slow"), ("open-loop", "cruise")}
-    scores = {p["policy"]: p["score"]["mean"] for p in record["pooled"] if p["regime"] == "slow"}
+    assert {(p["policy"], p["speed_range"]) for p in record["pooled"]} >= {("oracle", "slow"), ("open-loop", "cruise")}
+    scores = {p["policy"]: p["score"]["mean"] for p in record["pooled"] if p["speed_range"] == "slow"}
     assert scores["backstepping"] == 0
     assert scores["oracle"] == 1
     assert call("--scenario", small, "--policy", "raising", "--jobs", "1", "--episodes", "1", "--out", "b") == 1
@@ -278,7 +278,7 @@ def test_report_is_one_page(call, small, tmp_path, bad_policies, few_recorded, c
 def test_one_episode_has_no_interval(call, small, tmp_path):
     assert call("--scenario", small, "--jobs", "1", "--episodes", "1", "--out", "one") == 0
     (row,) = strict_json((tmp_path / "one" / "results.json").read_text())["results"]
-    assert row["tail_rmse_m"]["ci95"] == [None, None]
+    assert row["steady_rmse_m"]["ci95"] == [None, None]
 
 
 def test_a_failing_policy_costs_its_own_row_only(call, small, tmp_path, capsys, bad_policies):
@@ -319,14 +319,14 @@ class Push:
 
 def test_a_changed_policy_is_not_taken_for_finished_work(call, small, tmp_path, capsys):
     common = ("--scenario", small, "--policy", "mine.py:Push", "--episodes", "2", "--jobs", "1", "--resume")
-    tails = []
+    steady_rmses = []
     for push, state in ((0.1, "done"), (0.1, "known"), (0.2, "done")):
         (tmp_path / "mine.py").write_text(PUSHES.format(push))
         assert call(*common) == 0
         assert f"mine.py:Push in small: {state}" in capsys.readouterr().err
         row = json.loads((tmp_path / "runs" / "evaluate" / "results.json").read_text())["results"][1]
-        tails.append(row["tail_rmse_m"]["mean"])
-    assert tails[0] == tails[1] != tails[2]
+        steady_rmses.append(row["steady_rmse_m"]["mean"])
+    assert steady_rmses[0] == steady_rmses[1] != steady_rmses[2]
 
 
 def test_a_resumed_run_says_what_is_watched(call, small, tmp_path, capsys):
@@ -463,7 +463,7 @@ class EpisodeRecord:
 
     errors: np.ndarray  # [m] shape (n,)
     actions: np.ndarray  # shape (n, 2)
-    lost: bool
+    failed: bool
     positions: np.ndarray  # x, y [m] at the start and after each step, shape (n + 1, 2); those of the reference too
     references: np.ndarray
 
@@ -475,13 +475,13 @@ def run_episode(env, policy, seed):
     errors, actions, rows = [], [], [(*env.unwrapped.state[:2], *env.unwrapped.reference[:2])]
     while not over:
         action, memory = policy.predict(observation, memory, first)
-        observation, _, lost, truncated, info = env.step(action)
+        observation, _, failed, truncated, info = env.step(action)
         errors.append(info["position_error"])
         actions.append(np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0))
         rows.append((*env.unwrapped.state[:2], *env.unwrapped.reference[:2]))
-        first, over = np.array([False]), lost or truncated
+        first, over = np.array([False]), failed or truncated
     table = np.array(rows)
-    return EpisodeRecord(np.array(errors), np.array(actions), lost, table[:, :2], table[:, 2:])
+    return EpisodeRecord(np.array(errors), np.array(actions), failed, table[:, :2], table[:, 2:])
 
 
 def test_side_by_side_as_one_by_one():
@@ -491,11 +491,11 @@ def test_side_by_side_as_one_by_one():
     for policy in (baselines.make_policy("backstepping"), Counting()):
         result = rollout(policy, scenario, episodes, 1.0)
         records = [run_episode(make_env(scenario), policy, 3 + i) for i in range(12)]
-        assert result.measures.lost.any()
-        assert result.measures.lost.tolist() == [record.lost for record in records]
+        assert result.measures.failed.any()
+        assert result.measures.failed.tolist() == [record.failed for record in records]
         errors = np.array([np.pad(record.errors, (0, 90 - len(record.errors)), "edge") for record in records]).T
         np.testing.assert_allclose(result.errors, errors, rtol=1e-5)
-        np.testing.assert_allclose(result.measures.tail, metrics.tail_rmse(errors), rtol=1e-6)
+        np.testing.assert_allclose(result.measures.steady_rmse, metrics.steady_rmse(errors), rtol=1e-6)
         for i, record in enumerate(records):
             assert result.measures.steps[i] == len(record.errors)
             assert result.measures.effort[i] == pytest.approx(metrics.effort(record.actions), rel=1e-6)
@@ -535,7 +535,7 @@ def test_more_episodes_than_lanes():
     short = dataclasses.replace(SMALL, steps=3)
     many = run_all(("backstepping",), [drawn(short, LANES + 1, 0)])[0].measures
     few = run_all(("backstepping",), [drawn(short, 2, LANES - 1)])[0].measures
-    np.testing.assert_allclose(many.tail[-2:], few.tail, rtol=1e-12)
+    np.testing.assert_allclose(many.steady_rmse[-2:], few.steady_rmse, rtol=1e-12)
 
 
 def test_an_interrupted_evaluation_goes_on(call, small, tmp_path, monkeypatch, capsys):
@@ -601,9 +601,9 @@ def test_an_episode_is_measured_as_the_environment_reports_it():
 
 
 def test_a_lost_episode_ends():
-    scenario = Scenario(name="lost", lost_distance=0.5, steps=100, start=PRESETS["paper-circle"].start)
+    scenario = Scenario(name="failed", lost_distance=0.5, steps=100, start=PRESETS["paper-circle"].start)
     record = run_episode(make_env(scenario), baselines.make_policy("backstepping"), 0)
-    assert record.lost
+    assert record.failed
     assert len(record.errors) < 100
 
 
@@ -626,7 +626,7 @@ def test_table_fits_a_narrow_terminal(capsys):
         assert max(map(len, out.splitlines())) <= width
         assert "backstepping-normalised" in out
         assert "0 of 2 (<= 78 %)" in out
-        assert ("95 % of tail" in out) is interval
+        assert ("95 % interval" in out) is interval
 
 
 def test_no_torch_is_imported():

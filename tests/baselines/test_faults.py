@@ -96,10 +96,10 @@ def filtered(name, scenario, lanes, steps):
     return memory, seen[0], env, np.array(errors)
 
 
-@pytest.mark.parametrize("regime", ["slow", "cruise"])
-def test_the_filter_tells_a_calm_sea_from_a_rough_one(regime):
+@pytest.mark.parametrize("speed_range", ["slow", "cruise"])
+def test_the_filter_tells_a_calm_sea_from_a_rough_one(speed_range):
     for case, calm in (("noise", True), ("storm", False)):
-        memory, *_ = filtered("ekf", PRESETS[f"{regime}-{case}"], 8, 300)
+        memory, *_ = filtered("ekf", PRESETS[f"{speed_range}-{case}"], 8, 300)
         rough_fit, calm_fit = (Belief.of(rows.T).fit[0] for rows in memory[:2])
         assert ((calm_fit > rough_fit + ODDS) == calm).all()
 
@@ -149,14 +149,14 @@ def test_a_start_far_off_at_any_heading_is_survived():
     for case in ("calm", "storm"):
         scenario = replace(PRESETS[f"slow-{case}"], start=anywhere)
         run = rollout(baselines.make_policy("ekf"), scenario, drawn(scenario, 40, 0).episodes)
-        assert run.measures.tail.max() < 0.2
+        assert run.measures.steady_rmse.max() < 0.2
 
 
 def test_faults_that_are_believed_in_cost_less():
     world = adverse("slow")
     late = replace(world, actuators=replace(world.actuators, delay=3.0, reach=1.0))
     episodes = drawn(late, 6, 0).episodes
-    tails = {name: rollout(baselines.make_policy(name), late, episodes).measures.tail.mean()
+    steady_rmses = {name: rollout(baselines.make_policy(name), late, episodes).measures.steady_rmse.mean()
              for name in ("ekf", "ekf-adverse", "nmpc", "nmpc-adverse")}  # fmt: skip
-    assert tails["ekf-adverse"] < 0.5 * tails["ekf"]
-    assert tails["nmpc-adverse"] < 0.5 * tails["nmpc"]
+    assert steady_rmses["ekf-adverse"] < 0.5 * steady_rmses["ekf"]
+    assert steady_rmses["nmpc-adverse"] < 0.5 * steady_rmses["nmpc"]

@@ -103,9 +103,9 @@ def test_pictures_have_their_size_number_and_pace():
 def test_who_is_lost_stays_where_it_was_lost():
     narrow = replace(PRESETS["cruise-storm"], lost_distance=3.0)
     made = film(["backstepping", "open-loop"], narrow, 0, speed=30.0)
-    expert, lost = made.voyages
-    assert (expert.lost, lost.lost) == (False, True)
-    assert lost.time[-1] < expert.time[-1]
+    expert, failed = made.voyages
+    assert (expert.failed, failed.failed) == (False, True)
+    assert failed.time[-1] < expert.time[-1]
     assert len(list(made.frames())) == len(made.times) == 24
 
 
@@ -165,9 +165,9 @@ def test_command_says_what_is_kept_and_films_the_typical_episode(tmp_path, capsy
     assert command.main([*words.split(), str(out)]) == 0
     said, written = capsys.readouterr().out.splitlines()
     runs = run_all(PAIR, (drawn(PRESETS["cruise-storm"], 3, 5),))
-    tails = {run.policy: run.measures.tail for run in runs}
-    assert said == str(leads(tails, PRESETS["cruise-storm"])[0])
-    assert f"seed {5 + typical(tails)}," in written
+    steady_rmses = {run.policy: run.measures.steady_rmse for run in runs}
+    assert said == str(leads(steady_rmses, PRESETS["cruise-storm"])[0])
+    assert f"seed {5 + typical(steady_rmses)}," in written
     assert out.exists()
 
 
@@ -207,13 +207,13 @@ def test_the_picture_of_the_readme_is_what_its_caption_says():
         r"\*The same storm.*?\*\n", (ROOT / "docs" / "videos.md").read_text(encoding="utf-8"), re.DOTALL
     )[0]
     caption = " ".join(caption.split())
-    tails = {
-        run.policy: run.measures.tail
+    steady_rmses = {
+        run.policy: run.measures.steady_rmse
         for run in run_all(TRIO, (drawn(PRESETS["cruise-storm"], 20, 0),), Workers(), math.inf)
     }
-    for tail in tails.values():
-        assert f"{tail.mean():.3f} m" in caption
-    assert f"seed {typical(tails)}" in caption
+    for steady_rmse in steady_rmses.values():
+        assert f"{steady_rmse.mean():.3f} m" in caption
+    assert f"seed {typical(steady_rmses)}" in caption
     file = ROOT / "docs" / "images" / "storm.webp"
     assert file.stat().st_size < 1.5e6
     with Image.open(file) as image:

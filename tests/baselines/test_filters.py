@@ -11,7 +11,7 @@ from auv_gym.physics.errors import to_world
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.presets import PRESETS
-from auv_gym.scenarios.vehicles import craft, fleet
+from auv_gym.scenarios.vehicles import vehicle_model, vehicle_names
 from auv_gym.task.observation import Observation, decode_observation
 from baselines.agents import filters
 from baselines.agents.filters import ACROSS, ACROSS_MEASURED, ALONG, ALONG_MEASURED, LAGS, REMEMBERED, ROWS, SHARED
@@ -39,8 +39,8 @@ def tabled(kind, speed):
 def test_the_table_is_what_its_command_writes():
     kept, made = (json.loads(t) for t in (filters.FILTER_GAINS.read_text(encoding="utf-8"), filter_gains.text()))
     assert kept.keys() == made.keys()
-    for regime in kept:
-        for a, b in zip(kept[regime], made[regime], strict=True):
+    for speed_range in kept:
+        for a, b in zip(kept[speed_range], made[speed_range], strict=True):
             for part in ("along", "across"):
                 np.testing.assert_allclose(a[part], b[part], rtol=1e-3, atol=1e-4)
 
@@ -90,10 +90,10 @@ def spread(A, H, Q, R, K):
     return np.sqrt(np.diag(solve_discrete_lyapunov(F, A @ K @ R @ K.T @ A.T + Q)))
 
 
-@pytest.mark.parametrize("name", fleet())
+@pytest.mark.parametrize("name", vehicle_names())
 def test_the_gains_serve_other_hulls_whose_own_model_predicts(name):
     """Errors of position, heading and velocity beside those of a filter with gains of the hull's own."""
-    hull = craft(name).in_paper_units
+    hull = vehicle_model(name).in_paper_units
     worst = np.zeros(6)
     for speed in (0.5, 1.5) if hull.slowest else (0.2, 0.5, 1.5):
         drags = dict(zip(("d11", "d22", "d33"), hull.drag(speed), strict=True))  # what the sea's loads are scaled by

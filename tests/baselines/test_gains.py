@@ -9,7 +9,7 @@ import pytest
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE
-from auv_gym.scenarios.presets import REGIMES
+from auv_gym.scenarios.presets import SPEED_RANGES
 from auv_gym.task.observation import SIZE, Observation
 from baselines import make_policy
 from baselines.control.backstepping import GAINS, LAW_GAINS, tracking_forces
@@ -64,7 +64,7 @@ def forces_over_time(controller):
 
 def recorded(name):
     """Return the gains of a controller's files, by regime."""
-    return {regime: json.loads(gain_file(name, regime).read_text())["gains"] for regime in REGIMES}
+    return {speed_range: json.loads(gain_file(name, speed_range).read_text())["gains"] for speed_range in SPEED_RANGES}
 
 
 LAWS = {
@@ -124,14 +124,14 @@ def test_gains_of_the_files(name):
 def test_no_gain_of_the_files_is_idle(name):
     """At some instant of the history each of them tells; but in it no sea is calm for long enough."""
     before = forces_over_time(make_policy(name).controller)
-    for row, (regime, gains) in enumerate(recorded(name).items()):
+    for row, (speed_range, gains) in enumerate(recorded(name).items()):
         for key, value in gains.items():
             after = forces_over_time(make_policy(name, gains={**gains, key: 1.05 * value}).controller)
             changed = differs(after[:, row], before[:, row], TOLERANCE.get(name, 1e-6))
-            assert changed or key == "calm", (regime, key)
+            assert changed or key == "calm", (speed_range, key)
 
 
-@pytest.mark.parametrize(("regime", "speed"), [("slow", 0.2), ("cruise", 1.0)])
-def test_weights_of_the_oracle(regime, speed):
-    found = regulator(PAPER_VEHICLE, speed, REGULATORS[regime], Units())[:, :3]
-    np.testing.assert_allclose(found, REGULATED[regime], rtol=1e-6, atol=1e-9)
+@pytest.mark.parametrize(("speed_range", "speed"), [("slow", 0.2), ("cruise", 1.0)])
+def test_weights_of_the_oracle(speed_range, speed):
+    found = regulator(PAPER_VEHICLE, speed, REGULATORS[speed_range], Units())[:, :3]
+    np.testing.assert_allclose(found, REGULATED[speed_range], rtol=1e-6, atol=1e-9)

@@ -124,9 +124,9 @@ def test_an_object_elsewhere_does_what_it_is_called_for_in_order():
         with pytest.raises(TypeError):
             there.call("add", "x")()
         answer = there.call("end")
-        for lost in (answer, lambda: there.call("add", 1)):
+        for failed in (answer, lambda: there.call("add", 1)):
             with pytest.raises(WorkerError, match="a worker process was lost"):
-                lost()
+                failed()
 
 
 def test_what_making_it_raises_its_first_call_does():

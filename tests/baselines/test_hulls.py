@@ -10,7 +10,7 @@ from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.physics.namespaces import ARRAYS, tensors
 from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
-from auv_gym.scenarios import vehicles as fleet
+from auv_gym.scenarios import vehicles as vehicle_names
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.simulation import PARAMETERS
 from baselines.agents.agent import Agent
@@ -28,15 +28,15 @@ TOLD = Inputs((3, 20), fine=True, filters=True, hull=True)
 OTHER = Vehicle(215.0, 400.0, 80.0, 12.0, 60.0, 30.0, 20.0, 300.0, 90.0, 150.0, 200.0, -40.0, 50.0)
 
 
-@pytest.mark.parametrize("name", fleet.fleet())
+@pytest.mark.parametrize("name", vehicle_names.vehicle_names())
 def test_the_ranges_hold_every_published_vehicle(name):
     """In its own units, with a tolerance of a hundredth for the vehicles at the edges."""
-    craft = fleet.craft(name).in_paper_units
-    v, acts, speed = craft.vehicle, craft.actuators, PAPER_VEHICLE.speed
+    vehicle_model = vehicle_names.vehicle_model(name).in_paper_units
+    v, acts, speed = vehicle_model.vehicle, vehicle_model.actuators, PAPER_VEHICLE.speed
     drag = v.d11 + speed * v.X_uu
     given = {"m22": v.m22 / v.m11, "d11": drag, "thrust": acts.F_u_max / drag / speed, "F_r_max": acts.F_r_max}
     given |= {name: getattr(v, name) for name in ("d22", "d33", "Y_vv", "N_rr", "Y_uv", "N_ur")}
-    given |= {"turn_rate": craft.turn_rate, "lag": craft.lag, "fin": acts.fin, "astern": acts.astern}
+    given |= {"turn_rate": vehicle_model.turn_rate, "lag": vehicle_model.lag, "fin": acts.fin, "astern": acts.astern}
     for what, value in given.items():
         low, high = vehicle_models.DECADES[what]
         assert not value or 0.99 * low <= value <= 1.01 * high, what
@@ -72,7 +72,7 @@ def test_each_episode_is_of_the_next_hull_and_what_is_known_is_not_the_true_one(
     seen = [vehicles.known.copy()]
     for _ in range(vehicle_models.SEVERAL):
         carried = vehicles.renew(carried, np.full(4, np.nan))
-        assert vehicles.fresh.all()
+        assert vehicles.held_out.all()
         seen.append(vehicles.known.copy())
         true = vehicles.constants[at]
         assert (true[:, 2] == seen[-1][:, 2]).all()  # noise alone

@@ -46,7 +46,7 @@ def test_episode_start_says_where_memory_begins_anew():
     assert driven(make_policy("apg-cruise"), kept=False, episode_start=np.array([True])) == []
 
 
-def test_an_agent_in_the_other_regime_says_so_once():
+def test_an_agent_in_the_other_speed_range_says_so_once():
     for name, scenario in (("apg-slow", "cruise-calm"), ("apg-cruise", "paper-circle")):
         policy = make_policy(name)
         messages = driven(policy, kept=True, scenario=scenario)
@@ -55,11 +55,11 @@ def test_an_agent_in_the_other_regime_says_so_once():
         assert driven(policy, kept=True, scenario=scenario) == []
 
 
-@pytest.mark.parametrize("regime", ["slow", "cruise"])
-def test_no_episode_of_its_own_regime_is_strange_to_an_agent(regime):
-    policy, n = make_policy(f"apg-{regime}"), 200
+@pytest.mark.parametrize("speed_range", ["slow", "cruise"])
+def test_no_episode_of_its_own_speed_range_is_strange_to_an_agent(speed_range):
+    policy, n = make_policy(f"apg-{speed_range}"), 200
     env = gym.make_vec(
-        "auv_gym:UnderactuatedAUVTrack-v0", n, vectorization_mode="vector_entry_point", scenario=f"{regime}-calm"
+        "auv_gym:UnderactuatedAUVTrack-v0", n, vectorization_mode="vector_entry_point", scenario=f"{speed_range}-calm"
     )
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -16,13 +16,13 @@ from baselines.evaluation.report.columns import Column, digits, ranked
 from baselines.evaluation.report.numbers import compare, pool
 from baselines.evaluation.report.terminal import entries_table
 from baselines.evaluation.runner import Run
-from baselines.evaluation.score import capped, is_lost, largest_tail, losses, score
+from baselines.evaluation.score import capped, count_failures, error_cap, has_failed, score
 
 
 def test_metrics_by_hand():
     assert metrics.rmse(np.array([3.0, 4.0])) == pytest.approx(math.sqrt(12.5))
-    assert metrics.tail_rmse(np.array([9.0, 9.0, 1.0, 1.0, 1.0, 7.0])) == pytest.approx(math.sqrt(52 / 4))
-    assert metrics.tail_rmse(np.array([9.0, 1.0, 1.0, 1.0, 1.0])) == 1.0  # floor(5/3) = 1 step is left out
+    assert metrics.steady_rmse(np.array([9.0, 9.0, 1.0, 1.0, 1.0, 7.0])) == pytest.approx(math.sqrt(52 / 4))
+    assert metrics.steady_rmse(np.array([9.0, 1.0, 1.0, 1.0, 1.0])) == 1.0  # floor(5/3) = 1 step is left out
     assert metrics.effort(np.array([[1.0, 0.0], [0.5, 0.5]])) == pytest.approx(1.5 / 4)
     assert metrics.smoothness(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])) == pytest.approx(5 / 4)
     assert metrics.smoothness(np.array([[1.0, 1.0]])) == 0
@@ -34,19 +34,29 @@ def test_metrics_by_hand():
     assert metrics.cvar(np.array([1.0, 2.0])) == 2
 
 
-def measures(tail, lost=None, steps=600):
-    tail = np.asarray(tail, dtype=np.float64)
-    zero = np.zeros_like(tail)
-    lost = np.zeros(len(tail), dtype=bool) if lost is None else np.array(lost)
-    return Measures(tail, tail, zero, zero, zero, np.full_like(tail, 0.5), zero, np.full_like(tail, steps), lost)
+def measures(steady_rmse, failed=None, steps=600):
+    steady_rmse = np.asarray(steady_rmse, dtype=np.float64)
+    zero = np.zeros_like(steady_rmse)
+    failed = np.zeros(len(steady_rmse), dtype=bool) if failed is None else np.array(failed)
+    return Measures(
+        steady_rmse,
+        steady_rmse,
+        zero,
+        zero,
+        zero,
+        np.full_like(steady_rmse, 0.5),
+        zero,
+        np.full_like(steady_rmse, steps),
+        failed,
+    )
 
 
 def test_summary_by_hand():
     s = metrics.summarise(Measures.joined([measures([1.0]), measures([3.0], [True], 200)]))
-    assert s.tail_rmse_m.mean == s.rmse_m == 2
-    assert s.tail_rmse_m.median == 2
-    assert s.tail_rmse_m.p95 == pytest.approx(2.9)
-    assert s.tail_rmse_m.cvar95 == 3
+    assert s.steady_rmse_m.mean == s.rmse_m == 2
+    assert s.steady_rmse_m.median == 2
+    assert s.steady_rmse_m.p95 == pytest.approx(2.9)
+    assert s.steady_rmse_m.cvar95 == 3
     assert (s.episodes, s.saturation) == (2, 0.5)
 
 
@@ -74,28 +84,30 @@ def test_the_capped_score_forgives_lost_episodes():
     ]
     found = {(entry.policy, entry.place): entry for entry in pool(runs)}
     entry = found["p", "slow"]
-    assert entry.lost == 1
+    assert entry.failed == 1
     assert entry.score.mean == pytest.approx((0.5 - 4.55) / 0.5)
     assert entry.capped.mean == pytest.approx((0.5 - 0.35) / 0.5)
     assert ("p", "cruise") not in found
     assert found["backstepping", "cruise"].score is None
 
 
-@pytest.mark.parametrize(("lost", "episodes", "most"), [(0, 2080, 0.00144), (0, 2, 0.776), (3, 100, 0.0757), (4, 4, 1)])
-def test_the_bound_on_what_is_lost(lost, episodes, most):
+@pytest.mark.parametrize(
+    ("failed", "episodes", "most"), [(0, 2080, 0.00144), (0, 2, 0.776), (3, 100, 0.0757), (4, 4, 1)]
+)
+def test_the_bound_on_what_is_lost(failed, episodes, most):
     """The share at which so few are lost in one of twenty samples: of none 1 - .05^(1/n), about 3/n."""
-    assert metrics.most_lost(lost, episodes) == pytest.approx(most, rel=5e-3)
-    if lost == 0:
-        assert metrics.most_lost(0, episodes) == pytest.approx(1 - 0.05 ** (1 / episodes))
+    assert metrics.failure_bound(failed, episodes) == pytest.approx(most, rel=5e-3)
+    if failed == 0:
+        assert metrics.failure_bound(0, episodes) == pytest.approx(1 - 0.05 ** (1 / episodes))
 
 
 def test_one_rule_of_what_is_lost():
     m = measures([0.1, 2.0, 0.1, math.nan], [False, False, True, False])
-    assert is_lost(m, 2.0).tolist() == [False, True, True, True]
-    assert (losses(m, 2.0), losses(measures([0.1, 9.0], [True, False]), math.inf)) == (3, 1)
+    assert has_failed(m, 2.0).tolist() == [False, True, True, True]
+    assert (count_failures(m, 2.0), count_failures(measures([0.1, 9.0], [True, False]), math.inf)) == (3, 1)
     np.testing.assert_array_equal(capped(m, 2.0), [0.1, 2.0, 2.0, 2.0])
     np.testing.assert_array_equal(capped(measures([9.0, 7.0], [True, False]), math.inf), [9.0, 7.0])
-    caps = {name: largest_tail(name) for name in ("slow-storm", "cruise-calm@remus100", "cruise-deep-storm", "harbour")}
+    caps = {name: error_cap(name) for name in ("slow-storm", "cruise-calm@remus100", "cruise-deep-storm", "harbour")}
     assert list(caps.values()) == [0.6, 2.0, 5.0, math.inf]
 
 
@@ -110,7 +122,7 @@ def test_the_best_comes_first_and_what_failed_last():
 def test_a_new_column_is_one_entry(monkeypatch):
     """What stands in `COLUMNS` is in tables, results.json, results.csv and the definitions."""
     (entry,) = pool([run_of("slow-calm", "backstepping", measures([0.25, 0.5]))])
-    worst = Column("largest_m", "largest [m]", "the largest", lambda _, s: s.tail_rmse_m.p95, digits(2))
+    worst = Column("largest_m", "largest [m]", "the largest", lambda _, s: s.steady_rmse_m.p95, digits(2))
     for name in ("COLUMNS", "_SHOWN"):
         monkeypatch.setattr(columns, name, (*getattr(columns, name), worst))
     assert columns.record(entry)["largest_m"] == columns.line(entry)["largest_m"] == pytest.approx(0.4875)
@@ -124,7 +136,7 @@ def test_a_new_column_is_one_entry(monkeypatch):
 
 def console_text(entries):
     out = Console(width=300, file=io.StringIO())
-    out.print(entries_table("A title", "regime", entries, out))
+    out.print(entries_table("A title", "speed_range", entries, out))
     return out.file.getvalue()
 
 
@@ -147,12 +159,12 @@ def test_bootstrap_interval_is_that_of_scipy(count):
     )
 
 
-@pytest.mark.parametrize(("lost", "episodes"), [(0, 2080), (1, 20), (19, 20), (20, 20)])
-def test_intervals_of_shares_are_those_of_scipy(lost, episodes):
-    upper = stats.binomtest(lost, episodes, alternative="less").proportion_ci(0.95).high
-    assert metrics.most_lost(lost, episodes) == pytest.approx(upper, rel=1e-12)
-    both = stats.binomtest(lost, episodes).proportion_ci(0.95)
-    assert metrics.share_interval(lost, episodes) == pytest.approx((both.low, both.high), rel=1e-12)
+@pytest.mark.parametrize(("failed", "episodes"), [(0, 2080), (1, 20), (19, 20), (20, 20)])
+def test_intervals_of_shares_are_those_of_scipy(failed, episodes):
+    upper = stats.binomtest(failed, episodes, alternative="less").proportion_ci(0.95).high
+    assert metrics.failure_bound(failed, episodes) == pytest.approx(upper, rel=1e-12)
+    both = stats.binomtest(failed, episodes).proportion_ci(0.95)
+    assert metrics.share_interval(failed, episodes) == pytest.approx((both.low, both.high), rel=1e-12)
 
 
 def test_bootstrap_interval():

@@ -324,7 +324,7 @@ def test_a_checkpoint_of_a_class_that_has_changed_is_refused_and_says_which(tmp_
     module, folder = importlib.import_module(name), tmp_path / "run"
     run = RunFolder(CONFIG, folder)
     run.log(10, score=0.5)
-    run.save_checkpoint({"timesteps": 10, "fleet": module.Fleet((module.Lane(1.0, 2.0),))})
+    run.save_checkpoint({"timesteps": 10, "vehicle_names": module.Fleet((module.Lane(1.0, 2.0),))})
     run.close()
     for text, changed in ((CLASSES.replace('"""A module', '"""The module'), False), (CLASSES.replace(old, new), True)):
         file.write_text(f"{text}\n# changed\n")
@@ -333,7 +333,7 @@ def test_a_checkpoint_of_a_class_that_has_changed_is_refused_and_says_which(tmp_
         shutil.rmtree(tmp_path / "__pycache__", ignore_errors=True)
         importlib.import_module(name)
         if not changed:
-            assert RunFolder(CONFIG, folder).load_checkpoint()["fleet"].lanes[0].y == 2.0
+            assert RunFolder(CONFIG, folder).load_checkpoint()["vehicle_names"].lanes[0].y == 2.0
             continue
         message = rf"cannot go on from .*: it holds objects of {name}\.{of}.* changed since; begin again in another"
         with pytest.raises(TrainingError, match=message):
@@ -347,4 +347,4 @@ def test_what_a_trainer_misses_in_a_checkpoint_is_one_line(checkpoint):
         pytest.raises(TrainingError, match=r"cannot go on from .*: it has no 'fleet'; begin again in another folder"),
         run.restoring(),
     ):
-        run.load_checkpoint()["fleet"]
+        run.load_checkpoint()["vehicle_names"]

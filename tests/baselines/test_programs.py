@@ -95,7 +95,7 @@ def test_the_examples_do_what_the_class_does(name):
     scenario = PRESETS["cruise-storm"]
     episodes = drawn(scenario, 4, seed=0).episodes
     expected, found = (rollout(make_policy(p), scenario, episodes) for p in ("my_controller.py:Controller", name))
-    np.testing.assert_allclose(found.measures.tail, expected.measures.tail, rtol=1e-5)
+    np.testing.assert_allclose(found.measures.steady_rmse, expected.measures.steady_rmse, rtol=1e-5)
     np.testing.assert_allclose(found.measures.effort, expected.measures.effort, rtol=1e-5)
     assert found.decision_seconds > 0
 

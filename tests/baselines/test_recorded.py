@@ -113,9 +113,9 @@ def test_rows_that_were_changed_or_are_of_another_policy_do_not_count(rows):
 def test_verdicts_by_hand():
     (old,) = run_all(("open-loop",), [drawn(PRESETS["slow-calm"], 3, 0)])
     assert PolicyVerdict.of(old, old).differing == 0
-    tail = old.measures.tail.copy()
-    tail[2] = np.nan
-    other = dataclasses.replace(old, measures=dataclasses.replace(old.measures, tail=tail))
+    steady_rmse = old.measures.steady_rmse.copy()
+    steady_rmse[2] = np.nan
+    other = dataclasses.replace(old, measures=dataclasses.replace(old.measures, steady_rmse=steady_rmse))
     verdict = PolicyVerdict.of(old, other)
     assert (verdict.differing, verdict.largest, verdict.where) == (1, np.inf, "tail of episode 2")
     assert "DIFFERENT" in verdict_line("open-loop", [PolicyVerdict.of(old, old), verdict])

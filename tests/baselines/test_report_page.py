@@ -115,7 +115,7 @@ def test_switch_a_policy_off_and_play(browser, pages):
         assert page.evaluate("window.caught") is None
         assert HOSTILE in page.locator("#leaderboard .panel.current tbody").inner_text()
         for chart, lines in (
-            ("tails", ".mark-symbol path"),
+            ("steady_rmses", ".mark-symbol path"),
             ("errors", ".mark-line path"),
             ("bands", ".mark-line path"),
         ):

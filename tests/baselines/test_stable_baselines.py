@@ -222,21 +222,21 @@ def test_validation_is_what_an_evaluation_measures(tmp_path):
     assert validation.run(make_policy("backstepping")).score == pytest.approx(0, abs=1e-12)
     verdict = validation.run(make_policy("open-loop"))
     results = [rollout(make_policy("open-loop"), cell.scenario, cell.episodes, 1.0).measures for cell in cells]
-    assert results[1].lost.any()
-    capped = [np.minimum(m.tail, 2.0) for m in results]
-    capped[1][results[1].lost] = 2.0
+    assert results[1].failed.any()
+    capped = [np.minimum(m.steady_rmse, 2.0) for m in results]
+    capped[1][results[1].failed] = 2.0
     assert verdict.error_m == pytest.approx(np.mean([c.mean() for c in capped]), rel=1e-5)
-    assert verdict.lost == pytest.approx(np.mean([(c == 2.0).mean() for c in capped]))
-    assert validation.score(validation.yardsticks["cruise"].oracle_m, "cruise") == 1
-    assert all(0 < own.oracle_m < own.expert_m for own in validation.yardsticks.values())
+    assert verdict.failed == pytest.approx(np.mean([(c == 2.0).mean() for c in capped]))
+    assert validation.score(validation.anchor_errors["cruise"].oracle_m, "cruise") == 1
+    assert all(0 < own.oracle_m < own.expert_m for own in validation.anchor_errors.values())
 
 
-def test_yardsticks_are_kept_and_belong_to_the_episodes(tmp_path, monkeypatch):
+def test_anchor_errors_are_kept_and_belong_to_the_episodes(tmp_path, monkeypatch):
     cells = [drawn(STORM, 3, 0)]
     first = Validation(cells, tmp_path)
-    monkeypatch.setattr("baselines.evaluation.suites.yardsticks.rollout", None)
+    monkeypatch.setattr("baselines.evaluation.suites.anchor_errors.rollout", None)
     second = Validation(cells, tmp_path)
-    assert first.yardsticks == second.yardsticks
+    assert first.anchor_errors == second.anchor_errors
     with pytest.raises(TypeError):
         Validation([drawn(STORM, 3, 1)], tmp_path)
 

@@ -32,7 +32,7 @@ from baselines.evaluation.submission.files import (
     submission_of,
 )
 from baselines.evaluation.submission.reproduction import chosen, chosen_cells, mismatches, smallest_caught
-from baselines.evaluation.submission.scores import entries, yardsticks
+from baselines.evaluation.submission.scores import anchor_errors, entries
 from baselines.evaluation.suites import Suite
 from baselines.tools.command_line import DONE, FAILED, UsageError
 from baselines.tools.files import versions
@@ -115,20 +115,20 @@ def test_the_tutorial_leads_to_the_leaderboard(capsys):
     results = json.loads(Path("runs/evaluate/results.json").read_text())
     found = json.loads(Path("docs/leaderboard.json").read_text())["suites"]["benchmark-v2"]
     assert found["hash"] == results["suite_hash"]
-    own = {row["regime"]: row for row in results["pooled"] if row["policy"] == "my_controller.py:Controller"}
-    assert [row["regime"] for row in found["entries"]] == ["slow", "cruise"]
+    own = {row["speed_range"]: row for row in results["pooled"] if row["policy"] == "my_controller.py:Controller"}
+    assert [row["speed_range"] for row in found["entries"]] == ["slow", "cruise"]
     for row in found["entries"]:
         assert row["name"] == "my-controller"
         assert row["author"] == "Ada"
-        assert row["score"]["mean"] == pytest.approx(own[row["regime"]]["score"]["mean"], rel=1e-5)
-        assert row["lost"] == own[row["regime"]]["lost"]
+        assert row["score"]["mean"] == pytest.approx(own[row["speed_range"]]["score"]["mean"], rel=1e-5)
+        assert row["failed"] == own[row["speed_range"]]["failed"]
         assert row["verified"]["episodes"] >= 2
     text = Path("docs/leaderboard.md").read_text()
     assert "| 1 | `my-controller`<br>Ada |" in text
 
 
 @pytest.mark.usefixtures("small")
-def test_an_agent_enters_in_its_regime_alone(suite, capsys):
+def test_an_agent_enters_in_its_speed_range_alone(suite, capsys):
     policy = ["--policy", "apg-slow", "--submit", "mine", "--training-steps", "8e6", "--training-seconds", "300"]
     assert evaluate.main([*policy, "--jobs", "1", "--out", "out"]) == DONE
     found = read_submission(Path("out/mine.npz"))
@@ -137,7 +137,7 @@ def test_an_agent_enters_in_its_regime_alone(suite, capsys):
     assert found.fingerprint == fingerprint("apg-slow")
     assert "--submit mine" in found.command
     assert "8 M steps<br>5 min".replace(" ", NBSP) in leaderboard_page(
-        [board.Leaderboard(suite, (found,), tuple(entries([found], yardsticks(suite))), {})]
+        [board.Leaderboard(suite, (found,), tuple(entries([found], anchor_errors(suite))), {})]
     )
 
 
@@ -179,7 +179,7 @@ def test_a_file_is_what_was_run(made):
         for key in SUBMITTED:
             np.testing.assert_array_equal(getattr(old.measures, key), getattr(new.measures, key))
     with np.load("expert.npz", allow_pickle=False) as arrays:
-        assert arrays["tail"].shape == (6,)
+        assert arrays["steady_rmse"].shape == (6,)
 
 
 @pytest.mark.parametrize("name", ["benchmark-v1", "benchmark-v2"])
@@ -189,10 +189,10 @@ def test_scores_are_those_of_the_recorded_rows(name):
     found = recorded.load_recorded(suite)
     kept = [run for run in found.runs if run.policy in (*suite.anchors, "lqi")]
     expected = {entry.place: entry for entry in pool(kept) if entry.policy == "lqi"}
-    for entry in entries([command.own_submission(name, "lqi")], yardsticks(suite)):
+    for entry in entries([command.own_submission(name, "lqi")], anchor_errors(suite)):
         assert entry.score.mean == pytest.approx(expected[entry.place].score.mean, rel=1e-6)
         assert entry.score.ci95 == pytest.approx(expected[entry.place].score.ci95, rel=1e-6)
-        assert entry.lost == expected[entry.place].lost
+        assert entry.failed == expected[entry.place].failed
         assert entry.effort_ratio == pytest.approx(expected[entry.place].effort_ratio, rel=1e-6)
 
 
@@ -204,7 +204,7 @@ def changed(made, arrays=(), **record):
     return Path("bad.npz")
 
 
-TAIL = np.full(6, 0.01, dtype=np.float32)
+STEADY_RMSE = np.full(6, 0.01, dtype=np.float32)
 WRONG = {
     "format": ({"format": 2}, {}, "must be of format 1"),
     "less": ({"command": None}, {}, "must be of format 1 with"),
@@ -225,13 +225,13 @@ WRONG = {
     "episodes": ({"episodes": [3, 2]}, {}, "all of them must be run"),
     "seconds": ({"decision_seconds": [0.1, -1.0]}, {}, "not a time for each cell"),
     "true": ({"decision_seconds": [True, 0.1]}, {}, "not a time for each cell"),
-    "short": ({}, {"tail": TAIL[:5]}, "its tail is float32 of shape (5,)"),
-    "double": ({}, {"tail": TAIL.astype(float)}, "its tail is float64"),
-    "missing": ({}, {"tail": None}, "its arrays are effort, lost, smoothness;"),
-    "nan": ({}, {"tail": TAIL * np.float32(np.nan)}, "its tail is not within [0, 1e+06]"),
-    "negative": ({}, {"effort": -TAIL}, "its effort is not within [0, 1]"),
-    "far": ({}, {"tail": TAIL + 35, "lost": np.zeros(6, dtype=bool)}, "the episode did not end"),
-    "wild": ({}, {"effort": TAIL, "smoothness": TAIL * 5}, "commands change by more than"),
+    "short": ({}, {"steady_rmse": STEADY_RMSE[:5]}, "its tail is float32 of shape (5,)"),
+    "double": ({}, {"steady_rmse": STEADY_RMSE.astype(float)}, "its tail is float64"),
+    "missing": ({}, {"steady_rmse": None}, "its arrays are effort, lost, smoothness;"),
+    "nan": ({}, {"steady_rmse": STEADY_RMSE * np.float32(np.nan)}, "its tail is not within [0, 1e+06]"),
+    "negative": ({}, {"effort": -STEADY_RMSE}, "its effort is not within [0, 1]"),
+    "far": ({}, {"steady_rmse": STEADY_RMSE + 35, "failed": np.zeros(6, dtype=bool)}, "the episode did not end"),
+    "wild": ({}, {"effort": STEADY_RMSE, "smoothness": STEADY_RMSE * 5}, "commands change by more than"),
 }
 
 
@@ -258,8 +258,8 @@ def test_damaged_files_are_refused_whatever_is_wrong(made):
 def test_no_file_is_too_large_or_runs_anything(made, tmp_path):
     Path("long.npz").write_bytes(bytes(LARGEST_SUBMISSION + 1))
     with zipfile.ZipFile("bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("tail.npy", bytes(files.LARGEST_CONTENT + 1))
-    np.savez("pickle.npz", record=np.array("{}"), tail=np.array([{}], dtype=object))
+        archive.writestr("steady_rmse.npy", bytes(files.LARGEST_CONTENT + 1))
+    np.savez("pickle.npz", record=np.array("{}"), steady_rmse=np.array([{}], dtype=object))
     for name, says in (("long", "larger than"), ("bomb", "unpacked"), ("pickle", "allow_pickle")):
         with pytest.raises(ValueError, match=says):
             read_submission(Path(f"{name}.npz"))
@@ -269,7 +269,7 @@ def test_no_file_is_too_large_or_runs_anything(made, tmp_path):
     assert not Path("big.npz").exists()
 
 
-@pytest.mark.parametrize(("measure", "by"), [("tail", 1.01), ("smoothness", 0.9), ("effort", 1.01)])
+@pytest.mark.parametrize(("measure", "by"), [("steady_rmse", 1.01), ("smoothness", 0.9), ("effort", 1.01)])
 def test_what_was_made_up_is_named_with_both_numbers(measure, by, made, capsys):
     values = made.stored.arrays[measure].copy()
     true = float(values[4])
@@ -278,7 +278,7 @@ def test_what_was_made_up_is_named_with_both_numbers(measure, by, made, capsys):
     assert submit.main([str(file), EXPERT, "--share", "1", "--jobs", "1"]) == FAILED
     out = capsys.readouterr().out
     assert "NOT REPRODUCED: 1 of 6 episodes differ" in out
-    unit = " m" if measure == "tail" else ""
+    unit = " m" if measure == "steady_rmse" else ""
     assert f"episode 1 of cruise-storm: {measure} {true * by:.6g}{unit} submitted, {true:.6g}{unit} found" in out
 
 
@@ -320,10 +320,10 @@ def test_numbers_on_the_edge(made, rows):
     assert [len(cell.episodes) for cell in chosen_cells(made, episodes)] == [3, 3]
     run = again[1]
     for key, values, count in (
-        ("tail", run.measures.tail * 1.0009, 0),
-        ("tail", run.measures.tail * 1.002 + 1e-5, 3),
-        ("tail", run.measures.tail * np.nan, 3),
-        ("lost", ~run.measures.lost, 3),
+        ("steady_rmse", run.measures.steady_rmse * 1.0009, 0),
+        ("steady_rmse", run.measures.steady_rmse * 1.002 + 1e-5, 3),
+        ("steady_rmse", run.measures.steady_rmse * np.nan, 3),
+        ("failed", ~run.measures.failed, 3),
     ):
         other = dataclasses.replace(run, measures=dataclasses.replace(run.measures, **{key: values}))
         found = mismatches(made, episodes, [again[0], other])
@@ -420,7 +420,7 @@ def test_words_of_strangers_are_no_markup():
 def test_scores_need_rows_that_count(made, monkeypatch):
     monkeypatch.setattr(recorded, "load_recorded", lambda _: recorded.Found((), {EXPERT: "they changed"}))
     with pytest.raises(ValueError, match="rows of backstepping in benchmark-v2, which scores need, do not count: they"):
-        yardsticks(made.suite)
+        anchor_errors(made.suite)
 
 
 def test_the_page_is_what_the_command_makes():
@@ -438,4 +438,4 @@ def test_own_entries_are_the_recorded_rows_as_they_are_now():
         kept, now = read_submission(file), command.own_submission(command.SUITE, policy)
         assert kept.fingerprint == now.fingerprint
         for old, new in zip(kept.runs, now.runs, strict=True):
-            np.testing.assert_array_equal(old.measures.tail, new.measures.tail)
+            np.testing.assert_array_equal(old.measures.steady_rmse, new.measures.steady_rmse)

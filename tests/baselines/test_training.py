@@ -21,7 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from auv_gym.installation import install
-from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES
+from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES
 from auv_gym.scenarios.scenario import Scenario
 from baselines.agents.agent import Agent
 from baselines.agents.names import agent_folder
@@ -301,7 +301,7 @@ def test_damaged_progress_is_one_line(damage, call, capsys):
     assert err.count("\n") == 1
 
 
-def test_a_damaged_yardstick_is_made_again(call):
+def test_a_damaged_anchor_error_is_made_again(call):
     assert call(*tiny("ppo")) == 0
     before = Path("out/validation.json").read_text()
     text = before.replace('expert_m": ', 'expert_m": "a", "x": ')
@@ -462,11 +462,11 @@ def test_no_hyperparameter_raises_anything_but_a_refusal(algo, data):
 
 
 def test_vehicles_are_shared_out_by_weight():
-    regime = request.resolved(["cruise:0.5"])
-    config = configuration(scenarios=regime)
+    speed_range = request.resolved(["cruise:0.5"])
+    config = configuration(scenarios=speed_range)
     counts = [config.lanes(120).count(PRESETS[f"cruise-{case}"]) for case in CASES]
     assert counts == [10, 20, 10, 10, 10, 10, 20, 30]
-    assert sum(weight for _, weight in regime) == 6.0
+    assert sum(weight for _, weight in speed_range) == 6.0
     assert {s.name for s in config.lanes(8)} == {f"cruise-{case}" for case in CASES}
     with pytest.raises(ValueError, match="7 vehicles are too few for 8 scenarios"):
         config.lanes(7)
@@ -512,8 +512,8 @@ def test_runs_draw_from_seeds_of_their_own():
 def test_shipped_hyperparameters_are_used_as_they_are(algo):
     found = load_hyperparameters(shipped_file(algo))
     assert found.timesteps >= 100_000
-    for regime in ("slow", "cruise"):
-        scenarios = request.resolved([regime])
+    for speed_range in ("slow", "cruise"):
+        scenarios = request.resolved([speed_range])
         config = Config(algo, scenarios, authority=found.authority, hyperparameters=found.values)
         request.check(config)
 
@@ -534,13 +534,13 @@ def test_shipped_agents_can_be_trained_again(name, call, monkeypatch, tmp_path):
     monkeypatch.setattr(shipped, "train", lambda r: made.append(r) or 1)
     assert shipped.main([name, "--timesteps", "100", "--out", "out"]) == 1
     [config] = made[0].configs
-    regimes = {scenario.name.split("-")[0] for scenario, _ in config.scenarios}
+    speed_ranges = {scenario.name.split("-")[0] for scenario, _ in config.scenarios}
     if name.startswith("helm"):
-        assert (config.algo, regimes) == ("apg", set(REGIMES))
+        assert (config.algo, speed_ranges) == ("apg", set(SPEED_RANGES))
     else:
-        family, regime = name.rsplit("-", 1)
+        family, speed_range = name.rsplit("-", 1)
         assert family.startswith(config.algo.replace("_", "-"))
-        assert {regime} == regimes
+        assert {speed_range} == speed_ranges
     if (agent_folder(name) / "agent.json").exists():  # the one in the package came from just this
         record = json.loads((agent_folder(name) / "agent.json").read_text(encoding="utf-8"))
         theirs = Config.from_dict(record["training"]["config"])

@@ -48,7 +48,7 @@ def test_documented_module(example, tmp_path):
     assert evaluate.main(["--policy", example, *COMMON]) == 0
     rows = json.loads((tmp_path / "out" / "results.json").read_text())["results"]
     assert [row["policy"] for row in rows] == ["backstepping", example]
-    assert rows[1]["tail_rmse_m"]["mean"] < 0.5
+    assert rows[1]["steady_rmse_m"]["mean"] < 0.5
 
 
 def test_factory_takes_options(example):
@@ -234,14 +234,14 @@ def test_the_folder_of_a_training_stands_for_its_agent(tmp_path, monkeypatch, ca
     assert evaluate.main(["--policy", "runs/mine", *COMMON]) == 0
     rows = json.loads((tmp_path / "out" / "results.json").read_text())["results"]
     assert [row["policy"] for row in rows] == ["backstepping", "runs/mine"]
-    assert rows[0]["tail_rmse_m"] == rows[1]["tail_rmse_m"]
+    assert rows[0]["steady_rmse_m"] == rows[1]["steady_rmse_m"]
     note = "runs/mine was trained in slow motion, and not for cruise-calm"
     assert note in capsys.readouterr().err
     assert note in Path("out/report.html").read_text()
     assert fingerprint("runs/mine") == fingerprint("runs/mine/agent") != ""
 
 
-def test_in_a_frozen_suite_an_agent_runs_in_its_regime(tmp_path):
+def test_in_a_frozen_suite_an_agent_runs_in_its_speed_range(tmp_path):
     request = Request.of(Options(policy=("apg-slow",), suite="benchmark-v1", episodes=2, out=tmp_path))
     ran = {cell.scenario.name.split("-")[0] for policy, cell in request.pairs if policy == "apg-slow"}
     assert ran == {"slow"}
@@ -274,13 +274,13 @@ def test_policies_are_told_the_vehicle_that_the_scenario_knows(tmp_path, monkeyp
     scenario = changed(PRESETS["cruise-calm"], vehicle=heavy)
     agent_of(()).save("agent")
     cell = drawn(scenario, 2, 0)
-    told = rollout(make_policy("backstepping", vehicle=heavy), scenario, cell.episodes, 1.0).measures.tail
-    wrong = rollout(make_policy("backstepping"), scenario, cell.episodes, 1.0).measures.tail
+    told = rollout(make_policy("backstepping", vehicle=heavy), scenario, cell.episodes, 1.0).measures.steady_rmse
+    wrong = rollout(make_policy("backstepping"), scenario, cell.episodes, 1.0).measures.steady_rmse
     runs = run_all(("backstepping", "./agent", "mine.py:Law", "mine.py:make_open_loop"), [cell])
     for run in runs[:2]:
-        np.testing.assert_array_equal(run.measures.tail, told)
-    as_it_is = rollout(Backstepping(vehicle=heavy), scenario, cell.episodes, 1.0).measures.tail
-    np.testing.assert_array_equal(runs[2].measures.tail, as_it_is)
+        np.testing.assert_array_equal(run.measures.steady_rmse, told)
+    as_it_is = rollout(Backstepping(vehicle=heavy), scenario, cell.episodes, 1.0).measures.steady_rmse
+    np.testing.assert_array_equal(runs[2].measures.steady_rmse, as_it_is)
     assert runs[3].error is None
     assert told.mean() < 0.5 * wrong.mean()
     assert Config(scenarios=((scenario, 1.0),)).make_expert().vehicle == heavy

@@ -23,7 +23,7 @@ def test_ten_thousand_episodes_and_none_lost():
     assert set(counts) == {scenario.name for scenario in bound.SCENARIOS}
     every = all_cases(counts)
     assert every.episodes >= bound.OPTIMUM_EPISODES
-    assert every.lost == 0
+    assert every.failed == 0
     assert every.largest_error_m < 0.1  # a vehicle that spins is metres away
     assert nearer(counts) == []
     assert f"0 of {every.episodes} episodes failed" in in_words(counts)
@@ -39,9 +39,9 @@ def test_a_run_goes_on_where_the_last_one_ended(tmp_path, monkeypatch, capsys):
     counts = optimum_counts(file)
     assert [count.episodes for count in counts.values()] == [5, 5]
     cell = drawn(SHORT[1], 5, OPTIMUM.first)
-    tail = rollout(make_policy("clairvoyant"), SHORT[1], cell.episodes).measures.tail
-    assert counts["cruise-actuator"].tails_m == pytest.approx(tail.sum(), rel=1e-3)
-    assert counts["cruise-actuator"].largest_tail_m == pytest.approx(tail.max(), rel=1e-3)
+    steady_rmse = rollout(make_policy("clairvoyant"), SHORT[1], cell.episodes).measures.steady_rmse
+    assert counts["cruise-actuator"].steady_rmses_m == pytest.approx(steady_rmse.sum(), rel=1e-3)
+    assert counts["cruise-actuator"].largest_steady_rmse_m == pytest.approx(steady_rmse.max(), rel=1e-3)
     file.write_text(file.read_text().replace('"fingerprint": "', '"fingerprint": "another'))
     assert optimum_counts(file) == {}
 
@@ -69,5 +69,5 @@ def test_what_goes_wrong_is_told(tmp_path, monkeypatch, capsys):
 def test_counts_add_up():
     one, two = OptimumCount(2, 1, 0.5, 0.4, 0.6, ({"seed": 1},)), OptimumCount(3, 0, 0.1, 0.05, 0.7)
     assert one.with_more(two) == OptimumCount(5, 1, 0.6, 0.4, 0.7, ({"seed": 1},))
-    assert json.loads(json.dumps(asdict(one)))["lost"] == 1
+    assert json.loads(json.dumps(asdict(one)))["failed"] == 1
     assert counted(SHORT[0], 3, 1).episodes == 1

@@ -158,9 +158,9 @@ def test_ranks_and_means_are_what_statistics_says():
     rng = np.random.default_rng(4)
     a, b = rng.normal(size=(2, 9))
     assert concordance(a, b) == pytest.approx(stats.kendalltau(a, b).statistic)
-    tails = [np.abs(rng.normal(size=(3, 5))) for _ in range(2)]
-    means = pooled(tails)
-    np.testing.assert_allclose(means[0], np.concatenate(tails, axis=1).mean(axis=1))
+    steady_rmses = [np.abs(rng.normal(size=(3, 5))) for _ in range(2)]
+    means = pooled(steady_rmses)
+    np.testing.assert_allclose(means[0], np.concatenate(steady_rmses, axis=1).mean(axis=1))
     assert means.shape[1] == 3
 
 

@@ -21,7 +21,7 @@ from auv_gym.scenarios.exogenous import (
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.task.simulation import CURRENT, LOAD, Parameters, Plant, ground_state, moved
 from baselines.control.privileged.clairvoyant import arriving, oracle_actions
-from baselines.control.privileged.problem import TAIL, Problem
+from baselines.control.privileged.problem import STEADY_RMSE, Problem
 from baselines.control.privileged.solver import best_trajectory
 from baselines.control.privileged.truth import Truth
 from baselines.evaluation.runner import drawn
@@ -91,27 +91,27 @@ def test_a_regression_over_all_measurements_finds_the_same(name):
     variances[:6] = np.square(spread) / 12
     variances[count - phases :] = math.pi**2 / 3
     prior, expected = np.diag(variances), []
-    for k in range(steps // TAIL, steps):
+    for k in range(steps // STEADY_RMSE, steps):
         H = by_output[: k + 1].reshape(-1, count)
         R = np.diag(np.tile(np.square(scenario.sensors.noise), k + 1))
         left = prior - prior @ H.T @ np.linalg.solve(H @ prior @ H.T + R, H @ prior)
         expected.append(np.trace(by_pose[k + 1, :2] @ left @ by_pose[k + 1, :2].T))
     found = located(FloorModel.of(scenario, episodes), [0], samples=4000)
     assert found.square[0] == pytest.approx(np.mean(expected), rel=1e-5)
-    assert 0.8 * np.sqrt(found.square[0]) < found.tail[0] < np.sqrt(found.square[0])
+    assert 0.8 * np.sqrt(found.square[0]) < found.steady_rmse[0] < np.sqrt(found.square[0])
 
 
 def test_the_errors_of_the_filter_are_as_large_as_it_says():
     scenario = PRESETS["cruise-storm"]
     model = FloorModel.of(replace(scenario, steps=60), drawn(scenario, 3, 11).episodes)
     found = located(model, [1, 2, 3], samples=1)
-    many = np.array([located(model, [3 * i, 3 * i + 1, 3 * i + 2], samples=1).tail for i in range(100)])
+    many = np.array([located(model, [3 * i, 3 * i + 1, 3 * i + 2], samples=1).steady_rmse for i in range(100)])
     np.testing.assert_allclose((many**2).mean(axis=0), found.square, rtol=0.2)
 
 
 def test_without_noise_in_all_measurements_there_is_no_floor():
     assert [name for name in PRESETS if has_floor(PRESETS[name])] == [
-        *(f"{regime}-{case}" for regime in ("slow", "cruise") for case in ("noise", "storm"))
+        *(f"{speed_range}-{case}" for speed_range in ("slow", "cruise") for case in ("noise", "storm"))
     ]
     with pytest.raises(ValueError, match="slow-calm has no floor"):
         FloorModel.of(PRESETS["slow-calm"], ())

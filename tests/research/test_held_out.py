@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from baselines.evaluation import recorded, suites
-from baselines.evaluation.metrics import most_lost
+from baselines.evaluation.metrics import failure_bound
 from baselines.evaluation.runner import Task
 from baselines.tools.command_line import UsageError
-from research.results import fresh
+from research.results import held_out
 from research.results.learning import context, held_out_results
 from research.seeds import HELD_OUT
 
@@ -22,37 +22,37 @@ def anew():
 
 
 def test_upper_bound_is_the_rule_of_three():
-    assert most_lost(0, 2080) == pytest.approx(3 / 2080, rel=5e-3)
-    assert most_lost(1, 2080) > most_lost(0, 2080)
-    assert most_lost(5, 5) == 1.0
+    assert failure_bound(0, 2080) == pytest.approx(3 / 2080, rel=5e-3)
+    assert failure_bound(1, 2080) > failure_bound(0, 2080)
+    assert failure_bound(5, 5) == 1.0
 
 
 def test_fresh_episodes_are_those_of_no_suite():
-    suite, frozen = fresh.fresh("benchmark-v2", 3, ["slow-storm"]), suites.load_suite("benchmark-v1")
+    suite, frozen = held_out.held_out("benchmark-v2", 3, ["slow-storm"]), suites.load_suite("benchmark-v1")
     known = {episode.noise_seed for cell in frozen.cells for episode in cell.episodes}
     (cell,) = suite.cells
     assert cell.scenario.name == "slow-storm"
     assert not known & {episode.noise_seed for episode in cell.episodes}
     assert suite.hash != frozen.hash
-    assert HELD_OUT.holds(fresh.HELD_OUT_SEED, max(fresh.HELD_OUT_EPISODES.values()))
+    assert HELD_OUT.holds(held_out.HELD_OUT_SEED, max(held_out.HELD_OUT_EPISODES.values()))
 
 
 @pytest.mark.parametrize("policy", ["backstepping", "apg-cruise", "apg-preview-cruise"])
 def test_kept_rows_are_what_the_policies_do(anew, policy):
     results = next(r for r in anew if r.suite.name == "benchmark-v2")
     kept = next(r for r in results.runs if (r.policy, r.scenario.name) == (policy, "cruise-storm"))
-    (cell,) = fresh.fresh("benchmark-v2", 2, ["cruise-storm"]).cells
+    (cell,) = held_out.held_out("benchmark-v2", 2, ["cruise-storm"]).cells
     again = Task(policy, cell.scenario, cell.episodes).run()[1].rollout
-    np.testing.assert_allclose(again.measures.tail, kept.measures.tail[:2], rtol=1e-4)
+    np.testing.assert_allclose(again.measures.steady_rmse, kept.measures.steady_rmse[:2], rtol=1e-4)
 
 
 def test_command_keeps_rows_that_are_found_again(tmp_path, capsys):
     words = "--suite benchmark-v2 --case cruise-calm --episodes 2 --policy apg-slow open-loop --out"
-    assert fresh.main([*words.split(), str(tmp_path)]) == 0
+    assert held_out.main([*words.split(), str(tmp_path)]) == 0
     assert capsys.readouterr().out == "benchmark-v2: open-loop, 2 episodes\n"
-    found = recorded.load_recorded(fresh.fresh("benchmark-v2", 2, ["cruise-calm"]), tmp_path)
+    found = recorded.load_recorded(held_out.held_out("benchmark-v2", 2, ["cruise-calm"]), tmp_path)
     assert [len(run.measures) for run in found.runs] == [2]
-    assert recorded.load_recorded(fresh.fresh("benchmark-v2", 3, ["cruise-calm"]), tmp_path).refused
+    assert recorded.load_recorded(held_out.held_out("benchmark-v2", 3, ["cruise-calm"]), tmp_path).refused
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_command_keeps_rows_that_are_found_again(tmp_path, capsys):
 )
 def test_mistakes_are_refused(arguments, message):
     with pytest.raises(UsageError, match=message):
-        fresh.main(arguments)
+        held_out.main(arguments)
 
 
 def test_the_words_of_the_page_and_of_the_readme_are_true():
@@ -77,10 +77,10 @@ def test_the_words_of_the_page_and_of_the_readme_are_true():
     leads = {suite: rows for suite, (_, rows) in context()["leads"].items()}
     rows = {suite: [line.strip("| ").split(" | ") for line in text.splitlines()[2:]] for suite, text in leads.items()}
     own = {row[0]: row for row in rows["benchmark-v2"]}
-    for regime in ("slow", "cruise"):
-        assert all(float(own[f"`helm`, {regime}"][column].split(" ... ")[0]) > 0 for column in (4, 6))
-        assert abs(float(own[f"`apg-{regime}`"][2]) - float(own[f"`apg-scratch-{regime}`"][2])) < 0.005
+    for speed_range in ("slow", "cruise"):
+        assert all(float(own[f"`helm`, {speed_range}"][column].split(" ... ")[0]) > 0 for column in (4, 6))
+        assert abs(float(own[f"`apg-{speed_range}`"][2]) - float(own[f"`apg-scratch-{speed_range}`"][2])) < 0.005
     assert all(float(row[4].split(" ... ")[1]) < 0 for row in rows["unmodelled-v1"])
     readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
-    slow, cruise = (own[f"`helm`, {regime}"][3] for regime in ("slow", "cruise"))
+    slow, cruise = (own[f"`helm`, {speed_range}"][3] for speed_range in ("slow", "cruise"))
     assert f"by {slow} in slow motion and by {cruise} at cruise" in readme

@@ -11,7 +11,7 @@ from auv_gym.codegen import native
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.rows import leaves
 from auv_gym.scenarios.exogenous import GUST_ROWS, GUSTS, MEASUREMENT_NORMALS, NORMALS, SEA, Tape
-from auv_gym.scenarios.presets import REGIMES
+from auv_gym.scenarios.presets import SPEED_RANGES
 from auv_gym.task.simulation import SAMPLE_ROWS
 from baselines import make_policy
 from baselines.export.parts import exported
@@ -56,29 +56,31 @@ def bare(scripts, folder):
     return file
 
 
-def episode_in_python(policy, regime, family, case, seed=1):
+def episode_in_python(policy, speed_range, family, case, seed=1):
     """Return samples, parameters, first state, and what a policy does in an episode of the page's: a row each step."""
-    path = path_of(regime, family)
-    scenario, episode = scenario_of(regime, case, path), episode_of(regime, case, path, seed)
+    path = path_of(speed_range, family)
+    scenario, episode = scenario_of(speed_range, case, path), episode_of(speed_range, case, path, seed)
     env = UnderactuatedAUVTrackEnv(scenario, preview=getattr(policy, "preview", ()))
     observation, _ = env.reset(seed=0, options={"episode": episode})
     state = episode.initial_state(env._sample)
     samples, rows, memory = [env._sample], [], None
     for _ in range(LIVE_STEPS):
         action, memory = policy.predict(observation, memory)
-        observation, _, lost, _, info = env.step(action)
+        observation, _, failed, _, info = env.step(action)
         samples.append(env._sample)
         rows.append([*action.tolist(), *env._vehicle.now.plant[:8, 0], info["position_error"]])
-        if lost:
+        if failed:
             break
     parameters = np.nan_to_num(leaves(scenario.parameters(episode)), posinf=np.finfo(float).max).tolist()
     return samples, parameters, state, np.array(rows)
 
 
-def differences(bench, page_name, policy, regime, family, case):
+def differences(bench, page_name, policy, speed_range, family, case):
     """Return how far the page is from a policy in Python in an episode with the same samples, by what is compared."""
-    samples, parameters, state, expected = episode_in_python(policy, regime, family, case)
-    found = bench.evaluate("given => ENGINE.replay(...given)", [page_name, regime, family, samples, parameters, state])
+    samples, parameters, state, expected = episode_in_python(policy, speed_range, family, case)
+    found = bench.evaluate(
+        "given => ENGINE.replay(...given)", [page_name, speed_range, family, samples, parameters, state]
+    )
     assert len(expected) > (60 if page_name == "openLoop" else LIVE_STEPS - 1)  # which may be lost
     return np.abs(np.array(found)[: len(expected)] - expected).max(axis=0)
 
@@ -90,43 +92,43 @@ AGENTS = {"apg": "apg-{}", "apgPreview": "apg-preview-{}"}
 EPISODES = (("slow", "figure_eight", "storm"), ("cruise", "random_smooth", "actuator"), ("cruise", "sine", "mismatch"))
 
 
-@pytest.mark.parametrize(("regime", "family", "case"), EPISODES)
+@pytest.mark.parametrize(("speed_range", "family", "case"), EPISODES)
 @pytest.mark.parametrize("page_name", LAWS)
-def test_laws_and_filter_are_those_of_python_over_whole_episodes(bench, page_name, regime, family, case):
-    assert differences(bench, page_name, make_policy(LAWS[page_name]), regime, family, case).max() < 1e-9
+def test_laws_and_filter_are_those_of_python_over_whole_episodes(bench, page_name, speed_range, family, case):
+    assert differences(bench, page_name, make_policy(LAWS[page_name]), speed_range, family, case).max() < 1e-9
 
 
-@pytest.mark.parametrize(("regime", "family"), [("slow", "circle"), ("cruise", "line")])
+@pytest.mark.parametrize(("speed_range", "family"), [("slow", "circle"), ("cruise", "line")])
 @pytest.mark.parametrize("page_name", AGENTS)
-def test_agents_are_those_of_python_over_whole_episodes(bench, page_name, regime, family):
-    policy = make_policy(AGENTS[page_name].format(regime))
-    assert differences(bench, page_name, policy, regime, family, "storm").max() < 1e-9
+def test_agents_are_those_of_python_over_whole_episodes(bench, page_name, speed_range, family):
+    policy = make_policy(AGENTS[page_name].format(speed_range))
+    assert differences(bench, page_name, policy, speed_range, family, "storm").max() < 1e-9
 
 
-@pytest.mark.parametrize("regime", REGIMES)
-def test_filters_are_those_of_python_over_a_whole_episode(bench_with_filters, regime):
-    assert differences(bench_with_filters, "apg", make_policy("helm"), regime, "circle", "storm").max() < 1e-8
+@pytest.mark.parametrize("speed_range", SPEED_RANGES)
+def test_filters_are_those_of_python_over_a_whole_episode(bench_with_filters, speed_range):
+    assert differences(bench_with_filters, "apg", make_policy("helm"), speed_range, "circle", "storm").max() < 1e-8
 
 
 @pytest.mark.parametrize("name", ["apg-slow", "apg-preview-cruise"])
 def test_agents_are_those_of_the_header_even_where_they_amplify_every_rounding(bench, monkeypatch, name):
     """Without noise to round away, an agent that feeds its last correction back may make 1e-16 grow to 1e-7."""
-    page_name, regime = ("apgPreview" if "preview" in name else "apg"), name.rpartition("-")[2]
+    page_name, speed_range = ("apgPreview" if "preview" in name else "apg"), name.rpartition("-")[2]
     places = [2, 3, 4, -1]  # x, y, psi, and the position's error
-    assert differences(bench, page_name, make_policy(name), regime, "sine", "waves")[places].max() < 1e-6
+    assert differences(bench, page_name, make_policy(name), speed_range, "sine", "waves")[places].max() < 1e-6
     if native.compiler() is None or not native.wanted():
         pytest.skip("a header runs compiled")
     monkeypatch.setattr(native, "TUNED", ())  # for this processor, gcc may merge products and sums after all
     native.library.cache_clear()
     policy = HeaderPolicy(exported(name), "float64")
     native.library.cache_clear()
-    assert differences(bench, page_name, policy, regime, "sine", "waves").max() < 1e-9
+    assert differences(bench, page_name, policy, speed_range, "sine", "waves").max() < 1e-9
 
 
-@pytest.mark.parametrize("regime", REGIMES)
-def test_the_pages_sea_is_that_of_the_tape(bench, regime):
-    path, normals = path_of(regime, "line"), np.random.default_rng(0).standard_normal((LIVE_STEPS + 1, NORMALS))
-    scenario, episode = scenario_of(regime, "storm", path), episode_of(regime, "storm", path, 3)
+@pytest.mark.parametrize("speed_range", SPEED_RANGES)
+def test_the_pages_sea_is_that_of_the_tape(bench, speed_range):
+    path, normals = path_of(speed_range, "line"), np.random.default_rng(0).standard_normal((LIVE_STEPS + 1, NORMALS))
+    scenario, episode = scenario_of(speed_range, "storm", path), episode_of(speed_range, "storm", path, 3)
 
     class Given(np.random.Generator):  # the same chance for both
         row = 0
@@ -169,7 +171,7 @@ def test_the_page_draws_its_own_sea_from_a_seed(bench):
 
 
 def test_presets_on_the_page_are_those_of_the_package(bench):
-    cases = bench.evaluate("DATA.regimes.cruise.cases")
+    cases = bench.evaluate("DATA.speed_ranges.cruise.cases")
     assert cases["calm"] == {"current": 0, "gust": 0, "waves": 0, "noise": 0, "mismatch": False, "actuator": False}
     assert cases["storm"]["waves"] == pytest.approx(0.6)
     assert cases["storm"]["gust"] == 0.12

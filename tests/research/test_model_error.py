@@ -30,7 +30,7 @@ def test_wrong_models_are_wrong_in_their_parameters_and_within_their_size():
 def few(monkeypatch):
     """Make the measurement short: two cases, two models, one size."""
     whole = model_error.cells_of
-    monkeypatch.setattr(model_error, "cells_of", lambda regime, n: [whole(regime, n)[i] for i in (0, 1)])
+    monkeypatch.setattr(model_error, "cells_of", lambda speed_range, n: [whole(speed_range, n)[i] for i in (0, 1)])
     monkeypatch.setattr(model_error, "_MODELS", 2)
     monkeypatch.setattr(model_error, "ERROR_SIZES", (0.6,))
 
@@ -56,10 +56,10 @@ def test_a_policy_that_does_not_use_its_model_loses_nothing(few, tmp_path):
 
 
 def test_command_keeps_what_it_measures(few, tmp_path):
-    words = ["--policy", "open-loop", "--regime", "cruise", "--episodes", "2", "--out", str(tmp_path)]
+    words = ["--policy", "open-loop", "--speed-range", "cruise", "--episodes", "2", "--out", str(tmp_path)]
     assert run(model_error.main, model_error.PROGRAM, words) == 0
     assert list(read_json(tmp_path / "open-loop.json")) == ["cruise"]
-    assert run(model_error.main, model_error.PROGRAM, [*words[:2], "--regime", "slow", *words[4:]]) == 0
+    assert run(model_error.main, model_error.PROGRAM, [*words[:2], "--speed-range", "slow", *words[4:]]) == 0
     assert sorted(read_json(tmp_path / "open-loop.json")) == ["cruise", "slow"]
 
 
@@ -67,7 +67,7 @@ def test_command_keeps_what_it_measures(few, tmp_path):
     ("arguments", "says"),
     [
         (["--policy", "helmet"], "'helmet'"),
-        (["--regime", "fast"], "'fast'"),
+        (["--speed-range", "fast"], "'fast'"),
         (["--episodes", "1"], "--episodes is 1; it must be 2 or more"),
         (["--policy", "oracle"], "oracle uses more than the observation"),
     ],
@@ -90,5 +90,5 @@ def test_kept_errors_of_wrong_models_are_those_of_today():
         (cell.scenario.vehicle, kept["right"]["first_m"][0]),
         (first, kept["wrong"]["ratios"][-1]["first_m"][0]),
     ):
-        tails = there.run(model_error.acting("helm-any", vehicle))[0].tail
-        np.testing.assert_allclose(tails, errors, rtol=1e-2, atol=1e-5)
+        steady_rmses = there.run(model_error.acting("helm-any", vehicle))[0].steady_rmse
+        np.testing.assert_allclose(steady_rmses, errors, rtol=1e-2, atol=1e-5)

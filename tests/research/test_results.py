@@ -12,7 +12,7 @@ from auv_gym.installation import found
 from baselines import list_policies
 from baselines.agents.names import agent_folder
 from baselines.evaluation import recorded
-from baselines.evaluation.score import is_lost, largest_tail
+from baselines.evaluation.score import error_cap, has_failed
 from research import pages
 from research.lower_bounds.floor.command import floor_of, recorded_floors
 from research.results import collection, overview
@@ -56,20 +56,20 @@ def test_nobody_is_better_than_the_bound(suites):
 def test_nobody_is_below_the_floor(benchmark):
     """No policy that has to measure, in the mean of any case with noise; by the files alone."""
     floors = recorded_floors(benchmark.suite.source[1])
-    assert set(floors) == {f"{regime}-{case}" for regime in ("slow", "cruise") for case in ("noise", "storm")}
+    assert set(floors) == {f"{speed_range}-{case}" for speed_range in ("slow", "cruise") for case in ("noise", "storm")}
     for case, floor in floors.items():
         assert floor.episodes == 260
-        tails = {policy: own[case] for policy, own in benchmark.tails.items() if case in own}
-        below = {policy for policy, tail in tails.items() if tail < floor.tail_m}
+        steady_rmses = {policy: own[case] for policy, own in benchmark.steady_rmses.items() if case in own}
+        below = {policy for policy, steady_rmse in steady_rmses.items() if steady_rmse < floor.steady_rmse_m}
         assert below == {"oracle", "clairvoyant"}  # they measure nothing
-        assert floor.tail_m < floor.rms_m < 1.06 * floor.tail_m
+        assert floor.steady_rmse_m < floor.rms_m < 1.06 * floor.steady_rmse_m
 
 
 def test_the_floor_of_single_episodes_is_what_is_kept(benchmark):
     cell = next(cell for cell in benchmark.suite.cells if cell.scenario.name == "cruise-noise")
     floor = recorded_floors(benchmark.suite.source[1])["cruise-noise"]
     again = floor_of(cell.scenario, cell.episodes[: len(floor.first_m)])
-    np.testing.assert_allclose(again.tail, floor.first_m, rtol=1e-3)
+    np.testing.assert_allclose(again.steady_rmse, floor.first_m, rtol=1e-3)
 
 
 def test_the_readme_shows_rows_and_times_of_the_summary(benchmark):
@@ -94,7 +94,7 @@ def test_the_limitations_of_the_readme_are_measured(suites):
         runs = {(run.policy, run.scenario.name): run.measures for run in suites[name][0].runs}
         for (policy, scenario), own in runs.items():
             if policy == AGENT:
-                failed, expert = (is_lost(m, largest_tail(scenario)) for m in (own, runs["backstepping", scenario]))
+                failed, expert = (has_failed(m, error_cap(scenario)) for m in (own, runs["backstepping", scenario]))
                 assert len(failed) == len(expert)
                 assert not (failed & ~expert).any()
                 episodes += len(failed)
@@ -116,21 +116,23 @@ def test_figures_of_the_table_by_hand(benchmark):
     text = (ROOT / "docs/results/benchmark-v2.md").read_text(encoding="utf-8").split("## cruise")[1]
     rows = [line.strip("| ").split(" | ") for line in text.split("\n\n")[1].splitlines()]
     row = dict(zip(rows[0], next(row for row in rows if row[0] == "`ekf`"), strict=True))
-    tail = own[1].astype(float)
-    worst = np.sort(tail)[-104:].mean()
+    steady_rmse = own[1].astype(float)
+    worst = np.sort(steady_rmse)[-104:].mean()
     shown = [float(row[name]) for name in ("error [mm]", "worst 5 % [mm]")]
-    assert shown == pytest.approx([1e3 * tail.mean(), 1e3 * worst], rel=5e-3)
+    assert shown == pytest.approx([1e3 * steady_rmse.mean(), 1e3 * worst], rel=5e-3)
     ratios = [own[i].astype(float).mean() / expert[i].astype(float).mean() for i in (3, 4)]
     assert [float(row[name]) for name in ("effort", "command rate")] == pytest.approx(ratios, abs=6e-3)
-    lost = int(((own[8] > 0) | (tail >= 2.0)).sum())
-    assert row["failures"].startswith(f"{lost} of 2080 (<= ")
+    failed = int(((own[8] > 0) | (steady_rmse >= 2.0)).sum())
+    assert row["failures"].startswith(f"{failed} of 2080 (<= ")
     scores = [float(line[rows[0].index("score")].split(" (")[0]) for line in rows[2:]]
     assert scores == sorted(scores, reverse=True)
 
 
 def test_an_oracle_that_is_worse_is_found(benchmark):
     runs = [
-        replace(run, measures=replace(run.measures, tail=run.measures.tail + 1.0)) if run.policy == "oracle" else run
+        replace(run, measures=replace(run.measures, steady_rmse=run.measures.steady_rmse + 1.0))
+        if run.policy == "oracle"
+        else run
         for run in benchmark.runs
         if run.policy in ("backstepping", "ekf", "oracle", "clairvoyant")
     ]
@@ -147,12 +149,14 @@ def test_a_suite_without_the_oracle_is_missing(monkeypatch):
 
 def test_the_summary_is_the_mean_of_the_rows():
     """One row, from its file."""
-    tails = (
+    steady_rmses = (
         np.load(found(recorded.RECORDED_FOLDER, "benchmark-v1/nmpc.npz"))["measures"][1].astype(float).reshape(2, -1)
     )
     text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
     cells = re.search(r"^\| `nmpc` \| (.*) \|$", text, re.MULTILINE)[1].split(" | ")
-    assert [cell.split(" (")[0] for cell in cells[:2]] == [f"{1e3 * tail.mean():.3g}" for tail in tails]
+    assert [cell.split(" (")[0] for cell in cells[:2]] == [
+        f"{1e3 * steady_rmse.mean():.3g}" for steady_rmse in steady_rmses
+    ]
 
 
 def test_pages_are_short_and_up_to_date(capsys):
@@ -176,17 +180,17 @@ def test_the_words_of_the_summary_are_true():
     """Where `helm` does not lead, by the mean of the rows; and that the policies of the table do not pass a bound."""
     unmodelled, opened, vehicles = (collected(name)[0] for name in ("unmodelled-v1", "sealed-v1", "vehicles-v1"))
 
-    def mean(results, policy, regime):
-        return np.concatenate([m.tail for m in results.measures(policy, regime)]).mean()
+    def mean(results, policy, speed_range):
+        return np.concatenate([m.steady_rmse for m in results.measures(policy, speed_range)]).mean()
 
-    for regime in ("slow", "cruise"):
-        assert mean(unmodelled, "nmpc-adverse", regime) < mean(unmodelled, "helm", regime)
+    for speed_range in ("slow", "cruise"):
+        assert mean(unmodelled, "nmpc-adverse", speed_range) < mean(unmodelled, "helm", speed_range)
     assert mean(opened, "nmpc", "slow") < mean(opened, "helm", "slow")
-    failed = {p: sum(e.lost for e in vehicles.pooled if e.policy == p) for p in ("helm-any", "nmpc")}
+    failed = {p: sum(e.failed for e in vehicles.pooled if e.policy == p) for p in ("helm-any", "nmpc")}
     assert failed["helm-any"] > failed["nmpc"]
     values = overview.context()
     rows = {row[0].strip("`"): [float(cell.split(" (")[0]) for cell in row[1:3]] for row in values["rows"]}
-    for i, regime in enumerate(("slow", "cruise")):
+    for i, speed_range in enumerate(("slow", "cruise")):
         errors = [row[i] for row in rows.values()]
         assert min(errors) == rows["helm"][i]
-        assert min(errors) > values["estimation"][regime] > values["optimum"][regime]
+        assert min(errors) > values["estimation"][speed_range] > values["optimum"][speed_range]

@@ -15,7 +15,7 @@ from auv_gym.installation import found
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.mixtures import adverse
-from auv_gym.scenarios.presets import REGIMES
+from auv_gym.scenarios.presets import SPEED_RANGES
 from auv_gym.task.observation import Observation, encode_observation
 from baselines import make_policy
 from baselines.agents import guard
@@ -24,10 +24,10 @@ from baselines.agents.names import bare_name, guarded_name
 from baselines.control.backstepping import GAINS, lyapunov_terms
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.fingerprints import fingerprint
-from baselines.evaluation.metrics import most_lost
+from baselines.evaluation.metrics import failure_bound
 from baselines.evaluation.rollout import rollout
 from baselines.evaluation.runner import drawn
-from baselines.evaluation.score import losses
+from baselines.evaluation.score import count_failures
 from baselines.tools.command_line import run
 from baselines.tools.files import read_json
 from research.results.learning import versus_expert
@@ -65,19 +65,19 @@ def watched(observations):
 # --- the failure rate ---
 
 
-@pytest.mark.parametrize(("lost", "episodes"), [(0, 10_000), (3, 500), (7, 40)])
-def test_upper_end_is_the_beta_quantile_and_covers(lost, episodes):
-    top = most_lost(lost, episodes)
-    assert top == pytest.approx(stats.beta.ppf(0.95, lost + 1, episodes - lost), rel=1e-6)
+@pytest.mark.parametrize(("failed", "episodes"), [(0, 10_000), (3, 500), (7, 40)])
+def test_upper_end_is_the_beta_quantile_and_covers(failed, episodes):
+    top = failure_bound(failed, episodes)
+    assert top == pytest.approx(stats.beta.ppf(0.95, failed + 1, episodes - failed), rel=1e-6)
     counts = np.random.default_rng(0).binomial(episodes, top, 20_000)
-    assert np.mean(counts <= lost) == pytest.approx(0.05, abs=0.006)
+    assert np.mean(counts <= failed) == pytest.approx(0.05, abs=0.006)
 
 
 def test_unequal_chances_only_make_it_safer():
     """Scenarios with chances of 0 to 0.2 and a mean of 0.05: the interval covers the mean at least as often."""
     rng = np.random.default_rng(1)
     counts = sum(rng.binomial(25, p, 4000) for p in (0.0, 0.0, 0.0, 0.2))
-    covered = np.mean([most_lost(int(k), 100) >= 0.05 for k in counts])
+    covered = np.mean([failure_bound(int(k), 100) >= 0.05 for k in counts])
     assert covered >= 0.95
 
 
@@ -89,16 +89,16 @@ def test_failures_are_counted_and_counting_goes_on(tmp_path, monkeypatch, capsys
     assert run(failure_rate.main, failure_rate.PROGRAM, [*arguments, "--episodes", "4"]) == 0
     scenario = PRESETS["slow-current"]
     measures = rollout(make_policy("open-loop"), scenario, drawn(scenario, 4, FAILURE_RATE.first).episodes).measures
-    lost = losses(measures, 0.6)
-    assert lost > 0
-    assert f"{lost} of 4 lost, at most" in capsys.readouterr().out
+    failed = count_failures(measures, 0.6)
+    assert failed > 0
+    assert f"{failed} of 4 lost, at most" in capsys.readouterr().out
     (count,) = failure_rate.failure_counts(Path("counts.json"))["open-loop"]["counts"].values()
-    assert (count["episodes"], count["lost"]) == (4, lost)
+    assert (count["episodes"], count["failed"]) == (4, failed)
     monkeypatch.setattr(failure_rate, "_counted", lambda _, __, first, episodes: (episodes, 0, 1e3 + first))
     assert run(failure_rate.main, failure_rate.PROGRAM, [*arguments, "--episodes", "6"]) == 0
-    assert f"{lost} of 6 lost" in capsys.readouterr().out
+    assert f"{failed} of 6 lost" in capsys.readouterr().out
     (count,) = failure_rate.failure_counts(Path("counts.json"))["open-loop"]["counts"].values()
-    assert count["largest_tail_m"] == 1004.0  # the new ones began at the fourth
+    assert count["largest_steady_rmse_m"] == 1004.0  # the new ones began at the fourth
     record = json.loads(Path("counts.json").read_text(encoding="utf-8"))
     record["open-loop"]["fingerprint"] = "another"
     Path("counts.json").write_text(json.dumps(record), encoding="utf-8")
@@ -112,7 +112,7 @@ def test_failures_are_counted_and_counting_goes_on(tmp_path, monkeypatch, capsys
         (failure_rate, ["helm", "--episodes", "0"], "--episodes is 0; it must be in [1, 10000000]"),
         (failure_rate, ["helm", "--scenario", "storm"], "unknown scenario 'storm'; allowed are"),
         (failure_rate, ["helmet"], "unknown policy 'helmet'"),
-        (falsification, ["helm", "--regime", "fast"], "unknown regime 'fast'; allowed are slow, cruise"),
+        (falsification, ["helm", "--speed-range", "fast"], "unknown regime 'fast'; allowed are slow, cruise"),
         (falsification, ["helm", "--sea", "rough"], "unknown sea 'rough'; allowed are storm, adverse"),
         (falsification, ["helm", "--generations", "0"], "--generations is 0; it must be in [1, 10000]"),
         (guards, ["--suite", "paper"], "unknown suite 'paper'; allowed are benchmark-v1"),
@@ -138,7 +138,7 @@ def test_names_of_guards():
     assert bare_name("apg-slow:fade:guard=ekf") == "apg-slow"
     assert len({fingerprint(name) for name in ("helm", "helm:guard", "helm:guard=ekf")}) == 3
     assert fingerprint("helmet:guard") == ""
-    assert recorded.regimes_of("apg-slow:guard") == ("slow",)
+    assert recorded.speed_ranges_of("apg-slow:guard") == ("slow",)
     with pytest.raises(ValueError, match="unknown policy 'dog'"):
         make_policy("helm:guard=dog")
 
@@ -262,7 +262,7 @@ def test_guard_whose_fallback_has_acted_is_the_fallback_bit_for_bit():
 
 def test_helm_loses_no_recorded_episode_that_the_expert_keeps():
     """From the files alone: the second row is the tail, the last one says who ended far away; slow cells come first."""
-    lost = 0
+    failed = 0
     for suite in (
         name for name in recorded.RECORDED_SUITES if name != "vehicles-v1"
     ):  # it has learned the paper's vehicle
@@ -274,8 +274,8 @@ def test_helm_loses_no_recorded_episode_that_the_expert_keeps():
         caps = np.full(2 * half, 5.0) if suite == "deep-v1" else np.repeat([0.6, 2.0], half)
         mine, its = ((own[-1] > 0) | ~(own[1] < caps) for own in rows)
         assert versus_expert(_Recorded(suites.load_suite(suite)), "helm")[0] == (mine & ~its).sum()
-        lost += (mine & ~its).sum()
-    assert lost == 0
+        failed += (mine & ~its).sum()
+    assert failed == 0
 
 
 class _Recorded:
@@ -291,12 +291,12 @@ class _Recorded:
 # --- seas ---
 
 
-@pytest.mark.parametrize("regime", REGIMES)
-def test_seas_of_severity_1_are_in_the_ranges_of_the_storm(regime):
-    for kind, storm in (("storm", PRESETS[f"{regime}-storm"]), ("adverse", adverse(regime))):
-        size, rng = len(seas.names(regime, kind)), np.random.default_rng(0)
+@pytest.mark.parametrize("speed_range", SPEED_RANGES)
+def test_seas_of_severity_1_are_in_the_ranges_of_the_storm(speed_range):
+    for kind, storm in (("storm", PRESETS[f"{speed_range}-storm"]), ("adverse", adverse(speed_range))):
+        size, rng = len(seas.names(speed_range, kind)), np.random.default_rng(0)
         for towards in (np.ones(size), -np.ones(size), rng.uniform(-1, 1, size)):
-            scenario = seas.sea(regime, kind, "x", 1.0, towards)
+            scenario = seas.sea(speed_range, kind, "x", 1.0, towards)
             pairs = [(getattr(scenario.mismatch, n), getattr(storm.mismatch, n)) for n in ("mass", "d22", "quadratic")]
             pairs += [(scenario.path.speed, storm.path.speed), (scenario.start.x_e, storm.start.x_e)]
             pairs += [
@@ -309,7 +309,7 @@ def test_seas_of_severity_1_are_in_the_ranges_of_the_storm(regime):
             assert scenario.current.speed <= storm.current.speed[1] + 1e-9
             assert scenario.waves.sway <= storm.waves.sway + 1e-9
             assert scenario.sensors.position <= storm.sensors.position + 1e-9
-    calm = seas.sea(regime, "storm", "x", 0.0, np.ones(len(seas.names(regime, "storm"))))
+    calm = seas.sea(speed_range, "storm", "x", 0.0, np.ones(len(seas.names(speed_range, "storm"))))
     assert (calm.current.speed, calm.waves.yaw, calm.mismatch.mass, calm.actuators.lag) == (0, 0, 1, 0)
 
 
@@ -337,13 +337,13 @@ def test_search_finds_a_sea_that_loses_the_policy_and_writes_it(tmp_path, monkey
     monkeypatch.setattr(falsification, "_POPULATION", 4)
     monkeypatch.setattr(falsification, "_FIRST", (0.01, 0.1, 1.0, 3.0))
     monkeypatch.setattr(falsification, "CONFIRMED", 4)
-    given = ["backstepping", "--regime", "cruise", "--sea", "storm", "--generations", "1", "--out", "seas"]
+    given = ["backstepping", "--speed-range", "cruise", "--sea", "storm", "--generations", "1", "--out", "seas"]
     assert run(falsification.main, falsification.PROGRAM, given) == 0
     assert "severity" in capsys.readouterr().out
     (entry,) = falsification.found_seas(Path("seas/seas.json")).values()
     scenario = Scenario.load("seas/cruise-storm-that-loses-backstepping.toml")
     again = rollout(make_policy("backstepping"), scenario, drawn(scenario, 4, FALSIFICATION.end - 4).episodes).measures
-    assert losses(again, 2.0) == entry["lost"] >= 2
+    assert count_failures(again, 2.0) == entry["failed"] >= 2
     assert max(abs(x) for name, x in entry["coordinates"].items() if name != "direction") == pytest.approx(
         entry["severity"]
     )
@@ -363,7 +363,7 @@ def test_kept_seas_lose_whom_they_should(name):
     if entry["policy"] != "nmpc":  # which takes its time
         measures = rollout(make_policy(entry["policy"]), scenario, drawn(scenario, 8, seed).episodes).measures
         assert (
-            losses(measures, 2.0 if scenario.name.startswith("cruise") else 0.6) >= 2
+            count_failures(measures, 2.0 if scenario.name.startswith("cruise") else 0.6) >= 2
         )  # of 8, where half of 64 are lost
 
 

@@ -5,7 +5,7 @@ from functools import partial
 import pytest
 
 from auv_gym.scenarios.mixtures import MIXTURES
-from auv_gym.scenarios.presets import REGIMES
+from auv_gym.scenarios.presets import SPEED_RANGES
 from baselines.evaluation import suites
 from baselines.evaluation.suites import SuiteError
 from baselines.tools.command_line import DONE, UsageError
@@ -79,7 +79,7 @@ def slew_time(scenario):
 def test_the_first_suite_has_the_worlds_that_it_was_opened_with():
     known, now = ([s for s, _ in sealed.sealed_worlds(**changes)] for changes in (sealed.FIRST, {}))
     assert [cell.scenario for cell in suites.load_suite("sealed-v1").cells] == known
-    slewing = {f"{regime}-{name}" for regime in REGIMES for name in ("slew", "all-at-once")}
+    slewing = {f"{speed_range}-{name}" for speed_range in SPEED_RANGES for name in ("slew", "all-at-once")}
     assert {s.name for s in known if s not in now} == {"cruise-beyond", *slewing}
 
 

@@ -20,7 +20,7 @@ from research.results.study_files import InSuite, Study, load_studies, save_stud
 from research.trainings import study
 from research.trainings.trainings import request_of, training
 
-REGIME, SUITE = "cruise", "benchmark-v1"
+SPEED_RANGE, SUITE = "cruise", "benchmark-v1"
 
 
 @pytest.fixture(scope="module")
@@ -30,11 +30,11 @@ def results():
 
 
 def runs_of(results, policy):
-    return [r for r in results.runs if r.policy == policy and r.scenario.name.startswith(REGIME)]
+    return [r for r in results.runs if r.policy == policy and r.scenario.name.startswith(SPEED_RANGE)]
 
 
-def tails(results, policy):
-    return [run.measures.tail for run in runs_of(results, policy)]
+def steady_rmses(results, policy):
+    return [run.measures.steady_rmse for run in runs_of(results, policy)]
 
 
 @pytest.fixture(scope="module")
@@ -42,11 +42,11 @@ def made(results):
     """Two agents, of which one does what the filter's law does and the other what the integral law does."""
     own = {SUITE: [runs_of(results, "ekf"), runs_of(results, "integral")]}
     curve = [{"timesteps": 1000 * k, "seconds": 2.0 * k, "score": 0.1 * k} for k in range(5)]
-    return Study.of("A test.", REGIME, "python train.py", own, [curve, curve])
+    return Study.of("A test.", SPEED_RANGE, "python train.py", own, [curve, curve])
 
 
 def test_score_of_equal_seeds_is_the_score(results):
-    expert, ekf, oracle = (tails(results, p) for p in (EXPERT, "ekf", ORACLE))
+    expert, ekf, oracle = (steady_rmses(results, p) for p in (EXPERT, "ekf", ORACLE))
     one = score(expert, ekf, oracle)
     same = seeds_score(expert, [np.stack((t, t, t)) for t in ekf], oracle)
     assert same.mean == pytest.approx(one.mean, abs=1e-12)
@@ -54,7 +54,7 @@ def test_score_of_equal_seeds_is_the_score(results):
 
 
 def test_lead_is_the_difference_of_scores_and_none_over_oneself(results):
-    expert, ekf, lqi, oracle = (tails(results, p) for p in (EXPERT, "ekf", "lqi", ORACLE))
+    expert, ekf, lqi, oracle = (steady_rmses(results, p) for p in (EXPERT, "ekf", "lqi", ORACLE))
     above = lead(expert, lqi, [t[None] for t in ekf], oracle)
     assert above.mean == pytest.approx(score(expert, ekf, oracle).mean - score(expert, lqi, oracle).mean, abs=1e-12)
     assert above.ci95[0] < above.mean < above.ci95[1]
@@ -62,9 +62,9 @@ def test_lead_is_the_difference_of_scores_and_none_over_oneself(results):
 
 
 def test_seeds_that_differ_widen_the_interval(results, made):
-    expert, oracle = tails(results, EXPERT), tails(results, ORACLE)
-    mixed = seeds_score(expert, made.suites[SUITE].tails, oracle)
-    alone = [score(expert, tails(results, p), oracle).mean for p in ("ekf", "integral")]
+    expert, oracle = steady_rmses(results, EXPERT), steady_rmses(results, ORACLE)
+    mixed = seeds_score(expert, made.suites[SUITE].steady_rmses, oracle)
+    alone = [score(expert, steady_rmses(results, p), oracle).mean for p in ("ekf", "integral")]
     assert mixed.mean == pytest.approx(np.mean(alone))
     assert mixed.ci95[0] < min(alone) + 0.1
     assert mixed.ci95[1] > max(alone) - 0.1
@@ -73,13 +73,18 @@ def test_seeds_that_differ_widen_the_interval(results, made):
 def test_files_give_back_what_they_were_given(made, tmp_path):
     save_study("a", made, tmp_path)
     back = load_studies(tmp_path)["a"]
-    assert (back.about, back.regime, back.command, back.date) == (made.about, made.regime, made.command, made.date)
+    assert (back.about, back.speed_range, back.command, back.date) == (
+        made.about,
+        made.speed_range,
+        made.command,
+        made.date,
+    )
     np.testing.assert_array_equal(back.curves, made.curves)
     before, after = made.suites[SUITE], back.suites[SUITE]
     assert after.cells == before.cells
-    for a, b in zip(after.tails, before.tails, strict=True):
+    for a, b in zip(after.steady_rmses, before.steady_rmses, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-6)
-    np.testing.assert_array_equal(np.concatenate(after.lost, axis=1), np.concatenate(before.lost, axis=1))
+    np.testing.assert_array_equal(np.concatenate(after.failed, axis=1), np.concatenate(before.failed, axis=1))
     np.testing.assert_array_equal(after.effort, before.effort)
 
 
@@ -91,16 +96,16 @@ def test_what_was_measured_on_another_suite_does_not_count(made, tmp_path):
 
 def test_page_has_a_row_for_each_agent(results, made):
     (row,) = learning.lead_rows(results, None, {"mine": made, "short-it": made}, "lqi")
-    expert, oracle, lqi = (tails(results, p) for p in (EXPERT, ORACLE, "lqi"))
+    expert, oracle, lqi = (steady_rmses(results, p) for p in (EXPERT, ORACLE, "lqi"))
     own = made.suites[SUITE]
-    score_of, above = seeds_score(expert, own.tails, oracle), lead(expert, lqi, own.tails, oracle)
+    score_of, above = seeds_score(expert, own.steady_rmses, oracle), lead(expert, lqi, own.steady_rmses, oracle)
     assert row[1:4] == ["2", f"{score_of.mean:.3f}", f"{above.mean:.3f}"]
-    lost = sum(
-        int((r.measures.lost | (r.measures.tail >= 2.0)).sum())
+    failed = sum(
+        int((r.measures.failed | (r.measures.steady_rmse >= 2.0)).sum())
         for p in ("ekf", "integral")
         for r in runs_of(results, p)
     )
-    assert row[7].startswith(f"{lost} of {2 * sum(map(len, expert))} (<= ")
+    assert row[7].startswith(f"{failed} of {2 * sum(map(len, expert))} (<= ")
 
 
 def test_failures_added_and_prevented_by_hand():
@@ -109,7 +114,7 @@ def test_failures_added_and_prevented_by_hand():
     failed = {}
     for policy in ("backstepping", "apg-cruise"):
         own = [r.measures for r in runs_of(suite, policy)]
-        failed[policy] = np.concatenate([m.lost | (m.tail >= 2.0) for m in own])
+        failed[policy] = np.concatenate([m.failed | (m.steady_rmse >= 2.0) for m in own])
     added = int((failed["apg-cruise"] & ~failed["backstepping"]).sum())
     prevented = int((~failed["apg-cruise"] & failed["backstepping"]).sum())
     assert learning.versus_expert(suite, "apg-cruise") == (added, prevented, len(failed["apg-cruise"]))
@@ -122,7 +127,7 @@ def test_a_policy_that_failed_is_no_result(results):
         InSuite.of(SUITE, [[bad]])
 
 
-def test_trained_agents_are_run_on_the_cells_of_their_regime(tmp_path, monkeypatch):
+def test_trained_agents_are_run_on_the_cells_of_their_speed_range(tmp_path, monkeypatch):
     """Two agents whose networks give zero do in every episode what their expert does."""
     network = Gru(len(FEATURES), 2, 2, 2)
     zeros = {name: np.zeros(shape, np.float32) for name, shape in network.shapes.items()}
@@ -130,28 +135,28 @@ def test_trained_agents_are_run_on_the_cells_of_their_regime(tmp_path, monkeypat
     for folder in folders:
         Agent(network, zeros, "backstepping", (0.3, 0.3)).save(folder / AGENT_FOLDER)
         (folder / PROGRESS).write_text("timesteps,seconds,score\n10,1.0,0.5\n20,2.0,\n30,3.0,0.7\n")
-    few = [replace(cell, episodes=cell.episodes[:2]) for cell in study.suite_cells(SUITE, REGIME)[:2]]
-    monkeypatch.setattr(study, "suite_cells", lambda suite, regime: few)
-    variant = study.Variant("A test.", REGIME, training("apg", REGIME), (SUITE,))
+    few = [replace(cell, episodes=cell.episodes[:2]) for cell in study.suite_cells(SUITE, SPEED_RANGE)[:2]]
+    monkeypatch.setattr(study, "suite_cells", lambda suite, speed_range: few)
+    variant = study.Variant("A test.", SPEED_RANGE, training("apg", SPEED_RANGE), (SUITE,))
     request = SimpleNamespace(folders=folders, command="python train.py")
     found = study.studied(variant, request, 1)
     first, _ = collected(SUITE)
-    for cell, own in zip(few, found.suites[SUITE].tails, strict=True):
+    for cell, own in zip(few, found.suites[SUITE].steady_rmses, strict=True):
         expert = next(r for r in first.runs if r.policy == EXPERT and r.scenario.name == cell.scenario.name)
-        np.testing.assert_allclose(own, np.stack([expert.measures.tail[:2]] * 2), rtol=1e-5)
+        np.testing.assert_allclose(own, np.stack([expert.measures.steady_rmse[:2]] * 2), rtol=1e-5)
     np.testing.assert_array_equal(found.curves[0], [[10, 1.0, 0.5], [30, 3.0, 0.7]])
 
 
 def test_trainings_are_what_train_py_can_repeat(tmp_path):
-    small = training("ppo", REGIME, (0.2, 0.4), timesteps=5000, changes={"gamma": 0.5})
+    small = training("ppo", SPEED_RANGE, (0.2, 0.4), timesteps=5000, changes={"gamma": 0.5})
     request = request_of(replace(small, seeds=2), tmp_path / "a")
     assert [config.seed for config in request.configs] == [0, 1]
     assert request.configs[0].authority == (0.2, 0.4)
     assert request.configs[0].hyperparameters["gamma"] == 0.5
     assert "--authority 0.2 0.4 --seeds 2 --timesteps 5000 --set gamma=0.5" in request.command
     assert parse(Options, shlex.split(request.command)[2:], "train.py") == replace(small, seeds=2)
-    plain = request_of(training("ppo", REGIME), tmp_path / "b")
-    assert plain.command == f"python train.py --algo ppo --scenario {REGIME}"
+    plain = request_of(training("ppo", SPEED_RANGE), tmp_path / "b")
+    assert plain.command == f"python train.py --algo ppo --scenario {SPEED_RANGE}"
 
 
 @pytest.mark.parametrize("name", study.VARIANTS)
@@ -159,7 +164,7 @@ def test_variants_can_be_trained(name, tmp_path):
     variant = study.VARIANTS[name]
     request = request_of(variant.training, tmp_path / name)
     assert len(request.configs) == variant.training.seeds > 1
-    assert any(scenario.name.startswith(variant.regime) for scenario, _ in request.configs[0].scenarios)
+    assert any(scenario.name.startswith(variant.speed_range) for scenario, _ in request.configs[0].scenarios)
 
 
 def test_unknown_variants_are_named(monkeypatch):
@@ -169,7 +174,9 @@ def test_unknown_variants_are_named(monkeypatch):
 
 def test_lost_episodes_have_the_cap_of_their_cell():
     """A tail of a metre is lost in slow motion, and is not where positions are reckoned."""
-    tail, ended = np.array([[1.0, 0.1]]), np.zeros((1, 2), bool)
-    own = InSuite("", ("slow-calm", "slow-deep"), (tail, tail), (ended, ended), np.zeros(1), np.zeros(1), 0.0)
-    assert own.losses() == 1
+    steady_rmse, ended = np.array([[1.0, 0.1]]), np.zeros((1, 2), bool)
+    own = InSuite(
+        "", ("slow-calm", "slow-deep"), (steady_rmse, steady_rmse), (ended, ended), np.zeros(1), np.zeros(1), 0.0
+    )
+    assert own.count_failures() == 1
     np.testing.assert_array_equal(own.capped(), [[[0.6, 0.1]], [[1.0, 0.1]]])

@@ -22,7 +22,7 @@ from baselines.evaluation.report.numbers import compare, pool
 from baselines.evaluation.request import Request
 from baselines.evaluation.runner import Cell, drawn, run_all
 from baselines.evaluation.score import BY_BOUND, BY_ORACLE
-from baselines.evaluation.suites.yardsticks import YARDSTICKS_FILE, recorded_yardsticks, write_yardsticks
+from baselines.evaluation.suites.anchor_errors import ANCHOR_ERRORS_FILE, recorded_anchor_errors, write_anchor_errors
 from baselines.tools.command_line import UsageError
 from baselines.tools.files import read_json, versions
 from research.suites import sealed
@@ -72,13 +72,15 @@ def test_benchmark_v2_has_the_same_episodes_and_the_bound_as_its_one(tmp_path):
     assert new.source == old.source == ("benchmark-v1", old.hash)
     rows = recorded.load_recorded(new)
     assert len(rows.runs) == len(recorded.load_recorded(old).runs) > 16
-    tails = {}
+    steady_rmses = {}
     for run in rows.runs:
         if run.scenario.name.startswith("cruise-") and len(run.measures) == 260:
-            tails[run.policy] = tails.get(run.policy, 0.0) + run.measures.tail.mean() / len(CASES)
+            steady_rmses[run.policy] = steady_rmses.get(run.policy, 0.0) + run.measures.steady_rmse.mean() / len(CASES)
     for suite, best in ((old, "oracle"), (new, "clairvoyant")):
         (entry,) = (e for e in pool(rows.runs, suite.anchors) if (e.policy, e.place) == ("nmpc", "cruise"))
-        expected = (tails["backstepping"] - tails["nmpc"]) / (tails["backstepping"] - tails[best])
+        expected = (steady_rmses["backstepping"] - steady_rmses["nmpc"]) / (
+            steady_rmses["backstepping"] - steady_rmses[best]
+        )
         assert entry.score.mean == pytest.approx(expected, rel=1e-9)
 
 
@@ -164,8 +166,8 @@ def test_recorded_rows_belong_to_a_hash(small, tmp_path):
     assert again.refused == {}
     assert [(r.policy, r.scenario.name) for r in again.runs] == [("open-loop", c.scenario.name) for c in suite.cells]
     for run, old in zip(again.runs, runs, strict=True):
-        np.testing.assert_allclose(run.measures.tail, old.measures.tail, rtol=1e-6)
-        assert run.measures.lost.dtype == bool
+        np.testing.assert_allclose(run.measures.steady_rmse, old.measures.steady_rmse, rtol=1e-6)
+        assert run.measures.failed.dtype == bool
         assert run.decision_seconds == old.decision_seconds
         assert run.recorded.versions == versions()
         assert len(run.recorded.date) == len("2000-01-01")
@@ -212,12 +214,14 @@ def test_the_recorded_oracle_is_that_of_the_frozen_suite():
     suite = suites.load_suite("benchmark-v1")
     runs = {run.scenario.name: run for run in recorded.load_recorded(suite).runs if run.policy == "oracle"}
     assert set(runs) == {cell.scenario.name for cell in suite.cells}
-    for regime, largest in (("slow", 5e-4), ("cruise", 3e-3)):
-        tails = [run.measures.tail for name, run in runs.items() if name.startswith(regime)]
-        assert np.mean(np.concatenate(tails)) < largest
+    for speed_range, largest in (("slow", 5e-4), ("cruise", 3e-3)):
+        steady_rmses = [run.measures.steady_rmse for name, run in runs.items() if name.startswith(speed_range)]
+        assert np.mean(np.concatenate(steady_rmses)) < largest
     cell = suite.cells[7]
     again = run_all(("oracle",), [Cell(cell.scenario, cell.episodes[:20])])[0]
-    np.testing.assert_allclose(again.measures.tail, runs[cell.scenario.name].measures.tail[:20], rtol=1e-3)
+    np.testing.assert_allclose(
+        again.measures.steady_rmse, runs[cell.scenario.name].measures.steady_rmse[:20], rtol=1e-3
+    )
 
 
 def test_request_of_a_frozen_suite(tmp_path):
@@ -253,30 +257,30 @@ def test_drawn_episodes_are_those_of_a_reset():
     assert drawn(scenario, 2, 5).episodes[1] == drawn(scenario, 1, 6).episodes[0]
 
 
-def test_an_agent_of_one_regime_is_recorded_there(small, tmp_path, monkeypatch):
+def test_an_agent_of_one_speed_range_is_recorded_there(small, tmp_path, monkeypatch):
     suite, agents = suites.load_suite("small", small), tmp_path / "agents"
     network = Gru(len(FEATURES), 2, 2, 2)
     zeros = {name: np.zeros(shape, np.float32) for name, shape in network.shapes.items()}
     Agent(network, zeros, "backstepping", (0.5, 0.5), ("cruise-storm",)).save(agents / "mine")
     monkeypatch.setattr("baselines.agents.names.SHIPPED_FOLDER", agents)
-    assert (recorded.regimes_of("mine"), recorded.regimes_of("ekf")) == (("cruise",), ("slow", "cruise"))
+    assert (recorded.speed_ranges_of("mine"), recorded.speed_ranges_of("ekf")) == (("cruise",), ("slow", "cruise"))
     cells = [cell for cell in suite.cells if cell.scenario.name.startswith("cruise-")]
-    recorded.save_recorded(suite, run_all(("mine",), cells), versions(), tmp_path, recorded.regimes_of("mine"))
+    recorded.save_recorded(suite, run_all(("mine",), cells), versions(), tmp_path, recorded.speed_ranges_of("mine"))
     runs = recorded.load_recorded(suite, tmp_path).runs
     assert [(run.policy, run.scenario.name) for run in runs] == [("mine", cell.scenario.name) for cell in cells]
     with pytest.raises(ValueError, match="has no result in slow-"):
         recorded.save_recorded(suite, runs, versions(), tmp_path)
 
 
-def test_yardsticks_are_what_expert_and_oracle_do(tmp_path):
+def test_anchor_errors_are_what_expert_and_oracle_do(tmp_path):
     """One for every cell that validations run; a cell of each regime is measured again, in a file of its own."""
     suite = suites.load_suite("benchmark-v1-validation")
-    assert all(recorded_yardsticks(cell) for cell in suite.cells)
+    assert all(recorded_anchor_errors(cell) for cell in suite.cells)
     few = replace(suite, cells=tuple(c for c in suite.cells if c.scenario.name in ("slow-noise", "cruise-storm")))
-    write_yardsticks(few, tmp_path / "yardsticks.json")
-    mine, theirs = (read_json(file)[suite.name] for file in (tmp_path / "yardsticks.json", YARDSTICKS_FILE))
+    write_anchor_errors(few, tmp_path / "anchor_errors.json")
+    mine, theirs = (read_json(file)[suite.name] for file in (tmp_path / "anchor_errors.json", ANCHOR_ERRORS_FILE))
     assert len(mine) == 2
     for name, record in mine.items():
         assert record.pop("cell") == theirs[name].pop("cell")
         assert record == pytest.approx(theirs[name], rel=1e-6), name
-    assert recorded_yardsticks(replace(few.cells[0], episodes=few.cells[0].episodes[:3])) is None
+    assert recorded_anchor_errors(replace(few.cells[0], episodes=few.cells[0].episodes[:3])) is None

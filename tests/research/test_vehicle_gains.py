@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from auv_gym.physics.namespaces import ARRAYS
 from auv_gym.physics.units import POWERS, Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
-from auv_gym.scenarios.vehicles import PAPER, craft, fleet
+from auv_gym.scenarios.vehicles import PAPER, vehicle_model, vehicle_names
 from baselines import make_policy
 from baselines.control.linearisation import linearise
 from baselines.tools.command_line import run
@@ -26,10 +26,10 @@ ROOT = Path(__file__).parents[2]
 SLIP = 0.25  # [rad] largest sideslip of the turns in which random hulls are looked at
 
 
-@pytest.mark.parametrize("name", fleet())
+@pytest.mark.parametrize("name", vehicle_names())
 def test_expert_and_normalised_law_are_stable_on_the_fleet(name):
-    assert vehicles_page.worst_growth(craft(name)) < 0
-    assert vehicles_page.worst_growth(craft(name), "backstepping-normalised") < 0
+    assert vehicles_page.worst_growth(vehicle_model(name)) < 0
+    assert vehicles_page.worst_growth(vehicle_model(name), "backstepping-normalised") < 0
 
 
 SIZES = st.floats(-1.5, 1.5).map(lambda x: 10**x)
@@ -56,18 +56,19 @@ def test_expert_is_stable_on_random_hulls_of_any_size(ratio, surge, sway, yaw, l
 
 
 def test_a_course_of_another_vehicle_is_in_the_papers_units():
-    plain, own = rewound_scenarios("cruise", "plain"), rewound_scenarios("cruise", "plain", craft("otter"))
+    plain, own = rewound_scenarios("cruise", "plain"), rewound_scenarios("cruise", "plain", vehicle_model("otter"))
     assert [s.name for s in own] == [s.name for s in plain]
     assert {s.vehicle.speed for s in own} == {1.5}
     assert {s.control_dt for s in own} == {0.1}
     assert len({s.substeps for s in own}) == 1
     assert rewound_scenarios("slow", "plain", PAPER) is not plain
-    tails, lost, commands = TuningEpisodes("cruise", 8, TUNING_SEED, craft=craft("otter")).tails(
+    episodes = TuningEpisodes("cruise", 8, TUNING_SEED, vehicle_model=vehicle_model("otter"))
+    steady_rmses, failed, commands = episodes.steady_rmses(
         TUNABLES["los-pid"].factory(vehicles.load_gains("los-pid", "cruise", TUNABLES["los-pid"].names),
-                                    vehicle=craft("otter").in_paper_units.vehicle)
+                                    vehicle=vehicle_model("otter").in_paper_units.vehicle)
     )  # fmt: skip
-    assert tails.shape == lost.shape == commands.shape[1:2] == (8,)
-    assert np.median(tails) < 0.2
+    assert steady_rmses.shape == failed.shape == commands.shape[1:2] == (8,)
+    assert np.median(steady_rmses) < 0.2
 
 
 def test_the_ratio_of_means_and_its_interval():
@@ -119,12 +120,12 @@ def test_an_agent_runs_beside_predictive_control_of_either_gains(tmp_path, capsy
     out.write_text(json.dumps({"search": {"otter": {"nmpc": {"gains": gains, "budget": [60, 16]}}}}))
     assert run(vehicles.main, vehicles.PROGRAM, ["agent", *few]) == 0
     record = json.loads(out.read_text())
-    tails = record["agent"]["otter"]["tails"]
-    assert tails["parameters"] == tails["searched"] != tails["helm-any"]
-    assert [len(own) for own in tails["helm-any"].values()] == [1] * 8
+    steady_rmses = record["agent"]["otter"]["steady_rmses"]
+    assert steady_rmses["parameters"] == steady_rmses["searched"] != steady_rmses["helm-any"]
+    assert [len(own) for own in steady_rmses["helm-any"].values()] == [1] * 8
     says, rows = vehicles_page._agent(record)
     assert "Over all 1 vehicles" in says
-    own, theirs = (np.concatenate(list(tails[side].values())) for side in ("helm-any", "parameters"))
+    own, theirs = (np.concatenate(list(steady_rmses[side].values())) for side in ("helm-any", "parameters"))
     assert rows.splitlines()[-1].count(f" {np.exp(np.log(own / theirs).mean()):.2f} (") == 2
 
 

@@ -15,7 +15,7 @@ from auv_gym.physics.units import Units
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.fitting import changed, in_vehicle_units
 from auv_gym.scenarios.presets import CASES, as_scenario
-from auv_gym.scenarios.vehicles import craft, fleet
+from auv_gym.scenarios.vehicles import vehicle_model, vehicle_names
 from auv_gym.task.observation import SIZE
 from baselines import make_policy
 from baselines.control.privileged.clairvoyant import arriving, oracle_actions
@@ -48,8 +48,8 @@ def suite():
 def test_eight_vehicles_in_every_case_none_of_them_the_papers(suite):
     assert suite.hash == "2ff4fad7702219e1db0c7f2e92eacec286f3a866d933ec8900b564a5f1a2a8b2"
     assert suite.anchors == BY_BOUND
-    slow = [name for name in fleet() if not craft(name).actuators.fin]
-    names = [f"{r}-{c}@{v}" for r, own in (("cruise", fleet()), ("slow", slow)) for v in own for c in CASES]
+    slow = [name for name in vehicle_names() if not vehicle_model(name).actuators.fin]
+    names = [f"{r}-{c}@{v}" for r, own in (("cruise", vehicle_names()), ("slow", slow)) for v in own for c in CASES]
     assert [cell.scenario.name for cell in suite.cells] == names
     known = {cell.scenario.vehicle for cell in suite.cells}
     assert len(known) == 8
@@ -68,46 +68,53 @@ def test_its_episodes_come_from_its_seed(suite, index):
     suites.check_cell(Cell(recipe.scenario, suite.cells[index].episodes[:4]), suite.digests[index][:4])
 
 
-def measures(tail, lost=()):
-    tail = np.array(tail, dtype=np.float64)
-    ones, gone = np.ones(len(tail)), np.isin(np.arange(len(tail)), lost)
-    return Measures(tail.copy(), tail, ones, ones, ones, ones, ones, ones, gone)
+def measures(steady_rmse, failed=()):
+    steady_rmse = np.array(steady_rmse, dtype=np.float64)
+    ones, gone = np.ones(len(steady_rmse)), np.isin(np.arange(len(steady_rmse)), failed)
+    return Measures(steady_rmse.copy(), steady_rmse, ones, ones, ones, ones, ones, ones, gone)
 
 
 def runs_of(scenario, by_policy):
-    return [Run(policy, scenario, "", measures(tail)) for policy, tail in by_policy.items()]
+    return [Run(policy, scenario, "", measures(steady_rmse)) for policy, steady_rmse in by_policy.items()]
 
 
 PAPER_CELL = PRESETS["cruise-storm"]
 FAR_CELL = replace(changed(PAPER_CELL, twin(OTHER)), name="cruise-storm@twin")
-TAILS = {"backstepping": [1.0, 5.0, 0.5], "nmpc": [0.3, 0.1, 0.2], "ekf": [0.4, 0.3, 0.1], "clairvoyant": [0.0] * 3}
+STEADY_RMSES = {
+    "backstepping": [1.0, 5.0, 0.5],
+    "nmpc": [0.3, 0.1, 0.2],
+    "ekf": [0.4, 0.3, 0.1],
+    "clairvoyant": [0.0] * 3,
+}
 
 
 def test_a_similar_vehicle_scores_the_same():
     """With errors as many times as large as the vehicle is: score, capped score and what is lost."""
     assert (unit_of(PAPER_CELL), unit_of(FAR_CELL)) == (1.0, pytest.approx(16.0))
     assert cap_of(FAR_CELL) == pytest.approx(16 * cap_of(PAPER_CELL))
-    far = {policy: [16 * x for x in tail] for policy, tail in TAILS.items()}
-    for mine, its in zip(compare(runs_of(PAPER_CELL, TAILS)), compare(runs_of(FAR_CELL, far)), strict=True):
+    far = {policy: [16 * x for x in steady_rmse] for policy, steady_rmse in STEADY_RMSES.items()}
+    for mine, its in zip(compare(runs_of(PAPER_CELL, STEADY_RMSES)), compare(runs_of(FAR_CELL, far)), strict=True):
         for what in ("score", "capped"):
             assert getattr(its.entry, what).mean == pytest.approx(getattr(mine.entry, what).mean)
-        assert its.entry.lost == mine.entry.lost
-        assert its.entry.summary.tail_rmse_m.mean == pytest.approx(16 * mine.entry.summary.tail_rmse_m.mean)  # metres
+        assert its.entry.failed == mine.entry.failed
+        assert its.entry.summary.steady_rmse_m.mean == pytest.approx(
+            16 * mine.entry.summary.steady_rmse_m.mean
+        )  # metres
 
 
 def test_a_ship_does_not_dominate_what_is_pooled():
-    far = {policy: [16 * x for x in tail] for policy, tail in TAILS.items()}
-    entries = pool([*runs_of(PAPER_CELL, TAILS), *runs_of(FAR_CELL, far)])
+    far = {policy: [16 * x for x in steady_rmse] for policy, steady_rmse in STEADY_RMSES.items()}
+    entries = pool([*runs_of(PAPER_CELL, STEADY_RMSES), *runs_of(FAR_CELL, far)])
     found = {(e.place, e.policy): e for e in entries}
     assert {place for place, _ in found} == {"cruise", "cruise@paper", "cruise@twin"}
-    alone = {e.policy: e for e in pool(runs_of(PAPER_CELL, TAILS))}
-    for policy, tail in TAILS.items():
+    alone = {e.policy: e for e in pool(runs_of(PAPER_CELL, STEADY_RMSES))}
+    for policy, steady_rmse in STEADY_RMSES.items():
         both = found["cruise", policy]
         assert both.capped.mean == pytest.approx(alone[policy].capped.mean)
         assert both.error_ratio == pytest.approx(alone[policy].error_ratio)
-        assert both.lost == 2 * alone[policy].lost
-        assert both.summary.tail_rmse_m.mean == pytest.approx(np.mean(tail))  # metres of the paper's vehicle
-        assert found["cruise@twin", policy].summary.tail_rmse_m.mean == pytest.approx(16 * np.mean(tail))
+        assert both.failed == 2 * alone[policy].failed
+        assert both.summary.steady_rmse_m.mean == pytest.approx(np.mean(steady_rmse))  # metres of the paper's vehicle
+        assert found["cruise@twin", policy].summary.steady_rmse_m.mean == pytest.approx(16 * np.mean(steady_rmse))
 
 
 def test_error_over_the_rivals_is_a_geometric_mean_over_cells_without_units():
@@ -119,17 +126,21 @@ def test_error_over_the_rivals_is_a_geometric_mean_over_cells_without_units():
     assert found.ci95[0] < expected < found.ci95[1]
     other = relative_error([42.0 * rival[0], *rival[1:]], [42.0 * own[0], *own[1:]])
     assert (other.mean, *other.ci95) == pytest.approx((found.mean, *found.ci95))
-    seeds = relative_error(rival, [np.stack((0.9 * tail, 1.1 * tail)) for tail in own])
+    seeds = relative_error(rival, [np.stack((0.9 * steady_rmse, 1.1 * steady_rmse)) for steady_rmse in own])
     assert seeds.mean == pytest.approx(expected)
     assert seeds.ci95[0] < found.ci95[0] < found.ci95[1] < seeds.ci95[1]
-    twice = relative_error(rival, [2 * tail for tail in rival])  # the same episodes for both: nothing is left to chance
+    twice = relative_error(
+        rival, [2 * steady_rmse for steady_rmse in rival]
+    )  # the same episodes for both: nothing is left to chance
     assert (twice.mean, *twice.ci95) == pytest.approx((2.0, 2.0, 2.0))
 
 
 def test_the_bound_of_a_similar_vehicle_is_the_similar_one():
     short = [replace(s, steps=s.steps // 3) for s in (PAPER_CELL, FAR_CELL)]
-    tails = [rollout(make_policy("clairvoyant"), s, drawn(s, 3, 100).episodes).measures.tail for s in short]
-    np.testing.assert_allclose(tails[1] / 16, tails[0], atol=2 * TOLERANCE)
+    steady_rmses = [
+        rollout(make_policy("clairvoyant"), s, drawn(s, 3, 100).episodes).measures.steady_rmse for s in short
+    ]
+    np.testing.assert_allclose(steady_rmses[1] / 16, steady_rmses[0], atol=2 * TOLERANCE)
 
 
 def test_where_limits_bind_foresight_leads_farther_than_the_oracle():
@@ -140,9 +151,9 @@ def test_where_limits_bind_foresight_leads_farther_than_the_oracle():
     guess = arriving(oracle_actions(scenario, episodes), problem.delay)
     alone = refined(problem, problem.standing(guess))
     both = best_trajectory(problem, guess, [partial(foreseeing, WINDOWS[0])])
-    assert both.tail[0] < 0.5 * alone.tail[0]
+    assert both.steady_rmse[0] < 0.5 * alone.steady_rmse[0]
     run = rollout(make_policy("backstepping", scenario.vehicle), scenario, episodes)
-    assert both.tail[0] < in_paper_metres(run.measures, scenario).tail[0]
+    assert both.steady_rmse[0] < in_paper_metres(run.measures, scenario).steady_rmse[0]
 
 
 def test_a_factory_is_told_each_vehicle(suite, tmp_path):
@@ -163,10 +174,10 @@ def test_a_factory_is_told_each_vehicle(suite, tmp_path):
     mine, known = run_all((name,), cells), run_all(("los-pid",), cells)
     assert [float(line) for line in told.read_text().split()] == [cell.scenario.vehicle.m11 for cell in cells]
     for a, b in zip(mine, known, strict=True):
-        np.testing.assert_array_equal(a.measures.tail, b.measures.tail)
+        np.testing.assert_array_equal(a.measures.steady_rmse, b.measures.steady_rmse)
 
 
-@pytest.mark.parametrize("name", fleet())
+@pytest.mark.parametrize("name", vehicle_names())
 def test_all_that_is_seen_is_what_is_seen_in_the_vehicles_own_units(name):
     """The way ahead too, which is hundreds of metres for a ship: nothing meets a bound."""
     scenario, preview = as_scenario(f"cruise-calm@{name}"), (1, 40)
@@ -196,20 +207,20 @@ def test_the_section_tells_what_the_rows_say(suite):
     results = Results.of(suite, runs)
     pairs = vehicles.pairs_of(results)
     assert list(pairs) == ["clairvoyant", "ekf", "nmpc", "backstepping"]
-    for regime, episodes in (("", 2304), ("cruise", 2048), ("slow", 256)):
-        pair = vehicles.pairs_of(results, regime)["ekf"]
-        assert (pair.error.mean, pair.lost, pair.episodes) == (pytest.approx(0.5), 0, episodes)
+    for speed_range, episodes in (("", 2304), ("cruise", 2048), ("slow", 256)):
+        pair = vehicles.pairs_of(results, speed_range)["ekf"]
+        assert (pair.error.mean, pair.failed, pair.episodes) == (pytest.approx(0.5), 0, episodes)
     studies = {}
-    for regime in ("cruise", "slow"):
-        own = [run for run in runs if run.policy == "ekf" and run.scenario.name.startswith(regime)]
-        studies[f"any-{regime}"] = Study.of("", regime, "", {vehicles.VEHICLES_SUITE: [own, own]}, [[], []])
+    for speed_range in ("cruise", "slow"):
+        own = [run for run in runs if run.policy == "ekf" and run.scenario.name.startswith(speed_range)]
+        studies[f"any-{speed_range}"] = Study.of("", speed_range, "", {vehicles.VEHICLES_SUITE: [own, own]}, [[], []])
     half = "0.50 (0.50 ... 0.50)"
     (row,) = vehicles.seed_rows(pairs["nmpc"].own, studies)
     assert row == ["`any`", "2", half, half, "0 of 4608 (<= 0.065 %)"]
     assert vehicles.seed_rows(pairs["nmpc"].own, {"any-cruise": studies["any-cruise"]}) == []
     assert vehicles.nearer_than_optimum(results) == []
     first = next(i for i, run in enumerate(runs) if run.policy == "ekf")
-    better = runs[first].measures.tail.copy()
+    better = runs[first].measures.steady_rmse.copy()
     better[3] = 1e-5 * unit_of(runs[first].scenario)
     runs[first] = replace(runs[first], measures=measures(better))
     ((name, episode, policy, _),) = vehicles.nearer_than_optimum(Results.of(suite, runs))
@@ -237,9 +248,9 @@ def test_the_readme_says_how_the_agent_for_every_vehicle_compares(suite):
         f"`helm-any` has {row[2]} times the error of `nmpc`, but it fails more often on three of the four vehicles "
         "with fins"
     ) in readme
-    finned = [name for name in fleet() if craft(name).actuators.fin]
+    finned = [name for name in vehicle_names() if vehicle_model(name).actuators.fin]
     own, rival = (
-        [pairs[policy].among(lambda cell, name=name: vehicle_of(cell) == name).lost for name in finned]
+        [pairs[policy].among(lambda cell, name=name: vehicle_of(cell) == name).failed for name in finned]
         for policy in ("helm-any", "nmpc")
     )
     assert (len(finned), sum(a > b for a, b in zip(own, rival, strict=True))) == (4, 3)

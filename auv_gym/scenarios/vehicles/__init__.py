@@ -19,7 +19,7 @@ VEHICLES_FOLDER = FilePath(__file__).parent  # of the vehicles, NAME.toml
 
 
 @dataclass(frozen=True)
-class Craft:
+class VehicleModel:
     """A vehicle with all that belongs to it: actuators, speed, and what is known about its numbers.
 
     Raises:
@@ -52,7 +52,7 @@ class Craft:
         return v.d11 + v.X_uu * speed, v.d22 + v.Y_uv * speed, v.d33 + v.N_ur * speed
 
     @property
-    def in_paper_units(self) -> Craft:
+    def in_paper_units(self) -> VehicleModel:
         """The same in units in which mass, length and design speed are those of the paper's vehicle."""
         units = Units.of(self.vehicle)
         if units == Units():
@@ -67,7 +67,7 @@ class Craft:
         )
 
     @classmethod
-    def load(cls, file: str | FilePath) -> Craft:
+    def load(cls, file: str | FilePath) -> VehicleModel:
         """Return the vehicle of a .toml or .json file.
 
         Raises:
@@ -80,7 +80,7 @@ class Craft:
             raise ValueError(f"{file}: {error}") from error
 
 
-PAPER = Craft(
+PAPER = VehicleModel(
     name="paper",
     about="the paper's vehicle",
     source="Repoulias and Papadopoulos 2005, see `auv_gym.physics.vehicle.PAPER_VEHICLE`",
@@ -94,44 +94,48 @@ PAPER = Craft(
 """The vehicle that the presets are made for."""
 
 
-def fleet() -> list[str]:
+def vehicle_names() -> list[str]:
     """Return the names of the published vehicles that have a file of their own."""
     return sorted(file.stem for file in VEHICLES_FOLDER.glob("*.toml"))
 
 
 def list_vehicles() -> list[str]:
     """Return the names that `gym.make(..., vehicle=NAME)` takes."""
-    return [*VEHICLES, *fleet()]
+    return [*VEHICLES, *vehicle_names()]
 
 
 @cache
-def craft(name: str) -> Craft:
-    """Return the vehicle of a name that `fleet` lists, or of a file.
+def vehicle_model(name: str) -> VehicleModel:
+    """Return the vehicle of a name that `vehicle_names` lists, or of a file.
 
     Raises:
         ValueError: there is no such vehicle, or its file is wrong.
         OSError: the file cannot be read.
     """
-    return Craft.load(VEHICLES_FOLDER / f"{name}.toml" if name in fleet() else name)
+    return VehicleModel.load(VEHICLES_FOLDER / f"{name}.toml" if name in vehicle_names() else name)
 
 
-def as_craft(vehicle: Any) -> Craft | None:
+def as_vehicle_model(vehicle: Any) -> VehicleModel | None:
     """Return the vehicle with all that belongs to it for an object, a name or a file; None for a hull alone."""
-    if isinstance(vehicle, Craft):
+    if isinstance(vehicle, VehicleModel):
         return vehicle
     named = isinstance(vehicle, str) and vehicle not in VEHICLES
-    return craft(vehicle) if named and (vehicle in fleet() or vehicle.endswith((".toml", ".json"))) else None
+    return (
+        vehicle_model(vehicle)
+        if named and (vehicle in vehicle_names() or vehicle.endswith((".toml", ".json")))
+        else None
+    )
 
 
-def as_vehicle(vehicle: Vehicle | Craft | str | Mapping[str, Any]) -> Vehicle:
-    """Return a vehicle given as an object, by a name of `fleet.list_vehicles`, a file, or a dict of its parameters."""
+def as_vehicle(vehicle: Vehicle | VehicleModel | str | Mapping[str, Any]) -> Vehicle:
+    """Return a vehicle given as an object, by its name, as a file, or as a dict of its parameters."""
     if isinstance(vehicle, Vehicle):
         return vehicle
     if isinstance(vehicle, Mapping):
         return from_record(Vehicle, vehicle, "vehicle")
     if isinstance(vehicle, str) and vehicle in VEHICLES:
         return VEHICLES[vehicle]
-    if (craft := as_craft(vehicle)) is not None:
-        return craft.vehicle
+    if (vehicle_model := as_vehicle_model(vehicle)) is not None:
+        return vehicle_model.vehicle
     names = ", ".join(list_vehicles())
     raise ValueError(f"unknown vehicle {vehicle!r}; allowed are a Vehicle, a dict, a .toml file, or one of {names}")

@@ -88,32 +88,32 @@ class PredictiveControl:
     def forces(self, o: Observation, memory: Memory, extra: Array) -> tuple[Array, Array, Memory]:
         """Return F_u [N], F_r [N m], shape (N,), and the memory to hand in next."""
         *believed, planned, seen = memory
-        fresh = believed[0].T[0] == 0  # the filter's count of updates
+        held_out = believed[0].T[0] == 0  # the filter's count of updates
         acting, kept, seen = fins(o, seen)
         planned = planned * np.stack((np.ones_like(kept), kept), axis=1)[:, None]
         after, z = self.filter.update(tuple(believed), terms := np.array(o))
-        aim, share = aims(extra), np.ones((COMMAND_SIZE, len(fresh)))
+        aim, share = aims(extra), np.ones((COMMAND_SIZE, len(held_out)))
         if self.filter.faults:
             faults = Faults(*z[STATE_SIZE : STATE_SIZE + FAULTS])
             aim, share = later(aim, faults.delay), np.array((faults.surge_share, faults.yaw_share))
             z = arrival(terms, z, self.vehicle)
         ahead = horizon(terms, z, aim, share, acting)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            guess = self._guess(z, o, np.einsum("jk,nki->jin", self._next, planned), fresh, ahead)
-            plan = self.solve(guess, ahead, np.where(fresh, FIRST_STEPS, _STEPS))
+            guess = self._guess(z, o, np.einsum("jk,nki->jin", self._next, planned), held_out, ahead)
+            plan = self.solve(guess, ahead, np.where(held_out, FIRST_STEPS, _STEPS))
         # A vehicle that spins too fast for the prediction is left to the law that is safe from that.
         law = np.array(tracking_forces(o, self.vehicle, GAINS["normalised"], ARRAYS))
         commands = np.where(np.isfinite(plan.cost), plan.commands, law)
         F_u, F_r = commands[0] / share
         return F_u, F_r, (*after, np.ascontiguousarray(commands.transpose(2, 0, 1)), seen)
 
-    def _guess(self, z: Array, o: Observation, warm: Array, fresh: NDArray[np.bool_], ahead: Horizon) -> Plan:
+    def _guess(self, z: Array, o: Observation, warm: Array, held_out: NDArray[np.bool_], ahead: Horizon) -> Plan:
         """Return the better of two plans to begin with: what was planned, and what the reference takes as it is now."""
         limits, load = ahead.limits, Estimate(*z)
         steady = np.clip(np.array((o.F_uR - load.X, o.F_rR - load.N)), -limits, limits)
         plan = self.problem.planned(z[:STATE_ROWS], np.broadcast_to(steady, warm.shape), ahead)
         last = self.problem.planned(z[:STATE_ROWS], np.clip(warm, -limits, limits), ahead)
-        few = (~fresh & (last.cost <= plan.cost)).nonzero()[0]
+        few = (~held_out & (last.cost <= plan.cost)).nonzero()[0]
         return replaced(plan, few, taken(last, few))
 
 

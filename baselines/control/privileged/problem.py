@@ -41,7 +41,7 @@ HEAD = 1e-3
 PRICE = 1e-9
 """Price [m^2 of the paper's vehicle] of a command at its limit all along: what the position does not mind is not
 arbitrary."""
-TAIL = 3
+STEADY_RMSE = 3
 """The tail is what is left of the steps after the first one in so many, as in `evaluation.metrics`."""
 
 
@@ -73,7 +73,7 @@ class Problem:
         reach = np.minimum(1.0, np.stack((np.broadcast_to(p.reach_u, n), np.broadcast_to(p.reach_r, n))))
         arrived = np.arange(steps)[:, None] >= delay
         weight = np.full((steps, 1, n), HEAD / steps)
-        weight[steps // TAIL :] = 1.0 / (steps - steps // TAIL)
+        weight[steps // STEADY_RMSE :] = 1.0 / (steps - steps // STEADY_RMSE)
         unit = Units.of(scenario.vehicle).length
         return cls(
             p.parts._replace(filtered=False, outages=False, delayed=False, weak=False, reckoned=False, span=1),
@@ -132,8 +132,8 @@ class Problem:
                 applied=applied,
                 error=error,
             )(0, steps)
-        tail = np.sqrt(error[steps // TAIL :, 0].mean(axis=0)) / self.unit
-        return Trajectory(applied, states, np.where(np.isfinite(cost[0]), cost[0], np.inf), tail)
+        steady_rmse = np.sqrt(error[steps // STEADY_RMSE :, 0].mean(axis=0)) / self.unit
+        return Trajectory(applied, states, np.where(np.isfinite(cost[0]), cost[0], np.inf), steady_rmse)
 
     def way(self, course: Trajectory, damping: Array) -> Way:
         """Return the Gauss-Newton step at a course, with its feedback; `damping` (N,) makes it shorter."""
@@ -167,7 +167,7 @@ class Trajectory(NamedTuple):
     commands: Array  # that act in each period, shape (K, COMMAND_ROWS, N)
     states: Array  # shape (K + 1, PLANT_STATES, N)
     cost: Array  # (1) [m^2 of the paper's vehicle], shape (N,); infinite where no finite states come of the commands
-    tail: Array  # [m of the paper's vehicle] root mean square of the position error in the tail, shape (N,)
+    steady_rmse: Array  # [m of the paper's vehicle] root mean square of the position error in the tail, shape (N,)
 
 
 class Way(NamedTuple):

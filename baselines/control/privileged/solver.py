@@ -51,7 +51,7 @@ def best_trajectory(problem: Problem, guess: Array, others: Sequence[Callable[[P
     """
     best = refined(problem, problem.standing(guess))
     for other in others:
-        few = np.flatnonzero(~(best.tail < GOOD))
+        few = np.flatnonzero(~(best.steady_rmse < GOOD))
         if not few.size:
             break
         part = problem.taken(few)

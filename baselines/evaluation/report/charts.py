@@ -21,7 +21,7 @@ def charts(policies: Sequence[str]) -> dict[str, Spec]:
     looks = _Looks(policies)
     return {
         "scores": _intervals(looks, "score", "case", f"score: {SCALE}", -1.0),
-        "tails": _tails(looks),
+        "steady_rmses": _steady_rmses(looks),
         "shares": _shares(looks),
         "bands": _bands(looks),
         "errors": _errors(looks),
@@ -68,7 +68,7 @@ def _frame(layer: list[Spec], **more: Any) -> Spec:
 
 def _intervals(looks: _Looks, value: str, group: str, title: str, least: float) -> Spec:
     """Return a value of each policy with its interval, policies below each other in each group."""
-    told = _told(("policy", "policy"), (group, group), ("text", value), ("lost", "lost"))
+    told = _told(("policy", "policy"), (group, group), ("text", value), ("failed", "failed"))
     x = _number("value", title, domainMin={"expr": f"max({least}, least)"}, domainMax=1.05, nice=False)
     bands = {"title": None, "grid": True, "tickBand": "extent"}
     place = {
@@ -93,9 +93,9 @@ def _intervals(looks: _Looks, value: str, group: str, title: str, least: float) 
     )
 
 
-def _tails(looks: _Looks) -> Spec:
+def _steady_rmses(looks: _Looks) -> Spec:
     """Return the mean tail error of each policy in a scenario with its interval, each named at its line."""
-    told = _told(("policy", "policy"), ("text", "tail [m]"), ("lost", "lost"))
+    told = _told(("policy", "policy"), ("text", "steady-state RMSE [m]"), ("failed", "failed"))
     x = _number("value", "mean tail error [m], 95 % interval", log=True)
     y = {"field": "policy", "type": "nominal", "sort": None, "axis": {"title": None, "labelLimit": 150, "grid": True}}
     return _frame(
@@ -121,7 +121,7 @@ def _shares(looks: _Looks) -> Spec:
             {
                 "mark": {**_LINE, "interpolate": "step-after"},
                 "encoding": {
-                    "x": _number("tail", "tail error of an episode [m]; dotted: lost", log=True),
+                    "x": _number("steady_rmse", "tail error of an episode [m]; dotted: lost", log=True),
                     "y": {"field": "share", "type": "quantitative", **share},
                     "tooltip": _NAMED,
                     **looks.of("color", "strokeDash"),
@@ -152,7 +152,7 @@ def _bands(looks: _Looks) -> Spec:
                 "encoding": {"x": t, "y": error, **looks.of("color", "strokeDash"), "tooltip": _NAMED},
             },
             {
-                "data": {"name": "tails"},
+                "data": {"name": "steady_rmses"},
                 "mark": {"type": "rule", "strokeDash": [2, 3], "color": QUIET},
                 "encoding": {"x": {"field": "t", "type": "quantitative"}},
             },

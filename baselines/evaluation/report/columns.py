@@ -10,13 +10,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from baselines.evaluation.metrics import WORST, Summary, most_lost
+from baselines.evaluation.metrics import WORST, Summary, failure_bound
 from baselines.evaluation.report.numbers import Entry
-from baselines.evaluation.score import LARGEST_TAIL, OPTIMUM_POLICY, ORACLE, RIVAL, fixed, fixed_ends
+from baselines.evaluation.score import ERROR_CAPS, OPTIMUM_POLICY, ORACLE, RIVAL, fixed, fixed_ends
 
 NONE = "-"
 """Shown where there is no value."""
-_CAPS = " or ".join(f"{cap:g} m ({regime})" for regime, cap in LARGEST_TAIL.items()) + ", of the paper's vehicle"
+_CAPS = (
+    " or ".join(f"{cap:g} m ({speed_range})" for speed_range, cap in ERROR_CAPS.items()) + ", of the paper's vehicle"
+)
 
 
 @dataclass(frozen=True)
@@ -69,29 +71,29 @@ def ratio_text(value: float) -> str:
     return f"{value:.2f}"
 
 
-def lost_text(lost: int, episodes: int) -> str:
+def failures_text(failed: int, episodes: int) -> str:
     """Return how many episodes were lost, and the largest share that can be meant by it."""
-    most = 100 * most_lost(lost, episodes)
-    return f"{lost} of {episodes} (<= {most:.2g} %)" if most < 99.5 else f"{lost} of {episodes}"
+    most = 100 * failure_bound(failed, episodes)
+    return f"{failed} of {episodes} (<= {most:.2g} %)" if most < 99.5 else f"{failed} of {episodes}"
 
 
 COLUMNS = (
     Column("episodes", "episodes", "episodes that were run", lambda _, s: s.episodes),
     Column("rmse_m", "", "root mean square of the distance to the reference [m], mean over episodes",
            lambda _, s: s.rmse_m),
-    Column("tail_rmse_m.mean", "tail [m]",
+    Column("steady_rmse_m.mean", "steady [m]",
            "steady-state error: the same after the first third of an episode; a failed episode keeps its last error "
            "for the remaining steps; over several vehicles in metres of the paper's vehicle",
-           lambda _, s: s.tail_rmse_m.mean, digits(3), 9),
-    Column("tail_rmse_m.ci95", "95 % of tail", "95 % bootstrap interval of that mean over episodes",
-           lambda _, s: list(s.tail_rmse_m.ci95), ends, 6),
-    Column("tail_rmse_m.median", "median [m]", "median of the steady-state error over episodes",
-           lambda _, s: s.tail_rmse_m.median, digits(3), 5),
-    Column("tail_rmse_m.p95", "p95 [m]", "95th percentile of the steady-state error over episodes",
-           lambda _, s: s.tail_rmse_m.p95, digits(3), 4),
-    Column("tail_rmse_m.cvar95", "worst 5 % [m]",
+           lambda _, s: s.steady_rmse_m.mean, digits(3), 9),
+    Column("steady_rmse_m.ci95", "95 % interval", "95 % bootstrap interval of that mean over episodes",
+           lambda _, s: list(s.steady_rmse_m.ci95), ends, 6),
+    Column("steady_rmse_m.median", "median [m]", "median of the steady-state error over episodes",
+           lambda _, s: s.steady_rmse_m.median, digits(3), 5),
+    Column("steady_rmse_m.p95", "p95 [m]", "95th percentile of the steady-state error over episodes",
+           lambda _, s: s.steady_rmse_m.p95, digits(3), 4),
+    Column("steady_rmse_m.cvar95", "worst 5 % [m]",
            f"mean of the worst {100 * WORST:g} % of the steady-state errors (conditional value at risk)",
-           lambda _, s: s.tail_rmse_m.cvar95, digits(3), 3),
+           lambda _, s: s.steady_rmse_m.cvar95, digits(3), 3),
     Column("score.mean", "score",
            "(E_0 - E_policy) / (E_0 - E_1), E the mean steady-state error in the same episodes: 0 is the paper's "
            f"law, 1 in benchmark-v2 the full-information optimum, {OPTIMUM_POLICY}, in older suites the {ORACLE}, a "
@@ -105,13 +107,13 @@ COLUMNS = (
     Column("error_ratio", f"error / {RIVAL}",
            f"mean steady-state error, counted as for the capped score, over that of {RIVAL} in the same episodes",
            lambda e, _: e.error_ratio, ratio_text, 1),
-    Column("lost", "lost",
+    Column("failed", "failures",
            "failed episodes: they ended beyond the scenario's `lost_distance`, or the steady-state error reaches "
            f"{_CAPS}; in parentheses the 95 % upper confidence bound of the failure rate",
-           lambda e, _: e.lost, keep=8, show=lambda e, s: lost_text(e.lost, s.episodes)),
-    Column("lost_share", "", "failure rate", lambda e, s: e.lost / s.episodes),
-    Column("lost_at_most", "", "95 % upper confidence bound of the failure rate (one-sided, Clopper and Pearson)",
-           lambda e, s: most_lost(e.lost, s.episodes)),
+           lambda e, _: e.failed, keep=8, show=lambda e, s: failures_text(e.failed, s.episodes)),
+    Column("failure_rate", "", "failure rate", lambda e, s: e.failed / s.episodes),
+    Column("failure_rate_bound", "", "95 % upper confidence bound of the failure rate (one-sided, Clopper and Pearson)",
+           lambda e, s: failure_bound(e.failed, s.episodes)),
     Column("settling_s", "settled [s]", "time of the last position error above the scenario's `error_scale`, mean",
            lambda _, s: s.settling_s, digits(3)),
     Column("effort_ratio", "effort", "mean square of the normalised command, relative to the expert's",
@@ -165,8 +167,8 @@ def ranked(entries: Sequence[Entry]) -> list[Entry]:
 
     def rank(entry: Entry) -> tuple[bool, bool, float]:
         score = entry.score.mean if entry.score else math.nan
-        tail = entry.summary.tail_rmse_m.mean if entry.summary else math.inf
-        return entry.summary is None, not math.isfinite(score), -score if math.isfinite(score) else tail
+        steady_rmse = entry.summary.steady_rmse_m.mean if entry.summary else math.inf
+        return entry.summary is None, not math.isfinite(score), -score if math.isfinite(score) else steady_rmse
 
     return sorted(entries, key=rank)
 

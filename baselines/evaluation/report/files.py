@@ -37,7 +37,7 @@ def results_json(request: Request, results: Sequence[Result], scores: Sequence[E
             }
             for result in results
         ],
-        "pooled": [{"policy": entry.policy, "regime": entry.place, **record(entry)} for entry in scores],
+        "pooled": [{"policy": entry.policy, "speed_range": entry.place, **record(entry)} for entry in scores],
     }
     return json_text(content)
 

@@ -7,16 +7,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from baselines.evaluation.report.columns import Column, definitions, lost_text, ranked, used
+from baselines.evaluation.report.columns import Column, definitions, failures_text, ranked, used
 from baselines.evaluation.report.numbers import Entry, Result, recordings
 from baselines.evaluation.report.page import mixed, render_report
 from baselines.evaluation.report.page_data import at_first, by_scenario, look_of, page_data
 from baselines.evaluation.request import Request
-from baselines.evaluation.score import EXPERT, FORESIGHTED, Score, fixed, fixed_ends, regime_of, score_text
+from baselines.evaluation.score import EXPERT, FORESIGHTED, Score, fixed, fixed_ends, score_text, speed_range_of
 from baselines.tools.figure_style import look
 from baselines.tools.files import versions
 
-_FIRST = ("score", "lost", "tail", "effort", "smoothness", "decision_ms", "settling", "saturation", "capped")
+_FIRST = ("score", "failed", "steady_rmse", "effort", "smoothness", "decision_ms", "settling", "saturation", "capped")
 """The columns in the order in which a page has them, by the beginning of their keys; the others come behind."""
 _LEAST = -0.2
 """Score at the left end of the intervals that are drawn in the leaderboard."""
@@ -65,7 +65,7 @@ def report_html(request: Request, results: Sequence[Result], pooled: Sequence[En
     lone = [
         r.entry
         for r in results
-        if not scored or regime_of(r.run.scenario.name) not in {entry.place for entry in pooled}
+        if not scored or speed_range_of(r.run.scenario.name) not in {entry.place for entry in pooled}
     ]
     return render_report(
         "report.html",
@@ -148,24 +148,24 @@ def _lead(order: Sequence[Entry]) -> str:
     best = next((e for e in order if e.policy not in FORESIGHTED and e.summary is not None), None)
     if best is None or best.summary is None or len(order) < 2:
         return ""
-    lost = f"{lost_text(best.lost, best.summary.episodes)} episodes lost"
+    failed = f"{failures_text(best.failed, best.summary.episodes)} episodes lost"
     if best.score is None or not math.isfinite(best.score.mean):
-        return f"{best.policy} is the nearest: a mean tail error of {best.summary.tail_rmse_m.mean:.3g} m, {lost}."
+        return f"{best.policy} is the nearest: a mean tail error of {best.summary.steady_rmse_m.mean:.3g} m, {failed}."
     ends = f" ({fixed_ends(best.score.ci95)})" if math.isfinite(best.score.ci95[0]) else ""
     if best.policy == EXPERT:
-        return f"Nobody is better than the expert, {EXPERT}: {lost}."
-    return f"{best.policy} leads with a score of {fixed(best.score.mean)}{ends}, {lost}."
+        return f"Nobody is better than the expert, {EXPERT}: {failed}."
+    return f"{best.policy} leads with a score of {fixed(best.score.mean)}{ends}, {failed}."
 
 
 def _maps(results: Sequence[Result], policies: Sequence[str]) -> list[dict[str, Any]]:
     """Return for each regime the scores case by case: a line for each policy, a colour for each score."""
     found: dict[str, dict[str, dict[str, Score | None]]] = {}
     for result in results:
-        if (regime := regime_of(result.run.scenario.name)) is not None:
-            own = found.setdefault(regime, {}).setdefault(result.run.policy, {})
+        if (speed_range := speed_range_of(result.run.scenario.name)) is not None:
+            own = found.setdefault(speed_range, {}).setdefault(result.run.policy, {})
             own[result.run.scenario.name] = result.entry.score
     maps = []
-    for regime, by_policy in found.items():
+    for speed_range, by_policy in found.items():
         names = list(dict.fromkeys(name for own in by_policy.values() for name in own))
         order = sorted(by_policy, key=lambda policy: -_mean(by_policy[policy].values()))
         lines = [
@@ -176,8 +176,8 @@ def _maps(results: Sequence[Result], policies: Sequence[str]) -> list[dict[str, 
             }
             for policy in order
         ]
-        cases = [{"name": name, "case": name.removeprefix(f"{regime}-")} for name in names]
-        maps.append({"regime": regime, "cases": cases, "lines": lines})
+        cases = [{"name": name, "case": name.removeprefix(f"{speed_range}-")} for name in names]
+        maps.append({"speed_range": speed_range, "cases": cases, "lines": lines})
     return maps
 
 

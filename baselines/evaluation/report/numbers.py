@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from auv_gym.physics.namespaces import Array
-from auv_gym.scenarios.presets import REGIMES
+from auv_gym.scenarios.presets import SPEED_RANGES
 from baselines.evaluation.metrics import Measures, Summary, ratio, summarise
 from baselines.evaluation.runner import Run
 from baselines.evaluation.score import (
@@ -19,12 +19,12 @@ from baselines.evaluation.score import (
     Anchors,
     Score,
     capped,
+    count_failures,
+    error_cap,
     in_paper_metres,
-    largest_tail,
-    losses,
     paired,
-    regime_of,
     score,
+    speed_range_of,
     unit_of,
     vehicle_of,
 )
@@ -49,8 +49,8 @@ class Entry:
     effort_ratio: float = math.nan  # effort over the expert's; nan if there is no expert
     smoothness_ratio: float = math.nan  # smoothness over the expert's; nan if there is no expert
     score: Score | None = None  # None: one of the anchors is missing
-    capped: Score | None = None  # with every tail RMSE at most `score.LARGEST_TAIL`
-    lost: int = 0  # episodes, see `score.is_lost`
+    capped: Score | None = None  # with every tail RMSE at most `score.ERROR_CAPS`
+    failed: int = 0  # episodes, see `score.has_failed`
     error_ratio: float = math.nan  # mean capped tail over that of `score.RIVAL`; nan if it is missing
 
 
@@ -91,19 +91,21 @@ def pool(runs: Sequence[Run], anchors: Anchors | None = None) -> list[Entry]:
 def _places(scenarios: Sequence[str]) -> dict[str, list[str]]:
     """Return what is told together: the scenarios of each regime and, where it has several, of each vehicle."""
     found: dict[str, list[str]] = {}
-    for regime in REGIMES:
-        own = [name for name in scenarios if regime_of(name) == regime]
+    for speed_range in SPEED_RANGES:
+        own = [name for name in scenarios if speed_range_of(name) == speed_range]
         vehicles = list(dict.fromkeys(map(vehicle_of, own)))
         if own:
-            found[regime] = own
+            found[speed_range] = own
         for vehicle in vehicles if len(vehicles) > 1 else ():
-            found[f"{regime}{VEHICLE_MARK}{vehicle or _PAPER}"] = [name for name in own if vehicle_of(name) == vehicle]
+            found[f"{speed_range}{VEHICLE_MARK}{vehicle or _PAPER}"] = [
+                name for name in own if vehicle_of(name) == vehicle
+            ]
     return found
 
 
 def _entry(place: str, runs: Sequence[Run], by_name: Mapping[str, _Case], anchors: Anchors) -> Entry:
     """Return the figures of one policy's runs, all together, in these cases."""
-    policy, cases, caps = runs[0].policy, list(by_name.values()), list(map(largest_tail, by_name))
+    policy, cases, caps = runs[0].policy, list(by_name.values()), list(map(error_cap, by_name))
     seconds, recorded = float(np.mean([run.decision_seconds for run in runs])), runs[0].recorded is not None
     if any(policy not in case for case in cases):
         return Entry(policy, place, recorded, seconds)
@@ -120,7 +122,7 @@ def _entry(place: str, runs: Sequence[Run], by_name: Mapping[str, _Case], anchor
     zero, one = anchors
     if all(zero in case and one in case for case in cases):
         three = list(zip(*(paired(c[zero], c[policy], c[one]) for c in cases), strict=True))
-        plain = score(*([m.tail for m in column] for column in three))
+        plain = score(*([m.steady_rmse for m in column] for column in three))
         cut = score(*(_capped(column, caps) for column in three))
     error_ratio = math.nan
     if all(RIVAL in case for case in cases):
@@ -128,8 +130,8 @@ def _entry(place: str, runs: Sequence[Run], by_name: Mapping[str, _Case], anchor
         error_ratio = ratio(*(float(np.concatenate(_capped(column, caps)).mean()) for column in columns))
     plainly = {run.scenario.name: run.measures for run in runs if run.measures is not None}
     shown = [plainly[name] for name in by_name] if len({unit_of(run.scenario) for run in runs}) == 1 else own
-    lost, summary = sum(map(losses, own, caps)), summarise(Measures.joined(shown), interval=len(own) == 1)
-    return Entry(policy, place, recorded, seconds, summary, effort, smoothness, plain, cut, lost, error_ratio)
+    failed, summary = sum(map(count_failures, own, caps)), summarise(Measures.joined(shown), interval=len(own) == 1)
+    return Entry(policy, place, recorded, seconds, summary, effort, smoothness, plain, cut, failed, error_ratio)
 
 
 def _capped(cases: Sequence[Measures], caps: Sequence[float]) -> list[Array]:

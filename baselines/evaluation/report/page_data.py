@@ -12,10 +12,10 @@ from auv_gym.physics.namespaces import Array
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.metrics import Track
 from baselines.evaluation.report.charts import charts
-from baselines.evaluation.report.columns import digits, ends, lost_text, ranked
+from baselines.evaluation.report.columns import digits, ends, failures_text, ranked
 from baselines.evaluation.report.numbers import Entry, Result
 from baselines.evaluation.rollout import TRACED
-from baselines.evaluation.score import EXPERT, LARGEST_TAIL, OPTIMUM_POLICY, fixed, fixed_ends, regime_of, waters_of
+from baselines.evaluation.score import ERROR_CAPS, EXPERT, OPTIMUM_POLICY, cap_key, fixed, fixed_ends, speed_range_of
 from baselines.tools.figure_style import DASHES, OUTLINES, look
 
 FEW = 10
@@ -47,7 +47,7 @@ def page_data(results: Sequence[Result], pooled: Sequence[Entry]) -> dict[str, A
 
 def _worst(results: Sequence[Result]) -> float:
     """Return the mean tail error [m] of a scenario's first policy, the expert: where it is largest is most to see."""
-    return results[0].entry.summary.tail_rmse_m.mean if results[0].entry.summary else 0.0
+    return results[0].entry.summary.steady_rmse_m.mean if results[0].entry.summary else 0.0
 
 
 def look_of(policy: str, policies: Sequence[str]) -> dict[str, Any]:
@@ -85,13 +85,13 @@ def _traced(results: Sequence[Result]) -> int:
 
 
 def _scenario(scenario: Scenario, results: Sequence[Result], traced: int) -> dict[str, Any]:
-    regime, known = regime_of(scenario.name), max(len(result.run.tracks) for result in results)
+    speed_range, known = speed_range_of(scenario.name), max(len(result.run.tracks) for result in results)
     return {
         "name": scenario.name,
-        "regime": regime,
-        "case": scenario.name.removeprefix(f"{regime}-"),
+        "speed_range": speed_range,
+        "case": scenario.name.removeprefix(f"{speed_range}-"),
         "duration": scenario.duration,
-        "cap": LARGEST_TAIL.get(waters_of(scenario.name) or ""),
+        "cap": ERROR_CAPS.get(cap_key(scenario.name) or ""),
         "rows": [_row(entry, results) for entry in ranked([result.entry for result in results])],
         "bands": [_band(result, scenario) for result in results if result.run.bands is not None],
         "episodes": [_episode(results, scenario, i) for i in range(min(traced, known))],
@@ -103,13 +103,13 @@ def _row(entry: Entry, results: Sequence[Result]) -> dict[str, Any]:
     (run,) = (result.run for result in results if result.entry is entry)
     assert entry.summary is not None
     assert run.measures is not None
-    tail, score = entry.summary.tail_rmse_m, entry.score
+    steady_rmse, score = entry.summary.steady_rmse_m, entry.score
     return {
         "policy": entry.policy,
-        "tail": _positive(_interval(tail.mean, tail.ci95, digits(3), ends)),
+        "steady_rmse": _positive(_interval(steady_rmse.mean, steady_rmse.ci95, digits(3), ends)),
         "score": _interval(score.mean, score.ci95, fixed, fixed_ends) if score and math.isfinite(score.mean) else None,
-        "lost": lost_text(entry.lost, entry.summary.episodes),
-        "tails": _distribution(run.measures.tail),
+        "failed": failures_text(entry.failed, entry.summary.episodes),
+        "steady_rmses": _distribution(run.measures.steady_rmse),
     }
 
 

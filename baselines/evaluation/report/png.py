@@ -20,18 +20,18 @@ def charts_png(results: Sequence[Result], pooled: Sequence[Entry]) -> dict[str, 
     """Return the charts as PNG by name: scores of a regime, tail errors and errors over time of a scenario."""
     data = page_data(results, pooled)
     specs, scenarios, found = data["charts"], data["scenarios"], {}
-    for regime in dict.fromkeys(s["regime"] for s in scenarios if s["regime"]):
+    for speed_range in dict.fromkeys(s["speed_range"] for s in scenarios if s["speed_range"]):
         rows = [
-            {"policy": row["policy"], "case": s["case"], "lost": row["lost"], **row["score"]}
+            {"policy": row["policy"], "case": s["case"], "failed": row["failed"], **row["score"]}
             for s in scenarios
             for row in s["rows"]
-            if s["regime"] == regime and row["score"] and row["policy"] not in FORESIGHTED
+            if s["speed_range"] == speed_range and row["score"] and row["policy"] not in FORESIGHTED
         ]
         if rows:
-            found[f"scores-{regime}"] = _png(specs["scores"], rows)
+            found[f"scores-{speed_range}"] = _png(specs["scores"], rows)
     for s in scenarios:
-        tails = [{"policy": row["policy"], "lost": row["lost"], **row["tail"]} for row in s["rows"]]
-        found[f"tails-{s['name']}"] = _png(specs["tails"], tails)
+        steady_rmses = [{"policy": row["policy"], "failed": row["failed"], **row["steady_rmse"]} for row in s["rows"]]
+        found[f"tails-{s['name']}"] = _png(specs["steady_rmses"], steady_rmses)
         names = "t", "low", "middle", "high"
         bands = [
             {"policy": band["policy"], **dict(zip(names, values, strict=True))}
@@ -39,7 +39,7 @@ def charts_png(results: Sequence[Result], pooled: Sequence[Entry]) -> dict[str, 
             for values in zip(*(band[name] for name in names), strict=True)
         ]
         if bands:
-            found[f"errors-{s['name']}"] = _png(specs["bands"], bands, {"tails": [{"t": s["duration"] / 3}]})
+            found[f"errors-{s['name']}"] = _png(specs["bands"], bands, {"steady_rmses": [{"t": s["duration"] / 3}]})
     return found
 
 

@@ -32,7 +32,7 @@ def print_report(results: Sequence[Result], pooled: Sequence[Entry], folder: Pat
     shown = [r for r in results if r.run.recorded is None or r.run.policy in FORESIGHTED]
     out.print(entries_table("Position error of the centre of mass", "scenario", [r.entry for r in shown], out))
     if any(entry.score for entry in pooled):
-        out.print(entries_table("All cases of a regime together", "regime", pooled, out))
+        out.print(entries_table("All cases of a speed range together", "speed range", pooled, out))
     if when := recordings(results):
         more = "; case by case in report.html" if len(shown) < len(results) else ""
         out.print(f"* recorded, not run now: {when}{more}", soft_wrap=True, markup=False)
@@ -67,7 +67,7 @@ def entries_table(title: str, kind: str, entries: Sequence[Entry], out: Console)
 
 
 def _table(title: str, kind: str, entries: Sequence[Entry], columns: Sequence[Column]) -> Table:
-    table = Table(title=title, caption=f"tail: RMSE after the first third; score: {SCALE}", **LOOK)
+    table = Table(title=title, caption=f"steady: RMSE after the first third of an episode; score: {SCALE}", **LOOK)
     table.add_column(kind, no_wrap=True)
     table.add_column("policy", no_wrap=True)
     for column in columns:

@@ -25,7 +25,7 @@ from baselines.evaluation.submission.reproduction import (
     mismatches,
     smallest_caught,
 )
-from baselines.evaluation.submission.scores import entries, yardsticks
+from baselines.evaluation.submission.scores import anchor_errors, entries
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse
 from baselines.tools.workers import DEFAULT_JOBS, Workers
 
@@ -70,7 +70,7 @@ def main(arguments: Sequence[str]) -> int:
             f"{options.file}: {submission.name}, {submission.episodes} episodes of {submission.suite.name}, consistent"
         )
         out = console()
-        out.print(entries_table("Scores", "regime", entries([submission], yardsticks(submission.suite)), out))
+        out.print(entries_table("Scores", "speed range", entries([submission], anchor_errors(submission.suite)), out))
         if not options.policy:
             return DONE
         episodes, _ = episodes_to_run(submission, options.share, options.seed)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from baselines.evaluation.about import About, checked_about, checked_name
 from baselines.evaluation.metrics import Measures
 from baselines.evaluation.runner import Cell, Recorded, Run
-from baselines.evaluation.score import regime_of
+from baselines.evaluation.score import speed_range_of
 from baselines.evaluation.store import Stored, reading, write
 from baselines.evaluation.suites import Suite, list_suites, load_suite
 from baselines.tools.command_line import printable
@@ -34,10 +34,10 @@ LARGEST_SUBMISSION = 200_000
 """Most bytes of a file."""
 LARGEST_CONTENT = 20 * LARGEST_SUBMISSION
 """Most bytes that it unpacks to."""
-SUBMITTED = ("tail", "effort", "smoothness", "lost")
+SUBMITTED = ("steady_rmse", "effort", "smoothness", "failed")
 """What is kept of an episode, fields of `Measures`: tail RMSE [m], effort, rate of the command, ended too far off."""
-_TYPES = {key: np.dtype(bool if key == "lost" else np.float32) for key in SUBMITTED}
-_MOST = {"tail": 1e6, "effort": 1.0, "smoothness": 4.0, "lost": True}  # what a measure can be
+_TYPES = {key: np.dtype(bool if key == "failed" else np.float32) for key in SUBMITTED}
+_MOST = {"steady_rmse": 1e6, "effort": 1.0, "smoothness": 4.0, "failed": True}  # what a measure can be
 _TEXTS = ("policy", "fingerprint", "date", "command", "versions")
 KEYS = frozenset(("format", "name", "suite", "suite_hash", "about", "cells", "episodes", "decision_seconds", *_TEXTS))
 """Entries of the record."""
@@ -192,8 +192,10 @@ def _runs(suite: Suite, record: Mapping[str, Any], arrays: Mapping[str, NDArray[
 
 def _cells(suite: Suite, names: Any) -> list[Cell]:
     """Return the cells of these names, which must be all those of some regimes, in the suite's order."""
-    regimes = {regime_of(name) for name in names if isinstance(name, str)} if isinstance(names, list) else set()
-    cells = suite.cells_in(regimes)
+    speed_ranges = (
+        {speed_range_of(name) for name in names if isinstance(name, str)} if isinstance(names, list) else set()
+    )
+    cells = suite.cells_in(speed_ranges)
     if not cells or names != [cell.scenario.name for cell in cells]:
         raise ValueError(f"its cells are not those of {suite.name}, or of whole regimes of it")
     return cells
@@ -206,15 +208,15 @@ def _is_time(value: Any) -> bool:
 def _plausible(cell: Cell, part: Mapping[str, NDArray[Any]]) -> None:
     """Raise ValueError where the numbers of a cell contradict each other."""
     limit = cell.scenario.lost_distance
-    inside = ~part["lost"] & (part["tail"] > limit * (1 + 1e-6))
+    inside = ~part["failed"] & (part["steady_rmse"] > limit * (1 + 1e-6))
     if inside.any():
         i = int(np.argmax(inside))
         raise ValueError(
-            f"in episode {i} of {cell.scenario.name} the tail is {part['tail'][i]:.3g} m and the episode did not end, "
-            f"as it does beyond {limit:g} m"
+            f"in episode {i} of {cell.scenario.name} the steady-state error is {part['steady_rmse'][i]:.3g} m, but the "
+            f"episode did not end, as it does beyond {limit:g} m"
         )
     # Of N commands: the sum of (a - b)^2 over N - 1 changes is at most 4 times that of a^2.
-    share = np.where(part["lost"], 2.0, cell.scenario.steps / max(cell.scenario.steps - 1, 1))
+    share = np.where(part["failed"], 2.0, cell.scenario.steps / max(cell.scenario.steps - 1, 1))
     wild = part["smoothness"] > 4 * share * part["effort"] * (1 + 1e-5) + 1e-9
     if wild.any():
         i = int(np.argmax(wild))
@@ -223,8 +225,8 @@ def _plausible(cell: Cell, part: Mapping[str, NDArray[Any]]) -> None:
 
 def _measures(part: Mapping[str, NDArray[Any]]) -> Measures:
     """Return measures of which only some are known."""
-    unknown = np.full(len(part["tail"]), math.nan)
+    unknown = np.full(len(part["steady_rmse"]), math.nan)
     known: dict[str, Any] = {
-        key: values if key == "lost" else values.astype(np.float64) for key, values in part.items()
+        key: values if key == "failed" else values.astype(np.float64) for key, values in part.items()
     }
     return Measures(**{f.name: known.get(f.name, unknown) for f in fields(Measures)})

@@ -16,7 +16,7 @@ REPRODUCED_SHARE = 0.05
 """Share of each cell's episodes that is run again, unless another one is asked for."""
 RELATIVE = 1e-3
 """Difference of a measure, as a share of it, up to which it counts as the same."""
-ABSOLUTE = {"tail": 1e-5, "effort": 1e-5, "smoothness": 1e-5, "lost": 0.0}
+ABSOLUTE = {"steady_rmse": 1e-5, "effort": 1e-5, "smoothness": 1e-5, "failed": 0.0}
 """Difference up to which a measure counts as the same, however small it is; of the tail in m."""
 
 ChosenEpisodes = dict[str, NDArray[np.int64]]
@@ -34,7 +34,7 @@ class Mismatch:
     found: float
 
     def __str__(self) -> str:
-        unit = " m" if self.measure == "tail" else ""
+        unit = " m" if self.measure == "steady_rmse" else ""
         where = f"episode {self.episode} of {self.scenario}: {self.measure}"
         return f"{where} {self.submitted:.6g}{unit} submitted, {self.found:.6g}{unit} found"
 
@@ -76,7 +76,7 @@ def mismatches(submission: Submission, episodes: ChosenEpisodes, again: Sequence
         for measure in SUBMITTED:
             was = getattr(old.measures, measure)[episodes[name]].astype(np.float64)
             now = getattr(new.measures, measure).astype(np.float64)
-            differs = ~(np.abs(now - was) <= ABSOLUTE[measure] + RELATIVE * np.abs(was) * (measure != "lost"))
+            differs = ~(np.abs(now - was) <= ABSOLUTE[measure] + RELATIVE * np.abs(was) * (measure != "failed"))
             at = differs.nonzero()[0].tolist()
             found += [Mismatch(name, int(episodes[name][i]), measure, float(was[i]), float(now[i])) for i in at]
     return found

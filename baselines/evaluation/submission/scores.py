@@ -15,7 +15,7 @@ from baselines.evaluation.suites import Suite
 _MARK = "entry "  # before the names of entries, which may be those of policies
 
 
-def yardsticks(suite: Suite) -> tuple[Run, ...]:
+def anchor_errors(suite: Suite) -> tuple[Run, ...]:
     """Return the recorded runs of a suite's anchors, the score's 0 and 1.
 
     Raises:
@@ -36,7 +36,7 @@ def entries(submissions: Sequence[Submission], ends: Sequence[Run]) -> list[Entr
 
     Args:
         submissions: with names of their own.
-        ends: runs of its anchors, see `yardsticks`.
+        ends: runs of its anchors, see `anchor_errors`.
     """
     runs = [replace(run, policy=_MARK + s.name) for s in submissions for run in s.runs]
     anchors = submissions[0].suite.anchors

@@ -33,7 +33,7 @@ from auv_gym.scenarios.records import from_record, to_record
 from auv_gym.scenarios.scenario import Scenario
 from baselines.control.privileged.truth import samples
 from baselines.evaluation.runner import Cell
-from baselines.evaluation.score import BY_ORACLE, Anchors, regime_of
+from baselines.evaluation.score import BY_ORACLE, Anchors, speed_range_of
 
 SUITES_FOLDER = Path(__file__).parent  # of the files of the suites
 SUMS = "SHA256SUMS"  # file of the suites' hashes
@@ -60,9 +60,9 @@ class Suite:
         """Name and hash of the suite whose episodes these are, under which rows of them are kept."""
         return self.same_as or (self.name, self.hash)
 
-    def cells_in(self, regimes: Collection[str | None]) -> list[Cell]:
+    def cells_in(self, speed_ranges: Collection[str | None]) -> list[Cell]:
         """Return the cells of some regimes, in the order of the suite."""
-        return [cell for cell in self.cells if regime_of(cell.scenario.name) in regimes]
+        return [cell for cell in self.cells if speed_range_of(cell.scenario.name) in speed_ranges]
 
 
 def list_suites() -> list[str]:

@@ -143,8 +143,8 @@ class ClosedLoop:
         command = [corrected(b, largest, c, ns) for b, largest, c in rule]
         plant, terms, (_, _, squared_error, _) = simulation.step(before, command, sample, p, ns)
         previous, dt = (before.a_u, before.a_r), self.parts.substeps * p.h
-        lost = loss.of(squared_error, p.error_scale, command, previous, dt, ns)
-        return Moved(leaves(plant), tuple(encode(terms, ns, self.parts.span)), squared_error, lost)
+        failed = loss.of(squared_error, p.error_scale, command, previous, dt, ns)
+        return Moved(leaves(plant), tuple(encode(terms, ns, self.parts.span)), squared_error, failed)
 
 
 def with_model(expert: Backstepping, known: Coefficients) -> Forces:

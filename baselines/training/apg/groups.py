@@ -93,10 +93,10 @@ class VehicleGroup:
         """Run the next window with a network of these weights, and begin new episodes behind it."""
         put(weights, self._network)
         ahead, samples = self.vehicles.window()
-        fresh, nothing = self.vehicles.fresh, np.zeros_like(self.vehicles.fresh)
+        held_out, nothing = self.vehicles.held_out, np.zeros_like(self.vehicles.held_out)
 
         def act(k: int, observation: NDArray[Any]) -> NDArray[Any]:
-            return self._act(observation, ahead[k], nothing if k else fresh)
+            return self._act(observation, ahead[k], nothing if k else held_out)
 
         loss, error, carried, squared_error = self._window.run(
             self.carried,
@@ -110,13 +110,13 @@ class VehicleGroup:
         gradients = {name: p.grad.numpy() for name, p in self._network.named_parameters() if p.grad is not None}
         return Learned(loss, self._part * error, gradients)
 
-    def _act(self, observation: NDArray[Any], ahead: NDArray[Any], fresh: NDArray[np.bool_]) -> NDArray[Any]:
+    def _act(self, observation: NDArray[Any], ahead: NDArray[Any], held_out: NDArray[np.bool_]) -> NDArray[Any]:
         """Return the action of an expert on NumPy, shape (ACTIONS, N)."""
         rows = observation.T.astype(np.float64)
         if self._seen_by_expert:
             ways = ahead[self._seen_by_expert].reshape(-1, 2, len(rows))
             rows = np.hstack((rows, encode_preview(ways, decode_observation(rows), ARRAYS, self.vehicles.parts.span).T))
-        action, self._memory = self._expert.predict(rows, self._memory, fresh)
+        action, self._memory = self._expert.predict(rows, self._memory, held_out)
         return action.T
 
     def state(self) -> dict[str, Any]:
@@ -175,9 +175,9 @@ class Groups:
             WorkerError: a process was lost.
         """
         found: dict[int, Learned] = reduce(or_, self._everywhere("learn", weights))
-        losses, errors, gradients = zip(*(found[k] for k in sorted(found)), strict=True)
+        count_failures, errors, gradients = zip(*(found[k] for k in sorted(found)), strict=True)
         summed = {name: reduce(np.add, [each[name] for each in gradients]) for name in gradients[0]}
-        return Learned(sum(losses), sum(errors), summed)
+        return Learned(sum(count_failures), sum(errors), summed)
 
     def state(self) -> dict[int, dict[str, Any]]:
         """Return what it takes to go on."""

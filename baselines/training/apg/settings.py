@@ -17,7 +17,7 @@ from baselines.agents.features import Inputs
 from baselines.agents.networks import Gru, Mlp
 from baselines.control.backstepping import Backstepping
 from baselines.control.open_loop import NO_EXPERT
-from baselines.evaluation.score import EXPERT, regime_of
+from baselines.evaluation.score import EXPERT, speed_range_of
 from baselines.training.apg.closed_loop import Loss
 from baselines.training.apg.window import Objective
 from baselines.training.beginning import loaded
@@ -95,7 +95,7 @@ class Settings:
 
     def objective(self, names: Sequence[str], drawn: Sequence[bool] = ()) -> Objective:
         """Return what is learned in scenarios of these names; `drawn` says whose model is drawn, () for none."""
-        fast = np.array([regime_of(name) == "cruise" for name in names])
+        fast = np.array([speed_range_of(name) == "cruise" for name in names])
         cruise = (self.cruise_effort_weight, self.cruise_rate_weight)
         pairs = zip((self.effort_weight, self.rate_weight), cruise, strict=True)
         loss = Loss(*(np.where(fast, slow if own is None else own, slow) for slow, own in pairs))

@@ -30,7 +30,7 @@ class TrainingVehicles:
     different amounts, so that not all end at once.
 
     Attributes:
-        fresh: whether an episode began at the last renewal, shape (N,).
+        held_out: whether an episode began at the last renewal, shape (N,).
         known: the coefficients of the known models of the vehicles, shape (len(Coefficients._fields), N).
     """
 
@@ -58,10 +58,10 @@ class TrainingVehicles:
         self.known: Array = np.empty((len(Coefficients._fields), n))
         self._set_known(self._lanes.all)
         self._steps = np.array([s.steps for s in scenarios])
-        self._lost = np.array([s.lost_distance**2 for s in scenarios])
+        self._failed = np.array([s.lost_distance**2 for s in scenarios])
         windows = np.maximum(self._steps // window, 1)
         self._left = window * (1 + np.arange(n) % windows)  # control steps of the running episodes
-        self.fresh = np.ones(n, dtype=bool)
+        self.held_out = np.ones(n, dtype=bool)
 
     @property
     def parts(self) -> Parts:
@@ -78,7 +78,7 @@ class TrainingVehicles:
 
         `memory` is how many rows its inputs remember.
         """
-        n, beginning = len(self.fresh), self._lanes.reset(self._seed, None)
+        n, beginning = len(self.held_out), self._lanes.reset(self._seed, None)
         nothing = (np.zeros((rows, n)) for rows in (memory, OUTPUTS, hidden))
         return Carried(beginning.plant, beginning.seen, *nothing)
 
@@ -89,7 +89,7 @@ class TrainingVehicles:
         them, shape (T, 2 P, N); and the sample at its end, shape (T, SAMPLE_ROWS, N).
         """
         self._left -= self._window
-        lanes, n = self._lanes, len(self.fresh)
+        lanes, n = self._lanes, len(self.held_out)
         ahead, samples = (np.empty((self._window, rows, n)) for rows in (lanes.preview.columns, SAMPLE_ROWS))
         for k in range(self._window):
             if lanes.preview.periods:
@@ -100,10 +100,10 @@ class TrainingVehicles:
 
     def renew(self, carried: Carried, squared_error: NDArray[Any]) -> Carried:
         """Begin new episodes where they have ended, or would within the next window, or the vehicle is lost."""
-        self.fresh = ~(squared_error <= self._lost) | (self._left < self._window)
-        self._left[self.fresh] = self._steps[self.fresh]
-        lanes = self.fresh.nonzero()[0]
-        renewed = Carried(*(np.where(self.fresh, 0.0, x) for x in carried))
+        self.held_out = ~(squared_error <= self._failed) | (self._left < self._window)
+        self._left[self.held_out] = self._steps[self.held_out]
+        lanes = self.held_out.nonzero()[0]
+        renewed = Carried(*(np.where(self.held_out, 0.0, x) for x in carried))
         if len(lanes):
             beginning = self._lanes.begin(lanes, self._planned(lanes))
             self._set_known(lanes)

@@ -50,7 +50,7 @@ class Floor:
 
     episodes: int
     rms_m: float  # [m] root of the mean squared error of the position in tails
-    tail_m: float  # [m] mean of the root mean square over a tail, as scores have it; see `filter.Located`
+    steady_rmse_m: float  # [m] mean of the root mean square over a tail, as scores have it; see `filter.Located`
     first_m: tuple[float, ...]  # [m] that of the first episodes
 
     @classmethod
@@ -58,9 +58,9 @@ class Floor:
         """Return the floor in some episodes of a scenario; raises as `FloorModel.of`."""
         parts = [episodes[first : first + _AT_ONCE] for first in range(0, len(episodes), _AT_ONCE)]
         found = [floor_of(scenario, part) for part in parts]
-        square, tail = (np.concatenate(column) for column in zip(*found, strict=True))
-        first = tuple(tail[:_FIRST].tolist())
-        return cls(len(tail), float(np.sqrt(square.mean())), float(tail.mean()), first)
+        square, steady_rmse = (np.concatenate(column) for column in zip(*found, strict=True))
+        first = tuple(steady_rmse[:_FIRST].tolist())
+        return cls(len(steady_rmse), float(np.sqrt(square.mean())), float(steady_rmse.mean()), first)
 
 
 def floor_of(scenario: Scenario, episodes: Sequence[Episode]) -> Located:
@@ -81,7 +81,7 @@ def main(arguments: Sequence[str]) -> int:
     for cell in suite.cells:
         if has_floor(cell.scenario):
             floor = found[cell.scenario.name] = Floor.of(cell.scenario, cell.episodes[: options.episodes])
-            print(f"{cell.scenario.name}: {1e3 * floor.tail_m:.2f} mm, {floor.episodes} episodes", flush=True)
+            print(f"{cell.scenario.name}: {1e3 * floor.steady_rmse_m:.2f} mm, {floor.episodes} episodes", flush=True)
     record = {"suite": suite.name, "hash": suite.hash, "cases": {name: asdict(floor) for name, floor in found.items()}}
     options.out.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(options.out, json_text(record))

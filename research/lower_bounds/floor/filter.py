@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import Array
-from baselines.control.privileged.problem import TAIL
+from baselines.control.privileged.problem import STEADY_RMSE
 from research.lower_bounds.floor.model import DRIVEN, FloorModel
 
 SAMPLES = 16
@@ -27,7 +27,7 @@ class Located(NamedTuple):
     """How far off the predicted position is, in the tails of N episodes."""
 
     square: Array  # [m^2] mean over the tail of the expected squared error, shape (N,)
-    tail: Array  # [m] mean over sequences of the root mean square over the tail, shape (N,)
+    steady_rmse: Array  # [m] mean over sequences of the root mean square over the tail, shape (N,)
 
 
 def located(model: FloorModel, seeds: NDArray[np.int64] | list[int], samples: int = SAMPLES) -> Located:
@@ -57,10 +57,10 @@ def located(model: FloorModel, seeds: NDArray[np.int64] | list[int], samples: in
         P = model.passed(rows, model.passed(rows, P).swapaxes(1, 2)) + driven @ driven.swapaxes(1, 2)
         P = 0.5 * (P + P.swapaxes(1, 2))  # rounding would grow in what is unstable
         off = model.passed(rows, off) + driven @ normal(DRIVEN)
-        if k >= steps // TAIL:
+        if k >= steps // STEADY_RMSE:
             variance += P[:, 0, 0] + P[:, 1, 1]
             squares += (off[:, :2] ** 2).sum(axis=1)
-    count = steps - steps // TAIL
+    count = steps - steps // STEADY_RMSE
     return Located(variance / count, np.sqrt(squares / count).mean(axis=1))
 
 

@@ -25,7 +25,7 @@ from auv_gym.scenarios.exogenous import (
     wave_components,
     weather_of,
 )
-from auv_gym.scenarios.presets import CASES, PRESETS, REGIMES
+from auv_gym.scenarios.presets import CASES, PRESETS, SPEED_RANGES
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.task.kernels import OUTCOMES, STATES
 from auv_gym.task.observation import SIZE
@@ -80,7 +80,7 @@ def data(agents: Mapping[str, Exported]) -> str:
         "at": {"plant": places(PLANT), "sample": places(SAMPLE), "weather": places(WEATHER), "estimate": places(PLACE)},
         "limits": [PARAMETERS.F_u_max, PARAMETERS.F_r_max],
         "measured": [MEASUREMENT_NORMALS.start, MEASUREMENT_NORMALS.stop],
-        "regimes": {regime: regime_record(regime, ahead) for regime in REGIMES},
+        "speed_ranges": {speed_range: speed_range_record(speed_range, ahead) for speed_range in SPEED_RANGES},
         "agents": {name: agent_record(agent) for name, agent in agents.items()},
     }
     return f'"use strict";\nconst DATA = {json.dumps(record, separators=(",", ":"), allow_nan=False)};\n'
@@ -91,57 +91,57 @@ def places(row: Any) -> dict[str, int]:
     return {name: place if isinstance(place, int) else leaves(place)[0] for name, place in row._asdict().items()}
 
 
-def scenario_of(regime: str, case: str, path: Path) -> Scenario:
+def scenario_of(speed_range: str, case: str, path: Path) -> Scenario:
     """Return a preset on one of the page's paths."""
-    return replace(PRESETS[f"{regime}-{case}"], path=path)
+    return replace(PRESETS[f"{speed_range}-{case}"], path=path)
 
 
-def path_of(regime: str, family: str) -> Path:
+def path_of(speed_range: str, family: str) -> Path:
     """Return a path of the page."""
-    drawn = PRESETS[f"{regime}-calm"].path
+    drawn = PRESETS[f"{speed_range}-calm"].path
     rng, cls = np.random.default_rng(_FAMILIES[family]), PATHS[family]
-    path: Path = cls.drawn(_SPEEDS[regime], drawn.turn_rate, rng.random)  # type: ignore[union-attr, attr-defined]
+    path: Path = cls.drawn(_SPEEDS[speed_range], drawn.turn_rate, rng.random)  # type: ignore[union-attr, attr-defined]
     return path
 
 
-def episode_of(regime: str, case: str, path: Path, seed: int) -> Episode:
+def episode_of(speed_range: str, case: str, path: Path, seed: int) -> Episode:
     """Return an episode of a preset on a path."""
-    return scenario_of(regime, case, path).draw(np.random.default_rng([seed, 1]))
+    return scenario_of(speed_range, case, path).draw(np.random.default_rng([seed, 1]))
 
 
-def regime_record(regime: str, ahead: int) -> dict[str, Any]:
+def speed_range_record(speed_range: str, ahead: int) -> dict[str, Any]:
     """Return what the page knows of a regime, with the references up to `ahead` control periods beyond the end."""
-    calm = PRESETS[f"{regime}-calm"]
-    paths = {family: path_of(regime, family) for family in _FAMILIES}
+    calm = PRESETS[f"{speed_range}-calm"]
+    paths = {family: path_of(speed_range, family) for family in _FAMILIES}
     line = paths["line"]
     return {
         "dt": calm.control_dt,
-        "speed": _SPEEDS[regime],
+        "speed": _SPEEDS[speed_range],
         "errorScale": calm.error_scale,
-        "lost": calm.lost_distance,
-        "cases": {case: case_record(regime, case) for case in CASES},
-        "seeds": [seed_record(regime, line, seed) for seed in range(_SEEDS)],
+        "failed": calm.lost_distance,
+        "cases": {case: case_record(speed_range, case) for case in CASES},
+        "seeds": [seed_record(speed_range, line, seed) for seed in range(_SEEDS)],
         "paths": {
-            family: {"title": TITLES[family], **path_record(regime, path, ahead)} for family, path in paths.items()
+            family: {"title": TITLES[family], **path_record(speed_range, path, ahead)} for family, path in paths.items()
         },
-        "ekf": ekf_record(regime),
+        "ekf": ekf_record(speed_range),
     }
 
 
-def _table(regime: str, path: Path) -> Any:
-    scenario = scenario_of(regime, "actuator", path)  # whose limits are the tightest
-    episode = episode_of(regime, "actuator", path, 0)
+def _table(speed_range: str, path: Path) -> Any:
+    scenario = scenario_of(speed_range, "actuator", path)  # whose limits are the tightest
+    episode = episode_of(speed_range, "actuator", path, 0)
     return reference_tables([episode], *plan_of(replace(scenario, steps=LIVE_STEPS)))[0]
 
 
-def path_record(regime: str, path: Path, ahead: int) -> dict[str, Any]:
+def path_record(speed_range: str, path: Path, ahead: int) -> dict[str, Any]:
     """Return a path's reference table and where it goes behind the end, as numbers of double precision in base64."""
-    table = _table(regime, path)
+    table = _table(speed_range, path)
     preview = Preview(1, tuple(range(1, ahead + 1)), LIVE_STEPS)
-    preview.load((0,), (path,), (PRESETS[f"{regime}-calm"].control_dt,))
+    preview.load((0,), (path,), (PRESETS[f"{speed_range}-calm"].control_dt,))
     beyond = table[-1, :2] + preview.ahead((0,), LIVE_STEPS)[:, :, 0]
-    storm = PRESETS[f"{regime}-storm"]
-    current = episode_of(regime, "storm", path, 0).current
+    storm = PRESETS[f"{speed_range}-storm"]
+    current = episode_of(speed_range, "storm", path, 0).current
     weather = weather_of(current, storm.control_dt, table, Errors(*storm.sensors.noise), Errors(*[0.0] * 6))
     return {
         "table": encoded(table, np.float64),
@@ -150,9 +150,9 @@ def path_record(regime: str, path: Path, ahead: int) -> dict[str, Any]:
     }
 
 
-def case_record(regime: str, case: str) -> dict[str, Any]:
+def case_record(speed_range: str, case: str) -> dict[str, Any]:
     """Return how the controls of the page stand for a case: middles of its intervals, relative to the path's speed."""
-    scenario, mean = PRESETS[f"{regime}-{case}"], PRESETS[f"{regime}-waves"].waves
+    scenario, mean = PRESETS[f"{speed_range}-{case}"], PRESETS[f"{speed_range}-waves"].waves
     current, waves = scenario.current, scenario.waves
     assert mean is not None
     return {
@@ -169,31 +169,31 @@ def _middle(interval: Interval) -> float:
     return sum(interval) / 2 if isinstance(interval, tuple) else float(interval)
 
 
-def seed_record(regime: str, path: Path, seed: int) -> dict[str, Any]:
+def seed_record(speed_range: str, path: Path, seed: int) -> dict[str, Any]:
     """Return what an episode of a regime is made of: its vehicles, the waves at their full height, and its start."""
-    waves = episode_of(regime, "waves", path, seed).waves
-    calm = episode_of(regime, "calm", path, seed)
-    components = wave_components(waves, PRESETS[f"{regime}-waves"].control_dt)
+    waves = episode_of(speed_range, "waves", path, seed).waves
+    calm = episode_of(speed_range, "calm", path, seed)
+    components = wave_components(waves, PRESETS[f"{speed_range}-waves"].control_dt)
     assert len(components) == COMPONENTS * WAVE_ROWS
     return {
-        "vehicles": {name: _constants(regime, case, path, seed) for name, case in _VEHICLES.items()},
+        "vehicles": {name: _constants(speed_range, case, path, seed) for name, case in _VEHICLES.items()},
         "waves": components.tolist(),
         "start": [*calm.initial_error, calm.surge],
         "direction": float(np.random.default_rng([seed, 2]).uniform(0, 2 * np.pi)),
     }
 
 
-def _constants(regime: str, case: str, path: Path, seed: int) -> list[float]:
+def _constants(speed_range: str, case: str, path: Path, seed: int) -> list[float]:
     """Return the numbers of an episode's parameters, infinite ones as the largest number."""
-    scenario = scenario_of(regime, case, path)
-    numbers = np.array(leaves(scenario.parameters(episode_of(regime, case, path, seed))))
+    scenario = scenario_of(speed_range, case, path)
+    numbers = np.array(leaves(scenario.parameters(episode_of(speed_range, case, path, seed))))
     finite: list[float] = np.nan_to_num(numbers, posinf=np.finfo(float).max).tolist()
     return finite
 
 
-def ekf_record(regime: str) -> dict[str, Any]:
+def ekf_record(speed_range: str) -> dict[str, Any]:
     """Return what the law on the filter knows, and the filter's memory at an episode's start."""
-    vehicle, gains = PRESETS[f"{regime}-calm"].vehicle, load_gains("ekf", regime, EKF_GAINS)
+    vehicle, gains = PRESETS[f"{speed_range}-calm"].vehicle, load_gains("ekf", speed_range, EKF_GAINS)
     kalman = ExtendedKalmanFilter(vehicle, tuning_of(gains))
     return {
         "filters": [known[:, 0].tolist() for known in kalman.known],  # for a rough sea, for a calm one

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from auv_gym.scenarios.presets import REGIMES
+from auv_gym.scenarios.presets import SPEED_RANGES
 from baselines.export.parts import Exported, exported
 from baselines.tools.command_line import DONE, parse
 from baselines.tools.files import write_atomically
@@ -41,7 +41,9 @@ class Options:
 
 def page_agents() -> dict[str, Exported]:
     """Return the page's agents by name and regime, as "apg cruise"."""
-    return {f"{name} {regime}": exported(f"{name}-{regime}") for name in _AGENTS for regime in REGIMES}
+    return {
+        f"{name} {speed_range}": exported(f"{name}-{speed_range}") for name in _AGENTS for speed_range in SPEED_RANGES
+    }
 
 
 def files() -> dict[str, str]:

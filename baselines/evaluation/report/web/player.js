@@ -141,7 +141,7 @@ function player(looks, chart, shown) {
     for (const item of now.children) {
       const v = episode.vehicles[item.dataset.index];
       const i = Math.min(Math.round(t / episode.dt), v.error.length - 1);
-      item.lastChild.textContent = over(v) ? "lost" : `${v.error[i] < 0.1 ? v.error[i].toFixed(3) : v.error[i].toFixed(2)} m`;
+      item.lastChild.textContent = over(v) ? "failed" : `${v.error[i] < 0.1 ? v.error[i].toFixed(3) : v.error[i].toFixed(2)} m`;
     }
   }
 

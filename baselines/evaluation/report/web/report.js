@@ -27,20 +27,20 @@ function report(data) {
     await view.runAsync();
   }
 
-  /** The scores of all cases, a chart for each regime. */
+  /** The scores of all cases, a chart for each speed_range. */
   async function scores() {
     const box = $("scores");
     if (!box) return;
-    for (const regime of new Set(data.scenarios.map((s) => s.regime).filter(Boolean))) {
-      const own = data.scenarios.filter((s) => s.regime === regime);
-      const rows = own.flatMap((s) => visible(s.rows).filter((r) => r.score && !["backstepping", "oracle", "clairvoyant"].includes(r.policy)).map((r) => ({ policy: r.policy, case: s.case, lost: r.lost, ...r.score })));
-      let element = $(`scores-${regime}`);
+    for (const speed_range of new Set(data.scenarios.map((s) => s.speed_range).filter(Boolean))) {
+      const own = data.scenarios.filter((s) => s.speed_range === speed_range);
+      const rows = own.flatMap((s) => visible(s.rows).filter((r) => r.score && !["backstepping", "oracle", "clairvoyant"].includes(r.policy)).map((r) => ({ policy: r.policy, case: s.case, failed: r.failed, ...r.score })));
+      let element = $(`scores-${speed_range}`);
       if (!element) {
         const figure = document.createElement("figure");
         const caption = document.createElement("figcaption");
-        caption.textContent = `${regime}: scores with their 95 % intervals`;
+        caption.textContent = `${speed_range}: scores with their 95 % intervals`;
         element = document.createElement("div");
-        element.id = `scores-${regime}`;
+        element.id = `scores-${speed_range}`;
         element.className = "chart";
         figure.append(caption, element);
         box.append(figure);
@@ -53,14 +53,14 @@ function report(data) {
     const s = data.scenarios[scenario];
     if (!s) return;
     const rows = visible(s.rows);
-    const tails = rows.map((r) => ({ policy: r.policy, lost: r.lost, ...r.tail }));
-    const shares = rows.flatMap((r) => r.tails[0].map((tail, i) => ({ policy: r.policy, tail, share: r.tails[1][i] })));
+    const steady_rmses = rows.map((r) => ({ policy: r.policy, failed: r.failed, ...r.steady_rmse }));
+    const shares = rows.flatMap((r) => r.steady_rmses[0].map((steady_rmse, i) => ({ policy: r.policy, steady_rmse, share: r.steady_rmses[1][i] })));
     const bands = visible(s.bands).flatMap((b) => b.t.map((t, i) => ({ policy: b.policy, t, low: b.low[i], middle: b.middle[i], high: b.high[i] })));
     const caps = s.cap ? [{ cap: s.cap }] : [];
-    await chart("tails", $("tails"), tails);
+    await chart("steady_rmses", $("steady_rmses"), steady_rmses);
     await chart("shares", $("shares"), shares, { caps });
     $("over-time").hidden = s.bands.length === 0;
-    if (s.bands.length) await chart("bands", $("bands"), bands, { tails: [{ t: s.duration / 3 }] });
+    if (s.bands.length) await chart("bands", $("bands"), bands, { steady_rmses: [{ t: s.duration / 3 }] });
   }
 
   const errors = {

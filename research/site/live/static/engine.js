@@ -44,15 +44,15 @@ const ENGINE = (() => {
   }
 
   // The sea of an episode: a sample for each control instant, as the settings of the moment want it.
-  function seaOf(regime, path, seed, settings) {
-    const own = regime.seeds[seed % regime.seeds.length], normal = normals(seed + 1);
+  function seaOf(speed_range, path, seed, settings) {
+    const own = speed_range.seeds[seed % speed_range.seeds.length], normal = normals(seed + 1);
     const gust = zeros(sizes.gust), noise = zeros(sizes.normals), weather = Float64Array.from(path.weather);
     const waves = zeros(own.waves.length), sea = zeros(sizes.sample - 8), sample = zeros(sizes.sample);
     function tune() {
       const { current, direction, gusts, waves: height, noise: loudness } = settings;
-      weather[at.weather.V_x] = current * regime.speed * Math.cos(direction);
-      weather[at.weather.V_y] = current * regime.speed * Math.sin(direction);
-      weather[at.weather.sigma] = gusts * regime.speed;
+      weather[at.weather.V_x] = current * speed_range.speed * Math.cos(direction);
+      weather[at.weather.V_y] = current * speed_range.speed * Math.sin(direction);
+      weather[at.weather.sigma] = gusts * speed_range.speed;
       for (let i = 0; i < 6; i++) weather[at.weather.noise + i] = path.weather[at.weather.noise + i] * loudness;
       for (let i = 0; i < waves.length; i++) waves[i] = own.waves[i] * (i % sizes.waveRows ? height : 1);
     }
@@ -73,12 +73,12 @@ const ENGINE = (() => {
     openLoop: () => ({ act(seen, action) { EQUATIONS.openLoop(seen, action); } }),
     backstepping: () => ({ act(seen, action) { EQUATIONS.backstepping(seen, action); } }),
     ekf: ekfController,
-    apg: (name, regime) => agentController(`apg ${regime}`),
-    apgPreview: (name, regime) => agentController(`apg-preview ${regime}`),
+    apg: (name, speed_range) => agentController(`apg ${speed_range}`),
+    apgPreview: (name, speed_range) => agentController(`apg-preview ${speed_range}`),
   };
 
-  function ekfController(name, regime) {
-    const { filters, law, memory, plan } = DATA.regimes[regime].ekf;
+  function ekfController(name, speed_range) {
+    const { filters, law, memory, plan } = DATA.speed_ranges[speed_range].ekf;
     const planned = zeros(plan), terms = zeros(sizes.seen), force = zeros(2), estimate = zeros(Object.keys(at.estimate).length);
     const seas = filters.map((known) => ({ known: Float64Array.from(known), belief: Float64Array.from(memory) }));
     const known = Float64Array.from(law);
@@ -127,8 +127,8 @@ const ENGINE = (() => {
   }
 
   // A vehicle in the water: its state, what it observes, and who steers it.
-  function vehicleOf(name, regime, parameters) {
-    const controller = CONTROLLERS[name](name, regime), state = zeros(sizes.state);
+  function vehicleOf(name, speed_range, parameters) {
+    const controller = CONTROLLERS[name](name, speed_range), state = zeros(sizes.state);
     const sides = [0, 1].map(() => ({ plant: zeros(sizes.plant), seen: zeros(sizes.seen) }));
     const outcome = zeros(sizes.outcome), action = zeros(2);
     return {
@@ -157,9 +157,9 @@ const ENGINE = (() => {
   }
 
   // Runs a controller through given samples, as tests do: commands and errors of every step.
-  function replay(name, regime, family, samples, parameters, state) {
-    const reference = referenceOf(DATA.regimes[regime].paths[family]);
-    const vehicle = vehicleOf(name, regime, Float64Array.from(parameters));
+  function replay(name, speed_range, family, samples, parameters, state) {
+    const reference = referenceOf(DATA.speed_ranges[speed_range].paths[family]);
+    const vehicle = vehicleOf(name, speed_range, Float64Array.from(parameters));
     const found = [];
     vehicle.begin(state, Float64Array.from(samples[0]));
     for (let k = 0; k + 1 < samples.length; k++) {

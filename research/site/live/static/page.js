@@ -13,7 +13,7 @@ const PAGE = (() => {
     calm: "Calm", noise: "Noisy sensors", current: "Current", "gauss-markov": "Gusts", waves: "Waves",
     mismatch: "Wrong model", actuator: "Slow actuators", storm: "Storm",
   };
-  const REGIMES = { cruise: "Cruise, 1 m/s", slow: "Slow, 0.2 m/s" };
+  const SPEED_RANGES = { cruise: "Cruise, 1 m/s", slow: "Slow, 0.2 m/s" };
   const SLIDERS = [
     ["current", "Current", 0, 0.6, 0.01, (v, r) => `${(v * r.speed).toFixed(2)} m/s`],
     ["direction", "flowing towards", 0, 6.28, 0.02, (v) => `${Math.round((v * 180) / Math.PI)}\u00b0`],
@@ -25,22 +25,22 @@ const PAGE = (() => {
   const SPEEDS = [1, 2, 4, 8];
   const WINDOW = 10, TRAIL = 400, REST = 2.5, LENGTH = { cruise: 1.5, slow: 0.6 };
 
-  const chosen = { regime: "cruise", family: "figure_eight", seed: 0, preset: "storm", speed: 2, mismatch: false, actuator: false, on: new Set(["backstepping", "ekf", "apg"]) };
+  const chosen = { speed_range: "cruise", family: "figure_eight", seed: 0, preset: "storm", speed: 2, mismatch: false, actuator: false, on: new Set(["backstepping", "ekf", "apg"]) };
   const settings = { current: 0, direction: 0, gusts: 0, waves: 0, noise: 0 };
   const stats = { frames: 0, milliseconds: 0, slowest: 0 };
   let run = null, playing = true, held = null, since = null, touched = false;
   const view = { x: 0, y: 0, scale: 20, w: 1, h: 1 };
 
-  const regime = () => DATA.regimes[chosen.regime];
-  const own = () => regime().seeds[chosen.seed % regime().seeds.length];
+  const speed_range = () => DATA.speed_ranges[chosen.speed_range];
+  const own = () => speed_range().seeds[chosen.seed % speed_range().seeds.length];
   const circumstances = () => (chosen.mismatch ? (chosen.actuator ? "both" : "mismatch") : chosen.actuator ? "actuator" : "plain");
 
   function begin() {
-    const r = regime(), path = r.paths[chosen.family], reference = ENGINE.referenceOf(path);
+    const r = speed_range(), path = r.paths[chosen.family], reference = ENGINE.referenceOf(path);
     const sea = ENGINE.seaOf(r, path, chosen.seed, settings), first = Float64Array.from(sea.next(reference.row(0)));
     const parameters = Float64Array.from(own().vehicles[circumstances()]);
     const vehicles = Object.keys(KINDS).map((name) => {
-      const vehicle = ENGINE.vehicleOf(name, chosen.regime, parameters);
+      const vehicle = ENGINE.vehicleOf(name, chosen.speed_range, parameters);
       vehicle.begin(ENGINE.beginning(own(), reference.row(0)), first);
       return { name, vehicle, trail: [], points: [[0, distance(vehicle, reference.row(0))]], squares: [] };
     });
@@ -53,14 +53,14 @@ const PAGE = (() => {
   }
 
   function step() {
-    const row = run.reference.row(run.k + 1), sample = run.sea.next(row), t = (run.k + 1) * regime().dt;
+    const row = run.reference.row(run.k + 1), sample = run.sea.next(row), t = (run.k + 1) * speed_range().dt;
     for (const each of run.vehicles) {
       each.vehicle.step(sample, run.reference, run.k);
       if (held) pin(each.vehicle);
       const error = distance(each.vehicle, row);
       each.points.push([t, error]);
       each.squares.push(error * error);
-      if (each.squares.length > WINDOW / regime().dt) each.squares.shift();
+      if (each.squares.length > WINDOW / speed_range().dt) each.squares.shift();
       each.trail.push(held ? null : [each.vehicle.plant[0], each.vehicle.plant[1]]);
       if (each.trail.length > TRAIL) each.trail.shift();
     }
@@ -78,7 +78,7 @@ const PAGE = (() => {
   }
 
   function advance(seconds) {
-    const dt = regime().dt;
+    const dt = speed_range().dt;
     if (run.k >= run.reference.last) {
       run.over += seconds;
       if (run.over > REST && !held) { chosen.seed += 1; begin(); }
@@ -92,7 +92,7 @@ const PAGE = (() => {
   const mixed = (a, b, share) => a + share * (b - a);
 
   function scene() {
-    const share = Math.min(run.due / regime().dt, 1), k = run.k;
+    const share = Math.min(run.due / speed_range().dt, 1), k = run.k;
     const before = run.reference.row(Math.max(k - 1, 0)), now = run.reference.row(k);
     const shown = run.vehicles.filter((v) => chosen.on.has(v.name)).map(({ name, vehicle, trail }) => {
       const [a, b] = [vehicle.before, vehicle.plant];
@@ -101,15 +101,15 @@ const PAGE = (() => {
     });
     const s = run.sea.sample, at = DATA.at.sample;
     return {
-      view, vehicles: shown, path: run.reference, k, time: performance.now() / 1000, speed: regime().speed, waves: settings.waves,
-      length: LENGTH[chosen.regime], current: [s[at.V_x], s[at.V_y]],
+      view, vehicles: shown, path: run.reference, k, time: performance.now() / 1000, speed: speed_range().speed, waves: settings.waves,
+      length: LENGTH[chosen.speed_range], current: [s[at.V_x], s[at.V_y]],
       reference: [0, 1, 2].map((i) => mixed(before[i], now[i], share)),
     };
   }
 
   // The camera stays with the reference and shows who is off, as far as that is sensible.
   function look(picture, seconds) {
-    const [x, y] = picture.reference, least = chosen.regime === "cruise" ? 11 : 3.2, most = 6 * least;
+    const [x, y] = picture.reference, least = chosen.speed_range === "cruise" ? 11 : 3.2, most = 6 * least;
     const reach = picture.vehicles.map((v) => Math.max(Math.abs(v.x - x) * (view.h / view.w), Math.abs(v.y - y)));
     const half = Math.min(Math.max(least, ...reach.map((d) => 1.25 * d + 0.15 * least)), most);
     const share = held ? 0 : 1 - Math.exp(-seconds / 0.35);
@@ -123,14 +123,14 @@ const PAGE = (() => {
     const picture = scene(), ekf = run.vehicles.find((v) => v.name === "ekf"), e = DATA.at.estimate;
     DRAWING.sea($("sea"), picture);
     const z = ekf.vehicle.controller.estimate, belief = chosen.on.has("ekf") ? [z[e.V_x], z[e.V_y]] : null;
-    DRAWING.rose($("rose"), picture.current, belief, 0.6 * regime().speed, KINDS.ekf.colour);
+    DRAWING.rose($("rose"), picture.current, belief, 0.6 * speed_range().speed, KINDS.ekf.colour);
     $("rosetext").textContent = `current ${Math.hypot(...picture.current).toFixed(2)} m/s` + (belief ? `, the filter believes ${Math.hypot(...belief).toFixed(2)}` : "");
-    const t = Math.min(run.k * regime().dt, DATA.steps * regime().dt);
-    $("clock").textContent = run.over ? `${t.toFixed(0)} s: done, a new sea follows` : `${t.toFixed(1)} s of ${DATA.steps * regime().dt} s, sea ${chosen.seed + 1}`;
+    const t = Math.min(run.k * speed_range().dt, DATA.steps * speed_range().dt);
+    $("clock").textContent = run.over ? `${t.toFixed(0)} s: done, a new sea follows` : `${t.toFixed(1)} s of ${DATA.steps * speed_range().dt} s, sea ${chosen.seed + 1}`;
     if (stats.frames % 4) return; // numbers and charts need not follow every frame
     for (const each of run.vehicles) card(each);
     const lines = run.vehicles.filter((v) => chosen.on.has(v.name)).map((v) => ({ colour: KINDS[v.name].colour, points: v.points }));
-    DRAWING.errors($("errors"), lines, DATA.steps * regime().dt, run.marks);
+    DRAWING.errors($("errors"), lines, DATA.steps * speed_range().dt, run.marks);
   }
 
   const metres = (x) => (x < 1 ? `${(100 * x).toFixed(x < 0.1 ? 1 : 0)} cm` : `${x.toFixed(2)} m`);
@@ -182,7 +182,7 @@ const PAGE = (() => {
   const cards = {}, syncs = [];
 
   function preset(name) {
-    const { current, gust, waves, noise, mismatch, actuator } = regime().cases[name];
+    const { current, gust, waves, noise, mismatch, actuator } = speed_range().cases[name];
     Object.assign(settings, { current, gusts: gust, waves, noise, direction: own().direction });
     Object.assign(chosen, { preset: name, mismatch, actuator });
     begin();
@@ -204,9 +204,9 @@ const PAGE = (() => {
     syncs.push(choice($("cases"), CASES, () => chosen.preset, preset));
     for (const [key, text, low, high, by, shown] of SLIDERS) slider(key, text, low, high, by, shown);
     for (const [key, text] of TOGGLES) tick(key, text);
-    const titles = Object.fromEntries(Object.entries(regime().paths).map(([name, p]) => [name, p.title]));
+    const titles = Object.fromEntries(Object.entries(speed_range().paths).map(([name, p]) => [name, p.title]));
     syncs.push(choice($("paths"), titles, () => chosen.family, (name) => { chosen.family = name; begin(); }));
-    syncs.push(choice($("regimes"), REGIMES, () => chosen.regime, (name) => { chosen.regime = name; view.ready = false; preset(chosen.preset || "storm"); }));
+    syncs.push(choice($("speed_ranges"), SPEED_RANGES, () => chosen.speed_range, (name) => { chosen.speed_range = name; view.ready = false; preset(chosen.preset || "storm"); }));
     const speeds = Object.fromEntries(SPEEDS.map((s) => [s, `${s}\u00d7`]));
     syncs.push(choice($("speeds"), speeds, () => String(chosen.speed), (s) => { chosen.speed = Number(s); }));
     $("play").addEventListener("click", play);
@@ -229,7 +229,7 @@ const PAGE = (() => {
     label.append(text, output, input);
     input.addEventListener("input", () => { settings[key] = Number(input.value); chosen.preset = ""; sync(); });
     $("sliders").append(label);
-    syncs.push(() => { input.value = settings[key]; output.textContent = shown(settings[key], regime()); });
+    syncs.push(() => { input.value = settings[key]; output.textContent = shown(settings[key], speed_range()); });
   }
 
   function tick(key, text) {
@@ -274,7 +274,7 @@ const PAGE = (() => {
       canvas.setPointerCapture(event.pointerId);
       held = place(event);
       canvas.classList.add("held");
-      run.marks.push([run.k * regime().dt, run.k * regime().dt]);
+      run.marks.push([run.k * speed_range().dt, run.k * speed_range().dt]);
       move(event);
       if (!touched) { touched = true; $("hint").classList.add("gone"); }
     });

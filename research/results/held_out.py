@@ -16,7 +16,7 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from auv_gym.scenarios.presets import REGIMES
+from auv_gym.scenarios.presets import SPEED_RANGES
 from baselines.evaluation import recorded, suites
 from baselines.evaluation.runner import drawn, run_all
 from baselines.evaluation.score import ADVERSE_RIVAL, EXPERT, FORESIGHTED, RIVAL
@@ -29,7 +29,7 @@ from research import DATA
 from research.seeds import HELD_OUT
 
 PROGRAM = "python -m research held-out"
-HELD_OUT_FOLDER = DATA / "fresh"
+HELD_OUT_FOLDER = DATA / "held_out"
 HELD_OUT_SEED = HELD_OUT.first  # of the first episode of each case
 HELD_OUT_EPISODES = {"benchmark-v2": 64, "unmodelled-v1": 24}
 """Episodes drawn in each case, by suite."""
@@ -39,7 +39,7 @@ _POLICIES = (
     EXPERT,
     *FORESIGHTED,
     "ekf",
-    *(f"{family}-{regime}" for family in FAMILIES for regime in REGIMES),
+    *(f"{family}-{speed_range}" for family in FAMILIES for speed_range in SPEED_RANGES),
     "helm",
     "helm-any",
     ADVERSE_RIVAL,
@@ -69,7 +69,7 @@ class Options:
     """Folder for what they did, SUITE/POLICY.npz."""
 
 
-def fresh(name: str, episodes: int | None = None, cases: Sequence[str] = ()) -> Suite:
+def held_out(name: str, episodes: int | None = None, cases: Sequence[str] = ()) -> Suite:
     """Return a suite of held-out episodes, drawn from all of its cases or from those that are named.
 
     Raises:
@@ -99,7 +99,7 @@ def main(arguments: Sequence[str]) -> int:
     if options.episodes is not None and options.episodes < 1:
         raise UsageError(f"--episodes is {options.episodes}; it must be 1 or more")
     try:
-        drawn_anew = [fresh(name, options.episodes, options.case) for name in options.suite]
+        drawn_anew = [held_out(name, options.episodes, options.case) for name in options.suite]
     except ValueError as error:
         raise UsageError(f"--case: {error}") from error
     done = [_kept(suite, policy, options) for policy in options.policy for suite in drawn_anew]
@@ -108,13 +108,13 @@ def main(arguments: Sequence[str]) -> int:
 
 def _kept(suite: Suite, policy: str, options: Options) -> bool:
     """Run a policy through the cells of its speed ranges and keep the rows; return whether it ran."""
-    regimes = recorded.regimes_of(policy)
-    cells = suite.cells_in(regimes)
+    speed_ranges = recorded.speed_ranges_of(policy)
+    cells = suite.cells_in(speed_ranges)
     if not cells:
         return True
     runs = run_all((policy,), cells, Workers(options.jobs))
     try:
-        recorded.save_recorded(suite, runs, versions(), options.out, regimes)
+        recorded.save_recorded(suite, runs, versions(), options.out, speed_ranges)
     except ValueError as error:
         print(f"{called(PROGRAM)}: {error}: {next(run.error for run in runs if run.error)}", file=sys.stderr)
         return False
