@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from importlib import metadata
 from pathlib import Path
 
 DISTRIBUTION = "auv-gym"
@@ -44,6 +43,8 @@ def install(*extras: str) -> str:
 
 def _origin() -> str:
     """Return the address that pip has noted for a package that is from no index, see PEP 610; else nothing."""
+    from importlib import metadata  # it takes a tenth of the time to a first environment, which does not need it
+
     try:
         noted = json.loads(metadata.distribution(DISTRIBUTION).read_text("direct_url.json") or "{}")
     except (metadata.PackageNotFoundError, ValueError):
@@ -57,6 +58,8 @@ def sources() -> str:
     """Return where the sources of this version lie: the folder of a checkout, else the project's address."""
     if (folder := checkout()) is not None:
         return os.fspath(folder)
+    from importlib import metadata
+
     urls = metadata.metadata(DISTRIBUTION).get_all("Project-URL") or []
     return next((url.split(", ", 1)[1] for url in urls if url.startswith("Source, ")), DISTRIBUTION)
 

@@ -24,7 +24,7 @@ COMMANDS = {
     "screenshots": Command("research.site.screenshots", "dev"),
     "study": Command("research.trainings.study", "train"),
     "suites": Command("research.suites.command", "eval"),
-    "throughput": Command("research.throughput.command", "train"),
+    "throughput": Command("research.throughput.measure", "eval"),
     "train-all": Command("research.trainings.shipped", "train"),
     "transfer": Command("research.transfer.command", "eval"),
     "vehicle-gains": Command("research.vehicles.vehicles", "tuning"),

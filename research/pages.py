@@ -34,7 +34,7 @@ PAGES: Mapping[str, str] = {
     "results/learning": "research.results.learning",
     "safety": "research.robustness.page",
     "elsewhere": "research.transfer.page",
-    "speed": "research.throughput.page",
+    "speed": "research.throughput.measure",
     "sensitivity": "research.robustness.model_error",
 }
 """The module of each page: `context(page)` returns the values of its template, `figures(page)`, if there is one, its

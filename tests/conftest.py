@@ -32,3 +32,17 @@ def browser():
 
     with browser_of_tests.browser() as started:
         yield started
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """An empty cache of compiled code."""
+    from native_cache import forget
+
+    from auv_gym.codegen import native
+
+    monkeypatch.setenv(native.CACHE, str(tmp_path / "cache"))
+    monkeypatch.delenv(native.SWITCH, raising=False)
+    forget()
+    yield tmp_path / "cache"
+    forget()

@@ -28,7 +28,7 @@ QUICK = {
     "demo": "--episodes 1 --jobs 1",
     "video": "--episodes 2 --jobs 1 --seconds 0.5 --out video.webp",
     "format": "",
-    "bench": "--quick --out bench",
+    "bench": "--quick",
     "train": f"{TINY} --out run",
     "train-all": "ppo-cruise --timesteps 512",
     "pages": "results/learning --check",
@@ -195,27 +195,8 @@ def test_video_is_made_in_a_quick_form(copy):
 
 def test_bench_measures_in_a_quick_form(copy):
     text = made(copy, "bench")
-    for case in (
-        "scalar residual",
-        "a frame of 480x360",
-        "end one after the other",
-        "CasADi",
-        "decision of one vehicle: nmpc",
-        "memory",
-    ):
+    for case in ("with resets", "staggered", "of eleven", "first use", "decision of one vehicle: nmpc"):
         assert case in text
-    for case in (
-        "a vehicle step: ekf",
-        "python evaluate.py",
-        "gradient through",
-        "in PPO",
-        "against eager torch",
-        "two processes against one",
-        "python train.py",
-    ):
-        assert case in text
-    for file in ("bench.json", "bench.png"):
-        assert (copy / "bench" / file).exists()
 
 
 def test_train_makes_an_agent(copy):

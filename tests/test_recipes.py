@@ -116,10 +116,10 @@ def test_an_option_and_a_column(copy):
     assert "--brief" in help_text
     assert "Print no tables" in help_text
     words = "evaluate.py", "--scenario", "slow-calm", "--episodes", "1", "--jobs", "1"
-    assert "tail [cm]" in python(copy, *words, "--out", "loud")
+    assert "steady [cm]" in python(copy, *words, "--out", "loud")
     assert "steady_rmse" not in python(copy, *words, "--out", "brief", "--brief")
-    assert '"tail_cm": ' in (copy / "brief" / "results.json").read_text(encoding="utf-8")
+    assert '"steady_cm": ' in (copy / "brief" / "results.json").read_text(encoding="utf-8")
     with (copy / "brief" / "results.csv").open(encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
-            assert float(row["tail_cm"]) == pytest.approx(100 * float(row["steady_rmse_m"]))
-    assert "tail [cm]" in (copy / "brief" / "report.html").read_text(encoding="utf-8")
+            assert float(row["steady_cm"]) == pytest.approx(100 * float(row["steady_rmse_m"]))
+    assert "steady [cm]" in (copy / "brief" / "report.html").read_text(encoding="utf-8")

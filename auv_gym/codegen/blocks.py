@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from auv_gym.codegen.graph import TRUTHS, Graph
-from auv_gym.codegen.printing import Arrays, Layout, c_language, c_opening, written_statements
+from auv_gym.codegen.printing import C_CLOSING, Arrays, Layout, c_language, c_opening, written_statements
 
 _LANES = 8
 """Vehicles in a block: as many numbers of double precision as the widest registers hold."""
@@ -52,6 +52,7 @@ def c_block_function(name: str, graph: Graph, arguments: Arrays, results: Arrays
         "}",
         *(_write(a, rows[a], layout) for a in results if a not in layout.over_time),
         "}",
+        *C_CLOSING,
         "}",
     ]
     return "#include <string.h>\n" + "\n".join(lines) + "\n"

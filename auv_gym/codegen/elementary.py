@@ -73,7 +73,8 @@ ARCTANGENT_BELOW = (
 """Coefficients of the denominator."""
 
 
-def _polynomial(z: Number, coefficients: Sequence[float]) -> Number:
+def polynomial(z: Number, coefficients: Sequence[float]) -> Number:
+    """Return sum_k coefficients[k] z^k by Horner's rule."""
     total: Number = coefficients[-1]
     for c in coefficients[-2::-1]:
         total = c + z * total
@@ -93,9 +94,9 @@ def sine_cosine(angle: Number, precision: str, ns: Namespace) -> tuple[Number, N
     r = ns.clip(angle - k * first - k * second - k * third, -1.0, 1.0)
     z = r * r
     half = 0.5 * z
-    s = r + r * z * _polynomial(z, SINE)
+    s = r + r * z * polynomial(z, SINE)
     one = 1.0 - half
-    c = one + ((1.0 - one - half) + z * z * _polynomial(z, COSINE))
+    c = one + ((1.0 - one - half) + z * z * polynomial(z, COSINE))
     pairs = ns.floor(0.5 * k)
     odd, turned = k > 2.0 * pairs, pairs > 2.0 * ns.floor(0.5 * pairs)
     s, c = ns.where(odd, c, s), ns.where(odd, -s, c)
@@ -112,7 +113,7 @@ def exponential(x: Number, precision: str, ns: Namespace) -> Number:
     above, below = bounded - k * first, k * second
     r = above - below
     z = r * r
-    c = r - z * _polynomial(z, EXPONENTIAL)
+    c = r - z * polynomial(z, EXPONENTIAL)
     y = 1.0 - ((below - (r * c) / (2.0 - c)) - above)
     return ns.where(x < low, 0.0, ns.where(x > high, math.inf, y * _power_of_two(k, least, ns)))
 
@@ -144,7 +145,7 @@ def arctangent(y: Number, x: Number, ns: Namespace) -> Number:
     above, below = ns.where(diagonal, small - large, small), ns.where(diagonal, small + large, large)
     t = above / ns.where(below > 0.0, below, ns.where(below <= 0.0, 1.0, below))  # no number stays none
     z = t * t
-    angle = t + t * (z * _polynomial(z, ARCTANGENT) / _polynomial(z, ARCTANGENT_BELOW))
+    angle = t + t * (z * polynomial(z, ARCTANGENT) / polynomial(z, ARCTANGENT_BELOW))
     angle = ns.where(diagonal, angle + 0.25 * math.pi, angle)
     angle = ns.where(steep, 0.5 * math.pi - angle, angle)
     angle = ns.where(x < 0.0, math.pi - angle, angle)

@@ -6,7 +6,7 @@ import ctypes
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -31,9 +31,9 @@ _FLOAT_SPACE = {name: getattr(math, name) for name in ("sin", "cos", "exp", "log
 class Kernel:
     """An equation on rows of n vehicles, which may go through several steps at once.
 
-    Arrays are of shape (rows, n), (T, rows, n) where they hold something else at each step, or (rows,) where they hold
-    the same for all vehicles. An array that is among arguments and results is carried from step to step; another result
-    is that of the last step, unless it is over time.
+    Arrays are of shape (rows, n), or (rows,) where they hold the same for all vehicles; where they hold something else
+    at each step, of shape (T, rows, n) or (T, rows). An array that is among arguments and results is carried from step
+    to step; another result is that of the last step, unless it is over time.
     """
 
     name: str
@@ -85,28 +85,39 @@ class Kernel:
     @cached_property
     def source(self) -> str:
         """The kernel in C."""
+        return self._head + self._code(self.name)
+
+    @property
+    def _head(self) -> str:
+        real = "float" if self.layout.precision == "float32" else "double"
+        return f"#include <math.h>\n#include <stdint.h>\ntypedef {real} real;\n"
+
+    def _code(self, name: str) -> str:
+        """Return the function of a name that `source` is made of."""
         flat = lowered(self.graph, self._wanted, self.layout.precision)
         results, at = {}, 0
         for array, entries in self.results.items():
             results[array], at = flat[at : at + len(entries)], at + len(entries)
-        real = "float" if self.layout.precision == "float32" else "double"
         printed = c_block_function if self.layout.blocked else c_function
-        body = printed(self.name, self.graph, self.arguments, results, self.layout)
-        return f"#include <math.h>\n#include <stdint.h>\ntypedef {real} real;\n{body}"
+        return printed(name, self.graph, self.arguments, results, self.layout)
 
     @property
     def _wanted(self) -> list[Symbol]:
         return [s for entries in self.results.values() for s in entries]
 
+    def _native(self, n: int) -> Any:
+        """Return the compiled function for n vehicles; None where there is none.
+
+        That for one vehicle takes a compiler a fraction of the time. What is compiled already is preferred to that.
+        """
+        if not self._compiled or (n > 1 and True not in self._compiled):
+            self._compiled[n > 1] = _function(native.library(self.source, many=n > 1), self.name)
+        return self._compiled.get(True, self._compiled.get(False))
+
     @cached_property
-    def _native(self) -> Any:
-        """The compiled function; None where there is none."""
-        library = native.library(self.source)
-        if library is None:
-            return None
-        function = library[self.name]
-        function.restype = None
-        return function
+    def _compiled(self) -> dict[bool, Any]:
+        """The compiled functions: for many vehicles, and for one."""
+        return {}
 
     @cached_property
     def _on_floats(self) -> Callable[..., tuple[Any, ...]]:
@@ -134,33 +145,26 @@ class Kernel:
             ValueError: an array is missing, unknown, of another shape or type, or its last axis is not contiguous.
         """
         n = self._checked(arrays)
-        if (function := self._native) is None:
+        if (function := self._native(n)) is None:
             return self._on_one(arrays) if n == 1 else self._on_several(arrays)
         table = self._table(arrays, n)
-        at = ctypes.c_void_p(ctypes.addressof(table))
-
-        def run(first: int = 0, steps: int = 1) -> None:
-            function(at, first, steps)
-
+        run = partial(function, ctypes.c_void_p(table.__array_interface__["data"][0]))  # costs less than a function
         run.__dict__["kept"] = table, arrays  # alive as long as their addresses are used
         return run
 
-    def _table(self, arrays: Mapping[str, AnyArray], n: int) -> Any:
+    def _table(self, arrays: Mapping[str, AnyArray], n: int) -> AnyArray:
         """Return what the compiled function finds `at` its first argument, see `c_function`."""
         entries, size = [n], _REAL[self.layout.precision].itemsize
-        for name, _, axes in self._axes:
+        for name, _, strides in self._axes:
             array = arrays[name]
             entries.append(array.__array_interface__["data"][0])  # half the cost of `array.ctypes`
-            if axes == 2:  # most are
-                entries.append(array.strides[0] // size)
-            elif axes > 2:
-                entries += [array.strides[0] // size, array.strides[1] // size]
-        return (ctypes.c_int64 * len(entries))(*entries)
+            entries += [stride // size for stride in array.strides[:strides]]
+        return np.array(entries, dtype=np.int64)
 
     @cached_property
     def _axes(self) -> list[tuple[str, int, int]]:
-        """Name, rows and number of axes of each array."""
-        return [(name, rows, self.layout.axes(name)) for name, rows in self.rows.items()]
+        """Name and rows of each array, and how many of its axes have a stride."""
+        return [(name, rows, len(self.layout.strides(name))) for name, rows in self.rows.items()]
 
     def _checked(self, arrays: Mapping[str, AnyArray]) -> int:
         """Return the number of vehicles of well-formed arrays."""
@@ -168,14 +172,16 @@ class Kernel:
             raise ValueError(f"the kernel takes arrays {', '.join(self.rows)}; given are {', '.join(arrays)}")
         n: int = next(a.shape[-1] for name, a in arrays.items() if name not in self.layout.shared)
         real = _REAL[self.layout.precision]
-        for name, rows, axes in self._axes:
-            array, shape = arrays[name], ("T", rows, n)[3 - axes :] if axes > 1 else (rows,)
-            if array.dtype != real or array.ndim != axes or array.shape[-2:] != shape[-2:]:
+        for name, rows, _ in self._axes:
+            array, own = arrays[name], (rows,) if name in self.layout.shared else (rows, n)
+            over_time = name in self.layout.over_time
+            if array.dtype != real or array.shape[over_time:] != own or array.ndim != over_time + len(own):
+                shape = ("T", *own) if over_time else own
                 raise ValueError(
                     f"array {name} is of type {array.dtype} and shape {array.shape}; it must be of type "
-                    f"{self.layout.precision} and of shape ({', '.join(map(str, shape))}{',' * (axes == 1)})"
+                    f"{self.layout.precision} and of shape ({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"
                 )
-            if array.size and array.shape[-1] > 1 and array.strides[-1] != array.itemsize:
+            if array.strides[-1] != array.itemsize and array.size and array.shape[-1] > 1:
                 raise ValueError(f"array {name} must hold the vehicles of a row side by side in memory")
         return n
 
@@ -192,7 +198,7 @@ class Kernel:
         """Return what `bound` does for one vehicle, on floats."""
         function = self._on_floats
 
-        def run(first: int = 0, steps: int = 1) -> None:
+        def run(first: int, steps: int) -> None:
             time = slice(first, first + steps)
             rows = {name: self._one(name, array, time).tolist() for name, array in arrays.items()}
             for k in self._steps(0, steps):
@@ -213,10 +219,8 @@ class Kernel:
 
     def _one(self, name: str, array: AnyArray, time: slice) -> AnyArray:
         """Return what an array holds of the one vehicle."""
-        if name in self.layout.shared:
-            return array
-        part: AnyArray = array[time, :, 0] if name in self.layout.over_time else array[:, 0]
-        return part
+        part = array[time] if name in self.layout.over_time else array
+        return part if name in self.layout.shared else part[..., 0]
 
     def _beyond(self, given: Iterable[Any]) -> tuple[Any, ...]:
         with np.errstate(all="ignore"):
@@ -226,7 +230,7 @@ class Kernel:
         """Return what `bound` does for several vehicles, on rows."""
         function = self._on_rows
 
-        def run(first: int = 0, steps: int = 1) -> None:
+        def run(first: int, steps: int) -> None:
             for k in self._steps(first, steps):
                 at = {name: a[k] if name in self.layout.over_time else a for name, a in arrays.items()}
                 with np.errstate(all="ignore"):
@@ -252,16 +256,44 @@ class Kernel:
         n = next(a.shape[-1] for name, a in given.items() if name not in self.layout.shared)
         results = {name: given[name].copy() if name in given else self._empty(name, steps, n) for name in self.results}
         arrays = {**given, **results}
-        if (function := self._native) is None:
+        if (function := self._native(n)) is None:
             self.bound(**arrays)(0, steps)
         else:  # sooner than by `bound`
             table = self._table(arrays, self._checked(arrays))
-            function(ctypes.c_void_p(ctypes.addressof(table)), 0, steps)
+            function(ctypes.c_void_p(table.__array_interface__["data"][0]), 0, steps)
         return results
 
     def _empty(self, name: str, steps: int, n: int) -> AnyArray:
         shape = (steps, self.rows[name], n) if name in self.layout.over_time else (self.rows[name], n)
         return np.empty(shape, dtype=_REAL[self.layout.precision])
+
+
+def together(kernels: Mapping[str, Kernel], code: str = "", *, many: bool = True) -> Any:
+    """Compile kernels of one precision as one library, in less time than one by one; they run from it afterwards.
+
+    Args:
+        kernels: by the names of their functions.
+        code: further C, which may call these functions and stands behind them.
+        many: whether they are to be fast for several vehicles; it takes a compiler twice the time.
+
+    Returns:
+        The library, a `ctypes.CDLL`; None where there is no compiler.
+    """
+    head = next(iter(kernels.values()))._head
+    library = native.library("".join((head, *(k._code(name) for name, k in kernels.items()), code)), many=many)
+    for name, kernel in kernels.items():
+        function = _function(library, name)
+        kernel._compiled[many] = function
+        kernel._compiled.setdefault(True, function)
+    return library
+
+
+def _function(library: Any, name: str) -> Any:
+    if library is None:
+        return None
+    function = library[name]
+    function.restype = None
+    return function
 
 
 def _single_rows(x: AnyArray) -> AnyArray:

@@ -30,10 +30,12 @@ logger = logging.getLogger(__name__)
 SWITCH = "AUV_GYM_NATIVE"
 """Environment variable that turns compiled code off where it is 0."""
 COMPILERS = ("gcc", "clang", "cc")  # looked for in this order, behind that of the environment variable CC
-_FLAGS = ("-O1", "-std=c99", "-fPIC", "-shared", "-fopenmp-simd")
+_FLAGS = ("-O1", "-std=c99", "-fPIC", "-shared")
 """What every compiler that is used here knows."""
 _EXACT = ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros")
 """A product and a sum are rounded one after the other, as everywhere else; what is not a number stays none."""
+_SIMD = ("-fopenmp-simd",)
+"""For several vehicles at once, which takes twice the time."""
 TUNED = ("-march=native", "-fno-ivopts")
 """For this processor; and gcc shall not search for the cheapest counters of long loops. More optimisation than -O1
 takes twice the time and makes the code no faster: the equations are straight lines, and the loops over vehicles are
@@ -76,7 +78,7 @@ def compiler() -> tuple[str, str] | None:
         except (OSError, ValueError, subprocess.SubprocessError) as error:
             reason = f"{name}: {_reason(error)}"
         else:
-            made, reason = _library(command, version, _TRIAL)
+            made, reason = _library(command, version, _TRIAL, (*_FLAGS, *_EXACT, *TUNED))
             if made is not None:
                 return command, version
         logger.info("no code is compiled by %s", reason)
@@ -93,19 +95,22 @@ def _say(what: str, cost: str) -> None:
 
 
 @cache
-def library(source: str) -> ctypes.CDLL | None:
-    """Return the library of a C source, from the cache if it is there; None where it cannot be made."""
+def library(source: str, *, many: bool = True) -> ctypes.CDLL | None:
+    """Return the library of a C source, from the cache if it is there; None where it cannot be made.
+
+    Without `many` it is compiled in a fraction of the time, and is as fast for one vehicle.
+    """
     if not wanted() or (found := compiler()) is None:
         return None
-    made, reason = _library(*found, source)
+    made, reason = _library(*found, source, (*_FLAGS, *_EXACT, *TUNED, *(_SIMD if many else ())))
     if reason:
         _say(reason, _PYTHON if made is None else _AGAIN)
     return made
 
 
-def _library(command: str, version: str, source: str) -> tuple[ctypes.CDLL | None, str]:
+def _library(command: str, version: str, source: str, flags: tuple[str, ...]) -> tuple[ctypes.CDLL | None, str]:
     """Return the library of a source, None where there is none; and what stood against the first folder for it."""
-    about = (command, version, *_FLAGS, *_EXACT, *TUNED, platform.machine(), sys.platform, _processor())
+    about = (command, version, *flags, platform.machine(), sys.platform, _processor())
     key = "\0".join((source, *about, str(struct.calcsize("P"))))
     digest, reasons = hashlib.sha256(key.encode()).hexdigest()[:32], list[str]()
     mark = f"auv_gym_{digest}"  # a symbol by which a library is known to be that of the source
@@ -117,7 +122,9 @@ def _library(command: str, version: str, source: str) -> tuple[ctypes.CDLL | Non
             return made, "".join(reasons[:1])
         try:
             if folder not in _refused:
-                made = _built(command, f"{source}\nint {mark}(void) {{ return 1; }}\n", file, mark)
+                if source != _TRIAL and not _refused:
+                    _announce()
+                made = _built(command, f"{source}\nint {mark}(void) {{ return 1; }}\n", file, mark, flags)
                 return made, "".join(reasons[:1])
         except subprocess.SubprocessError as error:
             reasons.append(f"{command}: {_reason(error)}")
@@ -157,7 +164,13 @@ _PROCESSOR = ("model name", "flags", "features", "facilities", "cpu", "isa", "ua
 """Entries of /proc/cpuinfo that say which instructions there are: on x86, Arm, s390, POWER and RISC-V."""
 
 
-def _built(command: str, source: str, file: Path, mark: str) -> ctypes.CDLL:
+@cache
+def _announce() -> None:
+    """Say in one line why the first use on a machine takes longer."""
+    print("auv_gym: compiling the equations of motion for this machine; this happens once", file=sys.stderr, flush=True)
+
+
+def _built(command: str, source: str, file: Path, mark: str, flags: tuple[str, ...]) -> ctypes.CDLL:
     """Return a new library, once it can be loaded and its file is in place; two at once leave one whole file.
 
     Raises:
@@ -169,9 +182,9 @@ def _built(command: str, source: str, file: Path, mark: str) -> ctypes.CDLL:
     with tempfile.TemporaryDirectory(prefix=BUILD, dir=file.parent) as folder:
         made = Path(folder) / file.name
         try:
-            _compile(command, source, made, (*_FLAGS, *_EXACT, *TUNED))
+            _compile(command, source, made, flags)
         except subprocess.CalledProcessError:
-            _compile(command, source, made, (*_FLAGS, *_EXACT))
+            _compile(command, source, made, tuple(flag for flag in flags if flag not in TUNED))
         made.chmod(0o755)  # no umask lets others write
         found = _loaded(made, mark)
         made.replace(file)

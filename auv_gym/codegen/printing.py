@@ -182,16 +182,15 @@ class Layout:
     back: bool  # whether the steps are taken from the last one to the first
     blocked: bool = False  # whether the C goes through eight vehicles at a time, see `blocks`
 
-    def axes(self, array: str) -> int:
-        """Return how many axes an array has: (rows, n), (T, rows, n) if over time, (rows,) if shared."""
-        return 2 + (array in self.over_time) - (array in self.shared)
+    def strides(self, array: str) -> tuple[str, ...]:
+        """Return what the strides of an array's axes are called in C, of all axes but the last."""
+        kinds = (("time", array in self.over_time), ("row", array not in self.shared))
+        return tuple(f"{array}_{kind}" for kind, there in kinds if there)
 
     def entry(self, array: str, row: int | str) -> str:
         """Return a row of an array in C, for vehicle i at step k."""
-        if array in self.shared:
-            return f"{array}[{row}]"
         time = f"k * {array}_time + " if array in self.over_time else ""
-        return f"{array}[{time}{row} * {array}_row + i]"
+        return f"{array}[{time}{row}]" if array in self.shared else f"{array}[{time}{row} * {array}_row + i]"
 
 
 def c_opening(name: str, arguments: Arrays, results: Arrays, layout: Layout) -> list[str]:
@@ -200,10 +199,14 @@ def c_opening(name: str, arguments: Arrays, results: Arrays, layout: Layout) -> 
     for array in {**arguments, **results}:
         kind = f"{'' if array in results else 'const '}real *restrict"
         lines.append(f"{kind} {array} = ({kind})at[{at}];")
-        strides = (f"{array}_time", f"{array}_row")[3 - layout.axes(array) :]
+        strides = layout.strides(array)
         lines += [f"const long {stride} = (long)at[{at + 1 + j}];" for j, stride in enumerate(strides)]
         at += 1 + len(strides)
     return lines
+
+
+C_CLOSING = ("#ifdef __AVX__", "__builtin_ia32_vzeroupper();", "#endif")
+"""What stands at the end of a C function: other code waits for the wide registers unless they are zero."""
 
 
 def c_function(name: str, graph: Graph, arguments: Arrays, results: Arrays, layout: Layout) -> str:
@@ -245,4 +248,4 @@ def c_function(name: str, graph: Graph, arguments: Arrays, results: Arrays, layo
             if given.get(value) != target:  # what stays as it is need not be written
                 truth = graph.nodes[entry.index][0] in TRUTHS
                 lines.append(f"{target} = {f'({value} ? (real)1 : (real)0)' if truth else value};")  # vectorises
-    return "\n".join((*lines, "}", "}", "}")) + "\n"
+    return "\n".join((*lines, "}", "}", *C_CLOSING, "}")) + "\n"

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 from gymnasium.utils import seeding
-from numpy.typing import NDArray
 
+from auv_gym.physics.namespaces import Indices
 from auv_gym.physics.vehicle import Vehicle
-from auv_gym.scenarios.episode import checked_options
+from auv_gym.scenarios.episode import checked_mapping, checked_options
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.scenario import Scenario
@@ -57,29 +57,45 @@ def checked_steps(max_episode_steps: int | None) -> int:
     return max_episode_steps
 
 
+def checked_seed(seed: Any) -> int | None:
+    """Return a seed as an integer of Python, None as it is.
+
+    Raises:
+        ValueError: it is neither None nor an integer of at least 0.
+    """
+    if seed is not None and (isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0):
+        raise ValueError(f"seed is {seed!r}; it must be an integer of at least 0, or None")
+    return None if seed is None else int(seed)
+
+
 def seeded(
-    generators: Sequence[np.random.Generator], seed: int | Sequence[int | None] | None
+    generators: Sequence[np.random.Generator | None], seed: int | Sequence[int | None] | None
 ) -> list[np.random.Generator]:
-    """Return the random generators of N vehicles, new ones where a seed is given.
+    """Return the random generators of N vehicles, new ones where a seed is given or there is none yet.
 
     Args:
         generators: the present ones, which stay where there is no seed.
         seed: of the first vehicle, whose i-th neighbour gets seed + i; or N seeds, None where there is none.
 
     Raises:
-        ValueError: a wrong number of seeds.
-        gymnasium.error.Error: a seed is no integer, or negative.
+        ValueError: a wrong number of seeds, or one that is no integer of at least 0.
     """
     n = len(generators)
-    seeds = seed if isinstance(seed, Iterable) else [None if seed is None else seed + i for i in range(n)]
-    if len(seeds) != n:
-        raise ValueError(f"seed has {len(seeds)} entries; it must be one integer, or {n} of them")
-    plain = [int(s) if isinstance(s, np.integer) else s for s in seeds]
-    return [generators[i] if s is None else seeding.np_random(s)[0] for i, s in enumerate(plain)]
+    if isinstance(seed, Iterable) and not isinstance(seed, (str, Mapping)):
+        seeds = [checked_seed(s) for s in seed]
+        if len(seeds) != n:
+            raise ValueError(f"seed has {len(seeds)} entries; it must be one integer, or {n} of them")
+    else:
+        first = checked_seed(seed)
+        seeds = [None if first is None else first + i for i in range(n)]
+    return [
+        generator if s is None and generator is not None else seeding.np_random(s)[0]
+        for s, generator in zip(seeds, generators, strict=True)
+    ]
 
 
-def checked_reset(options: Mapping[str, Any], n: int, begun: bool) -> tuple[NDArray[np.int64], list[dict[str, Any]]]:
-    """Return which of N vehicles a reset is for, as indices, and every vehicle's own options.
+def checked_reset(options: Any, n: int, begun: bool) -> tuple[Indices, list[dict[str, Any]] | None]:
+    """Return which of N vehicles a reset is for, as indices, and every vehicle's own options, None without any.
 
     Args:
         options: of `reset`; what holds for all, or N entries.
@@ -89,7 +105,7 @@ def checked_reset(options: Mapping[str, Any], n: int, begun: bool) -> tuple[NDAr
     Raises:
         ValueError: options that are unknown, wrong or of another length, or a first reset that leaves some out.
     """
-    lanes, rest = np.arange(n), dict(options)
+    lanes, rest = np.arange(n), dict(checked_mapping(options))
     if "reset_mask" in rest:
         mask = np.asarray(rest.pop("reset_mask"))
         if mask.shape != (n,) or mask.dtype != np.bool_ or not mask.any():
@@ -97,6 +113,8 @@ def checked_reset(options: Mapping[str, Any], n: int, begun: bool) -> tuple[NDAr
         if not (begun or mask.all()):
             raise ValueError("the first reset must be of all sub-environments, without reset_mask")
         lanes = mask.nonzero()[0]
+    if not rest:
+        return lanes, None
     checked_options(dict.fromkeys(set(rest) - {"episode"}, (0, 0, 0)))  # the names alone
     choices: list[dict[str, Any]] = [{} for _ in range(n)]
     for key, value in rest.items():

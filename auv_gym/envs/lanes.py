@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from functools import reduce
+from functools import lru_cache, reduce
 from typing import Any, NamedTuple
 
 import numpy as np
-from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from auv_gym.envs.arguments import checked_reset, checked_steps, scenarios_of, seeded
 from auv_gym.envs.vector_api import AutoresetMode, Ends, checked_mode
 from auv_gym.physics.namespaces import ARRAYS, Array, Indices
-from auv_gym.physics.rows import leaves
+from auv_gym.physics.rows import leaves, spread
 from auv_gym.physics.vehicle import Vehicle
-from auv_gym.planning.planner import plan
+from auv_gym.planning.paths import Path
+from auv_gym.planning.planner import Planner
+from auv_gym.scenarios.drawing import Drawing, drawn_side_by_side
 from auv_gym.scenarios.episode import Episode, with_options
 from auv_gym.scenarios.exogenous import Tape
-from auv_gym.scenarios.scenario import Scenario
+from auv_gym.scenarios.scenario import RandomPath, Scenario
 from auv_gym.scenarios.vehicles import VehicleModel
-from auv_gym.task.kernels import begun
-from auv_gym.task.observation import Observation, check_reference, decode
+from auv_gym.task.kernels import STATES, begun
+from auv_gym.task.observation import Observation, check_reference, decode, reference_bounds
 from auv_gym.task.policy import Forces
 from auv_gym.task.preview import Preview, encode_preview
 from auv_gym.task.simulation import PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Parts
@@ -30,16 +30,20 @@ from auv_gym.task.simulation import PARAMETER_ROWS, SAMPLE_ROWS, Parameters, Par
 ScenarioLike = Scenario | str | Mapping[str, Any]
 
 LARGEST_BLOCK = 64  # most control steps of tape that are read at once
-BLOCK_SAMPLES = 2**18  # most vehicles times control steps that are read at once: it bounds the memory
-PLANNED_AT_ONCE = 64  # most references planned in one batch, so that they stay in the processor's cache
+BLOCK_SAMPLES = 2**15  # most vehicles times control steps that are read at once: it bounds the memory
+FEWEST_ROWS = 4  # fewer episodes of a scenario are drawn one by one: calls on rows cost more than on floats
 
 
-class ReadyEpisode(NamedTuple):
-    """An episode that is ready to begin."""
+class ReadyEpisodes(NamedTuple):
+    """Episodes of one scenario that are ready to begin."""
 
-    episode: Episode
-    table: Array  # of the reference, shape (steps + 1, 8)
-    constants: tuple[float, ...]  # the numbers of its `simulation.Parameters`
+    places: Indices  # which of the lanes that asked they are for, shape (n,)
+    scenario: Scenario
+    episodes: Episode  # one whose numbers are rows (n,), or a single one
+    tables: Sequence[Array]  # of the references, shape (steps + 1, 8)
+    noise_seeds: Sequence[int]
+    constants: Array  # the rows of their `simulation.Parameters`, shape (PARAMETER_ROWS, n)
+    paths: Sequence[Path]  # if they are to be looked ahead on
 
 
 class Begun(NamedTuple):
@@ -94,7 +98,7 @@ class Lanes:
         self.all: Indices = np.arange(num_envs)
         self.begun = False
         self.forces: Forces | None = None
-        self._generators = [seeding.np_random(None)[0] for _ in range(num_envs)]
+        self._generators: list[np.random.Generator | None] = [None] * num_envs  # made when they are needed
         self._dt = np.array([s.control_dt for s in self.scenarios])
         self._steps = np.array([s.steps for s in self.scenarios])
         self._lengths = np.minimum(self._steps, checked_steps(max_episode_steps))
@@ -109,6 +113,7 @@ class Lanes:
         self.parts = reduce(Parts.joined, {s.parts: None for s in self.scenarios})
         self.parameters = Parameters.of(tuple(self.constants), self.parts)
         self.k: Indices = np.zeros(num_envs, dtype=np.int64)
+        self._left = 0  # control steps for which no episode is truncated, at least
 
     @property
     def sample(self) -> Any:
@@ -123,15 +128,17 @@ class Lanes:
     @property
     def truncating(self) -> NDArray[np.bool_]:
         """Whether the coming control step is the last one of each episode, shape (N,)."""
-        ending: NDArray[np.bool_] = self.k + 1 >= self._lengths
+        if self._left > 0:
+            return np.zeros(len(self.all), dtype=bool)
+        left = self._lengths - self.k - 1
+        self._left = int(left.min())
+        ending: NDArray[np.bool_] = left <= 0
         return ending
 
     def coming(self) -> Array:
         """Return the samples at the end of the coming control step, an array (SAMPLE_ROWS, N); time stays."""
         if self.row + 1 == len(self.samples):
-            self._before = self.samples[-1].copy()
-            self._tape.read(self.all, len(self.samples), self.samples)
-            self.row, self.blocks = -1, self.blocks + 1
+            self.read()
         coming: Array = self.samples[self.row + 1]
         return coming
 
@@ -139,70 +146,139 @@ class Lanes:
         """Go on by one control step, whose samples `coming` has returned."""
         self.row += 1
         self.k += 1
+        self._left -= 1
 
     def reset(self, seed: int | Sequence[int | None] | None, options: Mapping[str, Any] | None) -> Begun:
         """Begin new episodes everywhere, or where `options["reset_mask"]` says; lane i gets seed + i.
 
         Raises:
-            ValueError: unknown or wrong options, a wrong number of seeds, or an episode that cannot be planned; nothing
-                has changed then.
-            gymnasium.error.Error: a seed is no integer, or negative; nothing has changed then.
+            ValueError: wrong options or seeds, or an episode that cannot be planned; nothing has changed then.
         """
-        lanes, choices = checked_reset(options or {}, len(self.all), self.begun)
+        lanes, choices = checked_reset(options, len(self.all), self.begun)
         generators = seeded(self._generators, seed)
-        planned = self._planned(lanes, generators, choices)
+        planned = self.ready(lanes, generators, choices)
         for i in lanes.tolist():
             self._generators[i] = generators[i]
         return self.begin(lanes, planned)
 
-    def planned(self, lanes: Indices) -> list[ReadyEpisode]:
+    def planned(self, lanes: Indices) -> list[ReadyEpisodes]:
         """Return the next episode of each of the lanes, ready to begin.
 
         Raises:
             ValueError: see `Scenario.drawn`; nothing has changed then.
         """
-        return self._planned(lanes, self._generators, [{}] * len(self.all))
+        return self.ready(lanes, self._generators, None)
 
-    def _planned(
-        self, lanes: Indices, generators: Sequence[np.random.Generator], choices: Sequence[Mapping[str, Any]]
-    ) -> list[ReadyEpisode]:
-        """Return an episode for each of the lanes, with every lane's checked options of `reset`."""
-        states = [generators[i].bit_generator.state for i in lanes.tolist()]
+    def ready(
+        self, lanes: Indices, generators: Sequence[Any], choices: Sequence[Mapping[str, Any]] | None
+    ) -> list[ReadyEpisodes]:
+        """Return an episode for each of the lanes, with every lane's generator and checked options of `reset`, if any.
+
+        Raises:
+            ValueError: see `Scenario.drawn`; nothing has changed then.
+        """
+        states = {i: generators[i].bit_generator.state for i in lanes.tolist()}
+        alone: list[int] = []  # places in `lanes`
+        together: dict[int, list[int]] = {}  # places of those that are drawn side by side, by scenario
+        for place, i in enumerate(states):
+            if choices and choices[i]:
+                alone.append(place)
+            else:
+                together.setdefault(id(self.scenarios[i]), []).append(place)
+        found: list[ReadyEpisodes] = []
         try:
-            drawn = [choices[i].get("episode") or self.scenarios[i].draw(generators[i]) for i in lanes.tolist()]
-            tables = self._tables(lanes, drawn)
-            for j, i in enumerate(lanes.tolist()):
-                if tables[j] is None:  # cannot be followed
-                    generators[i].bit_generator.state = states[j]
-                    drawn[j], tables[j] = self._feasible(i, choices[i].get("episode"), generators[i])
-            episodes = [with_options(episode, choices[i]) for i, episode in zip(lanes.tolist(), drawn, strict=True)]
-            return [
-                ReadyEpisode(episode, table, leaves(self.scenarios[i].parameters(episode)))
-                for i, episode, table in zip(lanes.tolist(), episodes, tables, strict=True)
-            ]
+            for places in map(np.array, together.values()):
+                scenario = self.scenarios[int(lanes[places[0]])]
+                if len(places) < FEWEST_ROWS or not drawn_side_by_side(scenario):
+                    alone += places.tolist()
+                    continue
+                own = [generators[i] for i in lanes[places].tolist()]
+                rows, refused = self._side_by_side(scenario, places, own)
+                for place in refused:
+                    generators[lanes[place]].bit_generator.state = states[int(lanes[place])]
+                found += rows
+                alone += refused
+            for place in alone:
+                i = int(lanes[place])
+                found.append(self._alone(self.scenarios[i], place, generators[i], choices[i] if choices else {}))
         except ValueError:
-            for i, state in zip(lanes.tolist(), states, strict=True):
+            for i, state in states.items():
                 generators[i].bit_generator.state = state
             raise
+        return found
 
-    def begin(self, lanes: Indices, planned: Sequence[ReadyEpisode]) -> Begun:
+    def _side_by_side(
+        self, scenario: Scenario, places: Indices, generators: Sequence[np.random.Generator]
+    ) -> tuple[list[ReadyEpisodes], list[int]]:
+        """Return the episodes of a scenario for these places, and the places of those that cannot be followed."""
+        drawing = Drawing(scenario, generators)
+        tables: list[Array | None] = [None] * len(places)
+        if not isinstance(scenario.path, RandomPath):
+            tables = [self.fixed_table(scenario)] * len(places)
+        planner = planner_of(*plan_of(scenario))
+        for members, paths in drawing.paths:
+            for j, table in zip(members.tolist(), planner.tables(paths, len(members)), strict=True):
+                tables[j] = table
+        refused = [j for j, table in enumerate(tables) if table is None]
+        kept = np.array([j for j, table in enumerate(tables) if table is not None])
+        if len(kept) < FEWEST_ROWS:
+            return [], places.tolist()
+        episodes = drawing.episodes(kept)
+        constants = spread(leaves(scenario.constants(episodes)), len(kept))
+        ahead = drawing.single(kept) if self.preview.periods else []
+        followed, seeds = [table for table in tables if table is not None], [drawing.seeds[j] for j in kept.tolist()]
+        rows = ReadyEpisodes(places[kept], scenario, episodes, followed, seeds, constants, ahead)
+        return [rows], places[refused].tolist()
+
+    def _alone(
+        self, scenario: Scenario, place: int, rng: np.random.Generator, options: Mapping[str, Any]
+    ) -> ReadyEpisodes:
+        """Return the episode of one lane, the one that is chosen or one that can be followed."""
+
+        def table_of(episode: Episode) -> Array:
+            if episode.path is scenario.path:
+                return self.fixed_table(scenario)
+            return reference_table(episode.path, *plan_of(scenario), many=len(self.all) > 1)
+
+        if chosen := options.get("episode"):
+            episode, table = chosen, table_of(chosen)
+        else:
+            episode, table = scenario.drawn(rng, table_of)
+        episode = with_options(episode, options)
+        constants = spread(leaves(scenario.parameters(episode)), 1)
+        where, seeds = np.array([place]), [episode.noise_seed]
+        return ReadyEpisodes(where, scenario, episode, [table], seeds, constants, [episode.path])
+
+    def begin(self, lanes: Indices, ready: Sequence[ReadyEpisodes]) -> Begun:
         """Begin these episodes in the lanes."""
-        for i, (episode, table, constants) in zip(lanes.tolist(), planned, strict=True):
-            self._tape.load(i, self.scenarios[i], episode, table)
-            self.constants[:, i] = constants
-        self.preview.load(lanes, [episode.path for episode, _, _ in planned], self._dt[lanes])
+        states, errors = self.load(lanes, ready)
+        given = states, self.sample[:, lanes], self.constants[:, lanes], self.forces
+        return Begun(lanes, *begun(self.parts, *given), errors)
+
+    def load(self, lanes: Indices, ready: Sequence[ReadyEpisodes]) -> tuple[Array, Array]:
+        """Take up these episodes in n lanes; return their first states (STATES, n) and position errors (n,) [m]."""
+        states, errors = np.empty((STATES, len(lanes))), np.empty(len(lanes))
+        for places, scenario, episodes, tables, noise_seeds, constants, paths in ready:
+            own = lanes[places]
+            self._tape.load_rows(own, scenario, episodes, tables, noise_seeds)
+            self.constants[:, own] = constants
+            self.preview.load(own, paths, scenario.control_dt, tables)
+            firsts: Any = tables[0][0].tolist() if len(tables) == 1 else np.array([table[0] for table in tables]).T
+            states[:, places] = spread(episodes.initial_state(firsts), len(tables))
+            errors[places] = np.hypot(*episodes.initial_error[:2])
         self.begun = True
-        self.k[lanes] = 0
+        self.k[lanes], self._left = 0, 0
         self.ends.over[lanes] = False
         if self.row < 0:
             self._before[:, lanes] = self._tape.read(lanes, 1)[0]
-        ahead = self.samples[max(self.row, 0) :]
-        ahead[:, :, lanes] = self._tape.read(lanes, len(ahead))
-        states = np.array([episode.initial_state(table[0].tolist()) for episode, table, _ in planned]).T
-        errors = np.hypot(*np.array([episode.initial_error[:2] for episode, _, _ in planned]).T)
-        return Begun(
-            lanes, *begun(self.parts, states, self.sample[:, lanes], self.constants[:, lanes], self.forces), errors
-        )
+        self._tape.read_into(self.samples[max(self.row, 0) :], lanes, lanes)
+        return states, errors
+
+    def read(self) -> None:
+        """Read the next block of samples, the last of which is past."""
+        self._before = self.samples[-1].copy()
+        self._tape.read_into(self.samples, self.all, self.all)
+        self.row, self.blocks = -1, self.blocks + 1
 
     def change(self, episodes: Sequence[Episode]) -> None:
         """Put the constants of other episodes in place of those of the running ones; their tapes run on.
@@ -222,48 +298,27 @@ class Lanes:
         o = Observation._make(decode(rows, ARRAYS))
         return np.vstack((rows, encode_preview(self.preview.ahead(lanes, self.k[lanes]), o, ARRAYS, self.parts.span)))
 
-    def _feasible(self, lane: int, episode: Episode | None, rng: np.random.Generator) -> tuple[Episode, Array]:
-        """Return an episode of a lane, the given one or one that can be followed, and its reference table."""
+    def fixed_table(self, scenario: Scenario) -> Array:
+        """Return the reference table of a scenario whose path is not drawn.
 
-        def table_of(episode: Episode) -> Array:
-            return reference_tables([episode], *plan_of(self.scenarios[lane]))[0]
-
-        return (episode, table_of(episode)) if episode else self.scenarios[lane].drawn(rng, table_of)
-
-    def _tables(self, lanes: Indices, episodes: Sequence[Episode]) -> list[Any]:
-        """Return the reference table of each episode, None where it cannot be followed.
-
-        Those of one clock and vehicle are planned together, paths of one family side by side.
+        Raises:
+            ValueError: see `reference_table`.
         """
-        tables: list[Any] = [None] * len(episodes)
-        groups: dict[Any, list[int]] = {}
-        for j, (i, episode) in enumerate(zip(lanes.tolist(), episodes, strict=True)):
-            given, path = plan_of(self.scenarios[i]), self.scenarios[i].path
-            if episode.path is path:
-                fixed = (*given, id(path))
-                if fixed not in self._fixed:
-                    self._fixed[fixed] = reference_tables([episode], *given)[0]
-                tables[j] = self._fixed[fixed]
-            else:
-                groups.setdefault(given, []).append(j)
-        for given, members in groups.items():
-            members.sort(key=lambda j: type(episodes[j].path).__name__)
-            for first in range(0, len(members), PLANNED_AT_ONCE):
-                batch = members[first : first + PLANNED_AT_ONCE]
-                with suppress(ValueError):  # about one of them: all are planned alone then
-                    for j, table in zip(batch, reference_tables([episodes[j] for j in batch], *given), strict=True):
-                        tables[j] = table
-        return tables
+        assert not isinstance(scenario.path, RandomPath)
+        key = id(scenario.path), plan_of(scenario)
+        if key not in self._fixed:
+            self._fixed[key] = reference_table(scenario.path, *plan_of(scenario), many=len(self.all) > 1)
+        return self._fixed[key]
 
 
 def plan_of(scenario: Scenario) -> tuple[float, int, Vehicle, float, float, float, int]:
-    """Return what a plan depends on besides the path, the arguments of `reference_tables`."""
+    """Return what a plan depends on besides the path, the arguments of `reference_table`."""
     s, act = scenario, scenario.actuators
     return s.control_dt, s.steps, s.vehicle, act.F_u_max, act.F_r_max, act.fin, s.span
 
 
-def reference_tables(
-    episodes: Sequence[Episode],
+def reference_table(
+    path: Path,
     dt: float,
     steps: int,
     vehicle: Vehicle,
@@ -271,11 +326,13 @@ def reference_tables(
     F_r_max: float,
     fin: float,
     span: int,
-) -> list[Array]:
-    """Return the reference tables of episodes, shape (steps + 1, 8) each.
+    *,
+    many: bool = True,
+) -> Array:
+    """Return the reference table of a path, shape (steps + 1, 8).
 
     Args:
-        episodes: whose paths are planned.
+        path: of an episode.
         dt: control period [s].
         steps: control steps of an episode.
         vehicle: the known one.
@@ -283,12 +340,29 @@ def reference_tables(
         F_r_max: largest |F_r| [N m].
         fin: of the fins [kg], see `actuators.Actuators`.
         span: of the scenario, see `task.bounds`.
+        many: see `planning.kernels.driver`.
 
     Raises:
-        InfeasibleReferenceError: an episode's path cannot be followed within these limits.
-        ValueError: a reference is beyond what can be observed.
+        InfeasibleReferenceError: the path cannot be followed within these limits.
+        ValueError: the reference is beyond what can be observed.
     """
-    paths = [episode.path for episode in episodes]
-    reference = plan(paths, vehicle, dt * np.arange(steps + 1, dtype=np.float64), (F_u_max, F_r_max), fin).table
-    check_reference(reference, span)
-    return list(np.ascontiguousarray(reference.transpose(2, 0, 1)))
+    planner = planner_of(dt, steps, vehicle, F_u_max, F_r_max, fin, span, many=many)
+    table = planner.table(path)
+    if table is None:  # for a reason that there is an error for
+        table = planner.plan(path).table
+        check_reference(table, span)
+    return table
+
+
+def reference_tables(episodes: Sequence[Episode], *given: Any) -> list[Array]:
+    """Return the `reference_table` of each episode's path; the other arguments are those of it."""
+    return [reference_table(episode.path, *given) for episode in episodes]
+
+
+@lru_cache(maxsize=64)
+def planner_of(
+    dt: float, steps: int, vehicle: Vehicle, F_u_max: float, F_r_max: float, fin: float, span: int, *, many: bool = True
+) -> Planner:
+    """Return what plans the paths of a scenario; the arguments are those of `reference_table`."""
+    times: Array = dt * np.arange(steps + 1, dtype=np.float64)
+    return Planner(vehicle, times, (F_u_max, F_r_max), fin, reference_bounds(span), many=many)

@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
-
-from auv_gym.physics.namespaces import Array
+from numpy.typing import NDArray
 
 
 class ReferencePoint(NamedTuple):
@@ -30,16 +29,17 @@ def checked_action(action: Any) -> list[float]:
     Raises:
         ValueError: it is not a numeric array or sequence of shape (2,), or not finite.
     """
-    array = action if isinstance(action, np.ndarray) else np.asarray(action)
-    if array.dtype.kind in "fiu" and array.shape == (2,):
+    array = np.asarray(action)
+    if array.dtype.kind in "fiu" and array.shape == (2,) and not np.ma.is_masked(action):
         command: list[float] = array.tolist()
         if math.isfinite(command[0]) and math.isfinite(command[1]):
             return command
-    raise ValueError(f"action is {action!r}; it must be two finite numbers in [-1, 1], shape (2,)")
+    shown = " ".join(repr(action).split())  # in one line
+    raise ValueError(f"action is {shown}; it must be two finite numbers in [-1, 1], shape (2,)")
 
 
-def checked_actions(actions: Any, num_envs: int) -> Array:
-    """Return actions of shape (N, 2) as float64.
+def checked_actions(actions: Any, num_envs: int) -> NDArray[Any]:
+    """Return actions as an array of numbers, shape (N, 2).
 
     Raises:
         ValueError: they are no numbers of that shape, or not finite; the first bad sub-environment is named.
@@ -49,11 +49,13 @@ def checked_actions(actions: Any, num_envs: int) -> Array:
         raise ValueError(
             f"actions have shape {array.shape} and type {array.dtype}; they must be numbers of shape ({num_envs}, 2)"
         )
-    finite = np.isfinite(array)
-    if not finite.all():
-        i = int(np.argmin(finite.all(axis=1)))
-        raise ValueError(f"action of sub-environment {i} is {array[i]}; it must be two finite numbers in [-1, 1]")
-    return array.astype(np.float64)
+    valid = np.isfinite(array)
+    if type(actions) is not np.ndarray:
+        valid = valid & ~np.ma.getmaskarray(actions)
+    if not valid.all():
+        i = int(np.argmin(valid.all(axis=1)))
+        raise ValueError(f"action of sub-environment {i} is {actions[i]}; it must be two finite numbers in [-1, 1]")
+    return array
 
 
 def with_action(space: Any) -> Any:

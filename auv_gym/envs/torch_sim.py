@@ -265,7 +265,7 @@ class TorchSimulator(VectorEnv[Tensor, Tensor, Tensor]):
         observation, errors = self._with_preview(rows, host.all).T, squared.detach().sqrt()
         info: dict[str, Any] = {}
         if planned and host.ends.mode == AutoresetMode.SAME_STEP:
-            info = {"final_obs": observation, "_final_obs": done, "_final_info": done}
+            info = {"final_obs": observation, "_final_obs": done, "_final_info": done.clone()}
             info["final_info"] = self._info(errors, saturated)
         if planned:
             beginning = host.begin(renewed, planned)

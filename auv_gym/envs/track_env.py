@@ -11,39 +11,30 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
+from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
+from auv_gym.envs.arguments import checked_seed
+from auv_gym.envs.lanes import Lanes
 from auv_gym.envs.spaces import ReferencePoint, checked_action, with_action
 from auv_gym.physics.namespaces import ARRAYS, FLOATS, Array
-from auv_gym.physics.rows import filled, leaves
+from auv_gym.physics.rows import filled
 from auv_gym.physics.vehicle import Vehicle
 from auv_gym.planning.paths import Path
-from auv_gym.planning.planner import Reference, plan
 from auv_gym.rendering import PICTURE, Renderer, View, checked_size
-from auv_gym.scenarios.episode import checked_options, with_options
-from auv_gym.scenarios.exogenous import Tape
+from auv_gym.scenarios.episode import checked_options
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import VehicleModel
-from auv_gym.task.kernels import STATES, Vehicles, begun
-from auv_gym.task.observation import Observation, check_reference, decoded_terms
+from auv_gym.task.kernels import OneVehicle
+from auv_gym.task.observation import Observation, decoded_terms
 from auv_gym.task.policy import Law
-from auv_gym.task.preview import Preview, encode_preview, observation_bounds
-from auv_gym.task.simulation import (
-    CURRENT,
-    PARAMETER_ROWS,
-    PLANT,
-    REFERENCE,
-    SAMPLE_ROWS,
-    Parameters,
-    Plant,
-    current_at,
-    ground_state,
-)
+from auv_gym.task.preview import encode_preview, observation_bounds
+from auv_gym.task.simulation import CURRENT, PLANT, REFERENCE, Parameters, Plant, current_at, ground_state
 
-_BLOCK = 256  # control steps of tape read at once
 _TRAIL = 1000  # past positions drawn at most
+_ARRAY, _SHAPE, _REAL = np.ndarray, (2,), (np.dtype(np.float32), np.dtype(np.float64))  # of usual actions
 
 
 class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]):
@@ -149,23 +140,20 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         self._size = checked_size(render_size)
         self.metadata = {**self.metadata, "render_fps": max(1, round(1 / self.scenario.control_dt))}
         self.action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
-        self._preview = Preview(1, preview, self.scenario.steps)
-        bounds = observation_bounds(self._preview.periods, self.scenario.span)
+        self._lanes = Lanes(1, self.scenario, None, None, preview)
+        bounds = observation_bounds(self._lanes.preview.periods, self.scenario.span)
         self.observation_space = gym.spaces.Box(-bounds, bounds, dtype=np.float64)
         self._dt, self._steps = self.scenario.control_dt, self.scenario.steps
-        self._times: Array = self._dt * np.arange(self._steps + 1, dtype=np.float64)
-        self._planned: tuple[Path, Reference] | None = None
         if isinstance(self.scenario.path, Path):
-            self._plan(self.scenario.path)
-        self._tape, self._samples = Tape(1, _BLOCK), np.zeros((_BLOCK, SAMPLE_ROWS, 1))
-        self._constants = np.ones((PARAMETER_ROWS, 1))
+            self._lanes.fixed_table(self.scenario)
         self._law: Law | None = None
-        self._vehicle = Vehicles(self.scenario.parts, self._samples, self._constants)
+        self._vehicle = OneVehicle(self.scenario.parts, self._lanes.samples, self._lanes.constants)
         self._spec: EnvSpec | None = None
-        self._k = self._steps  # no episode yet
+        self._k, self._row, self._block = self._steps, 0, len(self._lanes.samples)  # no episode yet
         self._over = True
         self._renderer: Renderer | None = None
         self._trail: Array = np.zeros((0, 2))  # [m] where the vehicle has been, if it is drawn
+        self._path: Array = self._trail  # [m] where the reference goes
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -179,37 +167,26 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
             spec = replace(spec, max_episode_steps=self._steps)
         self._spec = spec
 
-    def _plan(self, path: Path) -> Reference:
-        """Return the reference for a path, remembering the last one: scenarios with a fixed path plan once."""
-        if self._planned is None or self._planned[0] != path:
-            act = self.scenario.actuators
-            reference = plan(path, self.scenario.vehicle, self._times, (act.F_u_max, act.F_r_max), act.fin)
-            check_reference(reference.table, self.scenario.span)
-            self._planned = path, reference
-        return self._planned[1]
-
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Start a new episode; see the class for the options, `gymnasium.Env.reset` for the seed."""
-        checked = checked_options(options)
-        super().reset(seed=seed)
-        if "episode" in checked:
-            episode, reference = checked["episode"], self._plan(checked["episode"].path)
-        else:
-            episode, reference = self.scenario.drawn(self.np_random, lambda episode: self._plan(episode.path))
-        episode = with_options(episode, checked)
-        self._constants[:, 0] = leaves(self.scenario.parameters(episode))
-        self._tape.load(0, self.scenario, episode, reference.table)
-        self._preview.load((0,), (episode.path,), (self._dt,))
-        self._read()
-        state = np.reshape(episode.initial_state(self._sample), (STATES, 1))
-        forces = None if self._law is None else self._law.forces
-        start = begun(self.scenario.parts, state, self._samples[0], self._constants, forces)
-        self._vehicle.place(slice(None), *start)
-        self._k, self._over = 0, False
-        error = math.hypot(episode.initial_error[0], episode.initial_error[1])
+        """Start a new episode; see the class for the options, `gymnasium.Env.reset` for the seed.
+
+        Raises:
+            ValueError: wrong options or a wrong seed, or an episode that cannot be planned; nothing has changed then.
+        """
+        checked, seed, lanes = checked_options(options), checked_seed(seed), self._lanes
+        rng, self_seed = (self.np_random, None) if seed is None else seeding.np_random(seed)
+        ready = lanes.ready(lanes.all, [rng], [checked])
+        if self_seed is not None:
+            self._np_random, self._np_random_seed = rng, self_seed
+        lanes.row = 0
+        states, _ = lanes.load(lanes.all, ready)
+        self._vehicle.start(states)
+        self._k, self._row, self._over = 0, 0, False
+        error = math.hypot(*ready[0].episodes.initial_error[:2])
         self._info = {"position_error": error, "saturated": False, "time": 0.0}
         if self.render_mode is not None:
-            self._trail = np.empty((self._steps + 1, 2))
+            table = ready[0].tables[0]
+            self._path, self._trail = table[:, :2], np.empty((self._steps + 1, 2))
             self._drawn()
         observation = self._observed()
         if self._law is not None:
@@ -220,33 +197,38 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         """Take actions as corrections to a law from now on, and append the law's action to observations.
 
         It is what `ResidualAction` does, in the compiled step; a new episode must begin.
+
+        Raises:
+            TypeError: the law branches on what is observed.
         """
-        self._law, parts = law, self.scenario.parts
+        lanes = self._lanes
+        self._vehicle = OneVehicle(self.scenario.parts, lanes.samples, lanes.constants, law.forces, authority)
+        self._law, lanes.forces = law, law.forces
         self.observation_space = with_action(self.observation_space)
-        self._vehicle = Vehicles(parts, self._samples, self._constants, law.forces, authority)
         self._k, self._over = self._steps, True
 
     def _observed(self) -> Array:
         """Return a copy of what is observed now, its preview included."""
-        observation: Array = self._vehicle.now.seen[:, 0]
-        if not self._preview.periods:
+        observation = self._vehicle.seen
+        preview = self._lanes.preview
+        if not preview.periods:
             return observation.copy()
         o = Observation._make(decoded_terms(observation))
-        return np.append(observation, encode_preview(self._preview.ahead((0,), self._k), o, ARRAYS, self.scenario.span))
+        return np.append(observation, encode_preview(preview.ahead((0,), self._k), o, ARRAYS, self.scenario.span))
 
     def _drawn(self) -> None:
         """Take up where the vehicle is now, and draw it if a window is to follow."""
-        self._trail[self._k] = self._vehicle.now.plant[[PLANT.x, PLANT.y], 0]
+        self._trail[self._k] = self._vehicle.plant[[PLANT.x, PLANT.y]]
         if self.render_mode == "human":
             self.render()
 
     @property
     def _plant(self) -> Plant:
-        return filled(PLANT, self._vehicle.now.plant.ravel().tolist())
+        return filled(PLANT, self._vehicle.plant.tolist())
 
     @property
     def _sample(self) -> list[float]:
-        numbers: list[float] = self._samples[self._row].ravel().tolist()
+        numbers: list[float] = self._lanes.samples[self._row].ravel().tolist()
         return numbers
 
     @property
@@ -257,11 +239,7 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
 
     @property
     def _parameters(self) -> Parameters:
-        return Parameters.of(self._constants.ravel().tolist(), self.scenario.parts)
-
-    def _read(self) -> None:
-        self._tape.read((0,), _BLOCK, self._samples)
-        self._row = 0
+        return Parameters.of(self._lanes.constants.ravel().tolist(), self.scenario.parts)
 
     def step(self, action: NDArray[np.floating[Any]]) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Advance one control period; see `gymnasium.Env.step`.
@@ -270,21 +248,26 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
             ValueError: the action is not two finite numbers; nothing has changed then.
             ResetNeeded: the episode is over, or none has begun.
         """
-        command = checked_action(action)
+        if type(action) is _ARRAY and action.dtype in _REAL and action.shape == _SHAPE:
+            surge, yaw = action.tolist()  # as `checked_action` does, in half the time
+            if not surge - surge == 0.0 == yaw - yaw:
+                checked_action(action)
+        else:
+            surge, yaw = checked_action(action)
         if self._over:
             raise ResetNeeded("the episode is over, or none has begun: call reset() before step()")
-        self._k += 1
-        self._row += 1
-        if self._row == _BLOCK:
-            self._read()
+        self._k = k = self._k + 1
+        self._row = row = self._row + 1
+        if row == self._block:
+            self._lanes.read()
+            self._row = row = 0
         vehicle = self._vehicle
-        vehicle.action[0, 0], vehicle.action[1, 0] = command
-        vehicle.step(self._row)
-        (reward,), (failed,), (error,), (saturated,) = vehicle.now.outcome.tolist()
-        truncated = self._k >= self._steps
-        terminated = failed > 0.0
+        vehicle.action[0], vehicle.action[1] = surge, yaw
+        vehicle.step(row, 1)
+        reward, failed, error, saturated = vehicle.outcome.tolist()
+        truncated, terminated = k >= self._steps, failed > 0.0
         self._over = truncated or terminated
-        self._info = {"position_error": error, "saturated": saturated > 0.0, "time": self._k * self._dt}
+        self._info = {"position_error": error, "saturated": saturated > 0.0, "time": k * self._dt}
         if self.render_mode is not None:
             self._drawn()
         return self._observed(), reward, terminated, truncated, self._info
@@ -320,16 +303,16 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
         if self.render_mode is None:
             gym.logger.warn('render() needs render_mode="human" or "rgb_array" in gym.make')
             return None
-        if self._planned is None or len(self._trail) == 0:
+        if len(self._trail) == 0:
             raise ResetNeeded("nothing to draw yet: call reset() before render()")
         if self._renderer is None:
             self._renderer = Renderer(self.render_mode, self.metadata["render_fps"], self._size)
-        plan_, act = self._planned[1], self.scenario.actuators
+        act = self.scenario.actuators
         view = View(
             time=self.time,
             state=tuple(self.state.tolist()),
             reference=self.reference[:3],
-            path=np.stack((plan_.x, plan_.y), axis=1),
+            path=self._path,
             trail=self._trail[max(0, self._k + 1 - _TRAIL) : self._k + 1],
             current=tuple(self.current.tolist()),
             force=tuple(self.force.tolist()),
@@ -338,6 +321,10 @@ class UnderactuatedAUVTrackEnv(gym.Env[NDArray[np.float64], NDArray[np.float32]]
             title=self.scenario.name,
         )
         return self._renderer.draw(view)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return everything but what draws, which a copy makes again."""
+        return {**self.__dict__, "_renderer": None}
 
     def close(self) -> None:
         """Close the window, if any."""

@@ -115,9 +115,12 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         """Take actions as corrections to a law from now on, and append the law's actions to observations.
 
         It is what `VectorResidualAction` does, in the compiled step; all episodes must begin anew.
+
+        Raises:
+            TypeError: the law branches on what is observed.
         """
-        self._law, self._lanes.forces = law, law.forces
         self._vehicles = self._made(law.forces, authority)
+        self._law, self._lanes.forces = law, law.forces
         self._lanes.begun = False
         self.single_observation_space = with_action(self.single_observation_space)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -149,8 +152,8 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         lanes.coming()
         vehicles.action[:] = commands.T
         vehicles.step(lanes.row + 1)
-        reward, failed, errors, saturated = vehicles.now.outcome.copy()
-        terminated, saturated, truncated = failed > 0, saturated > 0, lanes.truncating
+        reward, failed, errors, saturations = vehicles.now.outcome.copy()
+        terminated, saturated, truncated = failed > 0, saturations > 0, lanes.truncating
         if waiting is not None:
             reward, terminated, truncated = np.where(waiting, 0.0, reward), terminated & ~waiting, truncated & ~waiting
         done = terminated | truncated
@@ -164,27 +167,36 @@ class UnderactuatedAUVTrackVectorEnv(VectorEnv[Array, NDArray[np.float32], NDArr
         lanes.ends.advance(done)
         observation = self._observed()
         info: dict[str, Any] = {}
-        if planned and lanes.ends.mode == AutoresetMode.SAME_STEP:
-            final = np.full(self.num_envs, None, dtype=object)
-            for i in renewed.tolist():
-                final[i] = observation[i].copy()
-            info = {"final_obs": final, "_final_obs": done, "_final_info": done}
-            info["final_info"] = self._info(errors, saturated, done)
         if planned:
+            if lanes.ends.mode == AutoresetMode.SAME_STEP:
+                final = np.empty(self.num_envs, dtype=object)  # None where no episode ends
+                for i in renewed.tolist():
+                    final[i] = observation[i].copy()
+                ended = {"final_info": self._info(errors * done, saturated & done, done), "_final_info": done.copy()}
+                info = {"final_obs": final, "_final_obs": done, **ended}
             beginning = lanes.begin(renewed, planned)
             observation[renewed], errors[renewed] = self._begin(beginning), beginning.errors
             saturated[renewed] = False
-        info.update(self._info(errors, saturated, self._everywhere))
+        info.update(self._info(errors, saturated))
         return observation, reward, terminated, truncated, info
 
     def _observed(self) -> Array:
         """Return what is observed now, previews included, in memory of its own, shape (N, columns)."""
-        return self._lanes.with_preview(self._vehicles.now.seen, self._lanes.all).T
+        seen = self._vehicles.now.seen
+        rows = self._lanes.with_preview(seen, self._lanes.all) if self._lanes.preview.periods else seen
+        return rows.T.copy()
 
-    def _info(self, errors: Array, saturated: Mask, mask: Mask) -> dict[str, Any]:
-        """Return the scalar environment's info in Gymnasium's vector form, zero where the mask is False."""
-        values = {"position_error": errors * mask, "saturated": saturated & mask, "time": self.time * mask}
-        return {k: v for key, value in values.items() for k, v in ((key, value), (f"_{key}", mask.copy()))}
+    def _info(self, errors: Array, saturated: Mask, mask: Mask | None = None) -> dict[str, Any]:
+        """Return the scalar environment's info in Gymnasium's vector form; where the mask is False, it is zero."""
+        there, time = (self._everywhere, self.time) if mask is None else (mask, self.time * mask)
+        return {
+            "position_error": errors,
+            "_position_error": there.copy(),
+            "saturated": saturated,
+            "_saturated": there.copy(),
+            "time": time,
+            "_time": there.copy(),
+        }
 
     def change(self, episodes: Sequence[Episode]) -> None:
         """Go on with the constants of other episodes: a payload is taken up, a fin breaks, other water begins.

@@ -75,7 +75,7 @@ class Ends:
         Raises:
             ResetNeeded: nothing resets by itself, and an episode is over.
         """
-        if not self.over.any():
+        if self.mode == AutoresetMode.SAME_STEP or not self.over.any():
             return None
         if self.mode == AutoresetMode.DISABLED:
             lanes = np.flatnonzero(self.over).tolist()

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from auv_gym.physics.dynamics import Force
 from auv_gym.physics.intervals import Interval, check_interval, check_number
 from auv_gym.physics.namespaces import Namespace, Number
@@ -81,8 +83,10 @@ class Response(NamedTuple):
     slew_r: Number  # [N m]
 
     @staticmethod
-    def of(lag: float, F_u_rate: float, F_r_rate: float, dt: float) -> Response:
+    def of(lag: Number, F_u_rate: float, F_r_rate: float, dt: float) -> Response:
         """Return the exact discrete response for a command held over dt [s]; without lag a step acts at once."""
+        if isinstance(lag, np.ndarray):
+            return Response(*np.array([Response.of(own, F_u_rate, F_r_rate, dt) for own in lag.tolist()]).T)
         if lag == 0:
             return Response(1.0, 1.0, F_u_rate * dt, F_r_rate * dt)
         gain = -math.expm1(-dt / lag)

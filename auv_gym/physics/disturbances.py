@@ -1,7 +1,7 @@
 """What the sea and a wrong model do: ocean current, waves as body forces, vehicle mismatch.
 
 Each disturbance has a `Random...` class, the distribution that a scenario names, whose `draw` gives the plain object
-that one episode meets.
+that one episode meets, or one whose numbers are rows of shape (N,) for N episodes.
 """
 
 from __future__ import annotations
@@ -13,8 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from auv_gym.physics.intervals import Interval, Uniform, check_interval, check_number, draw
+from auv_gym.physics.intervals import Interval, Uniform, by_library, check_interval, check_number, draw
+from auv_gym.physics.namespaces import Number
 from auv_gym.physics.vehicle import LARGEST_PARAMETER, MIN_MASS_RATIO, Coefficients, CrossFlow, Vehicle
+
+_cos, _sin = by_library(math.cos), by_library(math.sin)
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,7 @@ class RandomCurrent:
         if not isinstance(self.relative, bool):
             raise ValueError(f"current relative is {self.relative!r}; it must be true or false")
 
-    def draw(self, uniform: Uniform, speed: float) -> Current:
+    def draw(self, uniform: Uniform, speed: Number) -> Current:
         """Return one current for a path of this nominal speed [m/s]."""
         unit = speed if self.relative else 1.0
         V, direction = draw(self.speed, uniform) * unit, draw(self.direction, uniform)
@@ -75,11 +78,11 @@ class RandomCurrent:
         if self.shear != 0:
             amplitude, across = draw(self.shear, uniform) * unit, 2 * math.pi * uniform()
             k, phase = 2 * math.pi / draw(self.wavelength, uniform), 2 * math.pi * uniform()
-            c, s = math.cos(across), math.sin(across)
+            c, s = _cos(across), _sin(across)
             drawn["shear"] = (-amplitude * s, amplitude * c, k * c, k * s, phase)
         return Current(
-            V * math.cos(direction),
-            V * math.sin(direction),
+            V * _cos(direction),
+            V * _sin(direction),
             self.gust * unit,
             self.gust_time,
             self.smoothing,
@@ -118,7 +121,7 @@ class RandomWaves:
         if isinstance(self.components, bool) or not isinstance(self.components, int) or not 1 <= self.components <= 12:
             raise ValueError(f"waves components is {self.components!r}; it must be an integer in [1, 12]")
 
-    def draw(self, uniform: Uniform, speed: float, vehicle: Vehicle) -> Waves:
+    def draw(self, uniform: Uniform, speed: Number, vehicle: Vehicle) -> Waves:
         """Return one sea state for a path of this nominal speed [m/s] and the vehicle whose drag scales it."""
         low, high = self.band
         n = self.components
@@ -161,21 +164,26 @@ class RandomMismatch:
             check_number("mismatch quadratic_drag", value, 0, LARGEST_PARAMETER)
 
     def check(self, vehicle: Vehicle) -> None:
-        """Raise ValueError if some draw about this vehicle would have m22 too close to m11."""
+        """Raise ValueError if some draw about this vehicle would be none, its m22 too close to m11 for example."""
         lowest = self.ratio[0] if isinstance(self.ratio, tuple) else self.ratio
         least = MIN_MASS_RATIO * (1 + 1e-9) * vehicle.m11 / vehicle.m22
         if lowest < least:
             raise ValueError(
                 f"mismatch ratio may fall to {lowest:g}; for m22 > {MIN_MASS_RATIO} m11 it must be at least {least:.4g}"
             )
+        for end in (0.0, 1.0):
+            Vehicle(*self._coefficients(lambda end=end: end, vehicle))  # type: ignore[misc]
 
     def draw(self, uniform: Uniform, vehicle: Vehicle) -> Vehicle:
         """Return one true vehicle."""
+        return Vehicle.unchecked(self._coefficients(uniform, vehicle))
+
+    def _coefficients(self, uniform: Uniform, vehicle: Vehicle) -> Coefficients:
         mass, ratio, m33, d11, d22, d33, q = (
             draw(x, uniform) for x in (self.mass, self.ratio, self.m33, self.d11, self.d22, self.d33, self.quadratic)
         )
         X_uu, Y_vv, N_rr = self.quadratic_drag
-        return Vehicle(
+        return Coefficients(
             vehicle.m11 * mass,
             vehicle.m22 * mass * ratio,
             vehicle.m33 * m33,

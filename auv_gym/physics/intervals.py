@@ -7,19 +7,40 @@ import sys
 from collections.abc import Callable
 from typing import TypeAlias
 
+import numpy as np
+
+from auv_gym.physics.namespaces import Number
+
 Interval: TypeAlias = float | tuple[float, float]
 """A fixed value, or (low, high) for a uniform distribution."""
-Uniform: TypeAlias = Callable[[], float]
-"""Returns the next number of an independent uniform stream in [0, 1)."""
+Uniform: TypeAlias = Callable[[], Number]
+"""Returns the next number of an independent uniform stream in [0, 1), or a row of those of N streams."""
 
 
-def draw(interval: Interval, uniform: Uniform) -> float:
+def draw(interval: Interval, uniform: Uniform) -> Number:
     """Return the fixed value, or a number from the interval; one number of the stream is used either way."""
     u = uniform()
     if isinstance(interval, tuple):
         low, high = interval
         return low + (high - low) * u
     return interval
+
+
+def signed(value: Number, uniform: Uniform) -> Number:
+    """Return a value with either sign."""
+    return value * (1 - 2 * (uniform() >= 0.5))
+
+
+def by_library(function: Callable[[float], float]) -> Callable[[Number], Number]:
+    """Return a function of the C library for a float, or for each number of a row.
+
+    NumPy's may differ from it in the last digit, and an episode shall not depend on how many are drawn at once.
+    """
+
+    def apply(x: Number) -> Number:
+        return np.array([*map(function, x.tolist())]) if isinstance(x, np.ndarray) else function(x)
+
+    return apply
 
 
 def mean_square(interval: Interval) -> float:

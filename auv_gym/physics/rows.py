@@ -19,6 +19,10 @@ from collections.abc import Sequence
 from itertools import count
 from typing import Any, TypeVar, get_type_hints
 
+import numpy as np
+
+from auv_gym.physics.namespaces import Array
+
 T = TypeVar("T", bound=tuple[Any, ...])
 
 
@@ -39,13 +43,15 @@ def numbered(cls: type[T]) -> T:
 
 def leaves(tree: Any) -> tuple[Any, ...]:
     """Return the numbers of a nested NamedTuple in a row."""
-    found: list[Any] = []
-    for value in tree[: len(tree) - len(tree._field_defaults)]:
-        if isinstance(value, tuple):
-            found += leaves(value)
-        else:
-            found.append(value)
-    return tuple(found)
+    found: tuple[Any, ...] = ()
+    first = 0
+    end = len(tree) - len(tree._field_defaults)
+    for k in range(end):
+        if isinstance(tree[k], tuple):
+            found += (*tree[first:k], *leaves(tree[k]))
+            first = k + 1
+    rest: tuple[Any, ...] = tree[first:end]
+    return found + rest
 
 
 def filled(places: T, rows: Sequence[Any]) -> T:
@@ -54,3 +60,13 @@ def filled(places: T, rows: Sequence[Any]) -> T:
     own = tree[: len(tree) - len(tree._field_defaults)]
     made: T = type(tree)(*(filled(place, rows) if isinstance(place, tuple) else rows[place] for place in own))
     return made
+
+
+def spread(numbers: Sequence[Any], n: int) -> Array:
+    """Return numbers, each a float or a row of n > 1, as one array (len(numbers), n)."""
+    if n == 1:  # they are floats
+        return np.array(numbers, dtype=np.float64)[:, None]
+    rows = np.empty((len(numbers), n))
+    for row, number in zip(rows, numbers, strict=True):
+        row[:] = number
+    return rows

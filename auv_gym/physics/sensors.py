@@ -10,7 +10,7 @@ import numpy as np
 from auv_gym.physics.dynamics import State
 from auv_gym.physics.intervals import Interval, Uniform, check_interval, check_number, draw, mean_square
 from auv_gym.physics.namespaces import Namespace, Number, wrap_angle
-from auv_gym.physics.navigation import FixFilter, RandomReckoning, Reckoning
+from auv_gym.physics.navigation import FixFilter, RandomReckoning
 
 
 @dataclass(frozen=True)
@@ -63,10 +63,6 @@ class Sensors:
         count = int(rng.poisson(self.outages * duration / 60))
         begins = np.sort(rng.uniform(0.0, duration, count)).tolist()
         return tuple((begin, begin + draw(self.outage_time, rng.random)) for begin in begins)
-
-    def draw_reckoning(self, rng: np.random.Generator, duration: float) -> Reckoning | None:
-        """Return the dead reckoning of an episode, None where there is a position fix in each control step."""
-        return self.reckoning.draw(rng, duration) if self.reckoning else None
 
     def fix_filter(self, dt: float, duration: float) -> FixFilter:
         """Return the filter of the position fixes, for control periods of dt [s] and an episode's duration [s]."""

@@ -157,6 +157,13 @@ class Vehicle:
                     "moment that Y_vv, N_rr and cross-flow take must not add up to less than 0 at any v and r"
                 )
 
+    @classmethod
+    def unchecked(cls, coefficients: Coefficients) -> Vehicle:
+        """Return a vehicle of parameters that are known to be valid, or of rows of those of N vehicles."""
+        vehicle = object.__new__(cls)
+        vehicle.__dict__.update(zip(Coefficients._fields, coefficients, strict=True), speed=cls.speed)
+        return vehicle
+
     @property
     def length(self) -> float:
         """Its length scale sqrt(m33/m11) [m], a radius of gyration."""

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.physics.namespaces import ARRAYS, Array, wrap_angle
-from auv_gym.physics.vehicle import Vehicle
+from auv_gym.physics.actuators import fin_share
+from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number, wrap_angle
+from auv_gym.physics.vehicle import Coefficients, Vehicle
+from auv_gym.planning.sideslip import MAX_SIDESLIP
 
 MIN_SPEED = 1e-3  # [m/s] below this a path counts as standing still
 
@@ -32,38 +34,67 @@ class InfeasibleReferenceError(ValueError):
         return type(self), (self.condition, self.time, self.place)  # as pickle needs it: on to another process
 
 
-Index = tuple[int, ...]
-
-
-def check_feasible(valid: NDArray[np.bool_], condition: Callable[[Index], str], times: Array, positions: Array) -> None:
-    """Raise InfeasibleReferenceError for the first time at which `valid`, shape (T,) or (T, N), does not hold."""
+def check_feasible(valid: NDArray[np.bool_], condition: Callable[[int], str], times: Array, positions: Array) -> None:
+    """Raise InfeasibleReferenceError for the first time at which `valid`, shape (T,), does not hold."""
     if not valid.all():
-        index = tuple(int(i) for i in np.argwhere(~valid)[0])
-        x, y = (float(row[index]) for row in positions)
-        raise InfeasibleReferenceError(condition(index), float(times[index[0]]), (x, y))
+        k = int(np.argmin(valid))
+        x, y = (float(row[k]) for row in positions)
+        raise InfeasibleReferenceError(condition(k), float(times[k]), (x, y))
+
+
+def moves(v_p: Number) -> Number:
+    """Return whether a path moves, for its speed [m/s]."""
+    return v_p >= MIN_SPEED
+
+
+def bends(turn: Number, ns: Namespace) -> Number:
+    """Return whether a path bends from one sample to the next, for its turn [rad] there, and does not go back."""
+    return abs(wrap_angle(turn, ns)) < 0.5 * math.pi
+
+
+def brakes(v_p: Number, v_p_dot: Number, c: Vehicle | Coefficients) -> tuple[Number, Number]:
+    """Return how a path brakes [1/s], and what that must be below: then the sideslip does not grow by itself."""
+    return -v_p_dot / v_p, (c.d22 + c.Y_uv * v_p) / c.m22
+
+
+def holds(w: Number) -> Number:
+    """Return whether a sideslip, whose sine is given, is below `MAX_SIDESLIP`."""
+    return abs(w) < math.sin(MAX_SIDESLIP)
+
+
+def torque_limit(u: Number, limits: Sequence[Number], ns: Namespace) -> Number:
+    """Return the largest torque [N m] at a surge speed [m/s] for the limits F_u_max [N], F_r_max [N m] and fin [kg]."""
+    _, F_r_max, fin = limits
+    return F_r_max * fin_share(u, fin, F_r_max, ns)
 
 
 def check_rates(v_p: Array, beta: Array, v_p_dot: Array, vehicle: Vehicle, times: Array, positions: Array) -> None:
     """Raise InfeasibleReferenceError where a path stands still, turns on the spot, or brakes faster than drag can."""
-    moving = v_p >= MIN_SPEED
-    moving[1:] &= np.abs(wrap_angle(np.diff(beta, axis=0), ARRAYS)) < 0.5 * math.pi  # no turn on the spot
+    moving = moves(v_p)
+    moving[1:] &= bends(np.diff(beta), ARRAYS)
     check_feasible(moving, lambda k: f"the speed passes through zero, here v_p = {v_p[k]:.3g} m/s", times, positions)
-    braking = -v_p_dot / v_p
-    limit = (vehicle.d22 + vehicle.Y_uv * v_p) / vehicle.m22
+    braking, limit = brakes(v_p, v_p_dot, vehicle)
     drag = "(d22 + Y_uv v_p)/m22" if vehicle.Y_uv else "d22/m22"
 
-    def says(k: Index) -> str:
+    def says(k: int) -> str:
         return f"braking -v_p'/v_p = {braking[k]:.4g} 1/s is not below {drag} = {limit[k]:.4g} 1/s"
 
     check_feasible(braking < limit, says, times, positions)
 
 
-def check_forces(F_u: Array, F_r: Array, limits: tuple[float, float | Array], times: Array, positions: Array) -> None:
-    """Raise InfeasibleReferenceError where the open-loop forces exceed their limits, which may change with time."""
-    for name, unit, force, limit in (("F_u", "N", F_u, limits[0]), ("F_r", "N m", F_r, limits[1])):
-        most = np.broadcast_to(limit, force.shape)
+def check_sideslip(w: Array, times: Array, positions: Array) -> None:
+    """Raise InfeasibleReferenceError where a sideslip, whose sine is given, exceeds `MAX_SIDESLIP`."""
+    limit = f"{math.degrees(MAX_SIDESLIP):.0f} degrees"
+    says = f"the sideslip exceeds {limit}, the path turns too fast for the sway drag"
+    check_feasible(holds(w), lambda _: says, times, positions)
 
-        def says(k: Index, name: str = name, unit: str = unit, force: Array = force, most: Array = most) -> str:
+
+def check_forces(F_u: Array, F_r: Array, u: Array, limits: Sequence[float], times: Array, positions: Array) -> None:
+    """Raise InfeasibleReferenceError where the open-loop forces exceed their limits, see `torque_limit`."""
+    torque = np.broadcast_to(torque_limit(u, limits, ARRAYS), u.shape)
+    for name, unit, force, most in (("F_u", "N", F_u, np.full_like(u, limits[0])), ("F_r", "N m", F_r, torque)):
+
+        def says(k: int, name: str = name, unit: str = unit, force: Array = force, most: Array = most) -> str:
             return f"{name} = {force[k]:.4g} {unit} is beyond its limit of {most[k]:.4g} {unit}"
 
         check_feasible(np.abs(force) <= most, says, times, positions)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import cache, cached_property
 from typing import Any, NamedTuple
@@ -16,20 +17,23 @@ import numpy as np
 
 from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
-from auv_gym.physics.actuators import fin_share
-from auv_gym.physics.namespaces import ARRAYS, Array, Number
+from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Coefficients, Vehicle
-from auv_gym.planning.feasibility import check_feasible, check_forces, check_rates
-from auv_gym.planning.paths import Path, evaluate_paths
-from auv_gym.planning.sideslip import ORDER, RATES, PathRates, in_sideslip, rates_along, sine_of_sideslip
+from auv_gym.planning.feasibility import check_forces, check_rates, check_sideslip
+from auv_gym.planning.kernels import FAMILIES, FIXED_POINT, LIMITS, VEHICLE, driver, kernels
+from auv_gym.planning.paths import Path, RandomSmooth, unstack
+from auv_gym.planning.sideslip import ORDER, RATES, PathRates, formula_weights, in_sideslip
 
 RUN_IN = 12.0  # integrated before the first sample, in memories Dm/d22; the small start error fades by exp(-12)
 MAX_STEP = 0.4  # largest integration step, in memories Dm/d22
 MAX_RESPONSE = 0.1  # largest integration step times the rate at which the rest responds to w; unstable above 0.3
 MAX_REFINEMENT = 128  # of the step for that reason
-MAX_SIDESLIP = math.radians(80.0)  # beyond it a vehicle drifts rather than travels
-MAX_SAMPLES = 2**21  # of a path or several at once, which bounds time and memory
-MARGIN = 8  # how much finer than its samples a path may need to be looked at before several are planned one by one
+MAX_SAMPLES = 2**21  # of a path, which bounds time and memory
+_CODES: dict[type, int] = {family: code for code, family in enumerate([*FAMILIES, RandomSmooth])}
+"""What the driver calls the families."""
+_GIVEN = -1  # what it calls a path whose derivatives are given
+_SCALE, _WEIGHTS = VEHICLE + 7, VEHICLE + 8 + LIMITS  # where they stand among the settings of the driver
+BETA = RATES.index("beta")  # the place of the path's direction among its rates
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,80 +79,221 @@ def plan(
         The reference, its fields of shape (T,), or (T, N) for a sequence of paths.
 
     Raises:
-        ValueError: the times are not an evenly spaced, increasing, finite grid inside the path's domain, or the plan
-            would need more than `MAX_SAMPLES` samples.
+        ValueError: the times are not an evenly spaced, increasing, finite grid inside the path's domain, the plan would
+            need more than `MAX_SAMPLES` samples, or a path's derivatives have another shape than `Path` says.
         InfeasibleReferenceError: the speed passes through zero, braking is faster than the sway drag allows, the
             sideslip exceeds `MAX_SIDESLIP`, or the open-loop forces exceed their limits.
     """
     paths = path if isinstance(path, Sequence) else (path,)
-    times = _checked_times(times, paths)
-    if isinstance(path, Sequence) and len(path) * len(times) > MAX_SAMPLES // MARGIN:
-        return _side_by_side([plan(p, vehicle, times, force_limits, fin) for p in path])
-    memory, fading = vehicle.coefficients.slip_mass / vehicle.d22, _fading(vehicle, paths, times)
-    spacing = float(times[-1] - times[0]) / (len(times) - 1)
-    substeps = max(math.ceil(spacing / (MAX_STEP * memory)), math.ceil(ORDER / (len(times) - 1)))
-    run_in, *others = {min(RUN_IN * m, float(times[0] - p.start)) for m, p in zip(fading, paths, strict=True)}
-    if others:  # each as it would be alone
-        return _side_by_side([plan(p, vehicle, times, force_limits, fin) for p in paths])
-    fine = _look_along(path, vehicle, times, substeps, run_in)
-    refinement = min(math.ceil(fine.h * _response(fine.along, vehicle) / MAX_RESPONSE), MAX_REFINEMENT)
-    if refinement > 1:
-        if isinstance(path, Sequence):
-            return _side_by_side([plan(p, vehicle, times, force_limits, fin) for p in paths])
-        fine = _look_along(path, vehicle, times, substeps * refinement, run_in)
-    w = sine_of_sideslip(fine.along, vehicle, fine.h)
-    _check_sideslip(w, fine)
-    kept = PathRates(*(getattr(fine.along, name)[fine.rows] for name in RATES))
-    reference = assemble(times, fine.position[:, fine.rows], kept, w[fine.rows], vehicle)
-    if force_limits is not None:
-        F_u_max, F_r_max = force_limits
-        torque = F_r_max * np.asarray(fin_share(reference.u, fin, F_r_max, ARRAYS))
-        check_forces(reference.F_u, reference.F_r, (F_u_max, torque), times, fine.position[:, fine.rows])
-    return reference
-
-
-class _Fine(NamedTuple):
-    """A path on the grid that the sideslip is integrated on, `lead` steps of h [s] before the first time."""
-
-    times: Array  # [s]
-    position: Array  # [m]
-    along: PathRates
-    h: float
-    lead: int
-    rows: slice  # of the plan's own times
-
-
-def _check_sideslip(w: Array, fine: _Fine) -> None:
-    """Raise InfeasibleReferenceError where a sideslip, whose sine is given, exceeds `MAX_SIDESLIP`."""
-    limit = f"{math.degrees(MAX_SIDESLIP):.0f} degrees"
-    check_feasible(
-        np.abs(w[fine.lead :]) < math.sin(MAX_SIDESLIP),
-        lambda _: f"the sideslip exceeds {limit}, the path turns too fast for the sway drag",
-        fine.times[fine.lead :],
-        fine.position[:, fine.lead :],
-    )
-
-
-def _look_along(path: Path | Sequence[Path], vehicle: Vehicle, times: Array, substeps: int, run_in: float) -> _Fine:
-    """Return the path on a grid `substeps` times as fine as the plan's, which begins `run_in` [s] earlier."""
-    h = float(times[-1] - times[0]) / (len(times) - 1) / substeps
-    lead, several = int(run_in / h), len(path) if isinstance(path, Sequence) else 1
-    if not (samples := (lead + (len(times) - 1) * substeps) * several) <= MAX_SAMPLES:
-        raise ValueError(
-            f"the plan would need {samples} samples of the path, at most {MAX_SAMPLES} are made: fewer steps, a path "
-            "that turns more slowly, or a vehicle with a longer memory (m22 - m11)/d22 need fewer"
-        )
-    fine = times[0] + h * np.arange(-lead, (len(times) - 1) * substeps + 1)
-    fine[-1] = times[-1]  # not an ulp past the path's end
-    derivatives = evaluate_paths(path, fine) if isinstance(path, Sequence) else path.derivatives(fine)
-    along = rates_along(derivatives)
-    check_rates(along.v_p, along.beta, along.v_p_dot, vehicle, fine, derivatives[0])
-    return _Fine(fine, derivatives[0], along, h, lead, slice(lead, None, substeps))
-
-
-def _side_by_side(references: Sequence[Reference]) -> Reference:
+    planner = Planner(vehicle, _checked_times(times, paths), force_limits, fin)
+    references = [planner.plan(p) for p in paths]
+    if not isinstance(path, Sequence):
+        return references[0]
     columns = (np.stack([getattr(R, field.name) for R in references], axis=1) for field in fields(Reference)[1:])
-    return Reference(references[0].t, *columns)
+    return Reference(planner.times, *columns)
+
+
+class Planner:
+    """Plans paths of one vehicle for the same times.
+
+    Args:
+        vehicle: see `plan`.
+        times: see `plan`; they are taken as they are.
+        force_limits: see `plan`.
+        fin: see `plan`.
+        most: largest |u|, |v| [m/s], |r| [rad/s], |F_u| [N] and |F_r| [N m] that `table` may give.
+        many: see `kernels.driver`.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        times: Array,
+        force_limits: tuple[float, float] | None = None,
+        fin: float = 0.0,
+        most: Sequence[float] = (math.inf,) * 5,
+        *,
+        many: bool = True,
+    ) -> None:
+        self.vehicle, self.times, self.most, self.many = vehicle, times, most, many
+        self._limits = (math.inf, math.inf, 0.0) if force_limits is None else (*force_limits, fin)
+        self._coefficients = np.array(vehicle.coefficients)
+        self._slip_mass = vehicle.coefficients.slip_mass
+        self._period = float(times[-1] - times[0]) / (len(times) - 1)
+        memory = self._slip_mass / vehicle.d22
+        self._substeps = max(math.ceil(self._period / (MAX_STEP * memory)), math.ceil(ORDER / (len(times) - 1)))
+        self._grids: dict[tuple[int, int], _Grid] = {}
+
+    def plan(self, path: Path) -> Reference:
+        """Return the reference for a path.
+
+        Raises:
+            ValueError: the plan would need more than `MAX_SAMPLES` samples.
+            InfeasibleReferenceError: see `plan`.
+        """
+        rest = np.empty((3, len(self.times)))
+        if (table := self._compiled(path, rest)) is None:
+            table, rest = self._in_python(path)
+        return Reference(self.times, *table.T, *rest)
+
+    def table(self, path: Path) -> Array | None:
+        """Return the `Reference.table` of a path; None where `plan` raises an error, or `most` is exceeded."""
+        table = self._compiled(path)
+        if driver(self.many) is None:
+            with suppress(ValueError):
+                table, _ = self._in_python(path)
+                if not (np.abs(table[:, 3:]).max(axis=0) <= self.most).all():
+                    return None
+        return table
+
+    def tables(self, paths: Any, n: int) -> list[Array | None]:
+        """Return the `table` of each of n paths of one family, made by `stack`."""
+        function, code = driver(self.many), _CODES.get(type(paths), _GIVEN)
+        if function is None or code == _GIVEN or self.vehicle.Y_uv or self.times[0] != 0:
+            return [self.table(path) for path in unstack(paths, n)]
+        numbers = (paths.x0, paths.y0, paths.heading, *paths.numbers)
+        given = np.empty((n, len(numbers)))
+        for column, number in zip(given.T, numbers, strict=True):
+            column[:] = number
+        grid = self._grid(paths)
+        if grid.samples > MAX_SAMPLES:
+            return [None] * n
+        found: list[Array | None] = []
+        first, settings = (array.__array_interface__["data"][0] for array in (given, grid.settings))
+        for j in range(n):
+            table = np.empty((len(self.times), 8))
+            at = table.__array_interface__["data"][0]
+            result = function(code, first + j * given.strides[0], None, settings, at, None)
+            found.append(table if result == 0 else self.table(unstack(paths, n)[j]) if result > 0 else None)
+        return found
+
+    def _compiled(self, path: Path, rest: Array | None = None) -> Array | None:
+        """Return a `Reference.table`, and write gamma, v_p, omega to `rest`.
+
+        None without a compiler, and for a path that cannot be followed: `_in_python` says why.
+        """
+        if (function := driver(self.many)) is None:
+            return None
+        code, given = _CODES.get(type(path), _GIVEN), None
+        if code == len(FAMILIES) and self.times[0] != 0:  # an integral that begins there
+            code = _GIVEN
+        numbers = np.array([path.x0, path.y0, path.heading, *path.numbers] if code != _GIVEN else [0.0, 0.0, 0.0])  # type: ignore[attr-defined]
+        table, grid = np.empty((len(self.times), 8)), self._grid(path)
+        while grid.samples <= MAX_SAMPLES:
+            if code == _GIVEN:
+                given = _derivatives(path, grid.times(self.times))
+            arrays = numbers, given, grid.settings, table, rest
+            result = function(code, *(None if a is None else a.__array_interface__["data"][0] for a in arrays))
+            if result <= 0:
+                return None if result else table
+            grid = self._grid(path, min(result, MAX_REFINEMENT))
+        return None
+
+    def _grid(self, path: Path, refinement: int = 1) -> _Grid:
+        """Return the samples at which a path is looked at, from before the first time on if its domain allows that."""
+        damping, h = self.vehicle.d22, self._period / (self._substeps * refinement)
+        if lift := self.vehicle.Y_uv:  # a sideslip fades sooner
+            damping += lift * float(np.hypot(*path.derivatives(self.times[:1])[1, :, 0]))
+        lead = int(min(RUN_IN * self._slip_mass / damping, float(self.times[0] - path.start)) / h)
+        if (grid := self._grids.get((lead, refinement))) is None:
+            substeps, scale = self._substeps * refinement, h / self._slip_mass
+            numbers = self.times[0], self.times[-1], h, lead, len(self.times), substeps
+            more = h / MAX_RESPONSE if refinement == 1 else 0.0, scale, *self._limits, *self.most
+            settings = np.array([*self._coefficients, *numbers, *more, *formula_weights(self.vehicle.d22 * scale)])
+            grid = self._grids[lead, refinement] = _Grid(h, lead, substeps, len(self.times), settings)
+        return grid
+
+    def _in_python(self, path: Path) -> tuple[Array, Array]:
+        """Return what `_compiled` does, from the same kernels; a path that cannot be followed raises the error."""
+        k, grid = kernels(), self._grid(path)
+        position, along, terms, response = self._looked_along(path, grid)
+        refinement = min(math.ceil(grid.h / MAX_RESPONSE * response.max()), MAX_REFINEMENT)
+        if refinement > 1:
+            grid = self._grid(path, refinement)
+            position, along, terms, _ = self._looked_along(path, grid)
+        times, lead = grid.times(self.times), grid.lead
+        w = self._sideslip(along, terms, grid.settings[_WEIGHTS:])
+        check_sideslip(w[lead:], times[lead:], position[:, lead:])
+        beta = along[BETA : BETA + 1]
+        turns = k["bends"](beta=beta[:, :-1], next_beta=beta[:, 1:])["turns"]
+        beta[:, lead + 1 :] -= 2 * math.pi * np.cumsum(turns[:, lead:], axis=1)
+        kept = np.s_[:, lead :: grid.substeps]
+        limits = np.array([*self._limits, *self.most])
+        found = k["motion"](along=along[kept], w=w[None][kept], coefficients=self._coefficients, limits=limits)
+        _, u, _, _, F_u, F_r = found["motion"]
+        check_forces(F_u, F_r, u, self._limits, self.times, position[kept])
+        rates = PathRates(*along[kept])
+        table = np.ascontiguousarray(np.vstack((position[kept], found["motion"])).T)
+        return table, np.vstack((found["gamma"], rates.v_p, rates.omega))
+
+    def _looked_along(self, path: Path, grid: _Grid) -> tuple[Array, Array, Array, Array]:
+        """Return position, `PathRates`, terms of the sideslip and its response along a path, rows of its samples."""
+        if grid.samples > MAX_SAMPLES:
+            raise ValueError(
+                f"the plan would need {grid.samples} samples of the path, at most {MAX_SAMPLES} are made: fewer steps, "
+                "a path that turns more slowly, or a vehicle with a longer memory (m22 - m11)/d22 need fewer"
+            )
+        times = grid.times(self.times)
+        derivatives, scale = _derivatives(path, times), grid.settings[_SCALE : _SCALE + 1]
+        found = kernels()["look_along"](
+            derivatives=derivatives, pose=np.zeros(3), scale=scale, coefficients=self._coefficients
+        )
+        along = PathRates(*found["along"])
+        check_rates(along.v_p, along.beta, along.v_p_dot, self.vehicle, times, found["position"])
+        return found["position"], found["along"], found["terms"], found["response"]
+
+    def _sideslip(self, along: Array, terms: Array, weights: Array) -> Array:
+        """Integrate the equation of `sideslip` for w along the samples.
+
+        Where it passes 90 degrees it may give what is no number, which `check_sideslip` refuses.
+        """
+        k, split = kernels(), (ORDER - 1) * (ORDER + 1)
+        start = k["steady"](along=along[:, :1], coefficients=self._coefficients)["w"]
+        opening = k["opening"](
+            FIXED_POINT,
+            u=np.tile(start, (ORDER, 1)),
+            inputs=terms[:, :ORDER].T.reshape(-1, 1),
+            weights=weights[:split, None],
+        )
+        u = np.empty((terms.shape[1], 1, 1))
+        u[:ORDER, 0] = opening["u"]
+        history = np.concatenate((opening["u"][-1:], opening["rest"][-2::-1]))
+        inputs = np.ascontiguousarray(terms.T)[:, :, None]
+        step = k["recursion"].bound(history=history, weights=weights[split:, None], inputs=inputs, u=u[1:])
+        step(ORDER - 1, len(u) - ORDER)  # from n it gives u_(n+1)
+        return u.ravel()
+
+
+class _Grid(NamedTuple):
+    """The samples that the sideslip is integrated on."""
+
+    h: float  # [s] from one to the next
+    lead: int  # how many of them come before the plan's first time
+    substeps: int  # from one of the plan's times to the next
+    instants: int  # of the plan
+    settings: Array  # what the driver takes, see driver.c
+
+    @property
+    def samples(self) -> int:
+        """How many there are but for the last one."""
+        return self.lead + (self.instants - 1) * self.substeps
+
+    def times(self, plan: Array) -> Array:
+        """Return the samples' times [s] for those of the plan."""
+        times: Array = plan[0] + self.h * np.arange(-self.lead, (self.instants - 1) * self.substeps + 1)
+        times[-1] = plan[-1]  # not an ulp past the path's end
+        return times
+
+
+def _derivatives(path: Path, times: Array) -> Array:
+    """Return what a path gives for T times as rows of numbers, shape (8, T)."""
+    given = np.asarray(path.derivatives(times), dtype=np.float64)
+    if given.shape != (4, 2, len(times)):
+        raise ValueError(
+            f"{type(path).__name__}.derivatives gives an array of shape {given.shape} for {len(times)} times; "
+            f"it must be (4, 2, {len(times)})"
+        )
+    return np.ascontiguousarray(given.reshape(8, -1))
 
 
 def _checked_times(times: Array, paths: Sequence[Path]) -> Array:
@@ -167,80 +312,37 @@ def _checked_times(times: Array, paths: Sequence[Path]) -> Array:
     return times
 
 
-def _fading(vehicle: Vehicle, paths: Sequence[Path], times: Array) -> list[float]:
-    """Return the times [s] within which a sideslip fades at the start of paths, lift included."""
-    speeds = [float(np.hypot(*path.derivatives(times[:1])[1, :, 0])) if vehicle.Y_uv else 0.0 for path in paths]
-    return [vehicle.coefficients.slip_mass / (vehicle.d22 + vehicle.Y_uv * speed) for speed in speeds]
-
-
-def _response(along: PathRates, vehicle: Vehicle) -> float:
-    """Return the largest rate [1/s] at which the rest of the equation for w responds to w, with gamma quasi-steady."""
-    a, turn = along.v_p_dot / along.v_p, abs(vehicle.m11 - vehicle.Y_ur) * np.abs(along.omega)
-    lift = vehicle.Y_uv * along.v_p
-    tan = np.minimum(turn / (vehicle.d22 + vehicle.m22 * a + lift), math.tan(MAX_SIDESLIP))
-    drag = 2 * vehicle.Y_vv * along.v_p * tan / np.sqrt(1 + tan * tan)
-    return float((vehicle.m22 * np.abs(a) + turn * tan + drag + lift).max() / vehicle.coefficients.slip_mass)
-
-
 def assemble(
-    times: Array,
-    position: Array,
-    along: PathRates,
-    w: Array,
-    vehicle: Vehicle,
-    sway_load: tuple[Number, Number] = (0.0, 0.0),
+    times: Array, position: Array, along: PathRates, w: Array, vehicle: Vehicle, sway_load: tuple[Array, Array]
 ) -> Reference:
-    """Return states, their rates and the forces (16) from the path and the sine of its sideslip.
+    """Return states, their rates and the forces (16) of N vehicles from their paths and the sine of their sideslips.
 
     Args:
-        times: as the plan keeps them [s].
-        position: x, y of the path at those times [m].
-        along: speed, direction and their rates along the path at those times.
-        w: sine of the sideslip.
-        vehicle: whose plan it is.
-        sway_load: external force Y on the hull along its sway axis [N], in (2b), and its rate [N/s].
+        times: T of them [s].
+        position: x, y of the paths at those times [m], shape (2, T, N).
+        along: speed, direction and their rates along the paths, of shape (T, N).
+        w: sine of the sideslip, shape (T, N).
+        vehicle: whose `coefficients` are those of N vehicles, rows of shape (N,).
+        sway_load: external force Y on the vehicle along its sway axis [N], in (2b), and its rate [N/s], shape (T, N).
     """
     rows = np.array([getattr(along, name) for name in RATES])
-    rows[BETA] = _continuous(rows[BETA])
-    arrays = {"along": rows.reshape(len(rows), -1), "w": w.reshape(1, -1)}
-    several = np.ndim(vehicle.m11) > 0
-    arrays["coefficients"] = _spread(vehicle.coefficients, w) if several else np.array(vehicle.coefficients)
-    if loaded := any(np.any(load) for load in sway_load):
-        arrays["load"] = _spread(sway_load, w)
-    motion = _motion_kernel(loaded, several)(**arrays)["motion"].reshape(-1, *w.shape)
-    psi, u, v, r, F_u, F_r, gamma = motion
+    turns = np.round(np.diff(rows[BETA], axis=0) / (2 * math.pi))
+    rows[BETA, 1:] -= 2 * math.pi * np.cumsum(turns, axis=0)  # continuous
+    spread = [np.broadcast_to(number, w.shape) for number in (*vehicle.coefficients, *sway_load)]
+    arrays = (np.reshape(part, (len(part), -1)) for part in (rows, w[None], spread[:-2], spread[-2:]))
+    motion = _motion_kernel()(**dict(zip(("along", "w", "coefficients", "load"), arrays, strict=True)))["motion"]
+    psi, u, v, r, F_u, F_r, gamma = motion.reshape(-1, *w.shape)
     return Reference(times, position[0], position[1], psi, u, v, r, F_u, F_r, gamma, along.v_p, along.omega)
 
 
-def _spread(numbers: Sequence[Number], w: Array) -> Array:
-    """Return a row for each of some numbers, one entry for each of w."""
-    return np.array([np.broadcast_to(number, w.shape) for number in numbers]).reshape(len(numbers), -1)
-
-
-def _continuous(angle: Array) -> Array:
-    """Return angles [rad] without jumps by full turns along axis 0."""
-    turns = np.round(np.diff(angle, axis=0) / (2 * math.pi))
-    if turns.any():
-        angle = angle.copy()
-        angle[1:] -= 2 * math.pi * np.cumsum(turns, axis=0)
-    return angle
-
-
-BETA = RATES.index("beta")
-"""The place of the path's direction among its rates."""
-
-
 @cache
-def _motion_kernel(loaded: bool, several: bool) -> Kernel:
-    """Return `in_sideslip` as a kernel, with a sway load or without, for several vehicles or one."""
+def _motion_kernel() -> Kernel:
+    """Return `in_sideslip` as a kernel, for several vehicles."""
 
-    def equation(along: Any, w: Any, coefficients: Any, load: Any = (0.0, 0.0)) -> dict[str, Any]:
-        vehicle, (Y, Y_rate) = Coefficients(*coefficients), load
-        return {"motion": in_sideslip(PathRates(*along), w[0], vehicle, (Y, Y_rate), SYMBOLS)}
+    def equation(along: Any, w: Any, coefficients: Any, load: Any) -> dict[str, Any]:
+        return {"motion": in_sideslip(PathRates(*along), w[0], Coefficients(*coefficients), tuple(load), SYMBOLS)}
 
-    rows = {"along": len(RATES), "w": 1, "coefficients": len(Coefficients._fields)}
-    shared = [] if several else ["coefficients"]
-    return Kernel.traced(equation, {**rows, "load": 2} if loaded else rows, shared=shared)
+    return Kernel.traced(equation, {"along": len(RATES), "w": 1, "coefficients": VEHICLE, "load": 2})
 
 
 def printed_surge_rate(u_R: float, v_p: float, v_p_dot: float, omega: float, vehicle: Vehicle) -> float:

@@ -16,21 +16,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from auv_gym.codegen.graph import SYMBOLS
-from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.dynamics import rates
-from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
+from auv_gym.physics.namespaces import ARRAYS, Namespace, Number
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 
 ORDER = 4  # samples in each integration formula
-_TERMS = 4  # of the equation, see `sideslip_terms`
-FIXED_POINT = 12  # iterations for the first samples, which settle within fewer
+TERMS = 4  # of the equation, see `sideslip_terms`
+MAX_SIDESLIP = math.radians(80.0)  # beyond it a vehicle drifts rather than travels
 _POINTS, _GAUSS = leggauss(24)  # of an integral over [-1, 1]
 
 
@@ -61,82 +59,20 @@ def path_rates(derivatives: Any, ns: Namespace = ARRAYS) -> PathRates:
     return PathRates(v_p, ns.arctan2(y1, x1), omega, v_p_dot, omega_dot, v_p_ddot)
 
 
-def rates_along(derivatives: Array) -> PathRates:
-    """Return `path_rates` of arrays of shape (4, 2, T) or (4, 2, T, N), by compiled code."""
-    rows = _along_kernel()(derivatives=derivatives.reshape(2 * len(derivatives), -1))["along"]
-    return PathRates(*rows.reshape(-1, *derivatives.shape[2:]))
+def formula_weights(z: float) -> list[float]:
+    """Return the weights of the formulas for a step of z memories Dm/d22.
 
-
-@cache
-def _along_kernel() -> Kernel:
-    """Return `path_rates` as a kernel."""
-
-    def equation(derivatives: Any) -> dict[str, Any]:
-        pairs = list(zip(derivatives[::2], derivatives[1::2], strict=True))
-        along = path_rates(pairs, SYMBOLS)
-        return {"along": [getattr(along, name) for name in RATES]}
-
-    return Kernel.traced(equation, {"derivatives": 8})
-
-
-def sine_of_sideslip(along: PathRates, vehicle: Vehicle, h: float) -> Array:
-    """Integrate the equation of the module's docstring for w over samples h [s] apart, along axis 0.
-
-    In the symbols of Cox and Matthews it is u' = c u + F(u, t) with u = w and c = -d22/Dm, and `F` below is h F:
-    u_(n+1) = e^(c h) u_n + g_0 F_n + g_1 F_(n-1) + g_2 F_(n-2) + g_3 F_(n-3). Where it passes 90 degrees it may give
-    what is no number, which the caller refuses.
+    In the symbols of Cox and Matthews the equation of the module's docstring is u' = c u + F(u, t) with u = w and
+    c = -d22/Dm; below, F is h F and z = -c h. First for `ORDER` samples jointly the decays e^(-k z) of all but the
+    first, and the weights of each; then for u_(n+1) = e^(-z) u_n + g_0 F_n + g_1 F_(n-1) + g_2 F_(n-2) + g_3 F_(n-3)
+    the decay and g_3 ... g_0.
     """
-    Dm = vehicle.coefficients.slip_mass
-    z = vehicle.d22 / Dm * h  # -c h
-    terms = np.stack([h / Dm * term for term in sideslip_terms(along, vehicle)], axis=1)
-    inputs = np.ascontiguousarray(terms.reshape(*terms.shape[:2], -1))
-    lanes = np.ones(inputs.shape[2])
-    start = np.tile(slow_sideslip(along, vehicle).ravel(), (ORDER, 1))
-    weights = [math.exp(-k * z) for k in range(1, ORDER)] + [g for k in range(1, ORDER) for g in _weights(z, 0, k)]
-    opening = _opening()(
-        FIXED_POINT, u=start, inputs=inputs[:ORDER].reshape(-1, len(lanes)), weights=np.outer(weights, lanes)
-    )
-    rates = np.outer((math.exp(-z), *_weights(z, 1 - ORDER, 1)), lanes)
-    u = np.empty((len(inputs), 1, len(lanes)))
-    u[:ORDER, 0] = opening["u"]
-    history = np.concatenate((opening["u"][-1:], opening["rest"][-2::-1]))
-    step = _recursion().bound(history=history, weights=rates, inputs=inputs, u=u[1:])  # from n it gives u_(n+1)
-    step(ORDER - 1, len(inputs) - ORDER)
-    return u.reshape(along.v_p.shape)
+    jointly = [math.exp(-k * z) for k in range(1, ORDER)] + [g for k in range(1, ORDER) for g in _weights(z, 0, k)]
+    return [*jointly, math.exp(-z), *_weights(z, 1 - ORDER, 1)]
 
 
-@cache
-def _opening() -> Kernel:
-    """Return one iteration for the first `ORDER` samples jointly: a fixed point of the integral over their interpolant.
-
-    `inputs` are the terms of each sample; `weights` the decays to all but the first, then the weights of each.
-    """
-
-    def equation(u: Any, inputs: Any, weights: Any) -> dict[str, Any]:
-        terms = (inputs[j : j + _TERMS] for j in range(0, _TERMS * ORDER, _TERMS))
-        F = [sideslip_rest(parts, w, SYMBOLS.sqrt) for parts, w in zip(terms, u, strict=True)]
-        decays, rows = weights[: ORDER - 1], [weights[j : j + ORDER] for j in range(ORDER - 1, len(weights), ORDER)]
-        after = [_plus(decay * u[0], row, F) for decay, row in zip(decays, rows, strict=True)]
-        return {"u": (u[0], *after), "rest": F}
-
-    return Kernel.traced(equation, {"u": ORDER, "inputs": _TERMS * ORDER, "weights": (ORDER - 1) * (ORDER + 1)})
-
-
-@cache
-def _recursion() -> Kernel:
-    """Return one step of the formula; `history` is u_n, F_(n-1), F_(n-2), F_(n-3), `weights` decay and g_3 ... g_0."""
-
-    def equation(history: Any, weights: Any, inputs: Any) -> dict[str, Any]:
-        u_n, *past = history
-        F = [sideslip_rest(inputs, u_n, SYMBOLS.sqrt), *past]
-        decay, *g = weights
-        u = _plus(decay * u_n, g[::-1], F)
-        return {"history": (u, *F[:-1]), "u": (u,)}
-
-    return Kernel.traced(equation, {"history": ORDER, "weights": ORDER + 1, "inputs": _TERMS}, ["inputs", "u"])
-
-
-def _plus(total: Any, weights: Sequence[Any], F: Sequence[Any]) -> Any:
+def plus(total: Number, weights: Sequence[Number], F: Sequence[Number]) -> Number:
+    """Return total + sum_k weights[k] F[k], added up in this order."""
     for g, rest in zip(weights, F, strict=True):
         total = total + g * rest
     return total
@@ -152,6 +88,15 @@ def sideslip_rest(terms: Sequence[Number], w: Number, sqrt: Callable[[Number], N
     """Return minus the bracket for its `sideslip_terms`, all of them scaled by the same factor."""
     slope, square, turn, lift = terms
     return -(slope + square * abs(w)) * w - (turn + lift * w) * sqrt(abs(1 - w * w))  # abs: past 90 degrees
+
+
+def response(along: PathRates, c: Vehicle | Coefficients, ns: Namespace) -> Number:
+    """Return the rate [1/s] at which the rest of the equation for w responds to w, with gamma quasi-steady."""
+    a, turn = along.v_p_dot / along.v_p, abs(c.m11 - c.Y_ur) * abs(along.omega)
+    lift = c.Y_uv * along.v_p
+    tan = ns.clip(turn / (c.d22 + c.m22 * a + lift), -math.inf, math.tan(MAX_SIDESLIP))
+    drag = 2 * c.Y_vv * along.v_p * tan / ns.sqrt(1 + tan * tan)
+    return (c.m22 * abs(a) + turn * tan + drag + lift) / (c.m22 - (c.m11 - c.Y_ur))
 
 
 def slow_sideslip(along: PathRates, vehicle: Vehicle) -> Any:

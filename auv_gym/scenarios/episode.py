@@ -52,14 +52,21 @@ RESET_OPTIONS = {
 """What `reset(options=...)` takes."""
 
 
-def checked_options(options: Mapping[str, Any] | None) -> dict[str, Any]:
+def checked_mapping(options: Any) -> Mapping[str, Any]:
+    """Return the options of `reset`, none for None; raise ValueError if they are no dict."""
+    if not isinstance(options, Mapping | None):
+        raise ValueError(f"reset options are {options!r}; they must be a dict or None")
+    return options or {}
+
+
+def checked_options(options: Any) -> dict[str, Any]:
     """Return the options of `reset` with vectors as tuples of floats.
 
     Raises:
-        ValueError: an unknown key, or a value that is not what `RESET_OPTIONS` says.
+        ValueError: they are no dict, an unknown key, or a value that is not what `RESET_OPTIONS` says.
     """
     checked: dict[str, Any] = {}
-    for key, value in (options or {}).items():
+    for key, value in checked_mapping(options).items():
         if key not in RESET_OPTIONS:
             raise ValueError(f"unknown reset option {key!r}; allowed are {', '.join(RESET_OPTIONS)}")
         if key == "episode":
@@ -69,7 +76,7 @@ def checked_options(options: Mapping[str, Any] | None) -> dict[str, Any]:
             continue
         try:
             vector = np.asarray(value, dtype=np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             vector = np.array(math.nan)
         if vector.shape != (3,) or not np.isfinite(vector).all():
             raise ValueError(f"reset option {key} is {value!r}; it must be three finite numbers: {RESET_OPTIONS[key]}")
@@ -79,4 +86,6 @@ def checked_options(options: Mapping[str, Any] | None) -> dict[str, Any]:
 
 def with_options(episode: Episode, options: Mapping[str, Any]) -> Episode:
     """Return the episode with the vectors of `checked_options` in place of its own."""
+    if not options:
+        return episode
     return replace(episode, **{key: value for key, value in options.items() if key != "episode"})

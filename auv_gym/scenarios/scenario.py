@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path as FilePath
 from typing import Any, TypeVar
 
@@ -14,7 +15,8 @@ import numpy as np
 from auv_gym.physics.actuators import Actuators, Response
 from auv_gym.physics.disturbances import Current, RandomCurrent, RandomMismatch, RandomWaves
 from auv_gym.physics.dynamics import Load
-from auv_gym.physics.intervals import Interval, check_interval, check_number, draw
+from auv_gym.physics.intervals import Interval, Uniform, check_interval, check_number, draw, signed
+from auv_gym.physics.namespaces import Number
 from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.stiffness import AT_REST, check_step
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
@@ -26,7 +28,7 @@ from auv_gym.task.observation import TERMS
 from auv_gym.task.simulation import Parameters, Parts, Shear, log_of
 
 T = TypeVar("T")
-_DRAWS = 96
+DRAWS = 96
 """Uniform numbers reserved for one episode's parameters."""
 _USUAL = {term.name: term.bound * term.scale for term in TERMS}
 """The largest that an observation usually shows of each term, in SI units, see `task.bounds`."""
@@ -54,6 +56,15 @@ class RandomPath:
                 raise ValueError(f"unknown path family {name!r}; random members exist of {', '.join(allowed)}")
         if not self.families:
             raise ValueError(f"path families is empty; name at least one of {', '.join(allowed)}")
+
+    def draw(self, uniform: Uniform) -> Path:
+        """Return one path."""
+        return self.member(int(uniform() * len(self.families)), uniform)
+
+    def member(self, family: int, uniform: Uniform) -> Path:
+        """Return a path of one of the families, or for a stream of rows N paths, as `stack` makes one of them."""
+        drawn: Path = PATHS[self.families[family]].drawn(draw(self.speed, uniform), self.turn_rate, uniform)  # type: ignore[attr-defined]
+        return drawn
 
 
 @dataclass(frozen=True)
@@ -149,33 +160,49 @@ class Scenario:
 
     def draw(self, rng: np.random.Generator) -> Episode:
         """Return one episode; the generator advances by the same amount for every episode."""
-        uniform = iter(rng.random(_DRAWS).tolist()).__next__
-        noise_seed = int(rng.integers(2**63))
-        path = self.path
+        numbers, noise_seed = rng.random(DRAWS).tolist(), int(rng.integers(2**63))
+        uniform, path = iter(numbers).__next__, self.path
         if isinstance(path, RandomPath):
-            family = PATHS[path.families[int(uniform() * len(path.families))]]
-            path = family.drawn(draw(path.speed, uniform), path.turn_rate, uniform)  # type: ignore[attr-defined]
-        vehicle = self.mismatch.draw(uniform, self.vehicle) if self.mismatch else self.vehicle
-        start = self.start
-        error = [draw(x, uniform) for x in (start.x_e, start.y_e, start.psi_e)]
+            path = path.draw(uniform)
+        sensors, duration = self.sensors, self.duration
+        episode = self.episode(path, uniform, noise_seed)
+        if sensors.outages:
+            outages = sensors.draw_outages(np.random.default_rng([noise_seed, 1]), duration)
+            episode = replace(episode, outages=outages)
+        if sensors.reckoning:
+            reckoning = sensors.reckoning.draw(np.random.default_rng([noise_seed, 2]), duration)
+            episode = replace(episode, reckoning=reckoning)
+        return episode
+
+    def episode(self, path: Path, uniform: Uniform, noise_seed: int) -> Episode:
+        """Return the episode on a path that further numbers of a uniform stream make, but for outages and reckoning.
+
+        Args:
+            path: of the episode, or one of `stack` for N of them.
+            uniform: the stream, or one of rows (N,), see `draw`.
+            noise_seed: of the episode.
+
+        Returns:
+            The episode; its numbers are rows (N,) where those of the stream are.
+        """
+        start, act, known = self.start, self.actuators, self.vehicle
+        vehicle = self.mismatch.draw(uniform, known) if self.mismatch else known
+        x_e, y_e, psi_e = (draw(x, uniform) for x in (start.x_e, start.y_e, start.psi_e))
         if start.random_signs:
-            error = [e if uniform() < 0.5 else -e for e in error]
-        act = self.actuators
+            x_e, y_e, psi_e = (signed(e, uniform) for e in (x_e, y_e, psi_e))
         return Episode(
             path=path,
             vehicle=vehicle,
             current=self.current.draw(uniform, path.speed) if self.current else Current(),
-            waves=self.waves.draw(uniform, path.speed, self.vehicle) if self.waves else None,
+            waves=self.waves.draw(uniform, path.speed, known) if self.waves else None,
             bias=self.sensors.draw_bias(uniform),
             lag=draw(act.lag, uniform),
-            initial_error=(error[0], error[1], error[2]),
+            initial_error=(x_e, y_e, psi_e),
             surge=draw(start.surge, uniform),
             noise_seed=noise_seed,
             effectiveness=(draw(act.effectiveness, uniform), draw(act.effectiveness, uniform)),
             reach=(draw(act.reach, uniform), draw(act.reach, uniform)),
-            delay=round(draw(act.delay, uniform)),
-            outages=self.sensors.draw_outages(np.random.default_rng([noise_seed, 1]), self.duration),
-            reckoning=self.sensors.draw_reckoning(np.random.default_rng([noise_seed, 2]), self.duration),
+            delay=_rounded(draw(act.delay, uniform)),
         )
 
     def drawn(self, rng: np.random.Generator, plan: Callable[[Episode], T]) -> tuple[Episode, T]:
@@ -195,7 +222,7 @@ class Scenario:
                     raise
         raise AssertionError("unreachable")
 
-    @property
+    @cached_property
     def parts(self) -> Parts:
         """What the simulation of its episodes needs."""
         return Parts(
@@ -225,7 +252,7 @@ class Scenario:
         Raises:
             ValueError: the episode has what this scenario's episodes cannot have, or the integration step is too long.
         """
-        act, parts = self.actuators, self.parts
+        parts = self.parts
         for part, there, what in (
             (parts.outages, episode.outages, "outages of the position fix"),
             (parts.delayed, episode.delay, "a delay"),
@@ -238,6 +265,11 @@ class Scenario:
                 raise ValueError(f"the episode has {what}, which scenario {self.name!r} has not: give it one that has")
         if episode.initial_velocity is not None or (self.mismatch is None and episode.vehicle is not self.vehicle):
             self._check_step(episode.vehicle.coefficients, episode.initial_velocity or AT_REST)
+        return self.constants(episode)
+
+    def constants(self, episode: Episode) -> Parameters:
+        """Return the `parameters` of an episode of this scenario, or rows of them."""
+        act = self.actuators
         return Parameters(
             h=self.control_dt / self.substeps,
             coefficients=episode.vehicle.coefficients,
@@ -252,12 +284,12 @@ class Scenario:
             thrust_r=act.F_r_max * episode.effectiveness[1],
             reach_u=episode.reach[0],
             reach_r=episode.reach[1],
-            delay=float(episode.delay),
+            delay=1.0 * episode.delay,
             fin=act.fin,
             astern=act.astern,
             shear=Shear(*episode.current.shear),
             log=log_of(episode.reckoning),
-            parts=parts,
+            parts=self.parts,
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -305,6 +337,10 @@ class Scenario:
             return cls.from_dict(record)
         except (ValueError, RecursionError) as error:
             raise ValueError(f"{file}: {error}") from error
+
+
+def _rounded(delay: Number) -> Any:
+    return np.round(delay) if isinstance(delay, np.ndarray) else round(delay)
 
 
 def _path_of(record: Any) -> Path | RandomPath:

@@ -143,16 +143,24 @@ def action_of(forces: Force, o: Sequence[Number], ns: Namespace) -> tuple[Number
     return ns.clip(F_u / o[F_U_MAX], -1.0, 1.0), ns.clip(F_r / o[F_R_MAX], -1.0, 1.0)
 
 
+_REFERENCE_TERMS = [TERMS[k] for k in range(*map(Observation._fields.index, ("u_R", "cos_psi")))]
+"""Velocities and forces of the reference, as in an observation."""
+
+
+def reference_bounds(span: int) -> list[float]:
+    """Return how large |u|, |v|, |r|, |F_u|, |F_r| of a reference may be, in SI units, to be within the `bounds`."""
+    most = dict(zip(Observation._fields, (bounds(span) * SCALES).tolist(), strict=True))
+    return [most[term.name] for term in _REFERENCE_TERMS]
+
+
 def check_reference(table: NDArray[np.float64], span: int) -> None:
-    """Raise ValueError if a reference table, shape (T, 8, ...), has rates or forces beyond the observation's bounds."""
-    names = "x", "y", "psi", "u_R", "v_R", "r_R", "F_uR", "F_rR"  # of its columns, as in an observation
-    for term, most in zip(TERMS, (bounds(span) * SCALES).tolist(), strict=True):
-        if term.name in names:
-            largest, bound = float(np.abs(table[:, names.index(term.name)]).max()), most
-            if not largest <= bound:
-                raise ValueError(
-                    f"reference {term.name} reaches {largest:.4g} {term.unit}; at most {bound:g} can be observed"
-                )
+    """Raise ValueError if a reference table, shape (T, 8), has rates or forces beyond the observation's bounds."""
+    largest = np.abs(table[:, 3:]).max(axis=0).tolist()
+    for term, value, bound in zip(_REFERENCE_TERMS, largest, reference_bounds(span), strict=True):
+        if not value <= bound:
+            raise ValueError(
+                f"reference {term.name} reaches {value:.4g} {term.unit}; at most {bound:g} can be observed"
+            )
 
 
 def reward(

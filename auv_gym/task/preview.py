@@ -86,15 +86,14 @@ class Preview:
         """How many columns it adds to an observation."""
         return 2 * len(self.periods)
 
-    def load(self, lanes: Sequence[int] | Indices, paths: Sequence[Path], dt: Sequence[float] | Array) -> None:
-        """Take up the paths of new episodes, whose control periods are dt [s]."""
+    def load(self, lanes: Sequence[int] | Indices, paths: Sequence[Path], dt: float, tables: Sequence[Array]) -> None:
+        """Take up new episodes: their paths, their control period [s] and their reference tables, of one length."""
         if not self.periods:
             return
-        clocks = np.asarray(dt)
-        for period in set(clocks.tolist()):
-            members = (clocks == period).nonzero()[0].tolist()
-            times = period * np.arange(self._instants, dtype=np.float64)
-            self._positions[np.asarray(lanes)[members]] = _positions([paths[j] for j in members], times)
+        known = len(tables[0])
+        times: Array = dt * np.arange(known, self._instants, dtype=np.float64)
+        self._positions[lanes, :known] = [table[:, :2] for table in tables]
+        self._positions[lanes, known:] = _positions(paths, times)
 
     def ahead(self, lanes: Sequence[int] | Indices, k: int | Indices) -> Array:
         """Return the displacements in the world [m] from control step k of n lanes on, shape (P, 2, n)."""

@@ -207,6 +207,6 @@ def summarise(m: Measures, interval: bool = True) -> Summary:
     )
 
 
-def ratio(value: float, anchor_error: float) -> float:
-    """Return value / yardstick, nan where the yardstick is zero."""
-    return value / anchor_error if anchor_error else math.nan
+def ratio(value: float, reference: float) -> float:
+    """Return value / reference, nan where the reference is zero."""
+    return value / reference if reference else math.nan

@@ -48,7 +48,7 @@ class Options:
     runs/tune/NAME-REGIME@VEHICLE.json: make_policy(NAME, vehicle=..., gains=...) takes them.
     Exit status: 0 done, 2 wrong usage.
 
-    Example: auv-gym tune los-pid --regime cruise --dry
+    Example: auv-gym tune los-pid --speed-range cruise --dry
     """
 
     name: Annotated[Positional[str], arg(metavar="NAME")]

@@ -33,14 +33,14 @@ class Options:
     """
 
     action: Annotated[
-        Positional[Literal["build", "check", "seal", "open", "anchor_errors", "record", "verify"]],
+        Positional[Literal["build", "check", "seal", "open", "anchor-errors", "record", "verify"]],
         arg(metavar="ACTION"),
     ]
     """build: replace a suite's file and its hash. check: compare every episode with what it generated. seal: draw a
     secret that a suite's episodes will be drawn from, keep its hash and print it, once. open: check a secret against
-    the hash that was kept, publish it and build the suite; when everything that will run in it is frozen. yardsticks:
-    measure what the anchors do, for the scores of validations. record: keep the policies' results. verify: run
-    what is recorded again and compare every number with the recorded one, to the last bit that is kept."""
+    the hash that was kept, publish it and build the suite; when everything that will run in it is frozen.
+    anchor-errors: measure what the anchors do, for the scores of validations. record: keep the policies' results.
+    verify: run what is recorded again and compare every number with the recorded one, to the last bit that is kept."""
     name: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME ...]")] = ()
     """The suites; check and verify take all without any."""
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str]) -> int:
     """
     options = parse(Options, arguments, PROGRAM)
     check_words("suite", options.name, (*BUILDERS, *SHARED))
-    if not options.name and options.action in ("build", "seal", "open", "anchor_errors", "record"):
+    if not options.name and options.action in ("build", "seal", "open", "anchor-errors", "record"):
         raise UsageError(f"name the suite to {options.action}: {', '.join((*BUILDERS, *SHARED))}")
     check_words("policy", options.policy, list_policies())
     if options.episodes is not None and (options.episodes < 1 or options.action != "record"):
@@ -79,7 +79,7 @@ def main(arguments: Sequence[str]) -> int:
         "check": _check,
         "seal": _seal,
         "open": _open,
-        "anchor_errors": _measure,
+        "anchor-errors": _measure,
         "record": _record,
         "verify": _verify,
     }

@@ -1,1 +1,1 @@
-"""The speed of the environments beside that of Gymnasium's own: `make bench`."""
+"""The speed of the environments beside that of Gymnasium's Pendulum: `make bench`."""

@@ -16,7 +16,7 @@ from auv_gym.codegen import native
 from auv_gym.codegen.derivatives import PULLS, directional, gradient, jacobian
 from auv_gym.codegen.elementary import sine_cosine
 from auv_gym.codegen.graph import EXACT, SYMBOLS, TRUTHS, Graph, single
-from auv_gym.codegen.kernel import Kernel
+from auv_gym.codegen.kernel import Kernel, together
 from auv_gym.codegen.printing import NUMPY, PYTHON
 from auv_gym.physics.dynamics import rk4_step
 from auv_gym.physics.namespaces import ARRAYS, FLOATS, tensors, wrap_angle
@@ -212,6 +212,34 @@ def test_kernels_carry_rows_from_step_to_step(n, back):
         np.testing.assert_array_equal(arrays["z"], (x, v))
         np.testing.assert_array_equal(arrays["passed"], passed)
         np.testing.assert_allclose(arrays["end"], end[None], rtol=1e-15)
+
+
+@pytest.mark.parametrize("n", [1, 5])
+def test_what_holds_for_all_vehicles_may_change_from_step_to_step(n):
+    def equation(total, factor):
+        return {"total": [total[0] + factor[0] * total[1], total[1] * factor[1]]}
+
+    kernel = Kernel.traced(equation, {"total": 2, "factor": 2}, ["factor"], shared=["factor"])
+    rng = np.random.default_rng(6)
+    total, factor = rng.normal(size=(2, n)), rng.normal(size=(4, 2))
+    x, y = total
+    for a, b in factor[:3]:
+        x, y = x + a * y, y * b
+    np.testing.assert_array_equal(kernel(3, total=total, factor=factor)["total"], (x, y))
+
+
+@needs_compiler
+def test_kernels_compiled_together_give_what_they_give_alone(cache):
+    programs = random_programs(np.random.default_rng(7), 3, 20)
+    given = np.random.default_rng(8).uniform(-3, 3, (3, 6))
+    kernels = {f"program_{i}": kernel_of(program) for i, program in enumerate(programs)}
+    call = "void first(const int64_t *at) { program_0(at, 0, 1); }\n"
+    library = together(kernels, call)
+    assert library.first
+    libraries = len([*cache.iterdir()])  # this one and that of the trial
+    for kernel, program in zip(kernels.values(), programs, strict=True):
+        np.testing.assert_array_equal(kernel(given=given)["out"], kernel_of(program)(given=given)["out"])
+    assert len([*cache.iterdir()]) == libraries + 3  # the programs alone; those of `together` are not compiled again
 
 
 def test_arrays_may_be_parts_of_larger_ones():

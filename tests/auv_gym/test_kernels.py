@@ -18,7 +18,7 @@ from auv_gym.envs.residual import ResidualAction, VectorResidualAction
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.namespaces import FLOATS
 from auv_gym.physics.rows import filled, leaves
-from auv_gym.task.kernels import Vehicles, begun, start_kernel, step_kernel
+from auv_gym.task.kernels import OneVehicle, Vehicles, begun, start_kernel, step_kernel
 from auv_gym.task.observation import SIZE, encode
 from auv_gym.task.policy import Law, traceable
 from auv_gym.task.simulation import (
@@ -150,6 +150,31 @@ def vehicles(n=4):
     made.place(beginning.lanes, beginning.plant, beginning.seen)
     made.action[:] = 0.3
     return made
+
+
+@pytest.mark.parametrize("forces", [None, Backstepping().forces], ids=["commands", "corrections"])
+def test_one_vehicle_is_one_of_many(forces):
+    lanes = Lanes(1, "cruise-storm", None, None)
+    lanes.forces = forces
+    states, _ = lanes.load(lanes.all, lanes.ready(lanes.all, [np.random.default_rng(0)], None))
+    plant, seen = begun(lanes.parts, states, lanes.samples[0], lanes.constants, forces)
+    authority = (0.5, 0.3)
+    many, one = (
+        made(lanes.parts, lanes.samples, lanes.constants, forces, authority) for made in (Vehicles, OneVehicle)
+    )
+    many.place(slice(None), plant, seen)
+    one.start(states)
+    rng = np.random.default_rng(1)
+    for k in range(1, 30):
+        np.testing.assert_array_equal(one.seen, many.now.seen[:, 0])
+        np.testing.assert_array_equal(one.plant, many.now.plant[:, 0])
+        many.action[:, 0] = one.action[0], one.action[1] = rng.uniform(-1, 1, 2)
+        many.step(k)
+        one.step(k, 1)
+        assert one.outcome.tolist() == many.now.outcome[:, 0].tolist()
+        if k == 15:
+            one = pickle.loads(pickle.dumps(one))
+            one._arrays["samples"], one._arrays["parameters"] = lanes.samples, lanes.constants
 
 
 def test_a_step_can_be_undone():

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from native_cache import forget
 
 from auv_gym.codegen import cache as kept
 from auv_gym.codegen import native
@@ -25,24 +26,6 @@ needs_compiler = pytest.mark.skipif(
 )
 SOURCE = "double auv_test(void) { return 3; }\n"
 OTHERS = 65533  # a user who is not there
-
-
-def forget():
-    """Forget what this process knows of compilers, folders and libraries, as a new process."""
-    for function in (native.library, native.compiler):
-        function.cache_clear()
-    for found in (native._hung, native._refused, native._said):
-        found.clear()
-
-
-@pytest.fixture
-def cache(tmp_path, monkeypatch):
-    """An empty cache of compiled code."""
-    monkeypatch.setenv(native.CACHE, str(tmp_path / "cache"))
-    monkeypatch.delenv(native.SWITCH, raising=False)
-    forget()
-    yield tmp_path / "cache"
-    forget()
 
 
 def libraries(folder):
@@ -422,3 +405,26 @@ def test_an_interrupt_ends_the_compiler(cache, tmp_path):
     assert running.wait(30) != 0
     with pytest.raises(ProcessLookupError):
         os.kill(int(pid.read_text()), 0)
+
+
+FIRST_USE = """
+import gymnasium as gym
+env = gym.make("auv_gym:UnderactuatedAUVTrackResidual-v0", scenario="cruise-storm")
+for seed in range(3):
+    env.reset(seed=seed)
+    env.step(env.action_space.sample())
+"""
+
+
+@needs_compiler
+def test_the_first_use_says_in_one_line_that_it_compiles_and_the_next_says_nothing(cache):
+    """Three libraries: the planner's, that of the exogenous inputs, and that of the vehicle with its law."""
+    environment = {**os.environ, native.CACHE: str(cache)}
+    said = []
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, "-c", FIRST_USE], env=environment, capture_output=True, text=True, check=True
+        )
+        said.append(done.stderr)
+        assert len([*cache.glob("*.so")]) == 4  # and that of the trial
+    assert said == ["auv_gym: compiling the equations of motion for this machine; this happens once\n", ""]

@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from window_by_torch import Setting
 
 from auv_gym.envs.torch_sim import TorchSimulator, simulate
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
@@ -39,7 +40,6 @@ from research.suites.deep import (
     navigation_errors,
     navigation_rmses,
 )
-from research.throughput.eager import Setting
 
 TRACK = "auv_gym:UnderactuatedAUVTrack-v0"
 DEEP = {scenario.name: scenario for scenario in deep_worlds()}

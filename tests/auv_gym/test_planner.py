@@ -14,6 +14,7 @@ from scipy.special import fresnel
 
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.feasibility import InfeasibleReferenceError
+from auv_gym.planning.kernels import driver
 from auv_gym.planning.paths import (
     PAPER_CIRCLE,
     Circle,
@@ -26,8 +27,8 @@ from auv_gym.planning.paths import (
     Sine,
     Spline,
 )
-from auv_gym.planning.planner import MAX_SIDESLIP, Reference, plan, printed_surge_rate
-from auv_gym.planning.sideslip import path_rates
+from auv_gym.planning.planner import Planner, Reference, plan, printed_surge_rate
+from auv_gym.planning.sideslip import MAX_SIDESLIP, path_rates
 
 ROUGH = Vehicle(215.0, 265.0, 80.0, 70.0, 100.0, 50.0, X_uu=40.0, Y_vv=150.0, N_rr=60.0)
 FINNED = replace(ROUGH, Y_uv=160.0, Y_ur=40.0, N_uv=25.0, N_ur=30.0)
@@ -183,6 +184,40 @@ def test_batch_is_each_path_alone(names, vehicle, dt):
         np.testing.assert_allclose(getattr(batch, name).T, [getattr(R, name) for R in alone], rtol=0, atol=1e-11)
 
 
+@pytest.mark.skipif(driver() is None, reason="there is no compiler")
+@pytest.mark.parametrize("times", [0.1 * np.arange(150), 2.5 + 0.7 * np.arange(20), np.array([0.0, 0.3])], ids=len)
+@pytest.mark.parametrize("name", PATHS)
+@VEHICLES
+def test_the_compiled_form_is_the_python_one(name, vehicle, times):
+    """In periods with one sample or several, samples refined or not, a path's integral from 0 on or not."""
+    planner, path, rest = Planner(vehicle, times), PATHS[name], np.empty((3, len(times)))
+    compiled = np.vstack((planner._compiled(path, rest).T, rest))
+    table, others = planner._in_python(path)
+    python = np.vstack((table.T, others))
+    size = np.abs(python).max(axis=1, keepdims=True)
+    np.testing.assert_allclose(compiled / (1e-9 + size), python / (1e-9 + size), rtol=0, atol=1e-11)
+    np.testing.assert_array_equal(planner.table(path), compiled[:8].T)
+
+
+@pytest.mark.skipif(driver() is None, reason="there is no compiler")
+def test_both_forms_refuse_the_same_paths():
+    rng, limits = np.random.default_rng(0), (160.0, 60.0)
+    planner = Planner(FINNED, 0.1 * np.arange(100), limits, fin=200.0)
+    refused = 0
+    for speed, turn_rate in rng.uniform((0.2, 0.2), (1.5, 0.6), (200, 2)):
+        for path in (Circle(speed, turn_rate), Sine(speed, turn_rate * speed / 2, 2 * turn_rate)):
+            compiled = planner.table(path)
+            try:
+                R = planner.plan(path)
+            except InfeasibleReferenceError:
+                refused += 1
+                assert compiled is None
+            else:
+                assert np.abs(compiled[:, 6:]).max(axis=0).tolist() <= list(limits)
+                np.testing.assert_array_equal(compiled, R.table)
+    assert 50 < refused < 350
+
+
 @pytest.mark.parametrize(
     ("path", "laps"), [(Circle(1.0, -0.2), -3), (Ellipse(6.0, 4.0, 0.2), 3), (FigureEight(9.0, 0.2), 0)]
 )
@@ -274,6 +309,29 @@ def test_force_beyond_its_limit_is_refused_where_it_first_is(name, unit):
     assert k > 0
     assert caught.value.time == t[k]
     assert caught.value.place == (R.x[k], R.y[k])
+
+
+@pytest.mark.parametrize("shape", [(4, 2, 1), (3, 2, 50), (8, 50)])
+def test_derivatives_of_another_shape_are_refused(shape):
+    class Wrong:
+        speed, start, end = 1.0, -math.inf, math.inf
+
+        def derivatives(self, t):
+            return np.ones(shape)
+
+    with pytest.raises(ValueError, match=r"Wrong.derivatives gives an array of shape .* it must be \(4, 2, \d+\)"):
+        plan(Wrong(), PAPER_VEHICLE, 0.1 * np.arange(50))
+
+
+def test_derivatives_may_be_whole_numbers():
+    class Whole:
+        speed, start, end = 1.0, 0.0, math.inf
+
+        def derivatives(self, t):
+            zero = np.zeros(len(t), dtype=int)
+            return np.array([[zero, zero], [zero + 1, zero], [zero, zero], [zero, zero]])
+
+    np.testing.assert_allclose(plan(Whole(), PAPER_VEHICLE, 0.1 * np.arange(50)).F_u, PAPER_VEHICLE.d11)
 
 
 def test_refusal_reaches_another_process():

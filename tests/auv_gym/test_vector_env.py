@@ -1,6 +1,7 @@
 """The vector environment, held against scalar environments; its contract with Gymnasium; the residual wrapper."""
 
 import importlib
+import re
 import subprocess
 import sys
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 
-from auv_gym.envs.lanes import Lanes
+from auv_gym.envs.lanes import Lanes, plan_of, planner_of, reference_table
 from auv_gym.scenarios.exogenous import Tape
 from auv_gym.scenarios.presets import PRESETS
 from auv_gym.scenarios.scenario import Scenario
@@ -83,11 +84,49 @@ def test_seeds_as_an_integer_a_list_or_none():
         env.reset(seed=[1, 2])
 
 
-def test_fractional_seeds_are_refused_as_by_the_scalar_environment():
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("x", "reset options are 'x'; they must be a dict or None"),
+        ({"initial_error": [10**400, 0, 0]}, "reset option initial_error is .* three finite numbers"),
+        ({"wind": 3}, "unknown reset option 'wind'"),
+    ],
+)
+def test_wrong_options_are_refused_in_one_line(options, message):
+    with pytest.raises(ValueError, match=rf"^{message}[^\n]*$"):
+        vector().reset(seed=0, options=options)
+
+
+def test_masked_actions_are_refused():
+    env = vector()
+    env.reset(seed=0)
+    actions = np.ma.array(np.zeros((3, 2)), mask=[[False, False], [False, True], [False, False]])
+    with pytest.raises(ValueError, match=r"^action of sub-environment 1 is [^\n]*; it must be two finite numbers"):
+        env.step(actions)
+    env.step(np.ma.array(np.zeros((3, 2))))
+
+
+@pytest.mark.parametrize("env_id", [TRACK, RESIDUAL])
+@pytest.mark.parametrize("preview", [(), (2, 5)])
+def test_what_is_returned_lies_in_c_order_and_is_nowhere_twice(env_id, preview):
+    options = {"preview": preview} if env_id == TRACK else {}
+    env = vector(env_id, scenario={**SHORT["cruise-storm"], "steps": 3}, **options)
+    returned = [env.reset(seed=0), *(env.step(np.zeros((3, 2), dtype=np.float32)) for _ in range(3))]
+    assert "final_obs" in returned[-1][-1]
+    for observation, *rest, info in returned:
+        assert observation.flags.c_contiguous
+        final = info.get("final_info", {})
+        arrays = [observation, *rest, *info.values(), *final.values()]
+        arrays = [array for array in arrays if isinstance(array, np.ndarray)]
+        assert len(arrays) == len({array.__array_interface__["data"][0] for array in arrays})
+
+
+def test_what_is_no_seed_is_refused_alike_everywhere():
     for env in (vector(), gym.make(TRACK)):
-        for seed in (1.7, -1):
-            with pytest.raises(gym.error.Error):
+        for seed in (1.7, -1, True, "a", np.float64(3)):
+            with pytest.raises(ValueError, match=re.escape(f"seed is {seed!r}; it must be an integer of at least 0")):
                 env.reset(seed=seed)
+        env.reset(seed=np.int64(3))
     assert (vector().reset(seed=list(np.arange(3)))[0] == vector().reset(seed=0)[0]).all()
 
 
@@ -114,30 +153,32 @@ HARD = {
 
 def test_draws_that_cannot_be_followed_are_drawn_anew_alike_everywhere():
     scenario, rng = Scenario.from_dict(HARD), np.random.default_rng(0)
-    tables = Lanes(40, scenario, None, None)._tables(np.arange(40), [scenario.draw(rng) for _ in range(40)])
-    assert tables == [None] * 40  # as they are planned in one batch, of which some cannot be followed
+    planner = planner_of(*plan_of(scenario))
+    assert 3 < sum(planner.table(scenario.draw(rng).path) is None for _ in range(40)) < 20
     n = 12
     scalars = [gym.make(TRACK, scenario=HARD) for _ in range(n)]
     assert assert_equals_scalars(vector(n=n, scenario=HARD), scalars, 80) >= 3 * n
 
 
+@pytest.mark.parametrize("n", [3, 7])  # drawn one by one, and as rows
 @pytest.mark.parametrize("backend", ["numpy", "torch"])
-def test_an_episode_that_can_never_be_followed_changes_nothing(backend, monkeypatch):
+def test_an_episode_that_can_never_be_followed_changes_nothing(backend, n, monkeypatch):
     if backend == "torch":
         pytest.importorskip("torch")
     options = {"dtype": "float64"} if backend == "torch" else {}
-    env = vector(scenario={**SHORT["cruise-storm"], "steps": 70}, backend=backend, **options)
+    env = vector(n=n, scenario={**SHORT["cruise-storm"], "steps": 70}, backend=backend, **options)
     env.reset(seed=0)
-    actions = np.full((3, 2), 0.05)
+    actions = np.full((n, 2), 0.05)
     for _ in range(69):
         env.step(actions)
 
-    def nothing(*_):
+    def nothing(*_, **__):
         raise ValueError("cannot be followed")
 
     lanes = env.unwrapped._lanes
     with monkeypatch.context() as patch:
-        patch.setattr("auv_gym.envs.lanes.reference_tables", nothing)
+        patch.setattr("auv_gym.envs.lanes.reference_table", nothing)
+        patch.setattr("auv_gym.planning.planner.Planner.tables", lambda _, __, count: [None] * count)
         time, states = lanes.time, [g.bit_generator.state for g in lanes._generators]
         for _ in range(2):
             with pytest.raises(ValueError, match="cannot be followed"):
@@ -145,7 +186,7 @@ def test_an_episode_that_can_never_be_followed_changes_nothing(backend, monkeypa
         assert (lanes.time == time).all()
         assert [g.bit_generator.state for g in lanes._generators] == states
         with pytest.raises(ValueError, match="cannot be followed"):
-            env.reset(options={"reset_mask": np.array([True, False, False])})
+            env.reset(options={"reset_mask": np.arange(n) == 0})
     *_, truncated, _ = env.step(actions)
     assert truncated.all()
 
@@ -329,10 +370,9 @@ def test_zero_residual_is_the_expert():
 def test_the_tape_does_not_depend_on_its_blocks(name):
     """Nor on what runs beside it, nor on the order of the lanes."""
     scenario = PRESETS[name]
-    lanes = Lanes(3, scenario, None, None)
     rng = np.random.default_rng(0)
     episodes = [scenario.draw(rng) for _ in range(3)]
-    tables = lanes._tables(lanes.all, episodes)
+    tables = [reference_table(episode.path, *plan_of(scenario)) for episode in episodes]
     whole, cut = Tape(3, 64), Tape(1, 64)
     for lane in range(3):
         whole.load(lane, scenario, episodes[lane], tables[lane])

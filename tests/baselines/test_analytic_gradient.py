@@ -8,6 +8,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from window_by_torch import AUTHORITY, LOSS, Setting
 
 from auv_gym.codegen.native import SWITCH, library
 from auv_gym.envs.torch_sim import TENSORS
@@ -33,7 +34,6 @@ from baselines.training.apg.window import SMALLEST, evened
 from baselines.training.config import Config
 from baselines.training.run_folder import RunFolder
 from baselines.training.validation import VALIDATION_PRECISION
-from research.throughput.eager import AUTHORITY, LOSS, Setting
 
 SIZES = Gru(len(FEATURES), 8, 8, 8)
 INPUTS = [Inputs(), Inputs((3, 20)), Inputs((40,), integrals=False), Inputs((3,), fine=True, filters=True)]

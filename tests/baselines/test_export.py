@@ -18,7 +18,6 @@ from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.fitting import changed
 from auv_gym.scenarios.presets import PRESETS, as_scenario
 from auv_gym.task.observation import SIZE, decode_observation
-from auv_gym.task.preview import Preview
 from baselines import make_policy
 from baselines.agents.names import agent_folder, shipped_agents
 from baselines.evaluation.rollout import Repeatable, beginning
@@ -283,9 +282,8 @@ def test_measurements_in_si_units_are_observed_as_the_environment_does(name, veh
     library = native.library(source)
     library.auv_agent_observe.restype = None
     env = UnderactuatedAUVTrackEnv(scenario, preview=agent.preview)
-    ahead, rng = Preview(1, agent.preview, 600), np.random.default_rng(2)
+    ahead, rng = env._lanes.preview, np.random.default_rng(2)
     observation, _ = env.reset(seed=4)
-    ahead.load((0,), (env._planned[0],), (scenario.control_dt,))
     assert np.abs(observation[SIZE:]).max(initial=0) > 64 or vehicle == "paper"
     last, seen = np.zeros(2), np.zeros(len(agent.columns))
     memory = np.zeros(sum(agent.memory.values()) + 2)

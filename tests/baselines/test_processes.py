@@ -344,7 +344,9 @@ def test_a_checkpoint_of_a_class_that_has_changed_is_refused_and_says_which(tmp_
 def test_what_a_trainer_misses_in_a_checkpoint_is_one_line(checkpoint):
     run = RunFolder(CONFIG, checkpoint[0])
     with (
-        pytest.raises(TrainingError, match=r"cannot go on from .*: it has no 'fleet'; begin again in another folder"),
+        pytest.raises(
+            TrainingError, match=r"cannot go on from .*: it has no 'vehicle_names'; begin again in another folder"
+        ),
         run.restoring(),
     ):
         run.load_checkpoint()["vehicle_names"]

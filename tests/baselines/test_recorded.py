@@ -84,7 +84,8 @@ def test_verify_finds_what_differs(rows, capsys):
     assert command.main([*arguments, "--policy", "open-loop"]) == FAILED
     out = capsys.readouterr().out
     assert (
-        "DIFFERENT  open-loop in ood-v1: 1 of 2340 numbers, at most by 1.0e-03 of the value, tail of episode 7" in out
+        "DIFFERENT  open-loop in ood-v1: 1 of 2340 numbers, at most by 1.0e-03 of the value, steady_rmse of episode 7"
+        in out
     )
 
 
@@ -117,7 +118,7 @@ def test_verdicts_by_hand():
     steady_rmse[2] = np.nan
     other = dataclasses.replace(old, measures=dataclasses.replace(old.measures, steady_rmse=steady_rmse))
     verdict = PolicyVerdict.of(old, other)
-    assert (verdict.differing, verdict.largest, verdict.where) == (1, np.inf, "tail of episode 2")
+    assert (verdict.differing, verdict.largest, verdict.where) == (1, np.inf, "steady_rmse of episode 2")
     assert "DIFFERENT" in verdict_line("open-loop", [PolicyVerdict.of(old, old), verdict])
     with pytest.raises(ValueError, match="fails in slow-calm: no"):
         PolicyVerdict.of(old, dataclasses.replace(old, measures=None, error="no"))

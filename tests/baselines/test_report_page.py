@@ -84,12 +84,14 @@ def test_the_benchmark_in_a_browser(browser, pages, width):
             for cell in board.locator(f"tbody td:nth-child({headings.index('score') + 1})").all_inner_texts()
         ]
         assert scores == sorted(scores, reverse=True)
-        assert len(policies_of(page.locator("#tails"))) <= FEW
+        assert len(policies_of(page.locator("#steady_rmses"))) <= FEW
         page.get_by_role("button", name="all", exact=True).click()
         count = len(list_policies())
         page.wait_for_function(f"document.getElementById('count').textContent === '{count} of {count} shown'")
-        page.wait_for_function("document.getElementById('tails').textContent.includes('open-loop')", timeout=PATIENCE)
-        assert len(policies_of(page.locator("#tails"))) >= len(slow) - 1  # the bound lies beyond the axis
+        page.wait_for_function(
+            "document.getElementById('steady_rmses').textContent.includes('open-loop')", timeout=PATIENCE
+        )
+        assert len(policies_of(page.locator("#steady_rmses"))) >= len(slow) - 1  # the bound lies beyond the axis
         assert page.locator("#scores svg").count() >= 2
 
 
@@ -122,7 +124,7 @@ def test_switch_a_policy_off_and_play(browser, pages):
             assert page.locator(f"#{chart} {lines}").count() == 3, chart
         page.locator('#leaderboard .panel.current tr[data-policy="lqi"] input').uncheck()
         page.wait_for_function("document.querySelectorAll('#errors .mark-line path').length === 2", timeout=PATIENCE)
-        assert "lqi" not in policies_of(page.locator("#tails"))
+        assert "lqi" not in policies_of(page.locator("#steady_rmses"))
         assert page.locator("#now div").count() == 2
         image = "document.getElementById('sea').toDataURL()"
         before = page.evaluate(image)

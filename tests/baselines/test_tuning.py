@@ -179,7 +179,7 @@ def brief(course, policy, run=TuningEpisodes.run):
         (["lqi", "--evaluations", "-1"], "--evaluations is -1"),
         (["lqi", "--episodes", "1600000"], "need seeds up to .* tuning episodes have them below 20000000"),
         (["lqi", "--price", "2"], "--price is 2"),
-        (["lqi", "--speed-range", "fast"], "speed_range"),
+        (["lqi", "--speed-range", "fast"], "speed-range"),
     ],
 )
 def test_wrong_usage_is_answered_in_one_line(arguments, reason):

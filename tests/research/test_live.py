@@ -10,7 +10,8 @@ from browser import opened
 from auv_gym.codegen import native
 from auv_gym.envs.track_env import UnderactuatedAUVTrackEnv
 from auv_gym.physics.rows import leaves
-from auv_gym.scenarios.exogenous import GUST_ROWS, GUSTS, MEASUREMENT_NORMALS, NORMALS, SEA, Tape
+from auv_gym.scenarios import exogenous
+from auv_gym.scenarios.exogenous import GUST_ROWS, NORMALS, SEA, Tape
 from auv_gym.scenarios.presets import SPEED_RANGES
 from auv_gym.task.simulation import SAMPLE_ROWS
 from baselines import make_policy
@@ -68,7 +69,7 @@ def episode_in_python(policy, speed_range, family, case, seed=1):
         action, memory = policy.predict(observation, memory)
         observation, _, failed, _, info = env.step(action)
         samples.append(env._sample)
-        rows.append([*action.tolist(), *env._vehicle.now.plant[:8, 0], info["position_error"]])
+        rows.append([*action.tolist(), *env._vehicle.plant[:8], info["position_error"]])
         if failed:
             break
     parameters = np.nan_to_num(leaves(scenario.parameters(episode)), posinf=np.finfo(float).max).tolist()
@@ -126,36 +127,29 @@ def test_agents_are_those_of_the_header_even_where_they_amplify_every_rounding(b
 
 
 @pytest.mark.parametrize("speed_range", SPEED_RANGES)
-def test_the_pages_sea_is_that_of_the_tape(bench, speed_range):
+def test_the_pages_sea_is_that_of_the_tape(bench, speed_range, monkeypatch):
     path, normals = path_of(speed_range, "line"), np.random.default_rng(0).standard_normal((LIVE_STEPS + 1, NORMALS))
     scenario, episode = scenario_of(speed_range, "storm", path), episode_of(speed_range, "storm", path, 3)
 
-    class Given(np.random.Generator):  # the same chance for both
-        row = 0
-
-        def standard_normal(self, size=None, dtype=np.float64, out=None):
-            out[:] = normals[self.row : self.row + len(out)]
-            self.row += len(out)
-            return out
-
+    monkeypatch.setattr(exogenous, "compiled", lambda **_: None)
+    monkeypatch.setattr(exogenous, "_drawn", lambda *_: normals)  # the same chance for both
     tape = Tape(1, LIVE_STEPS + 1)
     tape.load(0, scenario, episode, np.zeros((LIVE_STEPS + 1, 8)) + np.array([0, 0, 0, 1, 0, 0, 0, 0]))
-    tape._drawn[0] = Given(np.random.PCG64(0)), MEASUREMENT_NORMALS.start, GUSTS.stop
     expected = tape.read((0,), LIVE_STEPS + 1)[:, SEA, 0]
     run = """([weather, waves, normals, rows, gusts]) => {
         const gust = ENGINE.zeros(gusts), sea = ENGINE.zeros(rows);
         return normals.map((n) => (EQUATIONS.sea(gust, n, weather, waves, sea), [...sea]));
     }"""
-    given = [tape._weather[:, 0].tolist(), tape._waves[:, 0].tolist(), normals.tolist(), SAMPLE_ROWS - 8, GUST_ROWS]
+    given = [tape._weather[0].tolist(), tape._waves[0].ravel().tolist(), normals.tolist(), SAMPLE_ROWS - 8, GUST_ROWS]
     given[0] = np.nan_to_num(given[0], posinf=1e300).tolist()
     assert np.abs(np.array(bench.evaluate(run, given)) - expected).max() < 1e-9
 
 
 def test_the_page_draws_its_own_sea_from_a_seed(bench):
-    run = """([regime, seed, loud]) => {
-        const path = DATA.regimes[regime].paths.line, reference = ENGINE.referenceOf(path);
+    run = """([speedRange, seed, loud]) => {
+        const path = DATA.speed_ranges[speedRange].paths.line, reference = ENGINE.referenceOf(path);
         const settings = { current: 0.2, direction: 1, gusts: 0.1, waves: 1, noise: loud };
-        const sea = ENGINE.seaOf(DATA.regimes[regime], path, seed, settings);
+        const sea = ENGINE.seaOf(DATA.speed_ranges[speedRange], path, seed, settings);
         return Array.from({ length: 600 }, (_, k) => [...sea.next(reference.row(k))]);
     }"""
     once, again, other = (np.array(bench.evaluate(run, ["cruise", seed, 1])) for seed in (4, 4, 5))

@@ -112,7 +112,7 @@ def test_failures_are_counted_and_counting_goes_on(tmp_path, monkeypatch, capsys
         (failure_rate, ["helm", "--episodes", "0"], "--episodes is 0; it must be in [1, 10000000]"),
         (failure_rate, ["helm", "--scenario", "storm"], "unknown scenario 'storm'; allowed are"),
         (failure_rate, ["helmet"], "unknown policy 'helmet'"),
-        (falsification, ["helm", "--speed-range", "fast"], "unknown regime 'fast'; allowed are slow, cruise"),
+        (falsification, ["helm", "--speed-range", "fast"], "unknown speed range 'fast'; allowed are slow, cruise"),
         (falsification, ["helm", "--sea", "rough"], "unknown sea 'rough'; allowed are storm, adverse"),
         (falsification, ["helm", "--generations", "0"], "--generations is 0; it must be in [1, 10000]"),
         (guards, ["--suite", "paper"], "unknown suite 'paper'; allowed are benchmark-v1"),

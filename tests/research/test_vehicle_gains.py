@@ -99,7 +99,7 @@ def test_mistakes_are_told_in_a_line(arguments, says, capsys):
 def test_the_command_keeps_what_it_finds_beside_what_there_is(tmp_path):
     out = tmp_path / "found.json"
     out.write_text(json.dumps({"search": {"otter": {"lqi": {"ratio": 1.0}}}}))
-    few = ["--vehicle", "otter", "--policy", "los-pid", "--fresh", "8", "--out", str(out)]
+    few = ["--vehicle", "otter", "--policy", "los-pid", "--held-out", "8", "--out", str(out)]
     assert run(vehicles.main, vehicles.PROGRAM, ["search", "--evaluations", "0", "--episodes", "8", *few]) == 0
     assert run(vehicles.main, vehicles.PROGRAM, ["scaling", *few]) == 0
     record = json.loads(out.read_text())
@@ -113,7 +113,7 @@ def test_the_command_keeps_what_it_finds_beside_what_there_is(tmp_path):
 def test_an_agent_runs_beside_predictive_control_of_either_gains(tmp_path, capsys):
     """Told to keep the gains from the parameters, both sides of predictive control are the same."""
     out = tmp_path / "found.json"
-    few = ["--vehicle", "otter", "--fresh", "8", "--out", str(out)]
+    few = ["--vehicle", "otter", "--held-out", "8", "--out", str(out)]
     assert run(vehicles.main, vehicles.PROGRAM, ["agent", *few]) == 2
     assert f"no gains of nmpc are searched for otter: run {vehicles.PROGRAM} search" in capsys.readouterr().err
     gains = vehicles.load_gains("nmpc", "cruise", TUNABLES["nmpc"].names)
@@ -138,7 +138,8 @@ def test_the_papers_vehicle_is_the_same_before_and_after():
 def test_the_readme_says_how_the_agent_does_beside_searched_gains():
     """One seed of it, tuned to no vehicle."""
     pattern = r"(\d\.\d\d \(\d\.\d\d \.\.\. \d\.\d\d\))"
-    measured = re.search(f"{pattern} times that with searched", (ROOT / "docs/vehicle-gains.md").read_text("utf-8"))[1]
+    page = " ".join((ROOT / "docs/vehicle-gains.md").read_text(encoding="utf-8").split())
+    measured = re.search(f"{pattern} times that with searched", page)[1]
     said = rf"searched for each vehicle it has {pattern} times the error at cruise"
-    [shown] = re.findall(said, (ROOT / "README.md").read_text(encoding="utf-8"))
+    [shown] = re.findall(said, " ".join((ROOT / "README.md").read_text(encoding="utf-8").split()))
     assert shown == measured

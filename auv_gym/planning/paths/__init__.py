@@ -1,9 +1,9 @@
 """Planar paths x(t), y(t), three times continuously differentiable in time, with exact derivatives.
 
-Every family but `Spline` is elementwise: its fields may be arrays of shape (N,), made by `stack`, and then times of
-shape (T, 1) give N paths at once. Angles are counter-clockwise from the x axis, as is a positive turn rate.
+Every family but `Spline` is a `Family` of formulas: its fields may be arrays of shape (N,), made by `stack`, and then
+times of shape (T, 1) give N paths at once. Angles are counter-clockwise from the x axis, as is a positive turn rate.
 
-A new family is a frozen dataclass with the members of `Path`, an entry in `PATHS` and a test.
+A new family is a frozen dataclass with the members of `Path`, best a `Family`, an entry in `PATHS` and a test.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from auv_gym.physics.namespaces import Array
-from auv_gym.planning.paths.base import Path
+from auv_gym.planning.paths.base import Family, Path
 from auv_gym.planning.paths.closed import PAPER_CIRCLE, Circle, Ellipse, FigureEight, Line, Sine
 from auv_gym.planning.paths.spline import Spline
 from auv_gym.planning.paths.turning import Lawnmower, RandomSmooth
@@ -25,6 +25,7 @@ __all__ = [
     "PATHS",
     "Circle",
     "Ellipse",
+    "Family",
     "FigureEight",
     "Lawnmower",
     "Line",
@@ -32,8 +33,9 @@ __all__ = [
     "RandomSmooth",
     "Sine",
     "Spline",
-    "evaluate",
+    "evaluate_paths",
     "stack",
+    "unstack",
 ]
 
 PATHS: dict[str, type] = {
@@ -48,8 +50,6 @@ PATHS: dict[str, type] = {
 }
 """Every family by its name in a scenario."""
 
-_ELEMENTWISE = frozenset(PATHS.values()) - {Spline}
-
 
 def stack(paths: Sequence[Path]) -> Path:
     """Return one path of N paths of one family, its fields arrays of shape (N,), for times of shape (T, 1).
@@ -58,8 +58,8 @@ def stack(paths: Sequence[Path]) -> Path:
         ValueError: no path, more than one family, or a family that is not elementwise.
     """
     families = {type(path) for path in paths}
-    if len(families) != 1 or not families <= _ELEMENTWISE:
-        allowed = ", ".join(sorted(family.__name__ for family in _ELEMENTWISE))
+    if len(families) != 1 or not all(issubclass(family, Family) for family in families):
+        allowed = ", ".join(sorted(family.__name__ for family in PATHS.values() if issubclass(family, Family)))
         got = ", ".join(sorted(family.__name__ for family in families)) or "none"
         raise ValueError(f"stack takes paths of one family out of {allowed}, got {got}")
     family: Any = families.pop()
@@ -67,6 +67,17 @@ def stack(paths: Sequence[Path]) -> Path:
     for field in fields(family):
         object.__setattr__(stacked, field.name, np.array([getattr(path, field.name) for path in paths]).T)
     return stacked
+
+
+def unstack(paths: Path, n: int) -> list[Path]:
+    """Return the n paths that one of `stack` stands for."""
+    single: list[Path] = [object.__new__(type(paths)) for _ in range(n)]
+    for name, value in vars(paths).items():
+        triple = isinstance(value, tuple) or np.ndim(value) == 2
+        rows = [np.broadcast_to(row, n).tolist() for row in (value if triple else (value,))]
+        for path, own in zip(single, zip(*rows, strict=True), strict=True):
+            object.__setattr__(path, name, own if triple else own[0])
+    return single
 
 
 def evaluate_paths(paths: Sequence[Path], t: Array) -> Array:
@@ -78,7 +89,7 @@ def evaluate_paths(paths: Sequence[Path], t: Array) -> Array:
     out = np.empty((4, 2, len(t), len(paths)))
     for family, columns in members.items():
         side_by_side = slice(columns[0], columns[-1] + 1) if columns[-1] - columns[0] < len(columns) else columns
-        if family in _ELEMENTWISE:
+        if issubclass(family, Family):
             out[..., side_by_side] = stack([paths[k] for k in columns]).derivatives(t[:, None])
         else:
             for k in columns:

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import fields
 from numbers import Real
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
-from auv_gym.physics.intervals import is_float
-from auv_gym.physics.namespaces import Array
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
-UniformRange = Callable[[], float]
-"""Returns the next random number in [0, 1)."""
+from auv_gym.physics.errors import to_world
+from auv_gym.physics.intervals import is_float
+from auv_gym.physics.namespaces import ARRAYS, Array, Namespace, Number
+
+Pairs: TypeAlias = Sequence[tuple[Number, Number]]
+"""x, y and their first three time derivatives."""
 
 
 @runtime_checkable
@@ -72,13 +77,58 @@ def validate(path: Any, positive: Sequence[str] = (), nonzero: Sequence[str] = (
             raise ValueError(f"{type(path).__name__}: {name} must be {rule}, got {value!r}")
 
 
-def place(pose: Any, *local: tuple[Any, Any]) -> Array:
-    """Rotate position and derivatives (x, y) by the path's heading and move them to (x0, y0): shape (4, 2, ...)."""
-    c, s = np.cos(pose.heading), np.sin(pose.heading)
-    shape = np.broadcast(pose.x0, pose.y0, c, *(row for pair in local for row in pair)).shape
-    placed = np.empty((4, 2, *shape))
-    for (x, y), row in zip(local, placed, strict=True):
-        row[0], row[1] = c * x - s * y, s * x + c * y
-    placed[0, 0] += pose.x0
-    placed[0, 1] += pose.y0
-    return placed
+POSE = ("x0", "y0", "heading")
+"""The last fields of every family: where a curve begins or is centred [m], and which way it is turned [rad]."""
+
+
+class Family(ABC):
+    """Curves that are given by formulas of time, for all times, and are placed in the world.
+
+    A subclass is a frozen dataclass whose last fields are those of `POSE`. It is elementwise: its fields may be arrays
+    of shape (N,), made by `auv_gym.planning.paths.stack`, or symbols.
+    """
+
+    start: ClassVar[float] = -math.inf
+    end: ClassVar[float] = math.inf
+
+    x0: float
+    y0: float
+    heading: float
+
+    @property
+    def numbers(self) -> Sequence[float]:
+        """What its compiled formulas take of it besides its pose."""
+        return list(vars(self).values())[: -len(POSE)]
+
+    @classmethod
+    def member(cls, *numbers: Number, **others: Number) -> Self:
+        """Return the path of these fields without a check, which a distribution that has been checked need not have."""
+        path, kinds = object.__new__(cls), fields(cls)  # type: ignore[arg-type]
+        path.__dict__.update((field.name, field.default) for field in kinds)
+        path.__dict__.update(zip((field.name for field in kinds), numbers, strict=False), **others)
+        return path
+
+    @abstractmethod
+    def formulas(self, t: Number, ns: Namespace) -> Pairs:
+        """Return the curve at a time [s], before it is turned by its heading and moved to (x0, y0)."""
+
+    def derivatives(self, t: Array) -> Array:
+        """See `Path.derivatives`."""
+        return as_array(placed(self.formulas(t, ARRAYS), (self.x0, self.y0, self.heading), ARRAYS))
+
+
+def placed(pairs: Pairs, pose: Sequence[Number], ns: Namespace) -> Pairs:
+    """Return a curve turned by a heading and moved: the pose is x0, y0 [m] and the heading [rad]."""
+    x0, y0, heading = pose
+    c, s = ns.cos(heading), ns.sin(heading)
+    (x, y), *rates = (to_world(x, y, c, s) for x, y in pairs)
+    return ((x + x0, y + y0), *rates)
+
+
+def as_array(pairs: Pairs) -> Array:
+    """Return pairs of arrays, shapes that fit together, as one array (4, 2, ...)."""
+    shape = np.broadcast(*(number for pair in pairs for number in pair)).shape
+    array = np.empty((len(pairs), 2, *shape))
+    for row, pair in zip(array, pairs, strict=True):
+        row[0], row[1] = pair
+    return array

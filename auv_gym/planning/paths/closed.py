@@ -1,25 +1,23 @@
-"""Families with closed formulas: line, circle, sine, ellipse, figure-eight.
-
-Each is elementwise: its fields may be arrays of shape (N,), made by `auv_gym.planning.paths.stack`.
-"""
+"""Families with closed formulas: line, circle, sine, ellipse, figure-eight."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-from auv_gym.physics.namespaces import Array
-from auv_gym.planning.paths.base import UniformRange, place, validate
+from auv_gym.physics.intervals import Uniform, by_library, signed
+from auv_gym.physics.namespaces import Namespace, Number
+from auv_gym.planning.paths.base import Family, Pairs, validate
+
+_sqrt = by_library(math.sqrt)
 
 
 @dataclass(frozen=True)
-class Line:
+class Line(Family):
     """A straight line at constant speed: x = U t."""
 
     speed: float  # U [m/s]
@@ -27,25 +25,22 @@ class Line:
     y0: float = 0.0  # [m]
     heading: float = 0.0  # [rad] direction of travel
 
-    start: ClassVar[float] = -math.inf
-    end: ClassVar[float] = math.inf
-
     def __post_init__(self) -> None:
         validate(self, positive=("speed",))
 
-    def derivatives(self, t: Array) -> Array:
-        """See `Path.derivatives`."""
+    def formulas(self, t: Number, ns: Namespace) -> Pairs:
+        """See `Family.formulas`."""
         U = self.speed
-        return place(self, (U * t, 0.0), (U, 0.0), (0.0, 0.0), (0.0, 0.0))
+        return (U * t, 0.0), (U, 0.0), (0.0, 0.0), (0.0, 0.0)
 
     @classmethod
-    def drawn(cls, speed: float, turn_rate: float, uniform: UniformRange) -> Self:  # noqa: ARG003, the families share the signature
+    def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:  # noqa: ARG003, the families share the signature
         """Draw a direction; a line does not turn."""
-        return cls(speed, heading=2 * math.pi * uniform())
+        return cls.member(speed, heading=2 * math.pi * uniform())
 
 
 @dataclass(frozen=True)
-class Circle:
+class Circle(Family):
     """A circle at constant speed: x = U/w sin wt, y = U/w (1 - cos wt)."""
 
     speed: float  # U [m/s]
@@ -54,28 +49,25 @@ class Circle:
     y0: float = 0.0  # [m]
     heading: float = 0.0  # [rad] direction of travel at t = 0
 
-    start: ClassVar[float] = -math.inf
-    end: ClassVar[float] = math.inf
-
     def __post_init__(self) -> None:
         validate(self, positive=("speed",), nonzero=("turn_rate",))
 
-    def derivatives(self, t: Array) -> Array:
-        """See `Path.derivatives`."""
+    def formulas(self, t: Number, ns: Namespace) -> Pairs:
+        """See `Family.formulas`."""
         U, w = self.speed, self.turn_rate
-        s, c = np.sin(w * t), np.cos(w * t)
+        s, c = ns.sin(w * t), ns.cos(w * t)
         x1, y1 = U * c, U * s
-        return place(self, (y1 / w, (U - x1) / w), (x1, y1), (-w * y1, w * x1), (-(w**2) * x1, -(w**2) * y1))
+        return (y1 / w, (U - x1) / w), (x1, y1), (-w * y1, w * x1), (-(w**2) * x1, -(w**2) * y1)
 
     @classmethod
-    def drawn(cls, speed: float, turn_rate: float, uniform: UniformRange) -> Self:
+    def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:
         """Draw a direction, a turn rate of .4 ... 1 times the largest one, and its sign."""
         heading, magnitude = 2 * math.pi * uniform(), turn_rate * (0.4 + 0.6 * uniform())
-        return cls(speed, magnitude if uniform() < 0.5 else -magnitude, heading=heading)
+        return cls.member(speed, signed(magnitude, uniform), heading=heading)
 
 
 @dataclass(frozen=True)
-class Sine:
+class Sine(Family):
     """A sine wave about a straight axis: x = U t, y = A sin(wt + phase)."""
 
     speed: float  # U [m/s] along the axis
@@ -86,28 +78,25 @@ class Sine:
     y0: float = 0.0  # [m]
     heading: float = 0.0  # [rad] direction of the axis
 
-    start: ClassVar[float] = -math.inf
-    end: ClassVar[float] = math.inf
-
     def __post_init__(self) -> None:
         validate(self, positive=("speed",))
 
-    def derivatives(self, t: Array) -> Array:
-        """See `Path.derivatives`."""
+    def formulas(self, t: Number, ns: Namespace) -> Pairs:
+        """See `Family.formulas`."""
         U, A, w = self.speed, self.amplitude, self.frequency
         theta = w * t + self.phase
-        s, c = np.sin(theta), np.cos(theta)
-        return place(self, (U * t, A * s), (U, A * w * c), (0.0, -A * w**2 * s), (0.0, -A * w**3 * c))
+        s, c = ns.sin(theta), ns.cos(theta)
+        return (U * t, A * s), (U, A * w * c), (0.0, -A * w**2 * s), (0.0, -A * (w * w * w) * c)
 
     @classmethod
-    def drawn(cls, speed: float, turn_rate: float, uniform: UniformRange) -> Self:
+    def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:
         """Draw direction, frequency and phase; the largest turn rate, at the crests, is .8 `turn_rate`."""
         heading, w, phase = 2 * math.pi * uniform(), 2 * turn_rate * (0.4 + 0.6 * uniform()), 2 * math.pi * uniform()
-        return cls(speed, 0.8 * turn_rate * speed / w**2, w, phase, heading=heading)
+        return cls.member(speed, 0.8 * turn_rate * speed / w**2, w, phase, heading=heading)
 
 
 @dataclass(frozen=True)
-class Ellipse:
+class Ellipse(Family):
     """An ellipse at constant eccentric rate: x = a cos th, y = b sin th, th = wt + phase."""
 
     semi_x: float  # a [m]
@@ -118,9 +107,6 @@ class Ellipse:
     y0: float = 0.0  # [m]
     heading: float = 0.0  # [rad] direction of the semi-axis a
 
-    start: ClassVar[float] = -math.inf
-    end: ClassVar[float] = math.inf
-
     def __post_init__(self) -> None:
         validate(self, positive=("semi_x", "semi_y"), nonzero=("frequency",))
 
@@ -130,26 +116,26 @@ class Ellipse:
         speed: float = abs(self.frequency) * (0.5 * (self.semi_x**2 + self.semi_y**2)) ** 0.5
         return speed
 
-    def derivatives(self, t: Array) -> Array:
-        """See `Path.derivatives`."""
+    def formulas(self, t: Number, ns: Namespace) -> Pairs:
+        """See `Family.formulas`."""
         a, b, w = self.semi_x, self.semi_y, self.frequency
         theta = w * t + self.phase
-        s, c = np.sin(theta), np.cos(theta)
+        s, c = ns.sin(theta), ns.cos(theta)
         x, y = a * c, b * s
         x1, y1 = -a * w * s, b * w * c
-        return place(self, (x, y), (x1, y1), (-(w**2) * x, -(w**2) * y), (-(w**2) * x1, -(w**2) * y1))
+        return (x, y), (x1, y1), (-(w**2) * x, -(w**2) * y), (-(w**2) * x1, -(w**2) * y1)
 
     @classmethod
-    def drawn(cls, speed: float, turn_rate: float, uniform: UniformRange) -> Self:
+    def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:
         """Draw direction, b/a in .5 ... 1, largest turn rate |w| a/b in .4 ... 1 `turn_rate`, its sign and phase."""
         heading, ratio = 2 * math.pi * uniform(), 0.5 + 0.5 * uniform()
         w = ratio * turn_rate * (0.4 + 0.6 * uniform())
-        a = speed / (w * math.sqrt(0.5 * (1 + ratio**2)))
-        return cls(a, ratio * a, w if uniform() < 0.5 else -w, 2 * math.pi * uniform(), heading=heading)
+        a = speed / (w * _sqrt(0.5 * (1 + ratio**2)))
+        return cls.member(a, ratio * a, signed(w, uniform), 2 * math.pi * uniform(), heading=heading)
 
 
 @dataclass(frozen=True)
-class FigureEight:
+class FigureEight(Family):
     """The lemniscate of Gerono: x = A sin th, y = A sin th cos th, th = wt + phase.
 
     Its speed is .66 ... 1.41 A|w|, its turn rate at most 3.18 |w|.
@@ -162,9 +148,6 @@ class FigureEight:
     y0: float = 0.0  # [m]
     heading: float = 0.0  # [rad] direction of the long axis
 
-    start: ClassVar[float] = -math.inf
-    end: ClassVar[float] = math.inf
-
     def __post_init__(self) -> None:
         validate(self, positive=("size",), nonzero=("frequency",))
 
@@ -173,20 +156,20 @@ class FigureEight:
         """Nominal speed [m/s], 1.2 A|w|."""
         return 1.2 * self.size * abs(self.frequency)
 
-    def derivatives(self, t: Array) -> Array:
-        """See `Path.derivatives`."""
+    def formulas(self, t: Number, ns: Namespace) -> Pairs:
+        """See `Family.formulas`."""
         A, w = self.size, self.frequency
         theta = w * t + self.phase
-        s, c = np.sin(theta), np.cos(theta)
+        s, c = ns.sin(theta), ns.cos(theta)
         x, y = A * s, A * s * c
         x1, y1 = A * w * c, A * w * (1 - 2 * s * s)
-        return place(self, (x, y), (x1, y1), (-(w**2) * x, -4 * w**2 * y), (-(w**2) * x1, -4 * w**2 * y1))
+        return (x, y), (x1, y1), (-(w**2) * x, -4 * w**2 * y), (-(w**2) * x1, -4 * w**2 * y1)
 
     @classmethod
-    def drawn(cls, speed: float, turn_rate: float, uniform: UniformRange) -> Self:
+    def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:
         """Draw direction, frequency and phase; the lobes turn fastest, at 1.22 ... 1.75 `turn_rate`."""
         heading, w = 2 * math.pi * uniform(), 0.55 * turn_rate * (0.7 + 0.3 * uniform())
-        return cls(speed / (1.2 * w), w, 2 * math.pi * uniform(), heading=heading)
+        return cls.member(speed / (1.2 * w), w, 2 * math.pi * uniform(), heading=heading)
 
 
 PAPER_CIRCLE = Circle(speed=0.1, turn_rate=-0.01, y0=10.0)

@@ -1,25 +1,25 @@
-"""Families given by their course over time, their position an integral: lawnmower and random smooth curve.
-
-Each is elementwise, as the closed ones are.
-"""
+"""Families given by their course over time, their position an integral: lawnmower and random smooth curve."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from functools import reduce
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
 from numpy.polynomial.legendre import leggauss
-from numpy.polynomial.polynomial import polyval
-from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-from auv_gym.physics.namespaces import Array
-from auv_gym.planning.paths.base import UniformRange, place, validate
+from auv_gym.codegen.elementary import polynomial
+from auv_gym.physics.errors import to_world
+from auv_gym.physics.intervals import Uniform, signed
+from auv_gym.physics.namespaces import ARRAYS, Array, Indices, Namespace, Number
+from auv_gym.planning.paths.base import Family, Pairs, as_array, placed, validate
 
 
 def _turn_coefficients() -> Array:
@@ -38,11 +38,12 @@ def _turn_coefficients() -> Array:
 
 
 _TURN = _turn_coefficients()
+_ALONG, _ACROSS = _TURN.T.tolist()
 _TURN_WIDTH = 2 * float(_TURN[:, 1].sum())  # int_0^1 sin(pi S) = .40756: a turn's width over the length of its arc
 
 
 @dataclass(frozen=True)
-class Lawnmower:
+class Lawnmower(Family):
     """A survey at constant speed: straight legs to and fro, joined by half turns to alternating sides.
 
     The heading of a turn is pi S(z), z the share of the turn's duration and S = z^3 (10 - 15 z + 6 z^2), so it is twice
@@ -56,9 +57,6 @@ class Lawnmower:
     y0: float = 0.0  # [m]
     heading: float = 0.0  # [rad] direction of the first leg
 
-    start: ClassVar[float] = -math.inf
-    end: ClassVar[float] = math.inf
-
     def __post_init__(self) -> None:
         validate(self, positive=("speed", "leg"), nonzero=("spacing",))
 
@@ -67,37 +65,38 @@ class Lawnmower:
         """Duration T of a half turn [s]; its largest turn rate is 15 pi / (8 T)."""
         return abs(self.spacing) / (_TURN_WIDTH * self.speed)
 
-    def derivatives(self, t: Array) -> Array:
-        """See `Path.derivatives`."""
+    def formulas(self, t: Number, ns: Namespace) -> Pairs:
+        """See `Family.formulas`."""
         U, T, straight = self.speed, self.turn_time, self.leg / self.speed
-        k = np.floor(t / (straight + T))  # legs completed
-        ahead = 1 - 2 * (k % 2)  # 1 on the way out, -1 on the way back
-        port = np.sign(self.spacing)
+        port = ns.where(self.spacing < 0, -1.0, 1.0)
+        k = ns.floor(t / (straight + T))  # legs completed
+        back = k - 2 * ns.floor(k / 2)  # 1 on the way back, 0 on the way out
+        ahead = 1 - 2 * back
         since = t - k * (straight + T)  # [s] on this leg and its turn
-        z = np.minimum(np.maximum((since - straight) / T, 0.0), 1.0)
+        z = ns.clip((since - straight) / T, 0.0, 1.0)
         v, rest = 2 * z - 1, z * (1 - z)
         angle = math.pi * z * z * z * (10 - 15 * z + 6 * z * z)
         rate, acceleration = 30 * math.pi / T * rest**2, -60 * math.pi / T**2 * rest * v
-        along, across = polyval(v * v, _TURN)
-        s, c = U * np.sin(angle), U * np.cos(angle)
-        x = 0.5 * (1 - ahead) * self.leg + ahead * (U * np.minimum(since, straight) + U * T * along)
+        along, across = polynomial(v * v, _ALONG), polynomial(v * v, _ACROSS)
+        s, c = U * ns.sin(angle), U * ns.cos(angle)
+        x = back * self.leg + ahead * (U * ns.clip(since, -math.inf, straight) + U * T * along)
         y = self.spacing * (k + 0.5 + v * across / _TURN_WIDTH)
         x1, y1 = ahead * c, port * s
         x2, y2 = -ahead * rate * s, port * rate * c
         x3, y3 = -ahead * acceleration * s - rate**2 * x1, port * acceleration * c - rate**2 * y1
-        return place(self, (x, y), (x1, y1), (x2, y2), (x3, y3))
+        return (x, y), (x1, y1), (x2, y2), (x3, y3)
 
     @classmethod
-    def drawn(cls, speed: float, turn_rate: float, uniform: UniformRange) -> Self:
+    def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:
         """Draw direction, largest turn rate .7 ... 1 `turn_rate`, side of the first turn, leg .2 ... 1 spacing."""
         heading, turn_time = 2 * math.pi * uniform(), 15 * math.pi / (8 * turn_rate * (0.7 + 0.3 * uniform()))
         spacing = _TURN_WIDTH * speed * turn_time
-        port = uniform() < 0.5
-        return cls(speed, spacing * (0.2 + 0.8 * uniform()), spacing if port else -spacing, heading=heading)
+        side = signed(spacing, uniform)
+        return cls.member(speed, spacing * (0.2 + 0.8 * uniform()), side, heading=heading)
 
 
 @dataclass(frozen=True)
-class RandomSmooth:
+class RandomSmooth(Family):
     """Speed and turn rate as sums of sines: V = U (1 + e sin(w0 t + p0)), turn rate sum_i A_i sin(w_i t + p_i).
 
     The heading is a closed form, the position its integral. Each sum has three terms.
@@ -114,9 +113,6 @@ class RandomSmooth:
     y0: float = 0.0  # [m]
     heading: float = 0.0  # [rad] direction of travel at t = 0
 
-    start: ClassVar[float] = -math.inf
-    end: ClassVar[float] = math.inf
-
     def __post_init__(self) -> None:
         triples = ("turn_rates", "frequencies", "phases")
         validate(self, positive=("speed", "frequencies"), triples=triples)
@@ -126,38 +122,53 @@ class RandomSmooth:
             if isinstance(getattr(self, name), list):  # as JSON has it
                 object.__setattr__(self, name, tuple(getattr(self, name)))
 
+    @property
+    def numbers(self) -> Sequence[float]:
+        """See `Family.numbers`: those of the speed, of each sine of the turn rate, and `longest_step`."""
+        sines = zip(self.turn_rates, self.frequencies, self.phases, strict=True)
+        speed = self.speed, self.speed_variation, self.speed_frequency, self.speed_phase
+        return [*speed, *(number for sine in sines for number in sine), self.longest_step]
+
+    @property
+    def longest_step(self) -> float:
+        """Largest step [s] of the position's integral: .02 rad of the fastest sine or turn."""
+        rates = (sum(map(abs, self.turn_rates)), *self.frequencies, abs(self.speed_frequency))
+        return 0.02 / (max(rates) if isinstance(rates[0], float) else reduce(np.maximum, rates))
+
+    def formulas(self, t: Number, ns: Namespace) -> Pairs:
+        """Return what `Family.formulas` does, but for the position, which is left at 0: it is an integral."""
+        course: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
+        for sine in zip(self.turn_rates, self.frequencies, self.phases, strict=True):
+            course = turned(course, sine, t, ns)
+        return ((0.0, 0.0), *self.rates(course, t, ns))
+
+    def rates(self, course: Sequence[Number], t: Number, ns: Namespace) -> Pairs:
+        """Return velocity and its first two time derivatives for the direction of travel [rad] and its two rates."""
+        beta, rate, acceleration = course
+        theta = self.speed_frequency * t + self.speed_phase
+        swing = self.speed * self.speed_variation
+        s, c = swing * ns.sin(theta), swing * ns.cos(theta)
+        V, V1, V2 = self.speed + s, self.speed_frequency * c, -(self.speed_frequency**2) * s
+        local = (V, 0.0), (V1, V * rate), (V2 - V * rate * rate, 2 * V1 * rate + V * acceleration)
+        c, s = ns.cos(beta), ns.sin(beta)
+        return [to_world(along, across, c, s) for along, across in local]
+
     def derivatives(self, t: Array) -> Array:
         """See `Path.derivatives`.
 
-        Whatever the spacing of the times, the steps of the position's integral are at most .02 rad of the fastest sine
-        or turn: the error stays below 1e-12 m over hundreds of metres.
+        Whatever the spacing of the times, the steps of the position's integral are at most `longest_step`: the error
+        stays below 1e-12 m over hundreds of metres.
         """
         t = np.asarray(t, dtype=np.float64)
-        rates = (sum(map(abs, self.turn_rates)), *self.frequencies, abs(self.speed_frequency))
-        grid, rows, origin = _refined(t.ravel(), 0.02 / np.max(rates))
+        grid, rows, origin = _refined(t.ravel(), np.min(self.longest_step))
         grid = grid.reshape(-1, *(1,) * np.ndim(self.speed))
-
-        theta = self.speed_frequency * grid + self.speed_phase
-        swing = self.speed * self.speed_variation
-        s, c = swing * np.sin(theta), swing * np.cos(theta)
-        V, V1, V2 = self.speed + s, self.speed_frequency * c, -(self.speed_frequency**2) * s
-        beta, rate, acceleration = np.asarray(self.heading), np.zeros(1), np.zeros(1)  # direction of travel
-        for A, w, p in zip(self.turn_rates, self.frequencies, self.phases, strict=True):
-            theta = w * grid + p
-            s, c = A * np.sin(theta), A * np.cos(theta)
-            beta, rate, acceleration = beta + (A * np.cos(p) - c) / w, rate + s, acceleration + w * c
-
-        z = np.empty((4, *np.shape(V)), dtype=np.complex128)  # x + iy: z' = V exp(i beta)
-        direction = np.cos(beta) + 1j * np.sin(beta)
-        z[1] = V * direction
-        z[2] = (V1 + 1j * (V * rate)) * direction
-        z[3] = (V2 - V * rate * rate + 1j * (2 * V1 * rate + V * acceleration)) * direction
-        z[0] = self.x0 + 1j * np.asarray(self.y0) + _integral(grid, z[1], z[2], z[3], origin)
-        z = z.take(rows, axis=1).reshape(4, *np.broadcast_shapes(t.shape, np.shape(self.speed)))
-        return np.stack((z.real, z.imag), axis=1)
+        local: Any = as_array(self.formulas(grid, ARRAYS))
+        local[0] = _integral(grid, local[1:], origin)
+        curve = as_array(placed(local, (self.x0, self.y0, self.heading), ARRAYS))
+        return curve.take(rows, axis=2).reshape(4, 2, *np.broadcast_shapes(t.shape, np.shape(self.speed)))
 
     @classmethod
-    def drawn(cls, speed: float, turn_rate: float, uniform: UniformRange) -> Self:
+    def drawn(cls, speed: Number, turn_rate: float, uniform: Uniform) -> Self:
         """Draw direction, shares of the three sines in `turn_rate`, frequencies .3 ... 1.2 `turn_rate` and phases."""
 
         def three(low: float, high: float) -> tuple[float, float, float]:
@@ -168,7 +179,7 @@ class RandomSmooth:
         a, b, c = three(0.2, 1.0)
         scale = turn_rate / (a + b + c)
         frequencies, phases = three(0.3 * turn_rate, 1.2 * turn_rate), three(0.0, 2 * math.pi)
-        return cls(
+        return cls.member(
             speed,
             (scale * a, scale * b, scale * c),
             frequencies,
@@ -182,7 +193,7 @@ class RandomSmooth:
 _NODES, _WEIGHTS = 0.5 * leggauss(10)[0] + 0.5, 0.5 * leggauss(10)[1]  # Gauss-Legendre on [0, 1]
 
 
-def _refined(t: Array, longest: float) -> tuple[Array, NDArray[np.int64], int]:
+def _refined(t: Array, longest: float) -> tuple[Array, Indices, int]:
     """Return ascending times with 0 among them and steps of at most `longest`, and where in it `t` and 0 are."""
     k = int(np.searchsorted(t, 0.0))
     knots = np.concatenate((t[:k], [0.0], t[k:]))
@@ -192,14 +203,36 @@ def _refined(t: Array, longest: float) -> tuple[Array, NDArray[np.int64], int]:
     return grid, np.concatenate((rows[:k], rows[k + 1 :])), int(rows[k])
 
 
-def _integral(t: Array, f: NDArray[Any], f1: NDArray[Any], f2: NDArray[Any], origin: int) -> NDArray[Any]:
-    """Return the integral of f from t[origin] to each t, along axis 0, from f and its derivatives f1, f2 at the same t.
+def turned(course: Sequence[Number], sine: Sequence[Number], t: Number, ns: Namespace) -> tuple[Number, Number, Number]:
+    """Return a direction of travel [rad] and its first two rates with another sine of the turn rate.
 
-    Two-point Hermite quadrature, exact for quintics: a step h contributes an error of h^7 f^(6) / 100800.
+    Args:
+        course: the same without it.
+        sine: A [rad/s], w [rad/s], p [rad] of A sin(w t + p).
+        t: time [s]; at 0 the direction stays.
+        ns: the namespace of the numbers.
     """
-    h = np.diff(t, axis=0)
-    total = np.zeros_like(f)
-    pieces = h / 2 * (f[1:] + f[:-1] - h / 5 * (f1[1:] - f1[:-1] - h / 12 * (f2[1:] + f2[:-1])))
-    np.cumsum(pieces, axis=0, out=total[1:])
-    total -= total[origin]
+    beta, rate, acceleration = course
+    A, w, p = sine
+    theta = w * t + p
+    s, c = A * ns.sin(theta), A * ns.cos(theta)
+    return beta + (A * ns.cos(p) - c) / w, rate + s, acceleration + w * c
+
+
+def travelled(h: Number, before: Pairs, after: Pairs) -> tuple[Number, Number]:
+    """Return the way x, y [m] in a time step h [s], for velocities and their first two derivatives at its ends.
+
+    Two-point Hermite quadrature, exact for quintics: a step contributes an error of h^7 f^(6) / 100800.
+    """
+    axes = zip(zip(*before, strict=True), zip(*after, strict=True), strict=True)
+    x, y = (h / 2 * (g + f - h / 5 * (g1 - f1 - h / 12 * (g2 + f2))) for (f, f1, f2), (g, g1, g2) in axes)
+    return x, y
+
+
+def _integral(t: Array, rates: Any, origin: int) -> Array:
+    """Return the way from t[origin] to each t, shape (2, T, ...), for `rates` (3, 2, T, ...) there."""
+    total: Array = np.zeros_like(rates[0])
+    pieces = travelled(np.diff(t, axis=0), rates[:, :, :-1], rates[:, :, 1:])
+    np.cumsum(pieces, axis=1, out=total[:, 1:])
+    total -= total[:, origin, None]
     return total

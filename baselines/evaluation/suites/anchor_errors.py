@@ -1,6 +1,6 @@
 """What the anchors do in the cells of a frozen suite, kept beside it: the ends of a validation's score.
 
-`python -m research suites yardsticks NAME` measures and writes them.
+`python -m research suites anchor-errors NAME` measures and writes them.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def write_anchor_errors(suite: Suite, file: Path = ANCHOR_ERRORS_FILE) -> None:
 
 @cache
 def _kept(file: Path) -> dict[str, AnchorErrors]:
-    """Return a file's yardsticks by the hash of their cell."""
+    """Return the anchor errors of a file by the hash of their cell."""
     cells = [record for suite in read_json(file).values() for record in suite.values()]
     return {record["cell"]: AnchorErrors(record["expert_m"], record["oracle_m"]) for record in cells}
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from auv_gym.envs.lanes import Lanes, ReadyEpisode
+from auv_gym.envs.lanes import Lanes, ReadyEpisodes
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Coefficients, Vehicle
 from auv_gym.scenarios.scenario import Scenario
@@ -116,7 +116,7 @@ class TrainingVehicles:
             vehicle = self._lanes.scenarios[i].vehicle
             self.known[:, i] = (self._model(vehicle, self._rng) if self._model else vehicle).coefficients
 
-    def _planned(self, lanes: NDArray[np.int64]) -> list[ReadyEpisode]:
+    def _planned(self, lanes: NDArray[np.int64]) -> list[ReadyEpisodes]:
         """Return the next episodes of some vehicles; where no path can be followed each goes on to its next turn."""
         for left in reversed(range(TURNS)):
             self._begun[lanes] += 1

@@ -22,6 +22,7 @@ from auv_gym.scenarios.exogenous import (
     WAVE_ROWS,
     WEATHER,
     Errors,
+    least_speed,
     wave_components,
     weather_of,
 )
@@ -138,11 +139,13 @@ def path_record(speed_range: str, path: Path, ahead: int) -> dict[str, Any]:
     """Return a path's reference table and where it goes behind the end, as numbers of double precision in base64."""
     table = _table(speed_range, path)
     preview = Preview(1, tuple(range(1, ahead + 1)), LIVE_STEPS)
-    preview.load((0,), (path,), (PRESETS[f"{speed_range}-calm"].control_dt,))
+    preview.load((0,), (path,), PRESETS[f"{speed_range}-calm"].control_dt, (table,))
     beyond = table[-1, :2] + preview.ahead((0,), LIVE_STEPS)[:, :, 0]
     storm = PRESETS[f"{speed_range}-storm"]
     current = episode_of(speed_range, "storm", path, 0).current
-    weather = weather_of(current, storm.control_dt, table, Errors(*storm.sensors.noise), Errors(*[0.0] * 6))
+    weather = weather_of(
+        current, storm.control_dt, least_speed([table]), Errors(*storm.sensors.noise), Errors(*[0.0] * 6)
+    )
     return {
         "table": encoded(table, np.float64),
         "beyond": encoded(beyond, np.float64),
@@ -173,7 +176,7 @@ def seed_record(speed_range: str, path: Path, seed: int) -> dict[str, Any]:
     """Return what an episode of a regime is made of: its vehicles, the waves at their full height, and its start."""
     waves = episode_of(speed_range, "waves", path, seed).waves
     calm = episode_of(speed_range, "calm", path, seed)
-    components = wave_components(waves, PRESETS[f"{speed_range}-waves"].control_dt)
+    components = wave_components(waves, PRESETS[f"{speed_range}-waves"].control_dt).ravel()
     assert len(components) == COMPONENTS * WAVE_ROWS
     return {
         "vehicles": {name: _constants(speed_range, case, path, seed) for name, case in _VEHICLES.items()},

@@ -9,7 +9,21 @@ from auv_gym.codegen.graph import SYMBOLS, Symbol, single
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.codegen.plain import JAVASCRIPT_DIALECT, plain_function, tangent_function
 from auv_gym.codegen.vectors import plain_program
-from auv_gym.scenarios.exogenous import sea_kernel
+from auv_gym.physics.rows import filled
+from auv_gym.scenarios.exogenous import (
+    GUST_ROWS,
+    GUSTS,
+    MEASUREMENT_NORMALS,
+    NORMALS,
+    WAVE_ROWS,
+    WEATHER,
+    WEATHER_ROWS,
+    Gust,
+    gusty_current,
+    measurement_errors,
+    next_gust,
+    wave_load,
+)
 from auv_gym.task.kernels import start_kernel, step_kernel
 from auv_gym.task.observation import SIZE, Observation, action_of, decode
 from auv_gym.task.policy import Law
@@ -58,7 +72,7 @@ def kernels() -> dict[str, Kernel]:
     return {
         "start": start_kernel(_PARTS),
         "step": step_kernel(_PARTS),
-        "sea": sea_kernel(COMPONENTS),
+        "sea": _sea_kernel(),
         "decoded": Kernel.traced(lambda seen: {"terms": decode(seen, SYMBOLS)}, {"seen": SIZE}),
         "forcesToAction": Kernel.traced(_action, {"terms": SIZE, "force": 2}),
         "filter": filter_kernel(),
@@ -66,6 +80,20 @@ def kernels() -> dict[str, Kernel]:
         "ekfLaw": law_kernel(),
         **{name: _law_kernel(law) for name, law in LAWS.items()},
     }
+
+
+def _sea_kernel() -> Kernel:
+    """Return the kernel of all that is no reference in a sample, for the gusts at the control instant before it."""
+
+    def equation(gust: Any, normals: Any, weather: Any, waves: Any) -> dict[str, Any]:
+        w, k = filled(WEATHER, weather), gust[0]
+        after = next_gust(Gust(*gust), normals[GUSTS], w, SYMBOLS)
+        current = gusty_current(k, (after.s_x, after.s_y), w, SYMBOLS)
+        load = wave_load(k, [waves[i : i + WAVE_ROWS] for i in range(0, len(waves), WAVE_ROWS)], SYMBOLS)
+        return {"gust": after, "sea": (*current, *load, *measurement_errors(normals[MEASUREMENT_NORMALS], w), 1.0)}
+
+    rows = {"gust": GUST_ROWS, "normals": NORMALS, "weather": WEATHER_ROWS, "waves": WAVE_ROWS * COMPONENTS}
+    return Kernel.traced(equation, rows)
 
 
 def _believed(rough: Any, calm: Any) -> dict[str, Any]:

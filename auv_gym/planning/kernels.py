@@ -1,0 +1,217 @@
+"""The equations of a plan as kernels, whose lanes are the samples of one path, and the C that calls them in turn."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from functools import cache
+from pathlib import Path as FilePath
+from typing import Any
+
+from auv_gym.codegen.graph import SYMBOLS
+from auv_gym.codegen.kernel import Kernel, together
+from auv_gym.physics.vehicle import Coefficients
+from auv_gym.planning.feasibility import bends, brakes, holds, moves, torque_limit
+from auv_gym.planning.paths import PATHS
+from auv_gym.planning.paths.base import POSE, Family, placed
+from auv_gym.planning.paths.turning import RandomSmooth, travelled, turned
+from auv_gym.planning.sideslip import (
+    ORDER,
+    RATES,
+    TERMS,
+    PathRates,
+    in_sideslip,
+    path_rates,
+    plus,
+    response,
+    sideslip_rest,
+    sideslip_terms,
+    steady_sideslip,
+)
+
+FAMILIES: list[type] = [f for f in PATHS.values() if issubclass(f, Family) and f is not RandomSmooth]
+"""Those whose position has a formula, in the order in which the driver has them; `RandomSmooth` comes behind them."""
+FIXED_POINT = 12  # iterations for the first samples, which settle within fewer
+VEHICLE = len(Coefficients._fields)  # how many numbers a vehicle has
+LIMITS = 8  # F_u_max, F_r_max, fin, and the largest |u|, |v|, |r|, |F_u|, |F_r| that may be planned
+
+
+@cache
+def kernels() -> Mapping[str, Kernel]:
+    """Return the kernels by the names that the driver calls them by."""
+    alone = {
+        "turned": _turned(),
+        "velocity": _velocity(),
+        "travelled": _travelled(),
+        "look_along": _look_along(),
+        "bends": _bends(),
+        "steady": _steady(),
+        "opening": _opening(),
+        "recursion": _recursion(),
+        "slips": _slips(),
+        "motion": _motion(),
+    }
+    return {**{family.__name__: _curve(family) for family in FAMILIES}, **alone}
+
+
+@cache
+def driver(many: bool = True) -> Callable[..., int] | None:
+    """Return the compiled `plan` of driver.c; None where there is no compiler.
+
+    That for `many` plans takes half the time of the other, and a compiler twice the time.
+    """
+    names = ", ".join(family.__name__ for family in FAMILIES)
+    sizes = {"FAMILY_COUNT": len(FAMILIES), "FIXED_POINT": FIXED_POINT, "VEHICLE": VEHICLE, "LIMITS": LIMITS}
+    constants = {"FAMILIES": names, **sizes}
+    head = "".join(f"#define {name} {value}\n" for name, value in constants.items())
+    library = together(
+        kernels(), head + FilePath(__file__).with_name("driver.c").read_text(encoding="utf-8"), many=many
+    )
+    if library is None:
+        return None
+    function: Callable[..., int] = library.plan
+    library.plan.argtypes = [ctypes.c_int] + [ctypes.c_void_p] * 5
+    return function
+
+
+def _of(family: type, numbers: Mapping[str, Any]) -> Any:
+    """Return a path of symbols, without its pose."""
+    path: Any = object.__new__(family)
+    for name, number in numbers.items():
+        object.__setattr__(path, name, number)
+    return path
+
+
+def _curve(family: type) -> Kernel:
+    """Return `Family.formulas`."""
+    names = [field.name for field in fields(family)][: -len(POSE)]
+
+    def equation(t: Any, p: Any) -> dict[str, Any]:
+        path = _of(family, dict(zip(names, p, strict=True)))
+        return {"derivatives": [number for pair in path.formulas(t[0], SYMBOLS) for number in pair]}
+
+    return Kernel.traced(equation, {"t": 1, "p": len(names)}, shared=["p"])
+
+
+def _turned() -> Kernel:
+    """Return the course of a `RandomSmooth` with one more sine at each step."""
+
+    def equation(course: Any, t: Any, sine: Any) -> dict[str, Any]:
+        return {"course": turned(course, sine, t[0], SYMBOLS)}
+
+    return Kernel.traced(equation, {"course": 3, "t": 1, "sine": 3}, ["sine"], shared=["sine"])
+
+
+def _velocity() -> Kernel:
+    """Return velocity, acceleration and jerk of a `RandomSmooth` for its course."""
+    names = ("speed", "speed_variation", "speed_frequency", "speed_phase")
+
+    def equation(course: Any, t: Any, p: Any) -> dict[str, Any]:
+        path = _of(RandomSmooth, dict(zip(names, p, strict=True)))
+        return {"rates": [number for pair in path.rates(course, t[0], SYMBOLS) for number in pair]}
+
+    return Kernel.traced(equation, {"course": 3, "t": 1, "p": len(names)}, shared=["p"])
+
+
+def _travelled() -> Kernel:
+    """Return the way between two samples."""
+
+    def equation(t: Any, next_t: Any, rates: Any, next_rates: Any) -> dict[str, Any]:
+        return {"way": travelled(next_t[0] - t[0], _pairs(rates), _pairs(next_rates))}
+
+    return Kernel.traced(equation, {"t": 1, "next_t": 1, "rates": 6, "next_rates": 6})
+
+
+def _look_along() -> Kernel:
+    """Return what there is along a path: its rates, the terms of its sideslip, and what it asks of the integration."""
+
+    def equation(derivatives: Any, pose: Any, scale: Any, coefficients: Any) -> dict[str, Any]:
+        c = Coefficients(*coefficients)
+        pairs = placed(_pairs(derivatives), pose, SYMBOLS)
+        along = path_rates(pairs, SYMBOLS)
+        braking, limit = brakes(along.v_p, along.v_p_dot, c)
+        return {
+            "position": pairs[0],
+            "along": [getattr(along, name) for name in RATES],
+            "terms": [scale[0] * term for term in sideslip_terms(along, c)],
+            "response": [response(along, c, SYMBOLS)],
+            "refused": [~(moves(along.v_p) & (braking < limit))],
+        }
+
+    rows = {"derivatives": 8, "pose": 3, "scale": 1, "coefficients": VEHICLE}
+    return Kernel.traced(equation, rows, shared=["pose", "scale", "coefficients"])
+
+
+def _bends() -> Kernel:
+    """Return how many full turns a direction jumps from one sample to the next, and whether the path turns too far."""
+
+    def equation(beta: Any, next_beta: Any) -> dict[str, Any]:
+        change = next_beta[0] - beta[0]
+        return {"turns": [SYMBOLS.floor(change / (2 * math.pi) + 0.5)], "refused": [~bends(change, SYMBOLS)]}
+
+    return Kernel.traced(equation, {"beta": 1, "next_beta": 1})
+
+
+def _steady() -> Kernel:
+    """Return `steady_sideslip`."""
+
+    def equation(along: Any, coefficients: Any) -> dict[str, Any]:
+        return {"w": [steady_sideslip(PathRates(*along), Coefficients(*coefficients), SYMBOLS)]}
+
+    return Kernel.traced(equation, {"along": len(RATES), "coefficients": VEHICLE}, shared=["coefficients"])
+
+
+def _opening() -> Kernel:
+    """Return one iteration for the first `ORDER` samples jointly: a fixed point of the integral over their interpolant.
+
+    `inputs` are the terms of each sample; `weights` the decays to all but the first, then the weights of each.
+    """
+
+    def equation(u: Any, inputs: Any, weights: Any) -> dict[str, Any]:
+        terms = (inputs[j : j + TERMS] for j in range(0, TERMS * ORDER, TERMS))
+        F = [sideslip_rest(parts, w, SYMBOLS.sqrt) for parts, w in zip(terms, u, strict=True)]
+        decays, rows = weights[: ORDER - 1], [weights[j : j + ORDER] for j in range(ORDER - 1, len(weights), ORDER)]
+        after = [plus(decay * u[0], row, F) for decay, row in zip(decays, rows, strict=True)]
+        return {"u": (u[0], *after), "rest": F}
+
+    return Kernel.traced(equation, {"u": ORDER, "inputs": TERMS * ORDER, "weights": (ORDER - 1) * (ORDER + 1)})
+
+
+def _recursion() -> Kernel:
+    """Return one step of the formula; `history` is u_n, F_(n-1), F_(n-2), F_(n-3), `weights` decay and g_3 ... g_0."""
+
+    def equation(history: Any, weights: Any, inputs: Any) -> dict[str, Any]:
+        u_n, *past = history
+        F = [sideslip_rest(inputs, u_n, SYMBOLS.sqrt), *past]
+        decay, *g = weights
+        u = plus(decay * u_n, g[::-1], F)
+        return {"history": (u, *F[:-1]), "u": (u,)}
+
+    return Kernel.traced(equation, {"history": ORDER, "weights": ORDER + 1, "inputs": TERMS}, ["inputs", "u"])
+
+
+def _slips() -> Kernel:
+    """Return whether a sideslip is too large."""
+    return Kernel.traced(lambda w: {"refused": [~holds(w[0])]}, {"w": 1})
+
+
+def _motion() -> Kernel:
+    """Return `in_sideslip`, and whether it is beyond one of the `LIMITS`."""
+
+    def equation(along: Any, w: Any, coefficients: Any, limits: Any) -> dict[str, Any]:
+        *motion, F_u, F_r, gamma = in_sideslip(
+            PathRates(*along), w[0], Coefficients(*coefficients), (0.0, 0.0), SYMBOLS
+        )
+        valid = (abs(F_u) <= limits[0]) & (abs(F_r) <= torque_limit(motion[1], limits[:3], SYMBOLS))
+        for number, most in zip((*motion[1:], F_u, F_r), limits[3:], strict=True):
+            valid = valid & (abs(number) <= most)
+        return {"motion": (*motion, F_u, F_r), "gamma": [gamma], "refused": [~valid]}
+
+    rows = {"along": len(RATES), "w": 1, "coefficients": VEHICLE, "limits": LIMITS}
+    return Kernel.traced(equation, rows, shared=["coefficients", "limits"])
+
+
+def _pairs(rows: Sequence[Any]) -> list[tuple[Any, Any]]:
+    return list(zip(rows[::2], rows[1::2], strict=True))
