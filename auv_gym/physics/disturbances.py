@@ -15,7 +15,7 @@ import numpy as np
 
 from auv_gym.physics.intervals import Interval, Uniform, by_library, check_interval, check_number, draw
 from auv_gym.physics.namespaces import Number
-from auv_gym.physics.vehicle import LARGEST_PARAMETER, MIN_MASS_RATIO, Coefficients, CrossFlow, Vehicle
+from auv_gym.physics.vehicle import LARGEST_PARAMETER, MIN_MASS_RATIO, Coefficients, Vehicle
 
 _cos, _sin = by_library(math.cos), by_library(math.sin)
 
@@ -141,8 +141,6 @@ class RandomMismatch:
     """Distribution of the true vehicle about the known one, as factors; m22 stays above m11.
 
     The factor of a drag is that of its linear and quadratic part, and of the lift that grows with the surge velocity.
-    Cross-flow has the smaller one of the factors of sway and yaw, so that damping takes power in every draw; the surge
-    loss in turns has that of the surge drag.
     """
 
     mass: Interval = 1.0  # on m11 and m22 together
@@ -197,10 +195,9 @@ class RandomMismatch:
             vehicle.Y_ur,
             vehicle.N_uv,
             vehicle.N_ur * d33,
-            **_crossed(vehicle, d11, min(d22, d33))._asdict(),
         )
 
-    def extremes(self, vehicle: Vehicle) -> tuple[Any, ...]:
+    def extremes(self, vehicle: Vehicle) -> Coefficients:
         """Return the stiffest vehicles that may be drawn about this one: light ones, with drag of all kinds; rows.
 
         More quadratic drag is a faster decay, less lets a vehicle become faster.
@@ -210,7 +207,7 @@ class RandomMismatch:
         ratio, d11, d22, d33, q = np.array([*corners]).T
         X_uu, Y_vv, N_rr = self.quadratic_drag
         one = np.ones_like(ratio)
-        bare = Coefficients(
+        return Coefficients(
             vehicle.m11 * mass * one,
             vehicle.m22 * mass * ratio,
             vehicle.m33 * m33 * one,
@@ -225,13 +222,6 @@ class RandomMismatch:
             vehicle.N_uv * one,
             vehicle.N_ur * d33,
         )
-        return (*bare, *_crossed(vehicle, d11, np.minimum(d22, d33))) if any(vehicle.cross_flow) else bare
-
-
-def _crossed(vehicle: Vehicle, surge: Any, turning: Any) -> CrossFlow:
-    """Return the cross-flow of a vehicle with its surge loss and its damping multiplied by factors."""
-    factors = (surge if name[0] == "X" else turning for name in CrossFlow._fields)
-    return CrossFlow(*(c * factor for c, factor in zip(vehicle.cross_flow, factors, strict=True)))
 
 
 def _ends(interval: Interval) -> tuple[float, float]:
