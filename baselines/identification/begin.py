@@ -20,6 +20,7 @@ from baselines.identification.model import (
     LogModel,
     parameter_names,
 )
+from baselines.identification.prediction import Windows
 from baselines.identification.start import START_WINDOWS, Begin, RoughStart, rough_start
 from baselines.identification.stern_start import stern_start
 from baselines.identification.uncertainty import rough_noise
@@ -34,7 +35,6 @@ RELAXATIONS = 3.0  # length of a segment, in the longest time constant of the dr
 FEWEST = 3  # segments of a log
 SHORTEST_SEGMENT = 20  # rows
 FIRST_SEGMENT = 15  # rows of the segments of a first, rough fit: in so short a time nothing can go far astray
-LENGTHS = 5.0  # that a vessel with a rudder moves in a segment
 _PIECES = 10  # segments of a log in which it is looked for what shows at all
 EVIDENCE = 30.0  # [variances of the noise] by which limits must explain the log better than none do
 _FAINT = 8.0  # [standard deviations] effect below which nothing shows
@@ -192,15 +192,16 @@ def short_segments(log: Log) -> Indices:
 
 
 def segment_length(log: Log, values: Array, segment: float) -> float:
-    """Return the length of a segment [s] that is given, or goes by the time constants of the vehicle."""
+    """Return the length of a segment [s] that is given, or goes by the time constants of the vehicle.
+
+    In logs of a rudder it is that of the predictions of held-out runs.
+    """
     if segment:
         return segment
     longest = log.duration / FEWEST
     if log.kind == "force":
         return min(max(RELAXATIONS * float((values[:3] / values[3:6]).max()), SHORTEST_SEGMENT * log.dt), longest)
-    names = parameter_names(log.kind, log.wind is not None, len(log.starts))
-    speed = float(np.sqrt(np.mean(log.measured[:, 3] ** 2)))
-    return min(max(2 * LENGTHS * float(values[names.index("arm")]) / speed, SHORTEST_SEGMENT * log.dt), longest)
+    return min(max(Windows.horizon, SHORTEST_SEGMENT * log.dt), longest)
 
 
 def segment_starts(log: Log, length: float) -> Indices:

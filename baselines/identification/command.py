@@ -68,7 +68,8 @@ class Options:
     through_water: bool = False
     """The speeds u, v are those through the water, not over ground."""
     segment: float = 0.0
-    """Length [s] of the pieces that are predicted from a first state. Default: by the vehicle's time constants."""
+    """Length [s] of the pieces that are predicted from a first state. Default: by the vehicle's time constants; in
+    logs of a rudder 60 s."""
     like: Annotated[str | None, arg(metavar="VEHICLE", help_behavior_hint="")] = None
     """A vehicle by name or file, to take what the log does not show from."""
     out: Path = Path("runs/identify")

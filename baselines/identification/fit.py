@@ -33,8 +33,9 @@ from baselines.identification.start import Begin
 from baselines.identification.stern_start import NOT_NEGATIVE_STERN
 from baselines.identification.uncertainty import NORMAL_QUANTILE, covariance, found_noise, rough_noise, whiteness
 
-IDENTIFIED = "identified"  # what a log says of a parameter, as are the next three: its interval is narrow enough
+IDENTIFIED = "identified"  # what a log says of a parameter, as are the next four: its interval is narrow enough
 ZERO = "not told from 0, taken as 0"  # its interval holds zero
+SMALL = "not told from 0, kept small"  # the same, where a prior keeps it small instead
 UNREACHED = "not reached"  # a limit that no command came up to
 UNKNOWN = "not identified"  # nothing in the log depends on it enough
 KNOWN = "given"  # it was not searched for
@@ -58,7 +59,7 @@ class ParameterEstimate:
     value: float  # what the fit takes; nan where it is not identified, inf for a limit that was not reached
     low: float  # 95 % interval
     high: float
-    verdict: str  # IDENTIFIED, ZERO, UNREACHED, UNKNOWN, KNOWN or LEFT_OUT
+    verdict: str  # IDENTIFIED, ZERO, SMALL, UNREACHED, UNKNOWN, KNOWN or LEFT_OUT
 
 
 @dataclass(frozen=True)
@@ -143,7 +144,8 @@ def identify(
             that too in a log of a rudder. Each is dropped where the log does not tell it from 0, one after the other,
             the least certain one first.
         over_ground: whether u, v are measured over ground; else through the water.
-        segment: length [s] of the pieces that are predicted from a first state; 0: by the vehicle's time constants.
+        segment: length [s] of the pieces that are predicted from a first state; 0: by the vehicle's time constants, or
+            60 s in a log of a rudder.
         known: values of parameters by name that are not searched for.
 
     Raises:
@@ -177,8 +179,9 @@ def identify(
     if search is None:
         raise ValueError(FAILED_START)
     found = search.run()
-    if not found.misfit and begin.sizes is not None:  # the log itself shows what it needs to
-        found = _Search(search.model, replace(begin, values=found.values, sizes=None), known, candidates).run()
+    if begin.sizes is not None:
+        own = _Search(search.model, replace(begin, values=found.values, sizes=None), known, candidates)
+        found = own.run() if own.explains() else found  # the log itself shows what it needs to
     if found.misfit and terms is None and log.kind == "force":
         more = _Search(search.model, begin.with_terms(CROSS_FLOW), known, (*candidates, *CROSS_FLOW)).run()
         gain = len(log.t) * float(np.sum(np.log(found.noise / more.noise)))
@@ -225,11 +228,16 @@ class _Search:
         self.white = whiteness(self.left.errors, self.model.starts)
         self.spread = covariance(self.left, self.model.starts, self.white < DOUBT)
 
+    def explains(self) -> bool:
+        """Whether the model explains the log with all that is free."""
+        self._refit()
+        return self.white >= DOUBT
+
     def run(self) -> Identified:
-        """Return what there is once everything that is left is told from nothing."""
+        """Return what there is once everything that remains is told from nothing, or at once with a prior."""
         self._refit()
         self._refit()
-        while (name := self._least_certain()) is not None:
+        while self.begin.sizes is None and (name := self._least_certain()) is not None:
             estimate = self._estimate(name)
             unreached = name in LIMIT_NAMES
             self.dropped[name] = replace(
@@ -270,6 +278,8 @@ class _Search:
         verdict = IDENTIFIED
         if name in COEFFICIENTS and half > abs(value) and half * self.begin.shares[name] > 1:
             verdict = UNKNOWN
+        elif self.begin.sizes is not None and name not in KEPT and not is_current(name) and half > abs(value):
+            verdict = SMALL
         return ParameterEstimate(name, value, low, high, verdict)
 
     def _of(self, name: str) -> ParameterEstimate:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure as Drawing
@@ -31,7 +30,8 @@ FOLDS = 5
 COVERED = 0.95  # share of the errors that are inside the bands
 _BINS = 12  # stretches of the horizon that a band is constant over
 _FEWEST = 8  # predictions that a band needs
-_EXECUTE = 0.3  # share of the largest command that counts as an order to one side
+_EXECUTE = 0.8  # share of the largest command that counts as an order to one side
+_ZIG_ZAG = 0.6  # share of the rows behind the first order that have one, in a zig-zag
 PREDICTORS = ("model", "Nomoto", "constant velocity")
 """What is compared."""
 
@@ -52,11 +52,24 @@ class HeldOut:
 
     log: Log
     windows: Windows
-    rms: Mapping[str, tuple[float, float, float]]  # by predictor: heading [rad], surge speed [m/s], place [m]
+    age: Array  # [s] since predictions have begun, shape (n,)
+    run: Indices  # of each error, shape (n,)
+    errors: Mapping[str, Array]  # by predictor: along, across [m], heading [rad], u, v [m/s], r [rad/s], shape (n, 6)
     bands: Array | None  # half widths along the horizon, shape (_BINS, 6); None where too little was seen
-    coverage: Array  # share of the errors that are inside, shape (6,)
     manoeuvres: tuple[Manoeuvre, ...]
     seen: Array  # predicted from the begin of each run, shape (T, 6)
+
+    @property
+    def rms(self) -> dict[str, tuple[float, float, float]]:
+        """Root mean squares by predictor: heading [rad], surge speed [m/s], place [m]."""
+        return {name: rms(rows) for name, rows in self.errors.items()}
+
+    @property
+    def inside(self) -> Array:
+        """Whether errors of the model are within the bands, shape (n, 6); nan without bands."""
+        if self.bands is None:
+            return np.full((len(self.age), 6), np.nan)
+        return np.asarray(np.abs(self.errors["model"]) <= self.bands[_bin(self.age, self.windows)], dtype=np.float64)
 
 
 def held_out(found: Identified, log: Log, windows: Windows | None = None) -> HeldOut:
@@ -78,7 +91,8 @@ def held_out(found: Identified, log: Log, windows: Windows | None = None) -> Hel
     windows = windows or Windows(min(15.0, 0.2 * shortest), min(60.0, 0.75 * shortest), min(15.0, 0.2 * shortest))
     values = values_for(found, log)
     errors: dict[str, list[Array]] = {name: [] for name in PREDICTORS}
-    times = []
+    times, runs = [], []
+    row_runs = np.repeat(np.arange(len(log.runs)), [run.stop - run.start for run in log.runs])
     for starts in windows.starts(log):
         model = LogModel(log, starts, found.model.substeps, found.model.over_ground)
         seen = (
@@ -87,20 +101,17 @@ def held_out(found: Identified, log: Log, windows: Windows | None = None) -> Hel
             constant_velocity(log, starts, windows.settle),
         )
         for name, rows in zip(PREDICTORS, seen, strict=True):
-            age, left = late_errors(log, rows, starts, windows)
-            errors[name].append(left)
+            late, age, off = late_errors(log, rows, starts, windows)
+            errors[name].append(off)
         times.append(age)
+        runs.append(row_runs[late])
     age, every = np.concatenate(times), {name: np.concatenate(rows) for name, rows in errors.items()}
     if not len(age):
         raise ValueError(f"no held-out run is {windows.settle + windows.horizon:g} s long")
-    rms = {name: _rms(rows) for name, rows in every.items()}
     bands = error_bands(found, windows)
-    covered = np.full(6, np.nan)
-    if bands is not None:
-        covered = np.mean(np.abs(every["model"]) <= bands[_bin(age, windows)], axis=0)
     whole = LogModel(log, np.array(log.starts), found.model.substeps, found.model.over_ground)
     seen_whole = predicted(whole, values, found.noise, windows.settle)
-    return HeldOut(log, windows, rms, bands, covered, _manoeuvres(log, seen_whole), seen_whole)
+    return HeldOut(log, windows, age, np.concatenate(runs), every, bands, _manoeuvres(log, seen_whole), seen_whole)
 
 
 def values_for(found: Identified, log: Log) -> Array:
@@ -134,10 +145,10 @@ def error_bands(found: Identified, windows: Windows) -> Array | None:
             counts += int(inside.sum())
             seen = predicted(model, values, found.noise, windows.settle)
             seen[~np.repeat(inside.astype(bool), np.diff(np.append(starts, len(rows))))] = np.nan
-            age, left = late_errors(log, seen, starts, windows)
-            good = np.isfinite(left).all(axis=1)
+            _, age, off = late_errors(log, seen, starts, windows)
+            good = np.isfinite(off).all(axis=1)
             times.append(age[good])
-            errors.append(left[good])
+            errors.append(off[good])
     age, every = np.concatenate(times), np.abs(np.concatenate(errors))
     if counts < _FEWEST or not len(age):
         return None
@@ -178,7 +189,7 @@ def _bin(age: Array, windows: Windows) -> Indices:
     return np.clip((age / windows.horizon * _BINS).astype(np.int64), 0, _BINS - 1)
 
 
-def _rms(errors: Array) -> tuple[float, float, float]:
+def rms(errors: Array) -> tuple[float, float, float]:
     """Return the root mean squares of heading [rad], surge speed [m/s] and distance [m]."""
     x, y, psi, u, _, _ = np.sqrt(np.mean(errors**2, axis=0)).tolist()
     return psi, u, math.hypot(x, y)
@@ -191,13 +202,14 @@ def _manoeuvres(log: Log, seen: Array) -> tuple[Manoeuvre, ...]:
         order = log.commands[run, 1]
         sides = np.where(np.abs(order) > _EXECUTE * np.abs(order).max(), np.sign(order), 0.0)
         at = np.flatnonzero(sides)
-        cuts = [0, *(np.flatnonzero(np.diff(sides[at])) + 1).tolist(), len(at)] if len(at) else []
-        executes = list(pairwise([*at[cuts[:-1]].tolist(), len(order)]))
+        turned_over = np.flatnonzero(np.diff(sides[at])) if len(at) else at
+        executes = list(pairwise([*at[:1].tolist(), *(at[turned_over] + 1).tolist(), len(order)]))
         psi, guess = measured[run, 2], seen[run, 2]
+        zigzag = len(at) and len(at) > _ZIG_ZAG * (len(order) - at[0])
         for name, which in (("first overshoot", 1), ("second overshoot", 2)):
-            if len(executes) > which + 1:  # it has been turned back
+            if zigzag and len(executes) > which + 1:  # it has been turned back
                 a, b = executes[which]
-                side = -sides[a]
+                side = -np.sign(order[a:b].sum())
                 ends = [math.degrees(float((side * (rows[a:b] - psi[a])).max())) for rows in (psi, guess)]
                 found.append(Manoeuvre(k, name, *ends))
         for execute, b in executes:
@@ -262,7 +274,7 @@ def section(result: HeldOut, name: str) -> str:
         parts.append("The logs are too short for bands.")
     else:
         names = ("along", "across", "heading", "u", "v", "r")
-        shares = ", ".join(f"{n} {100 * c:.0f} %" for n, c in zip(names, result.coverage, strict=True))
+        shares = ", ".join(f"{n} {100 * c:.0f} %" for n, c in zip(names, result.inside.mean(axis=0), strict=True))
         parts.append(
             "Bands are as wide as 95 % of the errors of predictions of parts of the other logs, each by a vehicle that "
             f"was fitted without that part. Inside of them: {shares} of these predictions."
@@ -272,16 +284,3 @@ def section(result: HeldOut, name: str) -> str:
         rows += [f"| {m.run + 1} | {m.name} | {m.measured:.2f} | {m.predicted:.2f} |" for m in result.manoeuvres]
         parts.append("\n".join(rows))
     return "\n\n".join(parts)
-
-
-def summary(result: HeldOut) -> dict[str, Any]:
-    """Return the figures alone, as they are written to JSON."""
-    return {
-        "settle_s": result.windows.settle,
-        "horizon_s": result.windows.horizon,
-        "rms": {name: {"heading_deg": math.degrees(psi), "speed_m_s": u, "place_m": place}
-                for name, (psi, u, place) in result.rms.items()},
-        "coverage": None if result.bands is None else result.coverage.tolist(),
-        "manoeuvres": [{"run": m.run, "name": m.name, "measured": m.measured, "predicted": m.predicted}
-                       for m in result.manoeuvres],
-    }  # fmt: skip

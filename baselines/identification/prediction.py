@@ -107,8 +107,8 @@ def nomoto(train: Log, log: Log, starts: Indices, settle: float) -> Array:
     return found
 
 
-def late_errors(log: Log, seen: Array, starts: Indices, windows: Windows) -> tuple[Array, Array]:
-    """Return how long predictions have gone on [s], shape (n,), and their errors, shape (n, 6), of whole windows.
+def late_errors(log: Log, seen: Array, starts: Indices, windows: Windows) -> tuple[Indices, Array, Array]:
+    """Return rows of whole windows, the time since their prediction has begun [s], and its errors, shape (n, 6).
 
     Errors of the place are along and across the measured heading.
     """
@@ -117,8 +117,8 @@ def late_errors(log: Log, seen: Array, starts: Indices, windows: Windows) -> tup
     long = np.zeros(len(log.t), dtype=bool)
     for a, b in zip(starts, np.append(starts[1:], len(log.t)), strict=True):
         long[a:b] = log.t[b - 1] - log.t[a] > length - 1.5 * log.dt
-    rows = long & (age >= windows.settle) & (age <= length)
+    rows = np.flatnonzero(long & (age >= windows.settle) & (age <= length))
     errors = measured - seen
     c, s = np.cos(measured[:, 2]), np.sin(measured[:, 2])
     errors[:, 0], errors[:, 1] = to_body(errors[:, 0].copy(), errors[:, 1].copy(), c, s)
-    return age[rows] - windows.settle, errors[rows]
+    return rows, age[rows] - windows.settle, errors[rows]

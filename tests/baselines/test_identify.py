@@ -301,5 +301,8 @@ def test_coverage_counts(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(coverage, "_VEHICLES", {"the paper's vehicle": PAPER_VEHICLE})
     assert run(coverage.main, coverage.PROGRAM, ["--logs", "1", "--out", "new.json"]) == 0
-    record = json.loads(Path("new.json").read_text(encoding="utf-8"))["the paper's vehicle"]
-    assert sum(row["near"] for row in record["parameters"].values()) >= len(FITTED_PARAMETERS) - 1
+    records = json.loads(Path("new.json").read_text(encoding="utf-8"))
+    record = records["the paper's vehicle"]
+    assert sum(row["near"] for row in record["parameters"].values()) >= len(record["parameters"]) - 1
+    assert record["parameters"].keys() | set(CROSS_FLOW) == set(FITTED_PARAMETERS)
+    assert [own["misfit"] for own in records.values()] == [0, 1, 1]
