@@ -33,6 +33,7 @@ PAGES: Mapping[str, str] = {
     "results/vehicles-v1": "research.results.vehicles",
     "results/learning": "research.results.learning",
     "safety": "research.robustness.page",
+    "validation": "research.validation.page",
     "elsewhere": "research.transfer.page",
     "speed": "research.throughput.measure",
     "sensitivity": "research.robustness.model_error",

@@ -34,8 +34,8 @@ from baselines.identification.stern_start import NOT_NEGATIVE_STERN
 from baselines.identification.uncertainty import NORMAL_QUANTILE, covariance, found_noise, rough_noise, whiteness
 
 IDENTIFIED = "identified"  # what a log says of a parameter, as are the next four: its interval is narrow enough
-ZERO = "not told from 0, taken as 0"  # its interval holds zero
-SMALL = "not told from 0, kept small"  # the same, where a prior keeps it small instead
+ZERO = "not significantly different from 0, taken as 0"  # its interval holds zero
+SMALL = "not significantly different from 0, kept small"  # the same, where a prior keeps it small instead
 UNREACHED = "not reached"  # a limit that no command came up to
 UNKNOWN = "not identified"  # nothing in the log depends on it enough
 KNOWN = "given"  # it was not searched for
@@ -190,7 +190,7 @@ def identify(
 
 
 class _Search:
-    """Fits in turn: with all that may be, then without what is not told from nothing, the least certain first."""
+    """Fits in turn: with all parameters, then without those that do not differ from 0, the least certain first."""
 
     def __init__(self, model: LogModel, begin: Begin, known: Mapping[str, float], terms: Sequence[str]) -> None:
         self.model, self.begin, self.names, log = model, begin, model.names, model.log
@@ -234,7 +234,7 @@ class _Search:
         return self.white >= DOUBT
 
     def run(self) -> Identified:
-        """Return what there is once everything that remains is told from nothing, or at once with a prior."""
+        """Return the fit once all optional parameters differ significantly from 0, or at once with a prior."""
         self._refit()
         self._refit()
         while self.begin.sizes is None and (name := self._least_certain()) is not None:

@@ -1,6 +1,6 @@
 """Prediction errors as small as they can be: the first states are eliminated, the rest is `scipy.optimize`.
 
-For given parameters the best first state of each segment is found by Gauss and Newton; what is left is projected onto
+For given parameters the best first state of each segment is found by Gauss and Newton; the residuals are projected onto
 what no first state can explain (L. Kaufman, "A variable projection method for solving separable nonlinear least squares
 problems", BIT 15:49-57, 1975). The problem then has as many unknowns as parameters, however long the log is.
 """

@@ -61,7 +61,7 @@ FITTED_PARAMETERS = parameter_names("force")
 
 @lru_cache(maxsize=16)
 def _kernel(kind: str, wind: bool, crossed: bool, substeps: int, over_ground: bool) -> Kernel:
-    """Return the kernel of a time step: what is `seen` before it, and its `change` along a lane's `seed`."""
+    """Return the kernel of a time step: what is `seen` before it, and its `change` along a direction `seed`."""
     names = parameter_names(kind, wind, 0)[:-1]
     lanes = LOG_STATES + len(names) + len(CURRENT_NAMES) + 1
 
@@ -146,7 +146,7 @@ class LogModel:
 
     @cached_property
     def _places(self) -> tuple[list[int], list[int]]:
-        """Return where the parameters stand that are one for all runs, but for the lag, and the currents."""
+        """Return the places of the parameters that are one for all runs, without the lag, and of the currents."""
         shared = parameter_names(self.log.kind, self.log.wind is not None, 0)[:-1]
         currents = range(len(shared), len(self.names) - 1)
         return list(range(len(shared))), list(currents)

@@ -26,7 +26,7 @@ _LAGS = (0.0, 1.0, 3.0, 8.0, 20.0)  # candidates of the lag, in time steps
 _SHARES = (1.0, 0.8, 0.6, 0.4)  # candidates of a limit, as shares of the largest command
 START_WINDOWS = (5, 11, 21, 41)  # rows that a speed is smoothed over: which are right depends on vehicle and noise
 SIMPLER = 0.03
-"""By how much the logarithm of what is left must fall before a lag or a limit is believed."""
+"""By how much the logarithm of the residuals must fall before a lag or a limit is believed."""
 
 
 @dataclass(frozen=True)
@@ -125,9 +125,9 @@ def smoothed(log: Log, window: int) -> tuple[Array, Array]:
 
 
 def _solved(terms: Array, load: Array) -> tuple[float, Array]:
-    """Return the logarithm of what is left of the equations, and the parameters that leave it; none is negative.
+    """Return the logarithm of the residuals of the equations, and the parameters that leave them; none is negative.
 
-    Nothing pushes sideways: forces there count as those ahead do. Counted by what is left of them, they would be
+    Nothing pushes sideways: forces there count as those ahead do. Counted by their residuals, they would be
     explained best by a vehicle without mass.
     """
     ahead, _, turning = np.sqrt(np.mean(load**2, axis=1)).tolist()
