@@ -169,8 +169,6 @@ def _number(row: Sequence[str], place: int) -> float:
 def _in_usual_axes(columns: dict[str, Array], form: Format) -> dict[str, Array]:
     """Return columns with places on a plane, winds as vectors, axes NED and velocities in the body frame."""
     found = dict(columns)
-    if "latitude" in found and "longitude" in found:
-        found["x"], found["y"] = _on_plane(found.pop("latitude"), found.pop("longitude"))
     if "wind_speed" in found and "wind_from" in found:
         speed, angle = found.pop("wind_speed"), found.pop("wind_from")
         found["W_x"], found["W_y"] = -speed * np.cos(angle), -speed * np.sin(angle)
@@ -182,6 +180,8 @@ def _in_usual_axes(columns: dict[str, Array], form: Format) -> dict[str, Array]:
             found["psi"] = 0.5 * math.pi - found["psi"]
         turned = ("r", "F_r", "rudder", *(["v"] if form.velocity == "body" else []))
         found |= {name: -found[name] for name in turned if name in found}
+    if "latitude" in found and "longitude" in found:
+        found["x"], found["y"] = _on_plane(found.pop("latitude"), found.pop("longitude"))
     if form.velocity == "world" and {"u", "v", "psi"} <= found.keys():
         c, s = np.cos(found["psi"]), np.sin(found["psi"])
         found["u"], found["v"] = to_body(found["u"], found["v"], c, s)

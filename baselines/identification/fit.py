@@ -199,7 +199,7 @@ class _Search:
         self.forms = power_forms(self.names, self.scales) if set(CROSS_FLOW) & set(begin.free) else None
         self.free, self.noise = list(begin.free), rough_noise(log)
         self.dropped: dict[str, ParameterEstimate] = {}
-        self.known, self.terms = known, terms
+        self.known, self.terms, self.kept = known, terms, set(KEPT)
         self.states, self.spread = first_states(model), np.zeros((0, 0))
         self.values, self.left = self._fitted(np.clip(begin.values, *self._inside()))
 
@@ -246,9 +246,15 @@ class _Search:
             if unreached:
                 peak = float(self.peaks[LIMIT_NAMES.index(name)])
                 self.dropped[name] = replace(self.dropped[name], low=min(estimate.low, peak), high=math.inf)
+            before, free = self.values.copy(), list(self.free)
             self.values[self.names.index(name)] = self.bounds[1][self.names.index(name)] if unreached else 0.0
             self.free.remove(name)
-            self._refit()
+            try:
+                self._refit()
+            except ValueError:  # without it the prediction blows up
+                self.values, self.free = before, free
+                self.kept.add(name)
+                del self.dropped[name]
         return self._identified()
 
     def _certainty(self, name: str) -> float:
@@ -263,7 +269,7 @@ class _Search:
         return sure if name in NOT_NEGATIVE else abs(sure)
 
     def _least_certain(self) -> str | None:
-        candidates = [name for name in self.free if name not in KEPT and not is_current(name)]
+        candidates = [name for name in self.free if name not in self.kept and not is_current(name)]
         sure = {name: self._certainty(name) for name in candidates}
         least = min(sure, key=lambda name: sure[name], default=None)
         return least if least is not None and sure[least] < NORMAL_QUANTILE else None

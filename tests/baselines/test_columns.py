@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -147,3 +148,24 @@ def test_wrong_files_are_refused_in_one_line(log, tmp_path):
     file.write_text("é" * 100, encoding="utf-8")
     with pytest.raises(ValueError, match="is not text in ascii"):
         Format(SI, encoding="ascii").read(file)
+
+
+def test_the_format_of_the_page_reads_a_log(log, tmp_path):
+    """A TOML block of docs/identify.md: places on the earth, axes ENU, speeds in the world, commands of a ship."""
+    page = (Path(__file__).parents[2] / "docs" / "identify.md").read_text(encoding="utf-8")
+    (tmp_path / "own.toml").write_text(page.split("```toml\n")[1].split("```")[0], encoding="utf-8")
+    own = table(log)
+    c, s = np.cos(own["psi"]), np.sin(own["psi"])
+    north, east = own["u"] * c - own["v"] * s, own["u"] * s + own["v"] * c
+    curvature = 6335439.0, 6378137.0  # [m] radii of the ellipsoid at the equator
+    shown = {
+        "time": own["t"], "lat": np.degrees(own["x"] / curvature[0]), "lon": 10 + np.degrees(own["y"] / curvature[1]),
+        "yaw": 90 - np.degrees(own["psi"]), "v_east": east * 3600 / 1852, "v_north": north * 3600 / 1852,
+        "yaw_rate": -np.degrees(own["r"]), "propeller": 60 * own["F_u"], "helm": np.degrees(own["F_r"] / 1000),
+    }  # fmt: skip
+    form = replace(Format.named(str(tmp_path / "own.toml")), every=0.0)
+    got = Log.load(written(tmp_path, shown, separator=";"), form)
+    assert got.kind == "revolutions"
+    measured = own["x"] - own["x"][0], own["y"] - own["y"][0], *(own[name] for name in MEASURED_COLUMNS[2:])
+    np.testing.assert_allclose(got.measured, np.column_stack(measured), rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(got.commands, np.column_stack((own["F_u"], own["F_r"] / 1000)), atol=1e-9)

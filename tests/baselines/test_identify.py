@@ -268,6 +268,11 @@ def test_the_command_writes_a_vehicle_that_scenarios_take(tmp_path, monkeypatch,
     text = Path("out/report.md").read_text(encoding="utf-8")
     for said in ("tactical diameter", "second overshoot, zig-zag at 20 degrees", "fit.png", "| m11 "):
         assert said in text
+    assert run(main, PROGRAM, ["new.csv", "--example", "--seed", "1"]) == 0
+    assert run(main, PROGRAM, ["log.csv", "--terms", "X_uu", "--holdout", "new.csv", "--out", "out"]) == 0
+    text = Path("out/report.md").read_text(encoding="utf-8")
+    assert "## Held-out runs" in text
+    assert "| constant velocity |" in text
     assert run(main, PROGRAM, ["none.csv"]) == 1
     assert run(main, PROGRAM, ["log.csv", "--like", "canoe"]) == 2
     assert "unknown vehicle 'canoe'" in capsys.readouterr().err
