@@ -158,10 +158,12 @@ class Vehicle:
                 )
 
     @classmethod
-    def unchecked(cls, coefficients: Coefficients) -> Vehicle:
+    def unchecked(cls, coefficients: Coefficients, cross_flow: CrossFlow | None = None) -> Vehicle:
         """Return a vehicle of parameters that are known to be valid, or of rows of those of N vehicles."""
         vehicle = object.__new__(cls)
         vehicle.__dict__.update(zip(Coefficients._fields, coefficients, strict=True), speed=cls.speed)
+        if cross_flow is not None:
+            vehicle.__dict__.update(cross_flow._asdict())
         return vehicle
 
     @property
@@ -187,9 +189,12 @@ class Vehicle:
     @property
     def acting(self) -> tuple[Number, ...]:
         """The shortest row of coefficients that `dynamics.rates` takes for it."""
-        if any(self.cross_flow):
-            return (*self.coefficients, *self.cross_flow)
-        return self.coefficients if self.has_lift else self.coefficients.without_lift
+        return self.all_coefficients if self.has_lift or any(self.cross_flow) else self.coefficients.without_lift
+
+    @property
+    def all_coefficients(self) -> tuple[Number, ...]:
+        """The coefficients, and cross-flow behind them if there is any."""
+        return (*self.coefficients, *self.cross_flow) if any(self.cross_flow) else self.coefficients
 
     @property
     def coefficients(self) -> Coefficients:

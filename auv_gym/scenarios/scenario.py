@@ -133,11 +133,9 @@ class Scenario:
         check_number("error_scale", self.error_scale, 1e-6, 1e6)
         check_number("rate_weight", self.rate_weight, 0, 1e6)
         check_number("lost_distance", self.lost_distance, 1e-3, 1e5)
-        if any(self.vehicle.cross_flow):
-            raise ValueError("scenario vehicle has cross-flow terms, X_vv ... N_vr, which the planner does not know")
         if self.mismatch is not None:
             self.mismatch.check(self.vehicle)
-        self._check_step(self.mismatch.extremes(self.vehicle) if self.mismatch else self.vehicle.coefficients)
+        self._check_step(self.mismatch.extremes(self.vehicle) if self.mismatch else self.vehicle.all_coefficients)
         if isinstance(self.path, Path) and not self.path.start <= 0 < self.duration <= self.path.end:
             raise ValueError(
                 f"the path runs from {self.path.start:.6g} to {self.path.end:.6g} s, the episode from 0 to "
@@ -234,6 +232,7 @@ class Scenario:
             sheared=self.current is not None and self.current.shear != 0,
             reckoned=self.sensors.reckoning is not None,
             lifting=self.vehicle.has_lift,
+            crossed=any(self.vehicle.cross_flow),
             finned=self.actuators.fin > 0,
             astern=self.actuators.astern < 1,
             span=self.span,
@@ -259,12 +258,13 @@ class Scenario:
             (parts.weak, episode.reach != (1.0, 1.0), "actuators that saturate early"),
             (parts.sheared, any(episode.current.shear[:2]), "a sheared current"),
             (parts.reckoned, episode.reckoning is not None, "a dead reckoning"),
-            (parts.lifting, episode.vehicle.has_lift, "a vehicle with lift"),
+            (parts.lifting or parts.crossed, episode.vehicle.has_lift, "a vehicle with lift"),
+            (parts.crossed, any(episode.vehicle.cross_flow), "a vehicle with cross-flow"),
         ):
             if there and not part:
                 raise ValueError(f"the episode has {what}, which scenario {self.name!r} has not: give it one that has")
         if episode.initial_velocity is not None or (self.mismatch is None and episode.vehicle is not self.vehicle):
-            self._check_step(episode.vehicle.coefficients, episode.initial_velocity or AT_REST)
+            self._check_step(episode.vehicle.all_coefficients, episode.initial_velocity or AT_REST)
         return self.constants(episode)
 
     def constants(self, episode: Episode) -> Parameters:
@@ -289,6 +289,7 @@ class Scenario:
             astern=act.astern,
             shear=Shear(*episode.current.shear),
             log=log_of(episode.reckoning),
+            cross_flow=episode.vehicle.cross_flow,
             parts=self.parts,
         )
 

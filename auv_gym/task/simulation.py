@@ -16,7 +16,7 @@ from auv_gym.physics.namespaces import Namespace, Number
 from auv_gym.physics.navigation import Reckoning
 from auv_gym.physics.rows import filled, leaves, numbered
 from auv_gym.physics.sensors import low_pass
-from auv_gym.physics.vehicle import Coefficients
+from auv_gym.physics.vehicle import Coefficients, CrossFlow
 from auv_gym.task.observation import failed, reward
 
 
@@ -89,6 +89,7 @@ class Parts(NamedTuple):
     sheared: bool = False  # the current differs from place to place
     reckoned: bool = False  # between position fixes the position is reckoned from measured velocity and heading
     lifting: bool = False  # hull and fins have lift
+    crossed: bool = False  # the vehicle has cross-flow
     finned: bool = False  # the yaw torque is one of fins, which the speed makes
     astern: bool = False  # the thruster gives less astern than ahead
     span: int = 1  # how much wider than usual the bounds of an observation are, see `task.bounds`
@@ -154,6 +155,7 @@ class Parameters(NamedTuple):
     astern: Number  # share of thrust_u astern
     shear: Shear
     log: SpeedLog
+    cross_flow: CrossFlow  # of the true vehicle
     parts: Parts
 
     @classmethod
@@ -209,7 +211,9 @@ def moved(
     _, _, _, _, _, _, _, _, V_x, V_y, X, Y, N, *_ = sample
     mean, force = respond(force, ordered(command, u, p, ns), p.response, ns)
     load, current = (mean[0] + X, Y, mean[1] + N), current_at(x, y, (V_x, V_y), p, ns)
-    coefficients = p.coefficients if p.parts.lifting else p.coefficients.without_lift
+    coefficients: Sequence[Number] = p.coefficients if p.parts.lifting else p.coefficients.without_lift
+    if p.parts.crossed:
+        coefficients = *p.coefficients, *p.cross_flow
     for _ in range(p.parts.substeps):
         state = rk4_step(state, load, coefficients, p.h, current, ns)
     return state, force

@@ -148,9 +148,7 @@ def scenario(found: Identified, vehicle: Vehicle, like: Actuators | None = None)
         "sensors": Sensors(max(x, y), psi, max(u, v), r),
         "steps": 600,
     }
-    rate = float(
-        fastest_rate(vehicle.acting if any(vehicle.cross_flow) else vehicle.coefficients, (F_u_max, 0.0, F_r_max))
-    )
+    rate = float(fastest_rate(vehicle.all_coefficients, (F_u_max, 0.0, F_r_max)))
     return Scenario(**parts, substeps=max(1, math.ceil(Scenario.control_dt * rate / MAX_STIFFNESS)))
 
 
