@@ -27,6 +27,7 @@ COMMANDS = {
     "throughput": Command("research.throughput.measure", "eval"),
     "train-all": Command("research.trainings.shipped", "train"),
     "transfer": Command("research.transfer.command", "eval"),
+    "validation": Command("research.validation.command", "eval"),
     "vehicle-gains": Command("research.vehicles.vehicles", "tuning"),
     "web-demo": Command("research.site.live.page", "eval"),
 }

@@ -34,6 +34,7 @@ PAGES: Mapping[str, str] = {
     "results/learning": "research.results.learning",
     "safety": "research.robustness.page",
     "transfer": "research.transfer.page",
+    "validation": "research.validation.page",
     "speed": "research.throughput.measure",
     "sensitivity": "research.robustness.model_error",
 }

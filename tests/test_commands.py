@@ -57,6 +57,7 @@ ELSEWHERE = {
     r"auv-gym --help": "test_package.py::test_the_command",
     r"python -m research model-error .*": "test_model_error.py::test_command_keeps_what_it_measures",
     r"python -m research suites check .*": "test_suites.py::test_generated_episodes_are_unchanged",
+    r"python -m research validation .*": "test_validation.py::test_the_command_writes_what_it_measures",
     r"python -m research transfer .*": "test_transfer.py::test_the_command_compares_and_keeps",
     r"python -m research throughput.*": "`make bench`, below",
     r"python -m venv .*": "the environment that runs the tests",

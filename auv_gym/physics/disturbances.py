@@ -15,7 +15,7 @@ import numpy as np
 
 from auv_gym.physics.intervals import Interval, Uniform, by_library, check_interval, check_number, draw
 from auv_gym.physics.namespaces import Number
-from auv_gym.physics.vehicle import LARGEST_PARAMETER, MIN_MASS_RATIO, Coefficients, Vehicle
+from auv_gym.physics.vehicle import LARGEST_PARAMETER, MIN_MASS_RATIO, Coefficients, CrossFlow, Vehicle
 
 _cos, _sin = by_library(math.cos), by_library(math.sin)
 
@@ -141,6 +141,8 @@ class RandomMismatch:
     """Distribution of the true vehicle about the nominal one, as factors; m22 stays above m11.
 
     The factor of a drag applies to its linear and quadratic part, and to the lift, which grows with the surge velocity.
+    Cross-flow has the smaller one of the factors of sway and yaw, so that damping takes power in every draw; the surge
+    loss in turns has the factor of the surge drag.
     """
 
     mass: Interval = 1.0  # on m11 and m22 together
@@ -170,18 +172,20 @@ class RandomMismatch:
                 f"mismatch ratio may fall to {lowest:g}; for m22 > {MIN_MASS_RATIO} m11 it must be at least {least:.4g}"
             )
         for end in (0.0, 1.0):
-            Vehicle(*self._coefficients(lambda end=end: end, vehicle))  # type: ignore[misc]
+            coefficients, cross_flow = self._drawn(lambda end=end: end, vehicle)  # type: ignore[misc]
+            Vehicle(*coefficients, **({} if cross_flow is None else cross_flow._asdict()))
 
     def draw(self, uniform: Uniform, vehicle: Vehicle) -> Vehicle:
         """Return one true vehicle."""
-        return Vehicle.unchecked(self._coefficients(uniform, vehicle))
+        return Vehicle.unchecked(*self._drawn(uniform, vehicle))
 
-    def _coefficients(self, uniform: Uniform, vehicle: Vehicle) -> Coefficients:
+    def _drawn(self, uniform: Uniform, vehicle: Vehicle) -> tuple[Coefficients, CrossFlow | None]:
+        """Return the parameters of one true vehicle; None without cross-flow."""
         mass, ratio, m33, d11, d22, d33, q = (
             draw(x, uniform) for x in (self.mass, self.ratio, self.m33, self.d11, self.d22, self.d33, self.quadratic)
         )
         X_uu, Y_vv, N_rr = self.quadratic_drag
-        return Coefficients(
+        coefficients = Coefficients(
             vehicle.m11 * mass,
             vehicle.m22 * mass * ratio,
             vehicle.m33 * m33,
@@ -196,8 +200,9 @@ class RandomMismatch:
             vehicle.N_uv,
             vehicle.N_ur * d33,
         )
+        return coefficients, _crossed(vehicle, d11, d22, d33) if any(vehicle.cross_flow) else None
 
-    def extremes(self, vehicle: Vehicle) -> Coefficients:
+    def extremes(self, vehicle: Vehicle) -> tuple[Any, ...]:
         """Return the stiffest vehicles of the distribution, as rows: least masses with all extremes of drag.
 
         Much quadratic drag gives a fast decay; little drag allows high speeds.
@@ -207,7 +212,7 @@ class RandomMismatch:
         ratio, d11, d22, d33, q = np.array([*corners]).T
         X_uu, Y_vv, N_rr = self.quadratic_drag
         one = np.ones_like(ratio)
-        return Coefficients(
+        coefficients = Coefficients(
             vehicle.m11 * mass * one,
             vehicle.m22 * mass * ratio,
             vehicle.m33 * m33 * one,
@@ -222,6 +227,14 @@ class RandomMismatch:
             vehicle.N_uv * one,
             vehicle.N_ur * d33,
         )
+        return (*coefficients, *_crossed(vehicle, d11, d22, d33)) if any(vehicle.cross_flow) else coefficients
+
+
+def _crossed(vehicle: Vehicle, d11: Number, d22: Number, d33: Number) -> CrossFlow:
+    """Return the cross-flow of a vehicle whose drags are multiplied by factors, floats or rows."""
+    least = d22 + (d33 - d22) * (d33 < d22)
+    factors = (d11 if name[0] == "X" else least for name in CrossFlow._fields)
+    return CrossFlow(*(c * factor for c, factor in zip(vehicle.cross_flow, factors, strict=True)))
 
 
 def _ends(interval: Interval) -> tuple[float, float]:

@@ -19,7 +19,8 @@ from auv_gym.codegen.graph import SYMBOLS
 from auv_gym.codegen.kernel import Kernel
 from auv_gym.physics.namespaces import Array
 from auv_gym.physics.vehicle import Coefficients, Vehicle
-from auv_gym.planning.feasibility import check_forces, check_rates, check_sideslip
+from auv_gym.planning.crossed import motion, sideslips
+from auv_gym.planning.feasibility import check_feasible, check_forces, check_rates, check_sideslip
 from auv_gym.planning.kernels import FAMILIES, FIXED_POINT, LIMITS, VEHICLE, driver, kernels
 from auv_gym.planning.paths import Path, RandomSmooth, unstack
 from auv_gym.planning.sideslip import ORDER, RATES, PathRates, formula_weights, in_sideslip
@@ -27,6 +28,8 @@ from auv_gym.planning.sideslip import ORDER, RATES, PathRates, formula_weights, 
 RUN_IN = 12.0  # time constants Dm/d22 integrated before the first sample; the initial error decays by exp(-12)
 MAX_STEP = 0.4  # largest integration step, in time constants Dm/d22
 MAX_RESPONSE = 0.1  # largest integration step times `sideslip.response`; the integration is unstable above 0.3
+_NO_BALANCE = "no yaw rate balances the sway force of cross-flow"
+_FINER = 8  # samples in a step of `MAX_STEP` of a vehicle with cross-flow, see `crossed`
 MAX_REFINEMENT = 128  # largest refinement of the step for `MAX_RESPONSE`
 MAX_SAMPLES = 2**21  # largest number of samples of a path, which bounds time and memory
 _CODES: dict[type, int] = {family: code for code, family in enumerate([*FAMILIES, RandomSmooth])}
@@ -118,10 +121,13 @@ class Planner:
         self.vehicle, self.times, self.most, self.many = vehicle, times, most, many
         self._limits = (math.inf, math.inf, 0.0) if force_limits is None else (*force_limits, fin)
         self._coefficients = np.array(vehicle.coefficients)
+        self._crossed = any(vehicle.cross_flow)
         self._slip_mass = vehicle.coefficients.slip_mass
         self._period = float(times[-1] - times[0]) / (len(times) - 1)
         time_constant = self._slip_mass / vehicle.d22
         self._substeps = max(math.ceil(self._period / (MAX_STEP * time_constant)), math.ceil(ORDER / (len(times) - 1)))
+        if self._crossed:
+            self._substeps *= _FINER
         self._grids: dict[tuple[int, int], _Grid] = {}
 
     def plan(self, path: Path) -> Reference:
@@ -139,7 +145,7 @@ class Planner:
     def table(self, path: Path) -> Array | None:
         """Return the `Reference.table` of a path; None if `plan` raises an error or `most` is exceeded."""
         table = self._compiled(path)
-        if driver(self.many) is None:
+        if self._crossed or driver(self.many) is None:
             with suppress(ValueError):
                 table, _ = self._in_python(path)
                 if not (np.abs(table[:, 3:]).max(axis=0) <= self.most).all():
@@ -149,7 +155,7 @@ class Planner:
     def tables(self, paths: Any, n: int) -> list[Array | None]:
         """Return the `table` of each of n paths of one family, combined by `stack`."""
         function, code = driver(self.many), _CODES.get(type(paths), _GIVEN)
-        if function is None or code == _GIVEN or self.vehicle.Y_uv or self.times[0] != 0:
+        if function is None or self._crossed or code == _GIVEN or self.vehicle.Y_uv or self.times[0] != 0:
             return [self.table(path) for path in unstack(paths, n)]
         numbers = (paths.x0, paths.y0, paths.heading, *paths.numbers)
         given = np.empty((n, len(numbers)))
@@ -170,9 +176,10 @@ class Planner:
     def _compiled(self, path: Path, rest: Array | None = None) -> Array | None:
         """Return a `Reference.table`, and write gamma, v_p, omega to `rest`.
 
-        Return None without a compiler, and for a path that cannot be followed; `_in_python` then raises the error.
+        Return None without a compiler, for a vehicle with cross-flow, and for a path that cannot be followed;
+        `_in_python` then raises the error.
         """
-        if (function := driver(self.many)) is None:
+        if self._crossed or (function := driver(self.many)) is None:
             return None
         code, given = _CODES.get(type(path), _GIVEN), None
         if code == len(FAMILIES) and self.times[0] != 0:  # the driver integrates from the first time on
@@ -194,7 +201,7 @@ class Planner:
         damping, h = self.vehicle.d22, self._period / (self._substeps * refinement)
         if lift := self.vehicle.Y_uv:  # it reduces the time constant of the sideslip
             damping += lift * float(np.hypot(*path.derivatives(self.times[:1])[1, :, 0]))
-        lead = int(min(RUN_IN * self._slip_mass / damping, float(self.times[0] - path.start)) / h)
+        lead = _even(min(RUN_IN * self._slip_mass / damping, float(self.times[0] - path.start)) / h, self._crossed)
         if (grid := self._grids.get((lead, refinement))) is None:
             substeps, scale = self._substeps * refinement, h / self._slip_mass
             numbers = self.times[0], self.times[-1], h, lead, len(self.times), substeps
@@ -216,20 +223,30 @@ class Planner:
         if refinement > 1:
             grid = self._grid(path, refinement)
             position, along, terms, _ = self._along_path(path, grid)
-        times, lead = grid.times(self.times), grid.lead
-        w = self._sideslip(along, terms, grid.settings[_WEIGHTS:])
-        check_sideslip(w[lead:], times[lead:], position[:, lead:])
+        times, lead, every = grid.times(self.times), grid.lead, 2 if self._crossed else 1
+        if self._crossed:
+            start = k["steady"](along=along[:, :1], coefficients=self._coefficients)["w"]
+            w = sideslips(along, float(start[0, 0]), np.array(self.vehicle.acting), grid.h)
+        else:
+            w = self._sideslip(along, terms, grid.settings[_WEIGHTS:])
+        check_sideslip(w[lead // every :], times[lead::every], position[:, lead::every])
         beta = along[BETA : BETA + 1]
         turns = k["turns"](beta=beta[:, :-1], next_beta=beta[:, 1:])["turns"]
         beta[:, lead + 1 :] -= 2 * math.pi * np.cumsum(turns[:, lead:], axis=1)
         instants = np.s_[:, lead :: grid.substeps]
-        limits = np.array([*self._limits, *self.most])
-        found = k["motion"](along=along[instants], w=w[None][instants], coefficients=self._coefficients, limits=limits)
-        _, u, _, _, F_u, F_r = found["motion"]
+        w = w[lead // every :: grid.substeps // every]
+        if self._crossed:
+            (*planned, gamma), there = motion(along[instants], w, np.array(self.vehicle.acting))
+            check_feasible(there, lambda _: _NO_BALANCE, self.times, position[instants])
+        else:
+            limits = np.array([*self._limits, *self.most])
+            found = k["motion"](along=along[instants], w=w[None], coefficients=self._coefficients, limits=limits)
+            planned, gamma = [*found["motion"]], found["gamma"][0]
+        _, u, _, _, F_u, F_r = planned
         check_forces(F_u, F_r, u, self._limits, self.times, position[instants])
         rates = PathRates(*along[instants])
-        table = np.ascontiguousarray(np.vstack((position[instants], found["motion"])).T)
-        return table, np.vstack((found["gamma"], rates.v_p, rates.omega))
+        table = np.ascontiguousarray(np.vstack((position[instants], planned)).T)
+        return table, np.vstack((gamma, rates.v_p, rates.omega))
 
     def _along_path(self, path: Path, grid: _Grid) -> tuple[Array, Array, Array, Array]:
         """Return position, `PathRates`, terms of the sideslip and its response at the samples, rows of shape (T,)."""
@@ -267,6 +284,11 @@ class Planner:
         step = k["recursion"].bound(history=history, weights=weights[split:, None], inputs=inputs, u=u[1:])
         step(ORDER - 1, len(u) - ORDER)  # step n computes u_(n+1)
         return u.ravel()
+
+
+def _even(samples: float, wanted: bool) -> int:
+    """Return a number of samples as an integer, an even one if that is wanted."""
+    return 2 * int(samples / 2) if wanted else int(samples)
 
 
 class _Grid(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path as FilePath
@@ -19,7 +19,7 @@ from auv_gym.physics.intervals import Interval, Uniform, check_interval, check_n
 from auv_gym.physics.namespaces import Number
 from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.stiffness import AT_REST, check_step
-from auv_gym.physics.vehicle import PAPER_VEHICLE, Coefficients, Vehicle
+from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.paths import PAPER_CIRCLE, PATHS, Path
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.records import checked_suffix, from_record, read_table, to_record
@@ -135,14 +135,14 @@ class Scenario:
         check_number("lost_distance", self.lost_distance, 1e-3, 1e5)
         if self.mismatch is not None:
             self.mismatch.check(self.vehicle)
-        self._check_step(self.mismatch.extremes(self.vehicle) if self.mismatch else self.vehicle.coefficients)
+        self._check_step(self.mismatch.extremes(self.vehicle) if self.mismatch else self.vehicle.all_coefficients)
         if isinstance(self.path, Path) and not self.path.start <= 0 < self.duration <= self.path.end:
             raise ValueError(
                 f"the path runs from {self.path.start:.6g} to {self.path.end:.6g} s, the episode from 0 to "
                 f"{self.duration:.6g} s; lower steps or control_dt, or make the path longer"
             )
 
-    def _check_step(self, coefficients: Coefficients, speeds: Load = AT_REST) -> None:
+    def _check_step(self, coefficients: Sequence[Any], speeds: Load = AT_REST) -> None:
         """Raise ValueError if the integration step is too long for a true vehicle, or for several in rows."""
         surge, sway, yaw = self.actuators.F_u_max, 0.0, self.actuators.F_r_max
         if self.waves is not None:
@@ -232,6 +232,7 @@ class Scenario:
             sheared=self.current is not None and self.current.shear != 0,
             reckoned=self.sensors.reckoning is not None,
             lifting=self.vehicle.has_lift,
+            crossed=any(self.vehicle.cross_flow),
             finned=self.actuators.fin > 0,
             astern=self.actuators.astern < 1,
             span=self.span,
@@ -257,12 +258,13 @@ class Scenario:
             (parts.weak, episode.reach != (1.0, 1.0), "actuators that saturate early"),
             (parts.sheared, any(episode.current.shear[:2]), "a sheared current"),
             (parts.reckoned, episode.reckoning is not None, "a dead reckoning"),
-            (parts.lifting, episode.vehicle.has_lift, "a vehicle with lift"),
+            (parts.lifting or parts.crossed, episode.vehicle.has_lift, "a vehicle with lift"),
+            (parts.crossed, any(episode.vehicle.cross_flow), "a vehicle with cross-flow"),
         ):
             if there and not part:
                 raise ValueError(f"the episode has {what}, but scenario {self.name!r} has none; change one of them")
         if episode.initial_velocity is not None or (self.mismatch is None and episode.vehicle is not self.vehicle):
-            self._check_step(episode.vehicle.coefficients, episode.initial_velocity or AT_REST)
+            self._check_step(episode.vehicle.all_coefficients, episode.initial_velocity or AT_REST)
         return self.constants(episode)
 
     def constants(self, episode: Episode) -> Parameters:
@@ -287,6 +289,7 @@ class Scenario:
             astern=act.astern,
             shear=Shear(*episode.current.shear),
             log=log_of(episode.reckoning),
+            cross_flow=episode.vehicle.cross_flow,
             parts=self.parts,
         )
 

@@ -16,7 +16,7 @@ from auv_gym.physics.namespaces import Namespace, Number
 from auv_gym.physics.navigation import Reckoning
 from auv_gym.physics.rows import filled, leaves, numbered
 from auv_gym.physics.sensors import low_pass
-from auv_gym.physics.vehicle import Coefficients
+from auv_gym.physics.vehicle import Coefficients, CrossFlow
 from auv_gym.task.observation import failed, reward
 
 
@@ -89,6 +89,7 @@ class Parts(NamedTuple):
     sheared: bool = False  # current that depends on the position
     reckoned: bool = False  # dead reckoning between position fixes
     lifting: bool = False  # lift of the vehicle
+    crossed: bool = False  # cross-flow of the vehicle
     finned: bool = False  # yaw torque of fins, which depends on the speed
     astern: bool = False  # smaller thrust astern than ahead
     span: int = 1  # factor of the bounds of an observation, see `observation.bounds`
@@ -154,6 +155,7 @@ class Parameters(NamedTuple):
     astern: Number  # largest thrust astern over thrust_u
     shear: Shear
     log: SpeedLog
+    cross_flow: CrossFlow  # of the true vehicle
     parts: Parts
 
     @classmethod
@@ -209,7 +211,9 @@ def moved(
     _, _, _, _, _, _, _, _, V_x, V_y, X, Y, N, *_ = sample
     mean, force = respond(force, ordered(command, u, p, ns), p.response, ns)
     load, current = (mean[0] + X, Y, mean[1] + N), current_at(x, y, (V_x, V_y), p, ns)
-    coefficients = p.coefficients if p.parts.lifting else p.coefficients.without_lift
+    coefficients: Sequence[Number] = p.coefficients if p.parts.lifting else p.coefficients.without_lift
+    if p.parts.crossed:
+        coefficients = *p.coefficients, *p.cross_flow
     for _ in range(p.parts.substeps):
         state = rk4_step(state, load, coefficients, p.h, current, ns)
     return state, force

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from auv_gym.physics.disturbances import Current, RandomCurrent, RandomMismatch, RandomWaves
 from auv_gym.physics.intervals import draw
 from auv_gym.physics.sensors import Sensors
+from auv_gym.physics.stiffness import fastest_rate
 from auv_gym.physics.vehicle import PAPER_VEHICLE, Vehicle
 from auv_gym.planning.paths import Line
 from auv_gym.planning.planner import plan
@@ -240,3 +241,17 @@ def test_bad_parameters_are_refused(make, arguments, message):
 def test_mismatch_with_too_small_mass_in_sway_is_refused():
     with pytest.raises(ValueError, match=r"mismatch ratio may fall to 0.8; .* at least 0.8194"):
         Scenario(mismatch=RandomMismatch(ratio=(0.8, 1.2)))
+
+
+def test_every_draw_about_a_vehicle_with_cross_flow_takes_power():
+    crossed = replace(PAPER_VEHICLE, Y_vv=100.0, N_rr=50.0, X_vv=10.0, Y_rv=-30.0, N_vv=30.0, N_vr=-20.0)
+    mismatch, rng = RandomMismatch(d11=(0.5, 2.0), d22=(0.3, 3.0), d33=(0.3, 3.0)), np.random.default_rng(0)
+    drawn = [mismatch.draw(rng.random, crossed) for _ in range(200)]
+    loss = [v.X_vv for v in drawn]
+    assert max(loss) > 15
+    assert min(loss) < 7
+    for vehicle in drawn:
+        Vehicle(*vehicle.coefficients, **vehicle.cross_flow._asdict())  # is not refused
+    bound = fastest_rate(mismatch.extremes(crossed), (250.0, 0.0, 100.0)).max()
+    rates = fastest_rate(tuple(np.array([v.acting for v in drawn]).T), (250.0, 0.0, 100.0))
+    assert (rates <= bound * (1 + 1e-12)).all()

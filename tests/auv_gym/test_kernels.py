@@ -51,7 +51,7 @@ def numbers(rng, n=N):
 
 @pytest.mark.parametrize("flags", [[k == j for k in range(6)] for j in range(7)] + [[True] * 6])
 def test_a_step_equals_the_simulation_for_all_parts(flags):
-    parts = Parts(2, *flags)
+    parts = Parts(2, *flags, crossed=all(flags))
     plant, action, sample, parameters = numbers(np.random.default_rng(0))
     given = {"plant": plant, "seen": np.zeros((SIZE, N)), "action": action, "authority": np.zeros((2, N))}
     found = step_kernel(parts)(1, **given, samples=sample[None], parameters=parameters)

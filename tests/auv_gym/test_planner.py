@@ -32,7 +32,13 @@ from auv_gym.planning.sideslip import MAX_SIDESLIP, path_rates
 
 ROUGH = Vehicle(215.0, 265.0, 80.0, 70.0, 100.0, 50.0, X_uu=40.0, Y_vv=150.0, N_rr=60.0)
 FINNED = replace(ROUGH, Y_uv=160.0, Y_ur=40.0, N_uv=25.0, N_ur=30.0)
-VEHICLES = pytest.mark.parametrize("vehicle", [PAPER_VEHICLE, ROUGH, FINNED], ids=["linear", "quadratic", "lift"])
+CROSSED = replace(
+    FINNED, X_vv=10.0, X_vr=20.0, X_rr=5.0, Y_rv=60.0, Y_vr=20.0, Y_rr=10.0, N_vv=15.0, N_rv=10.0, N_vr=80.0
+)
+COMPILED = pytest.mark.parametrize("vehicle", [PAPER_VEHICLE, ROUGH, FINNED], ids=["linear", "quadratic", "lift"])
+VEHICLES = pytest.mark.parametrize(
+    "vehicle", [PAPER_VEHICLE, ROUGH, FINNED, CROSSED], ids=["linear", "quadratic", "lift", "cross-flow"]
+)
 TURN = 0.4075575636029479  # width over arc length of a lawnmower's turn; legs take 9 s, turns 12 s
 PATHS = {
     "line": Line(0.5, heading=1.0),
@@ -67,7 +73,8 @@ def test_section_iii_numbers():
     ("name", "vehicle"),
     [(name, PAPER_VEHICLE) for name in PATHS]
     + [(name, ROUGH) for name in ("circle", "ellipse", "figure_eight", "fast_circle")]  # |v| v has a kink at v = 0
-    + [(name, FINNED) for name in ("ellipse", "fast_circle")],
+    + [(name, FINNED) for name in ("ellipse", "fast_circle")]
+    + [(name, CROSSED) for name in ("ellipse", "fast_circle")],
 )
 def test_planned_forces_keep_the_vehicle_on_its_path_in_open_loop(name, vehicle):
     """Runge-Kutta steps of h with the forces at both ends and the middle; above 0.68 m/s errors grow in open loop."""
@@ -105,8 +112,17 @@ def sideslip(path, vehicle, times, start):
     return solve_ivp(rate, span, [start], "DOP853", times, rtol=1e-10, atol=1e-12, max_step=0.5).y[0]
 
 
+@pytest.mark.parametrize("name", ["circle", "sine", "random_smooth"])
+def test_cross_flow_that_vanishes_leaves_the_plan(name):
+    """Two planners, one answer: the equation that is linear in the yaw rate, and the one that is not."""
+    t, vanishing = 0.1 * np.arange(200), replace(FINNED, X_vv=1e-13)
+    plain, crossed = (plan(PATHS[name], vehicle, t).table for vehicle in (FINNED, vanishing))
+    size = np.abs(plain).max(axis=0)
+    np.testing.assert_allclose(crossed / size, plain / size, rtol=0, atol=1e-5)
+
+
 @pytest.mark.parametrize("name", PATHS)
-@VEHICLES
+@COMPILED
 def test_sideslip_solves_its_differential_equation(name, vehicle):
     """From the planner's initial value, which after the run-in is that of a start at t = -30 s."""
     t, path = 0.1 * np.arange(201), PATHS[name]
@@ -187,7 +203,7 @@ def test_batch_equals_single_paths(names, vehicle, dt):
 @pytest.mark.skipif(driver() is None, reason="there is no compiler")
 @pytest.mark.parametrize("times", [0.1 * np.arange(150), 2.5 + 0.7 * np.arange(20), np.array([0.0, 0.3])], ids=len)
 @pytest.mark.parametrize("name", PATHS)
-@VEHICLES
+@COMPILED
 def test_compiled_plans_equal_plans_in_python(name, vehicle, times):
     """With one sample or several per period, with and without refinement, from t = 0 and from a later time."""
     planner, path, rest = Planner(vehicle, times), PATHS[name], np.empty((3, len(times)))
