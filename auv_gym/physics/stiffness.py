@@ -73,7 +73,7 @@ def _reach(load: Load, linear: Sequence[Any], quadratic: Sequence[Any]) -> list[
 
 
 def _sure(quadratic: Sequence[Any], cross: CrossFlow) -> tuple[Any, Any, Any]:
-    """Return X_uu and what is left of Y_vv and N_rr, however cross-flow acts.
+    """Return X_uu, and lower bounds of Y_vv and N_rr for any sign of the cross-flow terms.
 
     By |v|^2 |r| <= (2 |v|^3 + |r|^3) / 3, for v and r in units in which Y_vv and N_rr are equal.
     """
