@@ -15,12 +15,12 @@ help: ## list the verbs
 	@echo 'make COMMAND [ARGS="more options"] [PYTHON=python3.12]'
 	@sed -n 's/^\([a-z-]*\):.*## /  \1            /p' $(MAKEFILE_LIST) | sed 's/^\(.\{13\}\) */\1/'
 
-demo: $(VENV)/demo.stamp ## recompute the paper, run every preset, record agent and expert as a video; in runs/demo
+demo: $(VENV)/demo.stamp ## recompute the paper, run every preset, record expert, MPC and agent as a video; in runs/demo
 	$(BIN)/python -m research paper --out runs/demo/paper
-	$(BIN)/python evaluate.py --suite presets --out runs/demo/scenarios $(ARGS)
-	$(BIN)/python evaluate.py --policy helm --scenario cruise-storm --jobs 1 --out runs/demo/storm $(ARGS)
-	$(BIN)/python -m baselines video --policy backstepping helm --scenario cruise-storm --episodes 20 \
-	  --jobs 1 --size 640x400 --speed 6 --fps 10 --out runs/demo/storm/video.webp $(ARGS)
+	$(BIN)/python evaluate.py --suite presets --policy nmpc helm --out runs/demo/scenarios $(ARGS)
+	$(BIN)/python evaluate.py --policy nmpc helm --scenario cruise-storm --jobs 1 --out runs/demo/storm $(ARGS)
+	$(BIN)/python -m baselines video --policy backstepping nmpc helm --scenario cruise-storm --episodes 20 \
+	  --jobs 1 --size 720x400 --speed 6 --fps 10 --out runs/demo/storm/video.webp $(ARGS)
 	@echo 'Open in a browser: the tables, runs/demo/*/report.html, and the video, runs/demo/storm/video.webp'
 
 # Twenty storms, as many as an evaluation draws; the one whose errors are the most usual is shown.

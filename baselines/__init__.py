@@ -10,7 +10,7 @@ _MODULES = {
     "identify": "identification.fit",
     "list_policies": "policies",
     "list_suites": "evaluation.suites",
-    "make_film": "video.video",
+    "make_video": "video.video",
     "make_policy": "policies",
     "make_residual_env": "residual_envs",
     "make_residual_vector_env": "residual_envs",

@@ -178,13 +178,14 @@ def test_help_lists_the_verbs(copy):
 
 @pytest.mark.slow
 def test_demo_recomputes_the_paper_runs_every_preset_and_shows_what_an_agent_wins(copy):
-    printed = made(copy, "demo").splitlines()[-3:]
+    printed = made(copy, "demo").splitlines()[-4:]
     for page in ("paper/paper.json", "paper/fig3_trajectory.png", "scenarios/report.html", "storm/report.html"):
         assert (copy / "runs" / "demo" / page).exists()
-    expected = r"steady-state RMSE of helm: 0\.\d+ m, of backstepping: 0\.\d+ m \(1 paired episode .*"
-    assert re.fullmatch(expected, printed[0])
-    assert printed[1].startswith("written: runs/demo/storm/video.webp")
-    assert "runs/demo/storm/video.webp" in printed[2]
+    for policy, line in zip(("nmpc", "helm"), printed, strict=False):
+        expected = rf"steady-state RMSE of {policy}: 0\.\d+ m, of backstepping: 0\.\d+ m \(1 paired episode .*"
+        assert re.fullmatch(expected, line)
+    assert printed[2].startswith("written: runs/demo/storm/video.webp")
+    assert "runs/demo/storm/video.webp" in printed[3]
     assert (copy / "runs" / "demo" / "storm" / "video.webp").stat().st_size > 10_000
 
 

@@ -22,7 +22,7 @@ from baselines.evaluation.score import EXPERT
 from baselines.tools.command_line import DONE, FAILED, UsageError, called, parse, printable
 from baselines.tools.workers import Workers
 from baselines.video.files import WRITERS, save_video
-from baselines.video.layout import VEHICLE_COLOURS
+from baselines.video.layout import MOST_PANELS
 from baselines.video.pairs import Comparison, comparisons, typical_episode
 from baselines.video.video import FPS, SPEED, VIDEO_SIZE, video_of
 
@@ -110,8 +110,8 @@ def _checked(options: Options) -> tuple[int, int]:
     """
     if options.out.suffix not in WRITERS:
         raise UsageError(f"--out is {options.out}; its name must end in {', '.join(WRITERS)}")
-    if not 1 <= len(options.policy) <= len(VEHICLE_COLOURS):
-        raise UsageError(f"--policy names {len(options.policy)} policies; a video shows 1 to {len(VEHICLE_COLOURS)}")
+    if not 1 <= len(options.policy) <= MOST_PANELS:
+        raise UsageError(f"--policy names {len(options.policy)} policies; a video shows 1 to {MOST_PANELS}")
     for name, least, most in (("seed", 0, 2**62), ("episodes", 1, _MOST_EPISODES), ("fps", 1, 60)):
         if (value := getattr(options, name)) is not None and not least <= value <= most:
             raise UsageError(f"--{name} is {value}; it must be an integer from {least} to {most}")

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from auv_gym.physics.namespaces import Array
 from auv_gym.rendering.camera import Camera, View
-from auv_gym.rendering.canvas import ALERT, CURRENT_COLOUR, INK, MUTED, VEHICLE, WHITE, Canvas, Color
+from auv_gym.rendering.canvas import ALERT, CURRENT_COLOUR, INK, MUTED, WHITE, Canvas, Color
 from auv_gym.rendering.cards import round_down
 from auv_gym.rendering.scene import Body, draw_ghost, draw_world
 from baselines.video.chart import Chart
 from baselines.video.recording import Instant, Trajectory
 
-VEHICLE_COLOURS: tuple[Color, ...] = (VEHICLE, (0, 158, 115), (204, 121, 167), (90, 90, 90), (240, 228, 66))
-"""Colours of the vehicles and of their curves, in the order of the policies."""
+MOST_PANELS = 5
+"""Largest number of policies in a video."""
 TITLE = 34.0  # [units] height of the title
 CHART = 0.27  # height of the chart as a fraction of the frame
 NEAREST = 3.0  # [m] smallest range of a panel on each side of the reference
@@ -26,6 +26,7 @@ _FARTHEST = 9.0  # [m] largest range
 PANEL = 285.0  # [units] smallest width of a panel without overlapping texts
 _TRAIL = 25.0  # [s] duration of a trail
 ARROW_SPEED = 1.5  # speed of an arrow of full length, as a multiple of the strongest current
+WAVES: Color = (90, 90, 90)  # the arrow of the wave force; as long as that of the current at the strongest of both
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,7 @@ class FrameRenderer:
         self._reach = min(max(1.25 * max(float(e.max()) for e in errors), NEAREST), _FARTHEST)  # [m]
         strongest = max(float(np.hypot(*p.trajectory.current.T).max()) for p in panels)
         self._arrow = max(ARROW_SPEED * strongest, 0.02)  # [m/s]
+        self._waves = max(float(np.hypot(*p.trajectory.waves.T).max()) for p in panels)  # [N]
         self._parts = self._panel_canvases()
         self._canvas.fill(WHITE)
         chart = self._canvas.part((0.0, self._chart_top, self._width, self._height - self._chart_top))
@@ -92,12 +94,13 @@ class FrameRenderer:
         played = f"{time:.0f} s, played {self._speed:g} times as fast" if self._speed != 1.0 else f"{time:.0f} s"
         canvas.text(played, x + 12.0, y, size=15.0, color=MUTED)
         x = self._width - 10.0
-        for name, width in (("current", 34.0), ("where it should be", 46.0)):
+        colours = {"current": CURRENT_COLOUR, **({"wave force": WAVES} if self._waves else {})}
+        for name, width in (*((name, 34.0) for name in colours), ("reference", 46.0)):
             x -= canvas.width_of(name, 15.0)
             canvas.text(name, x, y, size=15.0, color=MUTED)
             x -= width
-            if name == "current":
-                canvas.arrows(np.array([(x - 2.0, y)]), np.array((28.0, 0.0)), [CURRENT_COLOUR], 2.5)
+            if name in colours:
+                canvas.arrows(np.array([(x - 2.0, y)]), np.array((28.0, 0.0)), [colours[name]], 2.5)
             else:
                 draw_ghost(canvas, Body(np.array((x + 18.0, y)), 0.0, 36.0))
             x -= 16.0
@@ -122,12 +125,15 @@ class FrameRenderer:
         )
         travelled = int(np.searchsorted(trajectory.time, time, side="right")) - 1
         draw_world(canvas, camera, view, travelled, panel.colour, velocity=False)
+        if self._waves:
+            arrow = camera.arrow(instant.waves * (self._arrow / self._waves))
+            canvas.arrows(camera.project(instant.state[None, :2]), arrow, [WAVES], 2.5)
         width, height = canvas.extent.tolist()
         canvas.card((8.0, 8.0, width - 16.0, 50.0))
         canvas.box((18.0, 18.0, 8.0, 30.0), panel.colour, radius=3.0)
         ended = trajectory.failed and time >= trajectory.time[-1]
-        now = "failed" if ended else f"{instant.error:.2f} m off"
-        mean = f"{float(trajectory.error[trajectory.time <= time].mean()):.3f} m on average"
+        now = "failed" if ended else f"{100 * instant.error:.1f} cm off"
+        mean = f"{100 * float(trajectory.error[trajectory.time <= time].mean()):.1f} cm on average"
         for name, size, value, large, y, colors in (
             (panel.label, 16.0, now, 18.0, 24.0, (INK, ALERT)),
             (trajectory.policy, 13.0, mean, 13.0, 43.0, (MUTED, MUTED)),

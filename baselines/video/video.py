@@ -11,14 +11,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from auv_gym.rendering.canvas import Color
 from auv_gym.rendering.renderer import import_pygame
 from auv_gym.scenarios.presets import as_scenario
 from auv_gym.scenarios.scenario import Scenario
 from baselines.agents.names import agent_folder
 from baselines.evaluation.runner import drawn
 from baselines.evaluation.score import EXPERT, ORACLE
+from baselines.tools.figure_style import look
 from baselines.video.files import save_video
-from baselines.video.layout import VEHICLE_COLOURS, FrameRenderer, Panel
+from baselines.video.layout import FrameRenderer, Panel
 from baselines.video.recording import Trajectory, trajectory_of
 
 VIDEO_SIZE = (480, 360)
@@ -53,22 +55,27 @@ class Video:
 
     @cached_property
     def times(self) -> list[float]:
-        """The times of the episode [s], one for each frame."""
+        """The times of the episode [s], one for each frame; the first frame shows the end, as a summary."""
         whole = max(float(v.time[-1]) for v in self.trajectories)
         end = whole if self.seconds is None else min(self.seconds * self.speed, whole)
         count = math.floor(end * self.fps / self.speed) + 1
-        return [k * self.speed / self.fps for k in range(count)]
+        return [end, *(k * self.speed / self.fps for k in range(count))]
 
     def frames(self, count: int | None = None) -> Iterator[NDArray[np.uint8]]:
         """Yield the frames, arrays (height, width, 3); only the first `count`, if it is given."""
         longest = max(self.trajectories, key=lambda v: len(v.time))
-        panels = [
-            Panel(v, label_of(v.policy), hull) for v, hull in zip(self.trajectories, VEHICLE_COLOURS, strict=False)
-        ]
+        policies = [v.policy for v in self.trajectories]
+        panels = [Panel(v, label_of(v.policy), _rgb(look(v.policy, policies).colour)) for v in self.trajectories]
         path = longest.reference[:, :2]
         renderer = FrameRenderer(import_pygame(), self.size, self.title, panels, path, self.speed)
         for time in self.times[:count]:
             yield renderer.frame_at(time)
+
+
+def _rgb(colour: str) -> Color:
+    """Return the numbers of a colour #rrggbb."""
+    red, green, blue = bytes.fromhex(colour[1:])
+    return red, green, blue
 
 
 def label_of(policy: str) -> str:
@@ -86,13 +93,13 @@ def video_of(
     speed: float = SPEED,
     seconds: float | None = None,
 ) -> Video:
-    """Run policies through the episode of a seed and return the video; see `make_film`."""
+    """Run policies through the episode of a seed and return the video; see `make_video`."""
     cell = drawn(as_scenario(scenario), 1, seed)
     trajectories = tuple(trajectory_of(policy, cell.scenario, cell.episodes[0]) for policy in policies)
     return Video(trajectories, f"{cell.scenario.name}, seed {seed}", size, fps, speed, seconds)
 
 
-def make_film(
+def make_video(
     out: Path | str,
     policies: Sequence[str],
     scenario: Scenario | str,

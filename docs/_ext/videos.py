@@ -34,13 +34,13 @@ def shown_policies(scenario: str) -> tuple[str, ...]:
 
 def video_file(scenario: Scenario, folder: Path) -> Path:
     """Return the file of a scenario's video; the video is made if the file does not exist."""
-    from baselines.video import make_film
+    from baselines.video import make_video
 
     policies = shown_policies(scenario.name)
     options = {"seed": SEED, "size": (400 * len(policies), 400), "speed": SPEED, "seconds": SECONDS, "fps": 10}
     record = json.dumps([scenario.to_dict(), policies, options])
     file = folder / f"{scenario.name}-{hashlib.sha256(record.encode()).hexdigest()[:12]}.webp"
-    return file if file.exists() else make_film(file, policies, scenario.name, **options)
+    return file if file.exists() else make_video(file, policies, scenario.name, **options)
 
 
 class VideoDirective(SphinxDirective):

@@ -15,18 +15,19 @@ from auv_gym.scenarios.presets import PRESETS
 from baselines import make_policy
 from baselines.evaluation.runner import drawn, run_all
 from baselines.tools.command_line import UsageError
+from baselines.tools.figure_style import look
 from baselines.tools.workers import Workers
-from baselines.video import command, make_film
+from baselines.video import command, make_video
 from baselines.video.files import save_video
-from baselines.video.layout import VEHICLE_COLOURS
 from baselines.video.pairs import comparisons, typical_episode
-from baselines.video.video import label_of, video_of
+from baselines.video.video import _rgb, label_of, video_of
 
 pytest.importorskip("pygame")
 
 ROOT = Path(__file__).parents[2]
 TRIO = ("backstepping", "nmpc", "helm")
 PAIR = ("backstepping", "apg-cruise")
+COLOURS = [_rgb(look(policy, PAIR).colour) for policy in PAIR]
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +77,7 @@ def test_vehicles_are_drawn_at_their_position_error(storm):
     errors = [v.error.max() for v in storm.trajectories]
     reach = 1.25 * max(errors)
     panel = frame[60:289]  # below the title and the texts
-    for trajectory, colour, left in zip(storm.trajectories, VEHICLE_COLOURS, (0, 322), strict=False):
+    for trajectory, colour, left in zip(storm.trajectories, COLOURS, (0, 322), strict=True):
         rows, columns = np.nonzero(near(panel[:, left : left + 318], colour, 12))
         instant = trajectory.at(time)
         unit = 0.5 * min(318, 400 * 0.73 - 34 * 640 / 960 - 1.3) / max(reach, 3.0)  # [px/m]
@@ -88,17 +89,16 @@ def test_vehicles_are_drawn_at_their_position_error(storm):
 
 def test_chart_grows_with_time(storm):
     frames = list(storm.frames(30))
-    counts = [[near(p[300:], colour).sum() for p in frames] for colour in VEHICLE_COLOURS[:2]]
+    counts = [[near(p[300:], colour).sum() for p in frames] for colour in COLOURS]
     for own in counts:
-        assert own[0] < own[15] < own[29]
-    assert not near(frames[0][300:], VEHICLE_COLOURS[2]).any()
+        assert own[1] < own[15] < own[29] < own[0]  # the first frame shows the whole episode
 
 
 def test_frames_have_the_requested_size_number_and_speed():
     video = video_of(["backstepping"], "slow-calm", 0, size=(301, 203), fps=10, speed=20.0, seconds=0.5)
     frames = list(video.frames())
-    assert [p.shape for p in frames] == [(203, 301, 3)] * 6
-    assert video.times == pytest.approx([0.0, 2.0, 4.0, 6.0, 8.0, 10.0])
+    assert [p.shape for p in frames] == [(203, 301, 3)] * 7
+    assert video.times == pytest.approx([10.0, 0.0, 2.0, 4.0, 6.0, 8.0, 10.0])
     assert near(frames[-1], SEA_COLOUR, 2).mean() > 0.3
     np.testing.assert_array_equal(frames[2], list(video.frames(3))[2])
 
@@ -109,7 +109,7 @@ def test_a_failed_vehicle_stays_at_its_last_position():
     expert, failed = video.trajectories
     assert (expert.failed, failed.failed) == (False, True)
     assert failed.time[-1] < expert.time[-1]
-    assert len(list(video.frames())) == len(video.times) == 24
+    assert len(list(video.frames())) == len(video.times) == 25
 
 
 def test_labels_of_policies():
@@ -159,8 +159,8 @@ def test_videos_contain_their_frames(tmp_path):
     from imageio_ffmpeg import count_frames_and_secs
     from moviepy.video.io.ffmpeg_reader import ffmpeg_parse_infos
 
-    file = str(make_film(tmp_path / "video.mp4", ["backstepping"], "slow-calm", size=(301, 203), seconds=0.5))
-    assert count_frames_and_secs(file)[0] == 7
+    file = str(make_video(tmp_path / "video.mp4", ["backstepping"], "slow-calm", size=(301, 203), seconds=0.5))
+    assert count_frames_and_secs(file)[0] == 8
     about = ffmpeg_parse_infos(file)
     assert (about["video_size"], about["video_fps"]) == ([300, 202], 12.0)
 
@@ -223,4 +223,4 @@ def test_caption_of_the_video_in_the_documentation():
     file = ROOT / "docs" / "images" / "storm.webp"
     assert file.stat().st_size < 1.5e6
     with Image.open(file) as image:
-        assert (image.size, image.n_frames, image.info["loop"]) == ((820, 470), 100, 0)
+        assert (image.size, image.n_frames, image.info["loop"]) == ((820, 470), 101, 0)
