@@ -14,7 +14,7 @@ from baselines.evaluation.metrics import bootstrap_interval
 from baselines.evaluation.report.columns import COLUMNS, failures_text
 from baselines.evaluation.report.numbers import Entry
 from baselines.evaluation.score import OPTIMUM_POLICY
-from baselines.tools.figure_style import COLOURS, MARKERS, panels, styled, to_png
+from baselines.tools.figure_style import MARKERS, look, panels, styled, to_png
 from research.lower_bounds.estimation.command import recorded_bounds
 from research.results.collection import Results, results_of
 
@@ -120,13 +120,14 @@ def _errors(results: Results) -> Any:
     for ax, speed_range in zip(axes, SPEED_RANGES, strict=True):
         for i, name in enumerate(names):
             steady_rmses = 1e3 * _steady_rmses(results, name.format(speed_range), speed_range)
-            ax.plot(bootstrap_interval(steady_rmses), [i, i], color=COLOURS[0], linewidth=2)
-            ax.plot(steady_rmses.mean(), i, color=COLOURS[0], marker=MARKERS[0], markersize=5)
+            own = look(name.format("cruise"), [n.format("cruise") for n in names])
+            ax.plot(bootstrap_interval(steady_rmses), [i, i], color=own.colour, linewidth=2)
+            ax.plot(steady_rmses.mean(), i, color=own.colour, marker=MARKERS[own.marker], markersize=5)
         for value, label, style in (
             (1e3 * _mean(results, OPTIMUM_POLICY, speed_range), "full-information optimum", "-"),
             (1e3 * _estimation(results, speed_range), "estimation lower bound", "--"),
         ):
-            ax.axvline(value, color=COLOURS[1], linestyle=style, linewidth=1.2, label=label)
+            ax.axvline(value, color="0.45", linestyle=style, linewidth=1.2, label=label)
         ax.set_xscale("log")
         ax.set_title(f"{speed_range}: mean steady-state error [mm]")
     axes[0].set_yticks(range(len(names)), [name.format("*") for name in names])
@@ -159,7 +160,8 @@ def _command_rates(results: Results) -> Any:
         for policy in _POLICIES:
             name = policy.format(speed_range)
             rate, error = _entry(results, name, speed_range).smoothness_ratio, 1e3 * _mean(results, name, speed_range)
-            ax.plot(rate, error, color=COLOURS[0], marker=MARKERS[0], markersize=5)
+            own = look(policy.format("cruise"), [p.format("cruise") for p in _POLICIES])
+            ax.plot(rate, error, color=own.colour, marker=MARKERS[own.marker], markersize=5)
             below = policy in _BELOW
             ax.annotate(
                 policy.format("*"), (rate, error), (0, -4 if below else 4), textcoords="offset points", fontsize=7,
