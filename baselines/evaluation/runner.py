@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from auv_gym import __version__
 from auv_gym.envs.sub_environments import plan_of, reference_tables
-from auv_gym.physics.vehicle import Vehicle
+from auv_gym.physics.vehicle import CrossFlow, Vehicle
 from auv_gym.scenarios.episode import Episode
 from auv_gym.scenarios.scenario import Scenario
 from baselines.evaluation.fingerprints import fingerprint, simulator_fingerprint
@@ -60,8 +60,9 @@ def _plain(part: Any) -> dict[str, Any]:
     record = {f.name: getattr(part, f.name) for f in fields(part)}
     if isinstance(part, Episode) and part.reckoning is None:
         del record["reckoning"]
-    if isinstance(part, Vehicle) and part.speed == Vehicle.speed:
-        del record["speed"]
+    if isinstance(part, Vehicle):
+        later = "speed", *CrossFlow._fields
+        record = {name: x for name, x in record.items() if name not in later or x != getattr(Vehicle, name)}
     return record
 
 

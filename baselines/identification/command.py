@@ -43,9 +43,7 @@ class Options:
 
     Exit status: 0 done, 1 the logs do not show a whole vehicle, 2 wrong usage.
 
-    Examples:
-    auv-gym identify log.csv --terms X_uu --out vehicle
-    auv-gym identify run1.dat run2.dat --format kvlcc2 --known m11=3436 m22=6050 m33=15900 arm=3.5 --holdout run3.dat
+    Example: auv-gym identify log.csv --terms X_uu --holdout new.csv --out vehicle
     """
 
     logs: Annotated[Positional[tuple[Path, ...]], arg(metavar="LOG [LOG ...]")]

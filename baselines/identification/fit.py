@@ -33,7 +33,8 @@ from baselines.identification.start import Begin
 from baselines.identification.stern_start import NOT_NEGATIVE_STERN
 from baselines.identification.uncertainty import NORMAL_QUANTILE, covariance, found_noise, rough_noise, whiteness
 
-IDENTIFIED = "identified"  # what a log says of a parameter, as are the next four: its interval is narrow enough
+IDENTIFIED = "identified"  # what a log says of a parameter, as are the next five: its interval is narrow enough
+FITTED = "fitted"  # the same where the model does not explain the log: the interval is not valid
 ZERO = "not significantly different from 0, taken as 0"  # its interval holds zero
 SMALL = "not significantly different from 0, kept small"  # the same, where a prior keeps it small instead
 UNREACHED = "not reached"  # a limit that no command came up to
@@ -59,7 +60,7 @@ class ParameterEstimate:
     value: float  # what the fit takes; nan where it is not identified, inf for a limit that was not reached
     low: float  # 95 % interval
     high: float
-    verdict: str  # IDENTIFIED, ZERO, SMALL, UNREACHED, UNKNOWN, KNOWN or LEFT_OUT
+    verdict: str  # IDENTIFIED, FITTED, ZERO, SMALL, UNREACHED, UNKNOWN, KNOWN or LEFT_OUT
 
 
 @dataclass(frozen=True)
@@ -281,7 +282,7 @@ class _Search:
         low, high = value - half, value + half
         if name in NOT_NEGATIVE:
             low, high = max(low, 0.0), max(high, 0.0)
-        verdict = IDENTIFIED
+        verdict = IDENTIFIED if self.white >= DOUBT else FITTED
         if name in COEFFICIENTS and half > abs(value) and half * self.begin.shares[name] > 1:
             verdict = UNKNOWN
         elif self.begin.sizes is not None and name not in KEPT and not is_current(name) and half > abs(value):

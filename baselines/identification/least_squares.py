@@ -24,7 +24,7 @@ INNER = 4  # predictions on the way to the best first states
 BLOWN_UP = 1e60  # [standard deviations] error that nothing is learned from
 MOST = 30  # evaluations of a fit
 REFUSED = 1e3  # [standard deviations] that a form counts as which is too small by 1
-LEAST_FORM = 0.02
+LEAST_FORM = 0.02  # of a linear form that must not be negative
 _TOLERANCE = 1e-7  # relative change of the squared errors, or of the parameters, at which it ends
 
 

@@ -28,7 +28,7 @@ from auv_gym.physics.vehicle import Coefficients, CrossFlow
 from auv_gym.physics.wind import WindDrag, wind_load
 from baselines.identification.log import Log
 
-CROSS_FLOW = CrossFlow._fields
+CROSS_FLOW = CrossFlow._fields  # names of the cross terms of damping
 COEFFICIENTS = (*Coefficients._fields, *CROSS_FLOW)  # names of the parameters of the vehicle
 LIMIT_NAMES = ("F_u_max", "F_r_max")  # [N], [N m] of the actuators of forces
 STERN_NAMES: Mapping[str, tuple[str, ...]] = {
@@ -37,7 +37,7 @@ STERN_NAMES: Mapping[str, tuple[str, ...]] = {
     "revolutions": Stern._fields,
 }
 """Names of the parameters of propeller and rudder, by the kind of the commands."""
-WIND_NAMES = WindDrag._fields
+WIND_NAMES = WindDrag._fields  # names of the parameters of the wind's force
 AHEAD = "ahead"  # [m] how far the origin of the equations lies ahead of the point that the log measures
 CURRENT_NAMES = ("V_x", "V_y")  # [m/s] in the world, constant in a run
 LOG_STATES = 6  # of a `dynamics.State`

@@ -93,7 +93,7 @@ class Simulated:
         for _ in range(FINER):
             acting, self._force = respond(self._force, (limited[0], limited[1]), response, FLOATS)
             load = (acting[0], 0.0 - acting[1] / self._arm, acting[1])
-            state = rk4_step(state, load, self._vehicle.coefficients, h, self._current)
+            state = rk4_step(state, load, self._vehicle.all_coefficients, h, self._current)
         return state
 
 

@@ -14,7 +14,7 @@ from auv_gym.physics.sensors import Sensors
 from auv_gym.physics.vehicle import PAPER_VEHICLE
 from auv_gym.scenarios.scenario import Scenario
 from auv_gym.scenarios.vehicles import as_vehicle
-from baselines.identification import Log, command, identify
+from baselines.identification import Log, command, fit, identify
 from baselines.identification.command import PROGRAM, main
 from baselines.identification.figures import Approach, figures
 from baselines.identification.fit import IDENTIFIED, LEFT_OUT, UNREACHED, ZERO
@@ -300,6 +300,21 @@ def test_speeds_through_the_water_serve_too():
     found = identify(replace(log, measured=measured), (), over_ground=False)
     assert found["V_x"].value == pytest.approx(V_x, abs=0.01)
     assert found["m22"].value == pytest.approx(265, rel=0.02)
+
+
+def test_a_term_without_which_the_prediction_blows_up_stays(log, monkeypatch):
+    refit = fit._Search._refit
+
+    def picky(search):
+        if "N_uv" not in search.free:
+            raise ValueError("the simulator blows up")
+        refit(search)
+
+    monkeypatch.setattr(fit._Search, "_refit", picky)
+    found = identify(log, (*DRAG_TRUE, "N_uv"))
+    assert "N_uv" in found.free
+    assert found["N_uv"].low < 0 < found["N_uv"].high
+    assert found["m22"].value == pytest.approx(TRUE["m22"], rel=0.02)
 
 
 @pytest.mark.slow
