@@ -310,6 +310,7 @@ def folder(tmp_path_factory):
     "line",
     [line for line in lines() if line.startswith(EVALUATE) and not elsewhere(line)],
 )
+@pytest.mark.slow
 def test_line_of_evaluate_runs(line, folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     if "--help" in line:
@@ -322,5 +323,6 @@ def test_line_of_evaluate_runs(line, folder, monkeypatch, capsys):
 @pytest.mark.parametrize(
     "line", sorted({shlex.join(quick(x)) for x in lines() if re.match(OTHERS, x) and not elsewhere(x)})
 )
+@pytest.mark.slow
 def test_line_of_a_module_runs(line, copy):
     called(copy, sys.executable, *shlex.split(line))

@@ -229,6 +229,7 @@ def test_fine_tuning_changes_only_rates_and_length():
     json.dumps(dict(values.values))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", ["fine-tuning", "tutorials/log-to-agent"])
 def test_documented_commands_run(page, call, monkeypatch):
     """In their order, with a small agent in the place of the one that ships; vehicle.toml is that of the tutorial."""

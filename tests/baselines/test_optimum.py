@@ -36,6 +36,7 @@ def test_at_least_as_good_as_the_oracle_in_every_episode(speed_range, case):
     assert best.steady_rmse.max() < 0.001
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cell", ["slow-delay", "cruise-sluggish", "cruise-short-limits", "slow-everything"])
 def test_the_environment_has_the_predicted_error(cell):
     """With delayed commands, slow and weak actuators, a current that varies in space, and rounded actions."""

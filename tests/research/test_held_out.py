@@ -14,6 +14,7 @@ from research.results.learning import context, held_out_results
 from research.seeds import HELD_OUT
 
 ROOT = Path(__file__).parents[2]
+pytestmark = pytest.mark.slow  # recorded rows of all policies are read
 
 
 @pytest.fixture(scope="module")

@@ -19,6 +19,8 @@ from research.results import collection, overview
 from research.results.collection import ROUNDING, SUITES, TOLERANCE, Results, better_than, collected
 from research.transfer.comparison import TRANSFER_FILE
 
+pytestmark = pytest.mark.slow  # all recorded rows are read
+
 ROOT = Path(__file__).parents[2]
 AGENT = "helm"  # the agent of the README
 WORDS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
