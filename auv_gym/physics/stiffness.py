@@ -43,7 +43,7 @@ def fastest_rate(coefficients: Coefficients, load: Load, speeds: Load = AT_REST)
     m11, m22, m33, *drags = (np.asarray(c, dtype=np.float64) for c in coefficients)
     linear, quadratic, (Y_uv, Y_ur, N_uv, N_ur) = drags[:3], drags[3:6], drags[6:]
     acting = list(zip(load, linear, quadratic, strict=True))
-    with np.errstate(divide="ignore", invalid="ignore"):  # no quadratic drag: no bound by it
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # little or no quadratic drag: no bound by it
         power = sum(np.fmin(F * F / (4 * d), 2 / 3 * F * np.sqrt(F / (3 * q))) for F, d, q in acting)
         reach = [np.fmin(F / (2 * d) + np.sqrt(power / d), np.sqrt(F / q) + np.cbrt(power / q)) for F, d, q in acting]
     u, v, r = (np.maximum(w, abs(w_0)) for w, w_0 in zip(reach, speeds, strict=True))

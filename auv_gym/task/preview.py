@@ -78,7 +78,7 @@ class Preview:
         """
         self.periods = checked_preview(periods)
         self._ahead = np.array(self.periods, dtype=np.int64)
-        self._instants = steps + 1 + max(self.periods, default=0)
+        self._instants, self._last = steps + 1 + max(self.periods, default=0), steps
         self._positions = np.zeros((lanes if self.periods else 0, self._instants, 2))
 
     @property
@@ -96,8 +96,11 @@ class Preview:
         self._positions[lanes, known:] = _positions(paths, times)
 
     def ahead(self, lanes: Sequence[int] | Indices, k: int | Indices) -> Array:
-        """Return the displacements in the world [m] from control step k of n lanes on, shape (P, 2, n)."""
-        lanes, k = np.asarray(lanes), np.broadcast_to(k, len(lanes))
+        """Return the displacements in the world [m] from control step k of n lanes on, shape (P, 2, n).
+
+        Behind the last control step, where an episode that is over waits for its reset, they are those of that step.
+        """
+        lanes, k = np.asarray(lanes), np.broadcast_to(np.minimum(k, self._last), len(lanes))
         now = self._positions[lanes, k]
         later = self._positions[lanes[:, None], k[:, None] + self._ahead]
         return np.asarray((later - now[:, None]).transpose(1, 2, 0))
