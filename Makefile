@@ -36,10 +36,11 @@ test: export MPLBACKEND = Agg
 test: export SDL_AUDIODRIVER = dummy
 test: export SDL_VIDEODRIVER = dummy
 test: lint typecheck ## lint, typecheck and run the tests
-	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 25 $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist worksteal --durations 25 -m "not slow" $(ARGS)
 
 test-all: export OMP_NUM_THREADS = 1
-test-all: test ## the tests, and those of equations once more without a compiler
+test-all: test ## the tests, the slow ones, and those of equations once more without a compiler
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m slow
 	AUV_GYM_NATIVE=0 $(BIN)/python -m pytest -n 2 --dist worksteal -k "$(UNCOMPILED)" $(EQUATIONS)
 
 # What runs equations runs once more as on a machine without a compiler, but for what has nothing to do with that, and

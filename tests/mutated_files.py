@@ -9,7 +9,6 @@ import bz2
 import hashlib
 import io
 import json
-import lzma
 import os
 import random
 import re
@@ -482,9 +481,11 @@ def verdict(kind, file):
     """
     receive, send = os.pipe()
     if (child := os.fork()) == 0:
-        os.close(receive)
-        os.write(send, json.dumps(_read(kind, file)).encode()[:60_000])
-        os._exit(0)
+        try:
+            os.close(receive)
+            os.write(send, json.dumps(_read(kind, file)).encode()[:60_000])
+        finally:
+            os._exit(0)
     os.close(send)
     signal.alarm(PATIENCE)
     try:
@@ -512,13 +513,14 @@ def _read(kind, file):
     resource.setrlimit(resource.RLIMIT_AS, (ALLOWED * 2**20, ALLOWED * 2**20))
     before, start, message, wrong = _peak(), time.process_time(), None, ""
     try:
-        with warnings.catch_warnings(action="error") if sys.version_info >= (3, 11) else suppress():
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
             FORMATS[kind].read(file)
     except REFUSALS as error:
         message = str(error)
         if "\n" in message or len(message) > LONGEST:
             wrong = f"the reason has {len(message)} characters and {message.count(chr(10)) + 1} lines: {message[:300]}"
-    except BaseException:
+    except Exception:  # noqa: BLE001
         wrong = traceback.format_exc(-6)
     seconds, memory = time.process_time() - start, _peak() - before
     if seconds > SECONDS or memory > MEMORY:

@@ -15,8 +15,8 @@ from baselines.evaluation.about import NOTHING, About
 class Options:
     """Run policies through the same episodes; print the table, write report.html, results.json and results.csv.
 
-    The expert, backstepping, always runs too: its effort and smoothness are the reference of the others. Exit status: 0 done, 1 a
-    policy failed or the results could not be written, 2 wrong usage.
+    The expert, backstepping, always runs too: its effort and smoothness are the reference of the others. Exit status: 0
+    done, 1 a policy failed or the results could not be written, 2 wrong usage.
     """
 
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()

@@ -8,11 +8,13 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from auv_gym.physics.namespaces import Array
+from auv_gym.scenarios.records import guarded
 from baselines.tools.files import read_bytes
 
 LOG_COLUMNS = {
@@ -32,6 +34,7 @@ MEASURED_COLUMNS = tuple(LOG_COLUMNS)[1:7]  # what sensors say
 _COMMANDS = tuple(LOG_COLUMNS)[7:]  # what was asked of the actuators
 _SHORTEST = 50  # fewest rows of a log
 _LARGEST = 30_000  # most rows of a log
+_LARGEST_FILE = 2**24  # [bytes]
 
 
 @dataclass(frozen=True)
@@ -106,17 +109,13 @@ class Log:
             ValueError: the file is no table of numbers, lacks a column, says another unit, or holds no log.
             OSError: it cannot be read.
         """
-        data = read_bytes(Path(file))
-        try:
+        data = read_bytes(Path(file), _LARGEST_FILE)
+        with guarded(f"{file} is not valid CSV"):
             stream = io.StringIO(data.decode("utf-8-sig"), newline="")
-            rows = [row for row in csv.reader(stream, strict=True) if row]
-        except (UnicodeDecodeError, csv.Error) as error:
-            raise ValueError(f"{file} is not valid CSV: {error}") from error
-        try:
+            rows = [*islice(filter(None, csv.reader(stream, strict=True)), _LARGEST + 2)]
+        with guarded(str(file)):
             table = _table(rows)
             return cls(table[:, 0], table[:, 1:7], table[:, 7:])
-        except ValueError as error:
-            raise ValueError(f"{file}: {error}") from error
 
 
 def _table(rows: Sequence[Sequence[str]]) -> Array:
@@ -137,7 +136,7 @@ def _table(rows: Sequence[Sequence[str]]) -> Array:
             try:
                 table[k, j] = float(text)
             except ValueError:
-                raise ValueError(f"{names[place]} in data row {k + 1} is {text!r}; it must be a number") from None
+                raise ValueError(f"{names[place]} in data row {k + 1} is {text[:60]!r}; it must be a number") from None
     return table
 
 

@@ -9,8 +9,8 @@ import math
 import os
 import platform
 import stat
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,34 +19,18 @@ import numpy as np
 import scipy
 
 import auv_gym
+from auv_gym.scenarios.records import guarded
 
 LARGEST_FILE = 2**26
 """Largest file [bytes] that is read."""
+_LARGEST_YAML = 2**16
+"""Largest YAML file [bytes]: its parser takes 50 microseconds a byte."""
 DEEPEST = 50
 """Most lists and tables inside of one another."""
 LARGEST_TREE = 2**20
 """Most entries of a file, aliases counted as often as they are used."""
 LARGEST_INTEGER = 2**1000
 """Magnitude of an integer that a float can still hold."""
-
-
-@contextmanager
-def guarded(what: str) -> Iterator[None]:
-    """Turn whatever damaged input makes a reader raise into ValueError; OSError passes, since it names the file itself.
-
-    Args:
-        what: begins the message.
-
-    Raises:
-        ValueError: the input is damaged.
-    """
-    try:
-        yield
-    except (ImportError, OSError):
-        raise
-    except Exception as error:  # zlib.error, TypeError, RecursionError, MemoryError ...
-        kind = "" if isinstance(error, (ValueError, Warning)) else f"{type(error).__name__}: "
-        raise ValueError(f"{what}: {' '.join(f'{kind}{error}'.split())[:1000]}") from error
 
 
 def read_bytes(file: Path, largest: int = LARGEST_FILE) -> bytes:
@@ -65,9 +49,9 @@ def read_bytes(file: Path, largest: int = LARGEST_FILE) -> bytes:
     return data
 
 
-def read_text(file: Path) -> str:
+def read_text(file: Path, largest: int = LARGEST_FILE) -> str:
     """Return the text of a UTF-8 file; raises as `read_bytes`, and ValueError where it is no such text."""
-    data = read_bytes(file)
+    data = read_bytes(file, largest)
     with guarded(f"{file} is no UTF-8 text"):
         return data.decode()
 
@@ -96,7 +80,7 @@ def read_csv(file: Path) -> list[dict[str, str]]:
 
 def read_yaml(file: Path) -> Any:
     """Return the value that a YAML file holds; raises as `read_json`."""
-    text = read_text(file)
+    text = read_text(file, _LARGEST_YAML)
     with guarded(f"{file} is not valid YAML"):
         return parse_yaml(text)
 

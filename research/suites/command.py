@@ -38,9 +38,9 @@ class Options:
     ]
     """build: replace a suite's file and its hash. check: compare every episode with what it generated. seal: draw a
     secret that a suite's episodes will be drawn from, keep its hash and print it, once. open: check a secret against
-    the hash that was kept, publish it and build the suite; when everything that will run in it is frozen. anchor-errors:
-    measure what the anchors do, for the scores of validations. record: keep the policies' results. verify: run
-    what is recorded again and compare every number with the recorded one, to the last bit that is kept."""
+    the hash that was kept, publish it and build the suite; when everything that will run in it is frozen.
+    anchor-errors: measure what the anchors do, for the scores of validations. record: keep the policies' results.
+    verify: run what is recorded again and compare every number with the recorded one, to the last bit that is kept."""
     name: Annotated[Positional[tuple[str, ...]], arg(metavar="[NAME ...]")] = ()
     """The suites; check and verify take all without any."""
     policy: Annotated[tuple[str, ...], arg(metavar="P [P ...]", help_behavior_hint="")] = ()

@@ -32,7 +32,7 @@ from auv_gym.task.observation import Observation
 SyncVectorEnv = pytest.importorskip("gymnasium.vector").SyncVectorEnv
 pytest.importorskip("gymnasium", minversion="1.1")  # whose SyncVectorEnv has the modes of autoreset
 N = 3
-FEW = settings().max_examples // 10
+FEW = settings().max_examples // 25
 NEAR = 1e-9  # between back ends, of observations, rewards and errors: their rounding differs
 ACTIONS = st.lists(st.floats(-1.5, 1.5), min_size=2 * N, max_size=2 * N).map(lambda a: np.reshape(a, (N, 2)))
 BAD_ACTIONS = (math.nan, math.inf, -math.inf)
