@@ -1,0 +1,117 @@
+"""Millions of steps of vector environments in random scenarios: are all numbers finite, and does memory stay flat?
+
+`python tests/soak.py [--steps N] [--seed S]`. Each round draws scenarios, a mode of autoreset and a policy, and steps a
+vector environment of its own. `tests/baselines/test_soak.py` does a few rounds.
+"""
+
+import argparse
+import gc
+import re
+import sys
+import time
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from random_scenarios import SUBSTEPS, Generated, scenario
+
+from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
+from auv_gym.envs.vector_api import AutoresetMode
+from baselines import make_policy
+
+LANES = 1000
+ROUND = 200  # control steps of an environment
+EPISODES = (20, 50, 150)  # control steps
+POLICIES = ("uniform", "backstepping", "los-pid", "lqi", "ekf", "apg-cruise", "helm")
+"""They take turns, so that all of them are in memory after the first tenth. The first one draws its actions."""
+GROWTH = 50  # [MiB] that memory may grow by after the first tenth
+
+
+def resident():
+    """Return the memory of this process now [MiB]."""
+    gc.collect()
+    return int(re.search(r"VmRSS:\s*(\d+)", Path("/proc/self/status").read_text())[1]) / 1024
+
+
+def acting(name, rng):
+    """Return what acts for a name of `POLICIES`: a function of observations, memory and where an episode begins."""
+    if name == "uniform":
+        return lambda observation, memory, first: (rng.uniform(-1, 1, (len(observation), 2)), memory)
+    return make_policy(name).predict
+
+
+def drawn(rng):
+    """Return a vector environment of random scenarios; None where a path cannot be followed."""
+    choose = Generated(rng)
+    substeps = (choose.of(SUBSTEPS),)
+    mode = choose.of((AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP))
+    try:
+        some = [scenario(choose, substeps) for _ in range(choose.of((1, 5)))]
+        some = [replace(each, steps=choose.of(EPISODES)) for each in some]
+        env = UnderactuatedAUVTrackVectorEnv(LANES, [some[i % len(some)] for i in range(LANES)], autoreset_mode=mode)
+        env.reset(seed=int(rng.integers(2**31)))
+    except ValueError:
+        return None
+    return env
+
+
+def checked(**arrays):
+    """Raise AssertionError where a number is not finite."""
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise AssertionError(f"{name} holds {np.ravel(array)[~np.isfinite(np.ravel(array))][0]}")
+
+
+def soak(steps, seed, report=lambda _: None):
+    """Step vehicles until they have made so many steps together; return what was done, by name.
+
+    Raises:
+        AssertionError: a number is not finite, or an observation is outside of its space.
+    """
+    rng, begin = np.random.default_rng(seed), time.monotonic()
+    done = {"steps": 0, "episodes": 0, "environments": 0, "refused": 0, "early": 0.0, "late": 0.0}
+    while done["steps"] < steps:
+        if (env := drawn(rng)) is None:
+            done["refused"] += 1
+            continue
+        predict = acting(POLICIES[done["environments"] % len(POLICIES)], rng)
+        done["environments"] += 1
+        observation, memory, first = env.reset()[0], None, np.ones(LANES, dtype=bool)
+        for _ in range(ROUND):
+            action, memory = predict(observation, memory, first)
+            try:
+                observation, reward, terminated, truncated, info = env.step(action)
+            except ValueError:  # the next episode has a path that cannot be followed
+                done["refused"] += 1
+                break
+            first = terminated | truncated
+            checked(action=action, observation=observation, reward=reward, error=info["position_error"])
+            done["steps"] += LANES
+            done["episodes"] += int(first.sum())
+        if not env.observation_space.contains(observation):
+            raise AssertionError("an observation is outside of its space")
+        if not done["early"] and done["steps"] >= steps / 10:
+            done["early"] = resident()
+            report(f"{done['steps']} steps, {done['early']:.0f} MiB, {time.monotonic() - begin:.0f} s")
+    return {**done, "late": resident(), "seconds": time.monotonic() - begin}
+
+
+def main():
+    """Step until so many steps are done, print the result; exit status 1 where memory grows."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--steps", type=lambda text: int(float(text)), default=50_000_000)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    warnings.simplefilter("ignore")  # gains that are not made for a vehicle or a control period say so
+    done = soak(options.steps, options.seed, lambda line: print(line, flush=True))
+    print(
+        f"{done['steps']} steps and {done['episodes']} episodes in {done['environments']} environments, "
+        f"{done['refused']} refused: all numbers are finite; {done['early']:.0f} MiB after the first tenth, "
+        f"{done['late']:.0f} MiB at the end; {done['seconds']:.0f} s"
+    )
+    sys.exit(done["late"] > done["early"] + GROWTH)
+
+
+if __name__ == "__main__":
+    main()
