@@ -20,10 +20,10 @@ from auv_gym.envs.track_vector_env import UnderactuatedAUVTrackVectorEnv
 from auv_gym.envs.vector_api import AutoresetMode
 from baselines import make_policy
 
-LANES = 1000
-ROUND = 200  # control steps of an environment
-EPISODES = (20, 50, 150)  # control steps
-POLICIES = ("uniform", "backstepping", "los-pid", "lqi", "ekf", "apg-cruise", "helm")
+LANES = 2000
+ROUND = 400  # control steps of an environment
+EPISODES = (100, 400)  # control steps
+POLICIES = ("uniform", "backstepping", "los-pid", "ekf", "apg-cruise", "helm")
 """They take turns, so that all of them are in memory after the first tenth. The first one draws its actions."""
 GROWTH = 50  # [MiB] that memory may grow by after the first tenth
 

@@ -23,6 +23,8 @@ from auv_gym.scenarios.records import guarded
 
 LARGEST_FILE = 2**26
 """Largest file [bytes] that is read."""
+_LARGEST_JSON = 2**22
+"""Largest JSON file [bytes]: what it holds takes some 20 times its size in memory."""
 _LARGEST_YAML = 2**16
 """Largest YAML file [bytes]: its parser takes 50 microseconds a byte."""
 DEEPEST = 50
@@ -63,7 +65,7 @@ def read_json(file: Path) -> Any:
         OSError: it cannot be read.
         ValueError: it is no JSON, or not one that `checked_plain` takes; the message names the file.
     """
-    data = read_bytes(file)
+    data = read_bytes(file, _LARGEST_JSON)
     with guarded(f"{file} is not valid JSON"):
         return checked_plain(json.loads(data))
 
